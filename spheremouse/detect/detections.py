@@ -1,0 +1,32 @@
+"""What every disc detector gives."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.rotation import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Detections:
+    """Disc candidates in one image."""
+
+    centre: Array  # (n, 2) px, the disc's centre in the (distorted) image
+    covariance: Array  # (n, 2, 2) px²
+    area: Array  # (n,) px²
+    contours: tuple[NDArray[np.int32], ...] = field(default=())  # outlines for the overlay; may be empty
+
+    def __len__(self) -> int:
+        return len(self.centre)
+
+    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "Detections":
+        """Those of a mask or of indices, in that order."""
+        index = np.flatnonzero(keep) if keep.dtype == bool else keep
+        contours = tuple(self.contours[i] for i in index) if self.contours else ()
+        return Detections(self.centre[index], self.covariance[index], self.area[index], contours)
+
+
+def no_detections() -> Detections:
+    """An empty set."""
+    return Detections(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))

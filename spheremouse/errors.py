@@ -1,0 +1,25 @@
+"""Errors a user can act on: one line that says what is wrong and what to do. The command line prints them bare."""
+
+
+class SpheremouseError(Exception):
+    """Base of all errors that are the user's to mend."""
+
+
+class ConfigurationError(SpheremouseError):
+    """A configuration, rig or camera file that cannot be used."""
+
+
+class DatasetError(SpheremouseError):
+    """A recording that cannot be read."""
+
+
+class SourceError(SpheremouseError):
+    """No frames to be had."""
+
+
+class OutputError(SpheremouseError):
+    """Motion cannot be sent."""
+
+
+class PoseError(SpheremouseError):
+    """The camera's pose cannot be found."""

@@ -1,0 +1,66 @@
+"""Filters: SpherePoints in, attitude and angular velocity with covariance out.
+
+Each filter is a frozen settings object with `initial`, `predict` and `update`; its state is a frozen dataclass that
+satisfies `FilterState`. Time is whatever the stamps say.
+"""
+
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.intersect import SpherePoints
+from spheremouse.rotation import Array
+
+
+class FilterState(Protocol):
+    """What the rest of the program may read of any filter's state."""
+
+    @property
+    def stamp(self) -> float:
+        """s, the time the state holds for."""
+        ...
+
+    @property
+    def attitude(self) -> Array:
+        """R_obj_ball, (3, 3)."""
+        ...
+
+    @property
+    def rate(self) -> Array:
+        """w_obj, (3,) rad/s."""
+        ...
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of the rotation error vector (rad, obj, exp(e) @ attitude) and of w_obj (rad/s)."""
+        ...
+
+    @property
+    def discs(self) -> Array:
+        """(m, 3) unit vectors in `ball`: the discs the filter knows."""
+        ...
+
+    @property
+    def used(self) -> NDArray[np.intp]:
+        """Indices into the last update's points that took part in it."""
+        ...
+
+
+S = TypeVar("S", bound=FilterState)
+
+
+class Filter(Protocol[S]):
+    """What a filter can do."""
+
+    def initial(self, stamp: float, attitude: Array) -> S:
+        """State before any point was seen, at rest at `attitude` (3, 3)."""
+        ...
+
+    def predict(self, state: S, stamp: float) -> S:
+        """State carried forward to `stamp` (s); `used` is empty."""
+        ...
+
+    def update(self, state: S, points: SpherePoints) -> S:
+        """State after the points of one frame, associated within; new discs are stored, lost ones dropped."""
+        ...

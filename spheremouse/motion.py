@@ -1,0 +1,72 @@
+"""Rotation of the ball between two epochs -> motion of a mouse, in counts, with nothing lost to rounding.
+
+Wittich 2017, section 3.9.4, with the travel of the touching point along the surface, log(R_k R_{k-1}^T) x C, in place
+of its chord (eq. 172-174), which loses 1 % at 30 Hz and 5 % at 5 Hz.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spheremouse.rotation import Array, log
+from spheremouse.settings import param
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings:
+    """From rotation to counts."""
+
+    counts_per_radian: float = param(
+        600.0, "counts/rad", "scale of all axes; 600 is one count per millimetre of surface for a ball of 0.6 m", gt=0
+    )
+    scale_x: float = param(1.0, "-", "factor on the pointer's X (ball rolling left and right)", gt=0)
+    scale_y: float = param(1.0, "-", "factor on the pointer's Y (ball rolling towards and away)", gt=0)
+    scale_z: float = param(1.0, "-", "factor on the third axis (ball spinning about the vertical)", gt=0)
+    invert_x: bool = param(False, "-", "reverse X")
+    invert_y: bool = param(False, "-", "reverse Y")
+    invert_z: bool = param(False, "-", "reverse the third axis")
+    swap_xy: bool = param(False, "-", "exchange X and Y, before inversion (a camera or a seat turned by 90 degrees)")
+
+    def matrix(self) -> Array:
+        """Counts per radian of rotation vector in `obj`, (3, 3): rows x, y, third axis.
+
+        The point C = (0, -c, 0) under the ball travels d = rho x C = (c rho_z, 0, -c rho_x); the pointer moves by
+        (d_x, -d_z).
+        """
+        M = np.zeros((3, 3))
+        M[0, 2] = M[1, 0] = M[2, 1] = 1.0
+        if self.swap_xy:
+            M = M[[1, 0, 2]]
+        sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
+        return M * (sign * (self.scale_x, self.scale_y, self.scale_z) * self.counts_per_radian)[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What one frame adds."""
+
+    stamp: float  # s
+    counts: tuple[int, int, int]  # x, y and third axis
+    rotation: Array  # (3,) rad, rotation vector in obj since the last motion
+    rate: Array  # (3,) rad/s, w_obj
+
+
+@dataclass(frozen=True, slots=True)
+class Remainder:
+    """Fractions of counts not sent yet, each in [-1/2, 1/2]."""
+
+    value: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def rotation_between(before: Array, after: Array) -> Array:
+    """Rotation vector in `obj`, (3,) rad, that turns attitude `before` into `after` (both R_obj_ball, (3, 3))."""
+    return log(after @ before.T)
+
+
+def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tuple[int, int, int], Remainder]:
+    """Whole counts of a rotation vector (3,) rad and what is left; the sum of counts stays within 1/2 of the integral."""
+    exact = matrix @ rotation + remainder.value
+    whole = np.rint(exact)
+    x, y, z = (int(n) for n in whole)
+    left = exact - whole
+    return (x, y, z), Remainder((float(left[0]), float(left[1]), float(left[2])))
