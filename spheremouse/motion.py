@@ -16,8 +16,11 @@ from spheremouse.settings import param
 class MotionSettings:
     """From rotation to counts."""
 
-    counts_per_radian: float = param(
-        600.0, "counts/rad", "scale of all axes; 600 is one count per millimetre of surface for a ball of 0.6 m", gt=0
+    counts_per_mm: float = param(
+        1.0, "counts/mm", "scale of all axes, per millimetre of the ball's surface: about a 25 dpi trackball", gt=0
+    )
+    counts_per_radian: float | None = param(
+        None, "counts/rad", "scale per radian instead; set it where the rig's radius is not in metres", gt=0
     )
     scale_x: float = param(1.0, "-", "factor on the pointer's X (ball rolling left and right)", gt=0)
     scale_y: float = param(1.0, "-", "factor on the pointer's Y (ball rolling towards and away)", gt=0)
@@ -27,18 +30,19 @@ class MotionSettings:
     invert_z: bool = param(False, "-", "reverse the third axis")
     swap_xy: bool = param(False, "-", "exchange X and Y, before inversion (a camera or a seat turned by 90 degrees)")
 
-    def matrix(self) -> Array:
-        """Counts per radian of rotation vector in `obj`, (3, 3): rows x, y, third axis.
+    def matrix(self, radius: float) -> Array:
+        """Counts per radian of rotation vector in `obj`, (3, 3): rows x, y, third axis; `radius` of the ball in m.
 
         The point C = (0, -c, 0) under the ball travels d = rho x C = (c rho_z, 0, -c rho_x); the pointer moves by
         (d_x, -d_z).
         """
+        scale = 1000.0 * radius * self.counts_per_mm if self.counts_per_radian is None else self.counts_per_radian
         M = np.zeros((3, 3))
         M[0, 2] = M[1, 0] = M[2, 1] = 1.0
         if self.swap_xy:
             M = M[[1, 0, 2]]
         sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
-        return M * (sign * (self.scale_x, self.scale_y, self.scale_z) * self.counts_per_radian)[:, None]
+        return M * (sign * (self.scale_x, self.scale_y, self.scale_z) * scale)[:, None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +68,10 @@ def rotation_between(before: Array, after: Array) -> Array:
 
 
 def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tuple[int, int, int], Remainder]:
-    """Whole counts of a rotation vector (3,) rad and what is left; the sum of counts stays within 1/2 of the integral."""
+    """Whole counts of a rotation vector (3,) rad, and what is left of them.
+
+    The sum of all counts stays within 1/2 of the integral of the motion.
+    """
     exact = matrix @ rotation + remainder.value
     whole = np.rint(exact)
     x, y, z = (int(n) for n in whole)
