@@ -155,6 +155,24 @@ def project_sphere(centre: Array, radius: float) -> tuple[Array, Array]:
     return c[0], S[0]
 
 
+def ellipse_to_pixel(centre: Array, shape: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
+    """Centroid, (n, 2) px, and shape, (n, 2, 2) px², of ellipses given in reduced coordinates, (n, 2), (n, 2, 2).
+
+    The lens bends an ellipse; its centroid is taken of the bent outline, its shape from the Jacobian at the centre.
+    """
+    uv, J = reduced_to_pixel(centre, camera)
+    S = J @ shape @ J.transpose(0, 2, 1)
+    if not np.any(camera.distortion) or len(centre) == 0:
+        return uv, S
+    angle = np.arange(24) * (2.0 * np.pi / 24)
+    L = np.linalg.cholesky(shape)
+    outline = centre[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ L.transpose(0, 2, 1)
+    p = reduced_to_pixel(outline.reshape(-1, 2), camera)[0].reshape(outline.shape) - uv[:, None]
+    q = np.roll(p, -1, axis=1)
+    cross = p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+    return uv + np.sum((p + q) * cross[..., None], axis=1) / (3.0 * np.sum(cross, axis=1)[:, None]), S
+
+
 def _dual_conic_centre_shape(D: Array) -> tuple[Array, Array]:
     c = D[:, :2, 2] / D[:, 2, 2, None]
     return c, c[:, :, None] * c[:, None, :] - D[:, :2, :2] / D[:, 2, 2, None, None]

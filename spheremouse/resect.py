@@ -1,0 +1,286 @@
+"""Resection: targets seen in a few frames -> the camera's pose in `obj` with its covariance.
+
+Wittich 2017, sections 2.4.3 and 3.4: least squares on the reprojection error of the targets, here from a closed-form
+start, so that no one has to say where the camera stands.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import (
+    Pose,
+    ellipse_to_pixel,
+    project,
+    project_circle,
+    project_sphere,
+    reduced_to_pixel,
+    unproject,
+)
+from spheremouse.detect.rings import TargetDetections
+from spheremouse.errors import PoseError
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array, exp, hat
+from spheremouse.settings import param
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSettings:
+    """How the camera's pose is found at the start."""
+
+    frames: int = param(
+        30, "frames", "views averaged at the start: a second of video (Wittich 2017, section 3.4)", ge=1
+    )
+    target_sigma: float = param(
+        0.05,
+        "px",
+        "standard deviation of a target's centre in one view that no averaging removes: print, sampling, lens",
+        gt=0,
+    )
+    seen_share: float = param(
+        0.3, "-", "a target counts when it is seen in at least this part of the views", gt=0, le=1
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """One target of the rig, or a look-alike with its code, over several views."""
+
+    code: str
+    centre: Array  # (2,) px, mean over the views
+    covariance: Array  # (2, 2) px², of that mean: the floor of one view plus the scatter's share
+    views: int
+
+
+@dataclass(frozen=True, slots=True)
+class Resection:
+    """A pose and what it rests on."""
+
+    pose: Pose
+    codes: tuple[str, ...]
+    centre: Array  # (n, 2) px, measured centres of the targets used
+    residual: Array  # (n, 2) px, measured minus predicted
+    variance_factor: float  # a posteriori, 1 where there is no redundancy
+
+
+def gather(views: list[TargetDetections], settings: PoseSettings) -> list[Sighting]:
+    """Targets that keep their place over the views; a thing seen now and then, or that moves, is left out.
+
+    Views of a still scene share their systematic errors: only the noise averages out, and the covariance of the mean
+    never falls below `target_sigma` squared.
+    """
+    groups: dict[str, list[list[Array]]] = {}
+    for view in views:
+        for code, centre, radius in zip(view.codes, view.centre, view.radius, strict=True):
+            places = groups.setdefault(code, [])
+            near = [g for g in places if np.linalg.norm(g[0] - centre) < radius]
+            (near[0] if near else places.append([]) or places[-1]).append(centre)
+    sightings = []
+    for code, places in groups.items():
+        for group in places:
+            if len(group) < max(settings.seen_share * len(views), 1):
+                continue
+            c = np.array(group)
+            middle = np.median(c, axis=0)
+            spread = 1.4826 * np.median(np.abs(c - middle), axis=0)
+            c = c[np.all(np.abs(c - middle) <= 4 * spread + 0.2, axis=1)]  # a hand that brushed the target
+            noise = np.diag(np.var(c, axis=0)) / len(c)
+            sightings.append(Sighting(code, c.mean(axis=0), settings.target_sigma**2 * np.eye(2) + noise, len(c)))
+    return sightings
+
+
+def resect(sightings: list[Sighting], rig: Rig, image: NDArray[np.uint8]) -> Resection:
+    """Pose of the camera from at least three targets of the rig; `image` (any of the views) shows the ball's outline.
+
+    With three targets up to four poses fit (Gao et al. 2003), with four in a plane sometimes two; they are told apart
+    by the ball's outline. Copies of a target in the room are told from the real one by the residuals.
+    Raises PoseError where targets are missing, where nothing fits, and where two poses fit alike.
+    """
+    known = {code: i for i, code in enumerate(rig.targets.codes)}
+    seen = {code: [s for s in sightings if s.code == code] for code in known}
+    seen = {code: s for code, s in seen.items() if s}
+    if len(seen) < 3:
+        missing = [c for c in known if c not in seen]
+        raise PoseError(
+            f"{len(seen)} of {len(known)} targets found ({', '.join(seen) or 'none'}), at least 3 are needed; missing: "
+            f"{', '.join(missing)}: light them, uncover them, or widen the colour bounds (rings.*)"
+        )
+    fits: list[Resection] = []
+    chosen = [[*options, None] if len(options) > 1 else options for options in seen.values()]
+    for combination in product(*chosen):
+        used = [s for s in combination if s is not None]
+        if len(used) >= 3:
+            fits += _candidates(used, np.array([known[s.code] for s in used]), rig)
+    fits = _distinct(fits)
+    if not fits:
+        raise PoseError(
+            f"no camera position fits the targets {', '.join(seen)}: their positions in the rig, or the camera's "
+            "calibration, belong to another device"
+        )
+    if len(fits) == 1:
+        return fits[0]
+    return _by_outline(fits, rig, image)
+
+
+def describe(resection: Resection) -> str:
+    """Pose, standard deviations and correlations as in Wittich 2017, table 12."""
+    pose = resection.pose
+    sigma = np.sqrt(np.diag(pose.covariance))
+    correlation = pose.covariance / np.outer(sigma, sigma)
+    names = ["X", "Y", "Z", "rot X", "rot Y", "rot Z"]
+    lines = [f"targets {', '.join(resection.codes)}; residual RMS {np.sqrt(np.mean(resection.residual**2)):.3f} px"]
+    lines.append("          " + "".join(f"{n:>9}" for n in names))
+    lines += [f"{names[i]:<10}" + "".join(f"{correlation[i, j]:9.3f}" for j in range(i)) for i in range(1, 6)]
+    lines.append("sigma     " + "".join(f"{1e3 * s:6.2f} mm" for s in sigma[:3]))
+    lines[-1] += "".join(f"{np.rad2deg(s):7.3f} °" for s in sigma[3:])
+    lines.append("position  " + "".join(f"{1e3 * x:6.0f} mm" for x in pose.position))
+    return "\n".join(lines)
+
+
+def predict_targets(pose: Pose, rig: Rig) -> Array:
+    """Where the mean centroids of all targets should be seen, (n, 2) px, eccentricity included."""
+    return _predict(pose, rig, np.arange(len(rig.targets.codes)))[0]
+
+
+def _predict(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Predicted mean centroids, (n, 2) px, and d_centre_d_point_cam, (n, 2, 3), of the targets `which`."""
+    points = pose.to_cam(rig.targets.position[which])
+    normal = np.broadcast_to(pose.rotation[2], points.shape)  # obj's Z axis in cam
+    _, J = project(points, rig.camera)
+    centres = [ellipse_to_pixel(*project_circle(points, normal, float(r)), rig.camera)[0] for r in rig.targets.radii]
+    return np.mean(centres, axis=0), J
+
+
+def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list[Resection]:
+    """All poses that satisfy one choice of sightings: closed-form starts, each adjusted."""
+    points = rig.targets.position[which]
+    xy, _ = unproject(np.array([s.centre for s in used]), rig.camera)
+    if not np.all(np.isfinite(xy)):
+        return []
+    if len(used) == 3:
+        _, rvecs, tvecs = cv2.solveP3P(points, xy[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
+    else:
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        flat = spread[2] < 1e-3 * spread[1]
+        method = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
+        _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, xy[:, None], np.eye(3), None, flags=method)
+    found = []
+    for rvec, tvec in zip(rvecs, tvecs, strict=True):
+        R = exp(np.asarray(rvec, dtype=float).ravel()).T
+        start = Pose(R, -R @ np.asarray(tvec, dtype=float).ravel())
+        adjusted = _adjust(start, used, which, rig)
+        if adjusted is not None and _possible(adjusted.pose, rig, which):
+            found.append(adjusted)
+    return found
+
+
+def _adjust(pose: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> Resection | None:
+    """Gauss-Newton on the reprojection error; weights from the image and from the targets' own covariances."""
+    observed = np.array([s.centre for s in used])
+    sigma = np.array([s.covariance for s in used])
+    points = rig.targets.position[which]
+    N = np.eye(6)
+    residual = np.zeros_like(observed)
+    cost = np.inf
+    for _ in range(30):
+        predicted, dc_dcam = _predict(pose, rig, which)
+        if not np.all(np.isfinite(predicted)):
+            return None
+        residual = observed - predicted
+        dc_dobj = dc_dcam @ pose.rotation.T
+        # a point in cam is R^T (X - P): dP moves it by -R^T, theta turns X - P by -theta
+        A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2)
+        weight = np.linalg.inv(sigma + dc_dobj @ rig.targets.covariance[which] @ dc_dobj.transpose(0, 2, 1))
+        N = np.einsum("nij,nik,nkl->jl", A, weight, A)
+        cost = float(np.einsum("ni,nij,nj->", residual, weight, residual))
+        try:
+            step = np.linalg.solve(N, np.einsum("nij,nik,nk->j", A, weight, residual))
+        except np.linalg.LinAlgError:
+            return None
+        pose = Pose(exp(step[3:]) @ pose.rotation, pose.position + step[:3])
+        if np.linalg.norm(step) < 1e-10:
+            break
+    freedom = 2 * len(used) - 6
+    # few targets, few degrees of freedom: the factor may enlarge the covariance, never shrink it
+    factor = cost / freedom if freedom > 0 else 1.0
+    covariance = np.linalg.inv(N) * max(factor, 1.0)
+    return Resection(
+        Pose(pose.rotation, pose.position, covariance), tuple(s.code for s in used), observed, residual, factor
+    )
+
+
+def _possible(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> bool:
+    """In front of the targets, on the side they face, and outside the ball."""
+    points = rig.targets.position[which]
+    return bool(
+        np.all(pose.to_cam(points)[:, 2] > 0)
+        and np.all(pose.position[2] > points[:, 2])
+        and np.linalg.norm(pose.position - rig.ball.centre) > rig.ball.radius
+    )
+
+
+def _distinct(fits: list[Resection]) -> list[Resection]:
+    """The fits the residuals cannot tell from the best: most targets first, then chi-square within 4 sigma."""
+    if not fits:
+        return []
+    most = max(len(f.codes) for f in fits)
+    limit = 30.0  # px RMS of a fit that means anything at all
+    fits = [f for f in fits if np.sqrt(np.mean(f.residual**2)) < limit]
+    full = [f for f in fits if len(f.codes) == most]
+    if full and min(np.sqrt(np.mean(f.residual**2)) for f in full) > 2.0 and most > 3:
+        full = [f for f in fits if np.sqrt(np.mean(f.residual**2)) < 2.0]  # a copy of a target was among them
+    if not full:
+        return []
+    cost = [f.variance_factor * max(2 * len(f.codes) - 6, 0) for f in full]
+    scale = max(min(cost) / max(2 * most - 6, 1), 1.0)
+    kept: list[Resection] = []
+    for c, f in sorted(zip(cost, full, strict=True), key=lambda pair: pair[0]):
+        if c - min(cost) < 16.0 * scale and all(np.linalg.norm(f.pose.position - k.pose.position) > 1e-3 for k in kept):
+            kept.append(f)
+    return kept
+
+
+def _by_outline(fits: list[Resection], rig: Rig, image: NDArray[np.uint8]) -> Resection:
+    """The fit whose ball outline lies on an edge of the image; refuses where two do."""
+    scores = [_outline_score(f.pose, rig, image) for f in fits]
+    order = np.argsort(scores)[::-1]
+    best, second = scores[order[0]], scores[order[1]]
+    if best < 0.3 or second > 0.7 * best:
+        seen = fits[0].codes
+        raise PoseError(
+            f"{len(fits)} camera positions fit the targets {', '.join(seen)} and the ball's outline does not tell them "
+            "apart: uncover a fourth target, or the edge of the ball"
+        )
+    return fits[int(order[0])]
+
+
+def _outline_score(pose: Pose, rig: Rig, image: NDArray[np.uint8]) -> float:
+    """Part of the visible outline, 0..1, that lies within 2 px of an edge running along it."""
+    grey = cv2.GaussianBlur(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0)
+    centre, shape = project_sphere(pose.to_cam(rig.ball.centre), rig.ball.radius)
+    angle = np.linspace(0.0, 2.0 * np.pi, 240, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    try:
+        outline = centre + circle @ np.linalg.cholesky(shape).T
+    except np.linalg.LinAlgError:
+        return 0.0
+    uv, _ = reduced_to_pixel(outline, rig.camera)
+    tangent = np.roll(uv, -1, axis=0) - np.roll(uv, 1, axis=0)
+    normal = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.linalg.norm(tangent, axis=1, keepdims=True)
+    reach = np.arange(-8.0, 8.5, 0.5)
+    at = uv[:, None] + reach[None, :, None] * normal[:, None]
+    h, w = grey.shape
+    visible = np.all((at > 1) & (at < [w - 2, h - 2]), axis=(1, 2))
+    if np.count_nonzero(visible) < 24:
+        return 0.0
+    profile = cv2.remap(grey.astype(np.float32), at[visible].astype(np.float32), None, cv2.INTER_LINEAR)
+    slope = np.abs(profile[:, 4:] - profile[:, :-4])  # over 2 px
+    strongest = slope.max(axis=1)
+    offset = np.abs(reach[2:-2][slope.argmax(axis=1)])
+    floor = 4.0 * float(np.median(np.abs(np.diff(grey.astype(float), axis=1)))) + 4.0
+    # by chance the strongest edge of 13 px lies within 2 px in 3 of 10 cases: count only what is beyond that
+    hit = float(np.mean((offset <= 2.0) & (strongest > floor)))
+    return max(0.0, (hit - 0.3) / 0.7)
