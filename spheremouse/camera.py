@@ -130,10 +130,21 @@ def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
         if not np.any(step > 1e-13):
             break
     _, J = distort(xy, camera)
-    folded = ~(step < 1e-9) | (np.linalg.det(np.nan_to_num(J)) <= 0.0)
+    folded = ~(step < 1e-9) | (np.linalg.det(np.nan_to_num(J)) <= 0.0) | (np.sum(xy * xy, axis=1) >= _fold_r2(camera))
     xy = np.where(folded[:, None], np.nan, xy)
     J = np.where(folded[:, None, None], np.eye(2), J)
     return xy, np.linalg.inv(J) / f  # columns: d/du, d/dv
+
+
+def _fold_r2(camera: InteriorOrientation) -> float:
+    """Squared reduced radius at which the radial distortion stops growing, inf if it never does.
+
+    Beyond it pixels are met a second time, and some lens models grow once more: a solution there is not the ray.
+    """
+    k1, k2, _, _, k3 = camera.distortion
+    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # d/dr of r (1 + k1 r² + k2 r⁴ + k3 r⁶), in r²
+    r2 = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
+    return float(np.min(r2, initial=np.inf))
 
 
 def project_circle(centre: Array, normal: Array, radius: Array | float) -> tuple[Array, Array]:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, unproject
+from spheremouse.camera import Pose
 from spheremouse.detect.detections import Detections
-from spheremouse.rig import Rig
+from spheremouse.rig import Rig, first_hits
 from spheremouse.rotation import Array, hat
 
 
@@ -50,25 +50,15 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
-    xy, dxy_duv = unproject(detections.centre, rig.camera)
-    ray_cam = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    ray = ray_cam @ pose.rotation.T
-    to_centre = rig.ball.centre - pose.position
-    a = np.sum(ray * ray, axis=1)
-    b = ray @ to_centre
-    c = to_centre @ to_centre - rig.ball.radius**2
-    root = b * b - a * c
-    with np.errstate(invalid="ignore"):
-        index = np.flatnonzero((root > 0.0) & (b > 0.0))  # nan (a pixel no ray maps to) compares false: a miss
-    ray, dxy_duv = ray[index], dxy_duv[index]
-    s = (b[index] - np.sqrt(root[index])) / a[index]
+    hits = first_hits(detections.centre, rig, pose)
+    ray, s, index = hits.ray, hits.scale, hits.index
     position = pose.position + s[:, None] * ray
     normal = (position - rig.ball.centre) / rig.ball.radius
     along = np.sum(normal * ray, axis=1)  # negative: the near side faces the camera
     to_surface = ray / along[:, None]
     slide = np.eye(3) - to_surface[:, :, None] * normal[:, None, :]
 
-    dray_duv = pose.rotation[:, :2] @ dxy_duv
+    dray_duv = pose.rotation[:, :2] @ hits.dxy_duv
     J_image = slide @ (s[:, None, None] * dray_duv)
     J_pose = np.concatenate([slide, slide @ (-s[:, None, None] * hat(ray))], axis=2)
     J_ball = np.concatenate(

@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.rotation import Array
 
 COLOURS = "CMY"
@@ -42,3 +43,32 @@ class Rig:
     readout_s: float = 0.0  # s, time a rolling shutter takes over all rows
     pose: Pose | None = None  # camera pose where it is known beforehand: no targets are needed then
     disc_directions: Array | None = None  # (m, 3) unit vectors in ball, a disc map made earlier
+
+
+@dataclass(frozen=True, slots=True)
+class RayHits:
+    """Where image rays first meet the ball, for those of n pixels that do: position = P + scale * ray."""
+
+    ray: Array  # (k, 3) obj, with unit depth in cam
+    scale: Array  # (k,) m
+    dxy_duv: Array  # (k, 2, 2) Jacobian of the reduced coordinates
+    index: NDArray[np.intp]  # (k,) into the pixels
+
+
+def first_hits(uv: Array, rig: Rig, pose: Pose) -> RayHits:
+    """Intersect the rays of pixels, (n, 2), with the ball; the nearer of two points (Wittich 2017, eq. 110-113)."""
+    xy, dxy_duv = unproject(uv, rig.camera)
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ pose.rotation.T
+    to_centre = rig.ball.centre - pose.position
+    a = np.sum(ray * ray, axis=1)
+    b = ray @ to_centre
+    root = b * b - a * (to_centre @ to_centre - rig.ball.radius**2)
+    with np.errstate(invalid="ignore"):
+        index = np.flatnonzero((root > 0.0) & (b > 0.0))  # nan (a pixel no ray maps to) compares false: a miss
+    return RayHits(ray[index], (b[index] - np.sqrt(root[index])) / a[index], dxy_duv[index], index)
+
+
+def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:
+    """Directions from the ball's centre, (k, 3) unit vectors in obj, seen at pixels (n, 2), and the k indices."""
+    hits = first_hits(uv, rig, pose)
+    return (pose.position + hits.scale[:, None] * hits.ray - rig.ball.centre) / rig.ball.radius, hits.index

@@ -74,7 +74,7 @@ def left_jacobian(v: Array) -> Array:
     angle = np.sqrt(np.sum(v * v, axis=-1))[..., None, None]
     small = angle < 1e-4  # the cubic coefficient cancels badly below; its series is exact there
     safe = np.where(small, 1.0, angle)
-    b = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    b = np.where(small, 0.5 - angle**2 / 24.0, 2.0 * (np.sin(safe / 2.0) / safe) ** 2)
     c = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
     k = hat(v)
     return np.eye(3) + b * k + c * (k @ k)
@@ -132,8 +132,9 @@ def euler_rate_matrix(angles: Array) -> Array:
 
 
 def tangent_basis(u: Array) -> Array:
-    """Two orthonormal columns perpendicular to each unit vector, (..., 3) -> (..., 3, 2), smooth but at -z.
+    """Two orthonormal columns perpendicular to each unit vector, (..., 3) -> (..., 3, 2).
 
+    Smooth on either side of z = 0, where it jumps; no such basis is smooth on the whole sphere.
     Duff et al. 2017, "Building an orthonormal basis, revisited".
     """
     u = np.asarray(u, dtype=float)

@@ -61,6 +61,9 @@ class Filter(Protocol[S]):
         """State carried forward to `stamp` (s); `used` is empty."""
         ...
 
-    def update(self, state: S, points: SpherePoints) -> S:
-        """State after the points of one frame, associated within; new discs are stored, lost ones dropped."""
+    def update(self, state: S, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> S:
+        """State after the points of one frame, associated within.
+
+        Points that belong to no known disc found a new one where `fresh` (n,) allows it (None: everywhere).
+        """
         ...

@@ -1,0 +1,118 @@
+# What a person types. Every target installs what it needs on its own: a virtual environment in .venv, and on
+# Debian and Ubuntu the few system packages without which it cannot be made.
+
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+# Tests that need kernel devices, hours or luck have targets of their own.
+SLOW_TESTS := tests/system tests/soak tests/fuzz
+TEST_ARGS ?=
+DEMO_ARGS ?=
+SYSTEM_TEST_ARGS ?=
+SOAK_ARGS ?=
+FUZZ_ARGS ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help demo picture test lint format docs system-test soak fuzz clean
+
+help:
+	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
+	@echo "make test         the tests (minutes); TEST_ARGS=... goes to pytest"
+	@echo "make lint         format, lint rules and types"
+	@echo "make format       bring the code into the format that make lint asks for"
+	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
+	@echo "make picture      the picture of the README, made anew from the demo"
+	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
+	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
+	@echo "make fuzz         broken input of every kind; FUZZ_ARGS=... chooses how much"
+	@echo "make clean        removes everything that these targets made"
+
+demo: $(STAMP)
+	$(BIN)/spheremouse demo $(DEMO_ARGS)
+
+picture: demo
+	mkdir -p docs/images
+	cp demo/overlay.png docs/images/overlay.png
+
+test: $(STAMP)
+	$(BIN)/python -m pytest $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
+
+lint: $(STAMP)
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/pyright
+
+format: $(STAMP)
+	$(BIN)/ruff format
+	$(BIN)/ruff check --fix
+
+# -E reads every page anew: some are made from the code, and Sphinx looks only at the pages' own dates.
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -W --keep-going -E -q -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -W --keep-going -E -q -b doctest docs docs/_build/doctest
+	@echo "docs: examples run, site in docs/_build/html/index.html"
+
+system-test: $(STAMP)
+	@test -x tests/system/run || { echo "make: tests/system/run does not exist: no system test yet" >&2; exit 2; }
+	tests/system/run $(SYSTEM_TEST_ARGS)
+
+soak fuzz: $(STAMP)
+	@test -e tests/$@.py -o -e tests/$@/__main__.py || { echo "make: tests/$@ does not exist yet" >&2; exit 2; }
+	$(BIN)/python -m tests.$@ $(if $(filter soak,$@),$(SOAK_ARGS),$(FUZZ_ARGS))
+
+clean:
+	rm -rf $(VENV) docs/_build demo build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find spheremouse tests docs -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# ---- installation ----
+
+# The system's part: a Python that can make virtual environments, and what evdev, which comes as source, is compiled
+# with. Installs with apt-get as root or by sudo; says what is missing otherwise.
+define SYSTEM
+set -euo pipefail
+say() { echo "make: $$*" >&2; exit 1; }
+install() {
+    local as=()
+    if [ "$$(id -u)" != 0 ]; then
+        if [ -t 0 ]; then as=(sudo); else as=(sudo -n); fi  # a password can be asked for at a terminal only
+    fi
+    if ! command -v apt-get >/dev/null || ! "$${as[@]}" true 2>/dev/null; then
+        say "missing system packages; install what Debian calls $$*, then run make again"
+    fi
+    echo "make: installing $$*"
+    "$${as[@]}" apt-get -qq -o DPkg::Lock::Timeout=300 update
+    "$${as[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 \
+        install -y --no-install-recommends "$$@" >/dev/null || say "apt-get could not install: $$*"
+}
+python=$(PYTHON)
+if ! command -v "$$python" >/dev/null; then
+    if [ "$$python" != python3 ]; then say "there is no $$python"; fi
+    install python3
+fi
+"$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+    say "spheremouse needs Python 3.11 or newer, $$python is $$("$$python" -V | cut -d' ' -f2): make PYTHON=/path/to/python3.11"
+missing=()
+name=python3
+case "$$(command -v "$$python")" in /usr/bin/python3.*) name=$$(basename "$$python") ;; esac
+"$$python" -c 'import venv, ensurepip' 2>/dev/null || missing+=("$$name-venv")
+if [ "$$(uname)" = Linux ] && ! $(BIN)/python -c 'import evdev' 2>/dev/null; then
+    command -v cc >/dev/null || missing+=(gcc libc6-dev)
+    [ -e /usr/include/linux/uinput.h ] || missing+=(linux-libc-dev)
+    header=$$("$$python" -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
+    [ -e "$$header" ] || missing+=("$$name-dev")
+fi
+if [ "$${#missing[@]}" != 0 ]; then install "$${missing[@]}"; fi
+if ! $(BIN)/python -c pass 2>/dev/null; then "$$python" -m venv --clear $(VENV); fi
+endef
+export SYSTEM
+
+$(STAMP): pyproject.toml
+	@bash -c "$$SYSTEM"
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet --editable . --group dev --group docs
+	@$(BIN)/python -c 'import cv2' || \
+		{ echo "make: OpenCV does not load; on Debian: apt-get install libgl1 libglib2.0-0" >&2; exit 1; }
+	@touch $@

@@ -1,0 +1,86 @@
+"""The published disc detector: several grey-value masks, contours, bounds on area and convexity.
+
+Wittich 2017, section 3.6.1 and table 4. Kept as published, as the reference for the default detector: fixed grey
+bounds, centroids of contours without any correction, one standard deviation for all.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.settings import param
+
+
+@dataclass(frozen=True, slots=True)
+class BlobSettings:
+    """Symbols of table 4 behind each name."""
+
+    median: int = param(5, "px", "width of the median filter, odd; the thesis does not state it", ge=1)
+    mask_step: int = param(10, "grey values", "u_M, step between masks", ge=1)
+    mask_width: int = param(30, "grey values", "u_B, width of a mask", ge=1)
+    masks: int = param(10, "-", "m, number of masks: grey 0 to 120", ge=1)
+    opening: int = param(3, "px", "width of the opening's square; the thesis does not state it", ge=1)
+    min_area: float = param(40.0, "px²", "F_min, least area of a contour", gt=0)
+    max_area: float = param(300.0, "px²", "F_max, largest area of a contour", gt=0)
+    convexity: float = param(0.95, "-", "q_min, least area over area of the convex hull", gt=0, le=1)
+    sigma: float = param(0.1, "px", "sigma_b, standard deviation of a centre per axis (section 4.5)", gt=0)
+
+
+@dataclass(frozen=True, slots=True)
+class BlobDetector:
+    """The detector with its settings; it knows nothing of the ball."""
+
+    settings: BlobSettings
+
+    def detect(self, image: NDArray[np.uint8]) -> Detections:
+        """Blobs in an image (h, w, 3) BGR or (h, w); centres are centroids of contours (eq. 96)."""
+        s = self.settings
+        grey = image if image.ndim == 2 else _mean_of_channels(image)
+        if s.median > 1:
+            grey = cv2.medianBlur(grey, s.median)
+        kernel = np.ones((s.opening, s.opening), np.uint8)
+        kept: list[tuple[float, tuple[float, float], NDArray[np.int32]]] = []
+        for i in range(s.masks):
+            mask = cv2.inRange(grey, np.array(s.mask_step * i), np.array(s.mask_step * i + s.mask_width))
+            mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel)
+            contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)  # outlines of holes too
+            kept += [blob for c in contours if (blob := self._blob(c)) is not None]
+        unique = _without_contained(kept)
+        if not unique:
+            return no_detections()
+        n = len(unique)
+        return Detections(
+            np.array([centre for _, centre, _ in unique]),
+            np.broadcast_to(s.sigma**2 * np.eye(2), (n, 2, 2)).copy(),
+            np.array([area for area, _, _ in unique]),
+            tuple(contour for _, _, contour in unique),
+        )
+
+    def _blob(self, contour: NDArray[np.int32]) -> tuple[float, tuple[float, float], NDArray[np.int32]] | None:
+        """Area, centroid and outline of a contour that passes eq. 97, 98 and the bound on convexity."""
+        area = cv2.contourArea(contour)
+        if not self.settings.min_area <= area <= self.settings.max_area:
+            return None
+        if area < self.settings.convexity * cv2.contourArea(cv2.convexHull(contour)):
+            return None
+        m = cv2.moments(contour)
+        return area, (m["m10"] / m["m00"], m["m01"] / m["m00"]), contour
+
+
+def _mean_of_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Grey as (r + g + b) / 3."""
+    return cv2.transform(image, np.full((1, 3), 1.0 / 3.0))
+
+
+def _without_contained(
+    blobs: list[tuple[float, tuple[float, float], NDArray[np.int32]]],
+) -> list[tuple[float, tuple[float, float], NDArray[np.int32]]]:
+    """Of contours that hold each other's centroid the largest: the others are the same blob in another mask."""
+    unique: list[tuple[float, tuple[float, float], NDArray[np.int32]]] = []
+    for blob in sorted(blobs, key=lambda b: -b[0]):
+        if all(cv2.pointPolygonTest(other[2], blob[1], False) < 0 for other in unique):
+            unique.append(blob)
+    return unique

@@ -1,0 +1,131 @@
+"""Look-alikes: what looks like a disc and stands still while the ball turns is masked; what turns along is proven.
+
+Bolts, their shadows, a player's buttons pass every test of shape. Each candidate's place is followed from where it was
+first seen; the ball's rotation says where a disc would be by now. Only what moved with the ball may found a disc, and
+what stayed is remembered as a mask in the image, for as long as the camera stands.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import Pose, project
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.settings import param
+
+
+@dataclass(frozen=True, slots=True)
+class StaticSettings:
+    """When a candidate has shown what it is."""
+
+    moved: float = param(
+        2.0, "px", "displacement by the ball's rotation after which stillness shows: many times a centre's noise", gt=0
+    )
+    still: float = param(
+        0.6, "px", "a look-alike's centre keeps within this: noise and passing shadows; half of `moved` at most", gt=0
+    )
+    search: float = param(4.0, "px", "a candidate is found again within this of where it stayed or turned to", gt=0)
+    forget: float = param(1.0, "s", "a candidate not seen for so long is followed no more", gt=0)
+    mask_radius: float = param(1.5, "px", "detections this close to a mask's centre are dropped", gt=0)
+    mask_life: float = param(
+        600.0, "s", "a mask under which nothing was seen for so long goes: hands hide bolts for minutes", gt=0
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Lookalikes:
+    """Masks, and candidates on their way to being one or a disc."""
+
+    masks: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px
+    mask_seen: Array = field(default_factory=lambda: np.zeros(0))  # (k,) s
+    place: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (t, 2) px, where last seen
+    anchor: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (t, 2) px, where first seen
+    anchor_ball: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (t, 3) direction in ball, were it a disc
+    seen: Array = field(default_factory=lambda: np.zeros(0))  # (t,) s
+    proven: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (t,) moved with the ball
+
+
+def unmasked(
+    state: Lookalikes, centre: Array, stamp: float, settings: StaticSettings
+) -> tuple[NDArray[np.bool_], Lookalikes]:
+    """Which detections, (n, 2) px, are not under a mask, (n,); and the masks, with those renewed that hid one."""
+    if len(state.masks) == 0 or len(centre) == 0:
+        return np.ones(len(centre), dtype=bool), state
+    near = np.linalg.norm(centre[:, None] - state.masks[None], axis=2) < settings.mask_radius
+    seen = np.where(near.any(axis=0), stamp, state.mask_seen)
+    alive = stamp - seen < settings.mask_life
+    return ~near.any(axis=1), replace(state, masks=state.masks[alive], mask_seen=seen[alive])
+
+
+def mask(state: Lookalikes, centre: Array, stamp: float) -> Lookalikes:
+    """Add masks at (k, 2) px."""
+    return replace(
+        state,
+        masks=np.concatenate([state.masks, centre]),
+        mask_seen=np.concatenate([state.mask_seen, np.full(len(centre), stamp)]),
+    )
+
+
+def judge(  # noqa: PLR0917
+    state: Lookalikes,
+    centre: Array,
+    direction: Array,
+    attitude: Array,
+    stamp: float,
+    rig: Rig,
+    pose: Pose,
+    settings: StaticSettings,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Lookalikes]:
+    """Follow the candidates of one frame: `centre` (n, 2) px, `direction` (n, 3) unit in obj, none of them masked.
+
+    `attitude` is R_obj_ball, (3, 3). Returns which are proven to turn with the ball, (n,), which have just shown that
+    they stand still, (n,), and the state with the latter masked.
+    """
+    n = len(centre)
+    turned = project(pose.to_cam(rig.ball.centre + rig.ball.radius * state.anchor_ball @ attitude.T), rig.camera)[0]
+    expected = np.where(np.isfinite(turned), turned, state.place)
+    to_turned = np.linalg.norm(centre[:, None] - expected[None], axis=2)
+    to_place = np.linalg.norm(centre[:, None] - state.place[None], axis=2)
+    track = _nearest(np.minimum(to_turned, to_place), settings.search)
+    known = track >= 0
+    which = track[known]
+
+    path = np.linalg.norm(expected[which] - state.anchor[which], axis=1)
+    off = np.linalg.norm(centre[known] - expected[which], axis=1)
+    stayed = np.linalg.norm(centre[known] - state.anchor[which], axis=1)
+    tell = path > settings.moved
+    turns = tell & (off < 0.3 * path)
+    stands = tell & (stayed < settings.still) & (off > 0.5 * path)
+
+    proven, still = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    proven[known] = state.proven[which] | turns
+    still[known] = stands
+    proven &= ~still
+
+    place, seen, known_proven = state.place.copy(), state.seen.copy(), state.proven.copy()
+    place[which], seen[which] = centre[known], stamp
+    known_proven[which] = proven[known]
+    keep = stamp - seen < settings.forget
+    keep[which[stands]] = False
+    new = ~known
+    updated = replace(
+        state,
+        place=np.concatenate([place[keep], centre[new]]),
+        anchor=np.concatenate([state.anchor[keep], centre[new]]),
+        anchor_ball=np.concatenate([state.anchor_ball[keep], direction[new] @ attitude]),
+        seen=np.concatenate([seen[keep], np.full(np.count_nonzero(new), stamp)]),
+        proven=np.concatenate([known_proven[keep], np.zeros(np.count_nonzero(new), dtype=bool)]),
+    )
+    return proven, still, mask(updated, centre[still], stamp)
+
+
+def _nearest(distance: Array, limit: float) -> NDArray[np.intp]:
+    """For each row the column that is its nearest and whose nearest it is, within `limit`; -1 where there is none."""
+    n, t = distance.shape
+    if n == 0 or t == 0:
+        return np.full(n, -1, dtype=np.intp)
+    column = distance.argmin(axis=1)
+    mutual = distance.argmin(axis=0)[column] == np.arange(n)
+    return np.where(mutual & (distance[np.arange(n), column] < limit), column, -1)

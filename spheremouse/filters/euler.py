@@ -1,0 +1,270 @@
+"""The two classic filters: extended Kalman filters on Euler angles and their rates, as published.
+
+SpherePoints of one frame in, attitude and angular velocity out. Wittich 2017, sections 2.3.2 and 3.9.1-3.9.3: `ekf1`
+(ConstantDiscsFilter) keeps the discs it has seen as constants, `ekf2` (StateDiscsFilter) estimates them along. They
+are kept as published, weaknesses included, so that the default filter can be measured against them:
+
+- At phi = +-90 deg the angles are singular: a ball that passes close by makes omega and kappa race, against the model
+  of constant rates. Points are lost, attitude jumps by degrees and nobody is told: the filters raise nothing and go on.
+- A stored disc that is not associated in one frame is forgotten; a ball that comes round again is not recognised.
+- The start is far too confident for a ball that already turns (eq. 123), a new point is stored as if the attitude
+  were exact (eq. 170-171), and pose and ball errors count as new in every frame: their covariances are optimistic.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from spheremouse.intersect import SpherePoints
+from spheremouse.rotation import Array, euler_rate_matrix, from_euler, hat, to_euler
+from spheremouse.settings import param
+
+
+@dataclass(frozen=True, slots=True)
+class EulerSettings:
+    """Parameters of both classic filters."""
+
+    acceleration_sigma: float = param(
+        0.1,
+        "rad/s²",
+        "assumed acceleration of each Euler angle, sigma_w; best rates in Wittich 2017, section 4.5",
+        gt=0,
+    )
+    gate: float = param(
+        0.03,
+        "m",
+        "a point farther than this from where a stored disc is predicted is another disc; Wittich 2017, table 4",
+        gt=0,
+    )
+    start_sigma: float = param(
+        0.01, "rad, rad/s", "of the Euler angles and of their rates at the start; Wittich 2017, eq. 123", gt=0
+    )
+    radial_sigma: float = param(
+        1e-4,
+        "m",
+        "added to each point along the ball's normal, where its covariance is singular if the ball is taken as exact; "
+        "below the image noise on the ball (0.3 mm), above the sagitta of a prediction error of 0.01 rad (0.03 mm)",
+        gt=0,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class EulerState:
+    """State of either filter; `state_covariance` ends with the rates for ekf1 and goes on with the points for ekf2."""
+
+    stamp: float  # s
+    angles: Array  # (3,) rad, omega, phi, kappa; not wrapped
+    angle_rates: Array  # (3,) rad/s
+    points: Array  # (m, 3) m, ball: stored discs
+    state_covariance: Array  # (6, 6) or (6 + 3m, 6 + 3m): angles, rates, points (eq. 121, 151)
+    used: NDArray[np.intp]  # indices into the last update's points that were associated
+
+    @property
+    def attitude(self) -> Array:
+        """R_obj_ball, (3, 3)."""
+        return from_euler(self.angles)
+
+    @property
+    def rate(self) -> Array:
+        """w_obj, (3,) rad/s."""
+        return angular_velocity(self.angles, self.angle_rates)[0]
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of the rotation error vector (rad, obj, exp(e) @ attitude) and of w_obj (rad/s).
+
+        An error da of the angles is the rotation e = E da, with E = euler_rate_matrix, and an error of w_obj besides.
+        Singular at phi = +-90 deg, as E is.
+        """
+        J = np.zeros((6, 6))
+        J[:3, :3] = euler_rate_matrix(self.angles)
+        _, J[3:, :3], J[3:, 3:] = angular_velocity(self.angles, self.angle_rates)
+        return J @ self.state_covariance[:6, :6] @ J.T
+
+    @property
+    def discs(self) -> Array:
+        """(m, 3) unit vectors in `ball`."""
+        return self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantDiscsFilter:
+    """ekf1: stored discs are constants, as exact as the first sight of them (Wittich 2017, sections 3.9.1-3.9.2)."""
+
+    settings: EulerSettings = field(default_factory=EulerSettings)
+
+    def initial(self, stamp: float, attitude: Array) -> EulerState:
+        """At rest at `attitude` (3, 3), no disc stored (eq. 122-123)."""
+        return _initial(stamp, attitude, self.settings)
+
+    def predict(self, state: EulerState, stamp: float) -> EulerState:
+        """Constant Euler rates up to `stamp` (s)."""
+        return _predict(state, stamp, self.settings)
+
+    def update(self, state: EulerState, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> EulerState:
+        """Angles and rates after the associated points; then `fresh` points are stored, unseen discs forgotten."""
+        noise = _noise(points, self.settings)
+        expected, dexpected_dangles = turned(state.angles, state.points)
+        i, j = _associate(expected, points.position, self.settings.gate)
+        H = np.zeros((3 * len(i), 6))
+        H[:, :3] = dexpected_dangles[j].reshape(-1, 3)
+        x = np.concatenate([state.angles, state.angle_rates])
+        x, P = _correct(x, state.state_covariance, (points.position[i] - expected[j]).ravel(), H, noise[i])
+
+        new = _unassociated(len(points), i, fresh)
+        stored = np.concatenate([state.points[np.sort(j)], points.position[new] @ from_euler(x[:3])])
+        return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i))
+
+
+@dataclass(frozen=True, slots=True)
+class StateDiscsFilter:
+    """ekf2: stored discs are part of the state and improve with every sight (Wittich 2017, section 3.9.3)."""
+
+    settings: EulerSettings = field(default_factory=EulerSettings)
+
+    def initial(self, stamp: float, attitude: Array) -> EulerState:
+        """At rest at `attitude` (3, 3), no disc stored (eq. 122-123)."""
+        return _initial(stamp, attitude, self.settings)
+
+    def predict(self, state: EulerState, stamp: float) -> EulerState:
+        """Constant Euler rates up to `stamp` (s); the discs stay where they are on the ball (eq. 152-156)."""
+        return _predict(state, stamp, self.settings)
+
+    def update(self, state: EulerState, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> EulerState:
+        """Angles, rates and discs after the associated points; then `fresh` points are stored, unseen discs forgotten.
+
+        A new point enters without correlation and without the attitude's variance, as published (eq. 170-171).
+        """
+        noise = _noise(points, self.settings)
+        expected, dexpected_dangles = turned(state.angles, state.points)
+        i, j = _associate(expected, points.position, self.settings.gate)
+        n, m = len(i), len(expected)
+        dexpected_dpoints = np.zeros((n, 3, m, 3))  # eq. 157-169
+        dexpected_dpoints[np.arange(n), :, j] = from_euler(state.angles)
+        H = np.zeros((n, 3, 6 + 3 * m))
+        H[:, :, :3] = dexpected_dangles[j]
+        H[:, :, 6:] = dexpected_dpoints.reshape(n, 3, 3 * m)
+        x = np.concatenate([state.angles, state.angle_rates, state.points.ravel()])
+        innovation = (points.position[i] - expected[j]).ravel()
+        x, P = _correct(x, state.state_covariance, innovation, H.reshape(3 * n, 6 + 3 * m), noise[i])
+
+        kept = np.sort(j)
+        new = _unassociated(len(points), i, fresh)
+        rows = np.concatenate([np.arange(6), (6 + 3 * kept[:, None] + np.arange(3)).ravel()])
+        R = from_euler(x[:3])
+        stored = np.concatenate([x[6:].reshape(-1, 3)[kept], points.position[new] @ R])
+        return EulerState(
+            state.stamp, x[:3], x[3:6], stored, _append_blocks(P[np.ix_(rows, rows)], R.T @ noise[new] @ R), np.sort(i)
+        )
+
+
+def turned(angles: Array, points: Array) -> tuple[Array, Array]:
+    """Places R p in `obj`, (n, 3) m, of points (n, 3) m in `ball`, and dplace_dangles, (n, 3, 3) (eq. 134-148).
+
+    Small increments da turn the ball by the rotation vector E da: they move the place by E da x R p.
+    """
+    place = points @ from_euler(angles).T
+    return place, -hat(place) @ euler_rate_matrix(angles)
+
+
+def angular_velocity(angles: Array, angle_rates: Array) -> tuple[Array, Array, Array]:
+    """w_obj = E(angles) @ angle_rates, (3,) rad/s, with dw_dangles, (3, 3) 1/s, and dw_drates = E, (3, 3)."""
+    so, sp, _ = np.sin(angles)
+    co, cp, _ = np.cos(angles)
+    _, b, c = angle_rates
+    dw_dangles = np.array(
+        [
+            [0.0, cp * c, 0.0],
+            [-so * b - co * cp * c, so * sp * c, 0.0],
+            [co * b - so * cp * c, -co * sp * c, 0.0],
+        ]
+    )
+    E = euler_rate_matrix(angles)
+    return E @ angle_rates, dw_dangles, E
+
+
+def _initial(stamp: float, attitude: Array, settings: EulerSettings) -> EulerState:
+    P = settings.start_sigma**2 * np.eye(6)
+    return EulerState(stamp, to_euler(attitude), np.zeros(3), np.zeros((0, 3)), P, np.zeros(0, dtype=np.intp))
+
+
+def _predict(state: EulerState, stamp: float, settings: EulerSettings) -> EulerState:
+    """Eq. 126-133 and 61; Phi P Phi^T + G Sigma_ww G^T without the zeros of Phi and G."""
+    dt = stamp - state.stamp
+    P = state.state_covariance.copy()
+    P[:3] += dt * P[3:6]
+    P[:, :3] += dt * P[:, 3:6]
+    g = np.array([0.5 * dt * dt, dt])
+    P[:6, :6] += np.kron(settings.acceleration_sigma**2 * np.outer(g, g), np.eye(3))
+    angles = state.angles + dt * state.angle_rates
+    return EulerState(stamp, angles, state.angle_rates, state.points, P, np.zeros(0, dtype=np.intp))
+
+
+def _noise(points: SpherePoints, settings: EulerSettings) -> Array:
+    """Covariances of the points, (n, 3, 3) m², with a radial part where a ball taken as exact leaves none.
+
+    Rationale: Sigma_BB (eq. 120) of an exactly known ball has rank 2, and its inverse would make the smallest radial
+    mismatch, such as the sagitta between a predicted and a measured place, outweigh everything along the surface.
+    """
+    n = points.direction
+    return points.covariance + settings.radial_sigma**2 * n[:, :, None] * n[:, None, :]
+
+
+def _associate(expected: Array, observed: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of observed points, (k,), and of the stored ones they belong to, (k,), nearer than `gate` m (eq. 149).
+
+    Rationale: eq. 149 alone lets one point belong to two discs and two points to one. Of such pairs the nearest is
+    taken first, and each point and each disc once.
+    """
+    distance = np.linalg.norm(observed[:, None] - expected[None], axis=2)
+    candidates = np.argwhere(distance < gate)
+    candidates = candidates[np.argsort(distance[candidates[:, 0], candidates[:, 1]], kind="stable")]
+    pairs: dict[int, int] = {}
+    taken: set[int] = set()
+    for i, j in candidates.tolist():
+        if i not in pairs and j not in taken:
+            pairs[i] = j
+            taken.add(j)
+    return np.array(list(pairs), dtype=np.intp), np.array(list(pairs.values()), dtype=np.intp)
+
+
+def _unassociated(n: int, i: NDArray[np.intp], fresh: NDArray[np.bool_] | None) -> NDArray[np.intp]:
+    """Indices of the points that found a new disc: not associated, and free to (`fresh` (n,); None: all are)."""
+    new = np.ones(n, dtype=bool) if fresh is None else fresh.copy()
+    new[i] = False
+    return np.flatnonzero(new)
+
+
+def _correct(x: Array, P: Array, innovation: Array, H: Array, noise: Array) -> tuple[Array, Array]:
+    """Mean (u,) and covariance (u, u) after observations with blocks of noise (n, 3, 3) (eq. 62-64, 138)."""
+    n = len(noise)
+    if n == 0:
+        return x, P
+    blocks = np.zeros((n, 3, n, 3))
+    blocks[np.arange(n), :, np.arange(n)] = noise
+    R = blocks.reshape(3 * n, 3 * n)
+    HP = H @ P
+    K = _solve(HP @ H.T + R, HP).T
+    A = np.eye(len(x)) - K @ H  # Joseph form: equals eq. 64 for this gain, and stays symmetric and positive
+    return x + K @ innovation, A @ P @ A.T + K @ R @ K.T
+
+
+def _solve(S: Array, b: Array) -> Array:
+    """S^-1 b for a covariance S; by the pseudo-inverse where S is singular, which leaves those directions alone."""
+    try:
+        return cho_solve(cho_factor(S, lower=True, check_finite=False), b, check_finite=False)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(S, hermitian=True) @ b
+
+
+def _append_blocks(P: Array, blocks: Array) -> Array:
+    """P, (u, u), with uncorrelated blocks (n, 3, 3) appended on the diagonal."""
+    u, n = len(P), len(blocks)
+    out = np.zeros((u + 3 * n, u + 3 * n))
+    out[:u, :u] = P
+    for k in range(n):
+        at = slice(u + 3 * k, u + 3 * k + 3)
+        out[at, at] = blocks[k]
+    return out

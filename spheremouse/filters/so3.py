@@ -1,0 +1,297 @@
+"""The default filter: attitude on SO(3), angular velocity in `obj`, and the map of discs in one state.
+
+An error-state extended Kalman filter (Sola 2017, "Quaternion kinematics for the error-state Kalman filter", left
+errors in `obj`) with white angular acceleration, and discs as landmarks with their full correlations (Smith, Self,
+Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view stays known and closes the loop.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.associate import assign
+from spheremouse.intersect import SpherePoints
+from spheremouse.rotation import Array, exp, hat, left_jacobian, tangent_basis
+from spheremouse.settings import param
+
+
+@dataclass(frozen=True, slots=True)
+class So3Settings:
+    """Motion model, gates and map."""
+
+    acceleration_density: float = param(
+        0.05,
+        "rad/s²/√Hz",
+        "white angular acceleration of the quiet level: 0.3 rad/s² (a hand's, Wittich 2017, fig. 30), held for 0.03 s",
+        gt=0,
+    )
+    start_rate_sigma: float = param(0.5, "rad/s", "standard deviation of the rate at the start, about zero", gt=0)
+    gate: float = param(13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", gt=0)
+    levels: tuple[float, ...] = param(
+        (1.0, 10.0, 100.0), "-", "factors on the density, tried in turn until the discs fit: roll, push, flick"
+    )
+    keep_share: float = param(
+        0.6, "-", "part of the discs that must fit before the next level is not tried", gt=0, le=1
+    )
+    trial: int = param(3, "frames", "sightings until a disc is kept for good", ge=1)
+    misses: int = param(3, "frames", "a disc on trial is dropped when it is not seen where it should be", ge=1)
+    most_discs: int = param(120, "discs", "the map grows no larger: the time per frame stays bounded", ge=4)
+
+
+@dataclass(frozen=True, slots=True)
+class So3State:
+    """Attitude, rate and map with their joint covariance."""
+
+    stamp: float  # s
+    attitude: Array  # (3, 3) R_obj_ball
+    rate: Array  # (3,) rad/s, w_obj
+    discs: Array  # (m, 3) unit vectors, ball
+    basis: Array  # (m, 3, 2) tangent vectors of the discs: axes of their errors, ball
+    joint: Array  # (6 + 2m, 6 + 2m): rotation error rad (obj), rate rad/s, disc errors rad
+    hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
+    missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
+    used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
+    level: float = 1.0  # factor on the density that the last update needed
+    nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
+    before: "So3State | None" = None  # posterior the prediction came from, for a prediction at another level
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of rotation error and rate."""
+        return self.joint[:6, :6]
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairing:
+    rows: NDArray[np.intp]  # into the points
+    columns: NDArray[np.intp]  # into the discs
+    nis: float
+    complete: bool  # enough of what should pair does
+
+
+@dataclass(frozen=True, slots=True)
+class So3Filter:
+    """Settings and the camera's place: what decides which discs can be seen."""
+
+    settings: So3Settings
+    towards_camera: Array  # (3,) unit vector from the ball's centre, obj
+    horizon: float  # least cosine with it of a disc that can be seen
+    disc_angle: float  # rad, angular radius of a disc
+
+    def initial(self, stamp: float, attitude: Array) -> So3State:
+        """At rest at `attitude`, (3, 3), which is the reference: without error. No disc is known."""
+        joint = np.zeros((6, 6))
+        joint[3:, 3:] = self.settings.start_rate_sigma**2 * np.eye(3)
+        return So3State(stamp, attitude, np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
+
+    def predict(self, state: So3State, stamp: float) -> So3State:
+        """Constant angular velocity to `stamp`; a longer step is a larger one, never an error."""
+        return self._predict(state, stamp, 1.0)
+
+    def _predict(self, state: So3State, stamp: float, level: float) -> So3State:
+        dt = max(stamp - state.stamp, 0.0)
+        turn = state.rate * dt
+        R = exp(turn)
+        F = np.eye(6)
+        F[:3, :3] = R
+        F[:3, 3:] = left_jacobian(turn) * dt
+        q = (level * self.settings.acceleration_density) ** 2
+        P = state.joint.copy()
+        P[:6] = F @ P[:6]
+        P[:, :6] = P[:, :6] @ F.T
+        i = np.arange(3)
+        P[i, i] += q * dt**3 / 3.0
+        P[i, i + 3] += q * dt**2 / 2.0
+        P[i + 3, i] += q * dt**2 / 2.0
+        P[i + 3, i + 3] += q * dt
+        return replace(
+            state,
+            stamp=stamp,
+            attitude=R @ state.attitude,
+            joint=P,
+            used=np.zeros(0, dtype=np.intp),
+            level=level,
+            before=replace(state, before=None),
+        )
+
+    def update(self, state: So3State, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> So3State:
+        """Associate, correct, and keep the map: `fresh` points (n,) may found a new disc (None: all)."""
+        pairing = self._pair(state, points)
+        best_state, best = state, pairing
+        if state.before is not None and not pairing.complete:
+            for level in self.settings.levels[1:]:
+                wider = self._predict(state.before, state.stamp, level)
+                pairing = self._pair(wider, points)
+                if len(pairing.rows) > len(best.rows) or (
+                    len(pairing.rows) == len(best.rows) > 0 and not best.complete
+                ):
+                    best_state, best = wider, pairing
+                if pairing.complete:
+                    break
+        updated = self._correct(best_state, points, best)
+        return self._keep_map(updated, points, best, fresh)
+
+    def _pair(self, state: So3State, points: SpherePoints) -> _Pairing:
+        none = np.zeros(0, dtype=np.intp)
+        if len(points) == 0 or len(state.discs) == 0:
+            return _Pairing(none, none, 0.0, True)
+        p = state.discs @ state.attitude.T
+        visible = np.flatnonzero(p @ self.towards_camera > self.horizon)
+        if len(visible) == 0:
+            return _Pairing(none, none, 0.0, True)
+        E, S_disc = self._predicted(state, visible, p)
+        z = np.einsum("mij,ni->nmj", E, points.direction)
+        S = S_disc[None] + self._noise(points, E)
+        inverse = np.linalg.inv(S)
+        distance = np.einsum("nmi,nmij,nmj->nm", z, inverse, z)
+        distance[points.direction @ p[visible].T < 0.0] = np.inf
+        rows, columns = assign(distance, self.settings.gate)
+        nis = float(distance[rows, columns].sum())
+        expected = min(len(points), len(visible))
+        complete = len(rows) >= self.settings.keep_share * expected and nis < 4.0 * max(len(rows), 1) + 10.0
+        return _Pairing(rows, visible[columns], nis, complete)
+
+    def _predicted(self, state: So3State, which: NDArray[np.intp], p: Array) -> tuple[Array, Array]:
+        """Tangent axes in obj, (k, 3, 2), and covariance of the predicted place without image noise, (k, 2, 2)."""
+        E = state.attitude @ state.basis[which]
+        H = self._attitude_jacobian(E, p[which])
+        P = state.joint
+        at = 6 + 2 * which[:, None] + np.arange(2)
+        cross = H @ P[:3][:, at].transpose(1, 0, 2)
+        own = P[at[:, :, None], at[:, None, :]]
+        return E, H @ P[:3, :3] @ H.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1) + own
+
+    @staticmethod
+    def _attitude_jacobian(E: Array, p: Array) -> Array:
+        """d z / d rotation error, (k, 2, 3): a turn e moves p by e x p."""
+        return -E.transpose(0, 2, 1) @ hat(p)
+
+    @staticmethod
+    def _noise(points: SpherePoints, E: Array) -> Array:
+        """Image noise of each point in each disc's axes, (n, m, 2, 2) rad²."""
+        radius2 = np.sum(points.position[0] ** 2) if len(points) else 1.0
+        return np.einsum("mia,nij,mjb->nmab", E, points.image_covariance / radius2, E)
+
+    def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
+        rows, columns = pairing.rows, pairing.columns
+        k = len(rows)
+        if k == 0:
+            return replace(state, used=rows, nis=0.0, before=None)
+        p = state.discs[columns] @ state.attitude.T
+        E = state.attitude @ state.basis[columns]
+        b = points.direction[rows]
+        z = np.einsum("kij,ki->kj", E, b).ravel()
+        P = state.joint
+        H_attitude = self._attitude_jacobian(E, p).reshape(2 * k, 3)
+        at = (6 + 2 * columns[:, None] + np.arange(2)).ravel()
+        HP = H_attitude @ P[:3] + P[at]  # each disc moves its own place one to one
+        S = HP[:, :3] @ H_attitude.T + HP[:, at]
+        radius2 = float(np.mean(np.sum(points.position[rows] ** 2, axis=1)))
+        noise = E.transpose(0, 2, 1) @ (points.image_covariance[rows] / radius2) @ E
+        for i in range(k):
+            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += noise[i]
+        L = np.linalg.cholesky(0.5 * (S + S.T))
+        W = np.linalg.solve(L, HP)
+        y = np.linalg.solve(L, z)
+        dx = W.T @ y
+        return _inject(replace(state, joint=P - W.T @ W, used=rows, nis=pairing.nis, before=None), dx)
+
+    def _keep_map(self, state: So3State, points: SpherePoints, pairing: _Pairing, fresh: NDArray[np.bool_]) -> So3State:
+        """Count sightings, drop what did not last its trial, and take up new discs."""
+        m = len(state.discs)
+        p = state.discs @ state.attitude.T
+        hits, missed = state.hits.copy(), state.missed.copy()
+        hits[pairing.columns] += 1
+        # a disc near the horizon is often too thin to be detected: only the well visible are missed
+        well = p @ self.towards_camera > self.horizon + 0.5 * (1.0 - self.horizon)
+        well[pairing.columns] = False
+        missed[well] += 1
+        missed[pairing.columns] = 0
+        keep = np.ones(m, dtype=bool)
+        keep[(hits < self.settings.trial) & (missed >= self.settings.misses)] = False
+        new = np.ones(len(points), dtype=bool) if fresh is None else fresh.copy()
+        new[pairing.rows] = False
+        if m and np.any(new):
+            # two discs do not overlap: a point that close to a known one is that one, badly seen
+            new &= np.max(points.direction @ p.T, axis=1) < np.cos(2.0 * self.disc_angle)
+        state = _drop(replace(state, hits=hits, missed=missed), keep)
+        room = self.settings.most_discs - len(state.discs)
+        index = np.flatnonzero(new)[: max(room, 0)]
+        return _augment(state, points, index) if len(index) else state
+
+
+def _inject(state: So3State, dx: Array) -> So3State:
+    """Move the state by an error vector, (6 + 2m,)."""
+    attitude = exp(dx[:3]) @ state.attitude
+    discs = state.discs + np.einsum("mij,mj->mi", state.basis, dx[6:].reshape(-1, 2))
+    discs = discs / np.linalg.norm(discs, axis=1, keepdims=True)
+    # carry the axes along: their part along the new direction goes, then they are made orthonormal again
+    basis = state.basis - discs[:, :, None] * np.einsum("mi,mij->mj", discs, state.basis)[:, None, :]
+    first = basis[:, :, 0] / np.linalg.norm(basis[:, :, 0], axis=1, keepdims=True)
+    second = np.cross(discs, first)
+    second *= np.sign(np.sum(second * basis[:, :, 1], axis=1))[:, None]
+    return replace(
+        state, attitude=attitude, rate=state.rate + dx[3:6], discs=discs, basis=np.stack([first, second], axis=2)
+    )
+
+
+def _drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
+    if np.all(keep):
+        return state
+    rows = np.concatenate([np.ones(6, dtype=bool), np.repeat(keep, 2)])
+    return replace(
+        state,
+        discs=state.discs[keep],
+        basis=state.basis[keep],
+        joint=state.joint[np.ix_(rows, rows)],
+        hits=state.hits[keep],
+        missed=state.missed[keep],
+    )
+
+
+def _augment(state: So3State, points: SpherePoints, index: NDArray[np.intp]) -> So3State:
+    """Take up new discs with their covariance and their correlation with the attitude.
+
+    d = R^T b; a rotation error e turns it by R^T (b x e): the inverse observation of EKF-SLAM, which Wittich 2017,
+    eq. 171 leaves out.
+    """
+    b = points.direction[index]
+    R = state.attitude
+    discs = b @ R
+    basis = tangent_basis(discs)
+    G = (basis.transpose(0, 2, 1) @ (R.T @ hat(b))).reshape(-1, 3)
+    radius2 = np.sum(points.position[index] ** 2, axis=1)[:, None, None]
+    E = R @ basis
+    noise = E.transpose(0, 2, 1) @ (points.image_covariance[index] / radius2) @ E
+    P, k, n = state.joint, len(index), len(state.joint)
+    joint = np.zeros((n + 2 * k, n + 2 * k))
+    joint[:n, :n] = P
+    joint[n:, :n] = G @ P[:3]
+    joint[:n, n:] = joint[n:, :n].T
+    joint[n:, n:] = G @ P[:3, :3] @ G.T
+    for i in range(k):
+        at = n + 2 * i
+        joint[at : at + 2, at : at + 2] += noise[i]
+    none = np.zeros(k, dtype=np.intp)
+    return replace(
+        state,
+        discs=np.concatenate([state.discs, discs]),
+        basis=np.concatenate([state.basis, basis]),
+        joint=joint,
+        hits=np.concatenate([state.hits, none + 1]),
+        missed=np.concatenate([state.missed, none]),
+    )
+
+
+def relocate(state: So3State, attitude: Array, sigma: float, settings: So3Settings, stamp: float) -> So3State:
+    """The map as it is, the attitude found anew with `sigma` rad per axis, the rate unknown: at `stamp`, for an update.
+
+    Attitude and map lose their correlation: what was found knows nothing of how the map came to be.
+    """
+    joint = state.joint.copy()
+    joint[:6] = 0.0
+    joint[:, :6] = 0.0
+    joint[:3, :3] = sigma**2 * np.eye(3)
+    joint[3:6, 3:6] = (10.0 * settings.start_rate_sigma) ** 2 * np.eye(3)
+    return replace(state, stamp=stamp, attitude=attitude, rate=np.zeros(3), joint=joint, before=None)

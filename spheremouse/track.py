@@ -1,0 +1,369 @@
+"""The use phase: one frame in, attitude and motion out. The only place that knows the order of the stages.
+
+Detect, intersect, set aside look-alikes, associate and filter, turn rotation into counts (Wittich 2017, section 3.5).
+Everything is a pure function of the state before and the frame; nothing here waits, logs or reads a clock.
+"""
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.associate import common_rotation, identify
+from spheremouse.camera import Pose, project
+from spheremouse.detect import static
+from spheremouse.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.detect.discs import DiscSettings, disc_detector
+from spheremouse.detect.rings import RingSettings
+from spheremouse.detect.static import Lookalikes, StaticSettings
+from spheremouse.errors import SourceError
+from spheremouse.filters import Filter, FilterState
+from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
+from spheremouse.filters.so3 import So3Filter, So3Settings, So3State, relocate
+from spheremouse.frame import Frame
+from spheremouse.intersect import SpherePoints, intersect
+from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
+from spheremouse.resect import PoseSettings
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.settings import param
+
+_REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
+
+
+@dataclass(frozen=True, slots=True)
+class LossSettings:
+    """When the ball is lost, and how it is found again."""
+
+    lost_after: float = param(
+        0.3, "s", "without two discs for so long the prediction is a guess: hand passes are shorter, rolls change", gt=0
+    )
+    reset_after: float = param(
+        1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", gt=0
+    )
+    identify_sigma: float = param(0.003, "rad", "standard deviation of a direction when the map is searched", gt=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """All parameters of initialisation and use."""
+
+    detector: Literal["default", "blobs"] = param("default", "-", "disc detector; `blobs` is the published one")
+    tracker: Literal["so3", "ekf1", "ekf2"] = param("so3", "-", "filter; `ekf1` and `ekf2` are the published ones")
+    rings: RingSettings = field(default_factory=RingSettings)
+    pose: PoseSettings = field(default_factory=PoseSettings)
+    discs: DiscSettings = field(default_factory=DiscSettings)
+    blobs: BlobSettings = field(default_factory=BlobSettings)
+    static: StaticSettings = field(default_factory=StaticSettings)
+    so3: So3Settings = field(default_factory=So3Settings)
+    euler: EulerSettings = field(default_factory=EulerSettings)
+    loss: LossSettings = field(default_factory=LossSettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
+
+
+class Detector(Protocol):
+    """What finds discs."""
+
+    def detect(self, image: NDArray[np.uint8]) -> Detections:
+        """Disc candidates in an image (h, w, 3) BGR or (h, w)."""
+        ...
+
+
+class Phase(StrEnum):
+    """What the tracker knows."""
+
+    SEARCHING = "searching"  # no disc seen yet
+    TRACKING = "tracking"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Tracker:
+    """What stays the same from frame to frame: device, camera pose, stages with their settings."""
+
+    settings: Settings
+    rig: Rig
+    pose: Pose
+    detector: Detector
+    filter: Filter[Any]
+    counts: Array  # (3, 3) counts per radian
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What one frame showed, and the attitude it was taken for."""
+
+    stamp: float  # s
+    detections: Detections
+    points: SpherePoints
+    attitude: Array  # (3, 3) R_obj_ball
+
+    @property
+    def centre(self) -> Array:
+        """(n, 2) px of the points."""
+        return self.detections.centre[self.points.index]
+
+
+@dataclass(frozen=True, slots=True)
+class TrackState:
+    """What one frame hands to the next."""
+
+    phase: Phase
+    event: str  # what changed with this frame, in words; empty where nothing did
+    filter: FilterState
+    lookalikes: Lookalikes
+    remainder: Remainder
+    sent: Array  # (3, 3) attitude at the last motion
+    held: float  # s, stamp of the last frame whose discs held the attitude
+    found: float | None  # s, since when discs are in view again while lost
+    moved: bool  # the ball has been seen to turn: look-alikes are told from discs
+    recent: tuple[Sight, ...]  # frames since the ball was seen, while not `moved`
+    detections: Detections  # all of the last frame
+    points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
+
+
+def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
+    """Put the stages together for a device and a camera that stands still."""
+    towards = pose.position - rig.ball.centre
+    distance = float(np.linalg.norm(towards))
+    stage: Filter[Any]
+    if settings.tracker == "so3":
+        stage = So3Filter(
+            settings.so3, towards / distance, rig.ball.radius / distance, rig.disc_radius / rig.ball.radius
+        )
+    elif settings.tracker == "ekf2":
+        stage = StateDiscsFilter(settings.euler)
+    else:
+        stage = ConstantDiscsFilter(settings.euler)
+    detector: Detector
+    if settings.detector == "default":
+        detector = disc_detector(settings.discs, rig, pose)
+    else:
+        detector = BlobDetector(settings.blobs)
+    return Tracker(settings, rig, pose, detector, stage, settings.motion.matrix(rig.ball.radius))
+
+
+def begin(tracker: Tracker, stamp: float, attitude: Array | None = None) -> TrackState:
+    """State before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`."""
+    R = np.eye(3) if attitude is None else attitude
+    return TrackState(
+        Phase.SEARCHING,
+        "",
+        tracker.filter.initial(stamp, R),
+        Lookalikes(),
+        Remainder(),
+        R,
+        stamp,
+        None,
+        False,
+        (),
+        no_detections(),
+        _no_points(tracker),
+    )
+
+
+def step(state: TrackState, frame: Frame, tracker: Tracker) -> tuple[TrackState, Motion]:
+    """One frame. Raises SourceError when the frame has another size than the camera was calibrated for."""
+    check_size(frame, tracker.rig)
+    detections = tracker.detector.detect(frame.image)
+    return advance(state, frame.stamp, detections, tracker)
+
+
+def check_size(frame: Frame, rig: Rig) -> None:
+    """Raise SourceError when a frame has another size than the camera was calibrated for."""
+    h, w = frame.image.shape[:2]
+    if (w, h) != (rig.camera.width, rig.camera.height):
+        raise SourceError(
+            f"frame {frame.sequence} is {w}x{h}, the camera was calibrated at {rig.camera.width}x{rig.camera.height}: "
+            "set the camera to that mode, or give the calibration of this one (--camera)"
+        )
+
+
+def advance(state: TrackState, stamp: float, detections: Detections, tracker: Tracker) -> tuple[TrackState, Motion]:
+    """The stages after detection."""
+    free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
+    points = intersect(detections.take(free), tracker.rig, tracker.pose)
+    points = replace(points, index=np.flatnonzero(free)[points.index])
+    state = replace(state, event="", lookalikes=lookalikes, detections=detections, points=points)
+    if state.phase is Phase.LOST:
+        state = _recover(state, stamp, tracker)
+    elif not state.moved:
+        state = _first_motion(state, stamp, tracker)
+    else:
+        state = _follow(state, stamp, tracker)
+    state = _judge_phase(state, stamp, tracker)
+    return _motion(state, stamp, tracker)
+
+
+def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+    """Filter the points; candidates that have moved with the ball may found discs."""
+    predicted = tracker.filter.predict(state.filter, stamp)
+    points, centre = state.points, state.detections.centre[state.points.index]
+    proven, still, lookalikes = static.judge(
+        state.lookalikes,
+        centre,
+        points.direction,
+        predicted.attitude,
+        stamp,
+        tracker.rig,
+        tracker.pose,
+        tracker.settings.static,
+    )
+    points = points.take(~still)
+    posterior = tracker.filter.update(predicted, points, proven[~still])
+    return replace(state, filter=posterior, lookalikes=lookalikes, points=points)
+
+
+def _first_motion(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+    """Nothing has moved yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
+
+    Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
+    """
+    predicted = tracker.filter.predict(state.filter, stamp)
+    naive = replace(state, filter=tracker.filter.update(predicted, state.points))
+    if len(state.points) == 0 and not state.recent:
+        return naive
+    recent = (*state.recent, Sight(stamp, state.detections, state.points, naive.filter.attitude))
+    if len(recent) > _REPLAY:
+        recent = (recent[0], *recent[2:])  # the first frame is the anchor: slow motion shows against it
+    naive = replace(naive, recent=recent)
+    still = _still_since(recent[0], recent[-1], tracker)
+    if still is None:
+        if len(recent) == _REPLAY and _changed(recent[0], recent[-1], tracker.settings.static):
+            naive = replace(naive, recent=recent[-1:])
+        return naive
+    lookalikes = static.mask(state.lookalikes, still, stamp)
+    filtered = tracker.filter.initial(recent[0].stamp, recent[0].attitude)
+    points = state.points
+    for sight in recent:
+        free, _ = static.unmasked(lookalikes, sight.centre, sight.stamp, tracker.settings.static)
+        points = sight.points.take(free)
+        if len(points):
+            filtered = tracker.filter.update(tracker.filter.predict(filtered, sight.stamp), points)
+    event = f"the ball turns; {len(still)} look-alikes masked" if len(still) else "the ball turns"
+    return replace(state, filter=filtered, lookalikes=lookalikes, points=points, moved=True, recent=(), event=event)
+
+
+def _still_since(anchor: Sight, now: Sight, tracker: Tracker) -> Array | None:
+    """Places, (k, 2) px, that stayed while at least three others turned alike; None while nothing is certain."""
+    s = tracker.settings.static
+    if len(anchor.points) < 3 or len(now.points) < 3:
+        return None
+    distance = np.linalg.norm(now.centre[:, None] - anchor.centre[None], axis=2)
+    stayed = distance.min(axis=1) < s.still
+    left = distance.min(axis=0) >= s.still
+    spread = np.sqrt(np.trace(now.points.image_covariance, axis1=1, axis2=2) / 2.0) / tracker.rig.ball.radius
+    sigma = max(float(np.median(spread)), 1e-3)
+    shared = common_rotation(anchor.points.direction[left], now.points.direction[~stayed], sigma)
+    if shared is None:
+        return None
+    rotation, pairs = shared
+    path = np.linalg.norm(anchor.centre[left][pairs[:, 0]] - now.centre[~stayed][pairs[:, 1]], axis=1)
+    if np.median(path) < s.moved:
+        return None
+    return now.centre[stayed & _would_move(now.points, rotation, tracker, s.moved)]
+
+
+def _would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: float) -> NDArray[np.bool_]:
+    """Which points would have come from at least `least` px away, were they discs under `rotation`."""
+    radius, centre = tracker.rig.ball.radius, tracker.rig.ball.centre
+    uv = [
+        project(tracker.pose.to_cam(centre + radius * d), tracker.rig.camera)[0]
+        for d in (points.direction, points.direction @ rotation)
+    ]
+    return np.linalg.norm(uv[0] - uv[1], axis=1) > least
+
+
+def _changed(anchor: Sight, now: Sight, settings: StaticSettings) -> bool:
+    """The anchor's picture is gone without a common rotation: hands, light, or too few discs in common."""
+    if len(anchor.points) == 0 or len(now.points) == 0:
+        return len(now.points) > 0
+    stayed = np.linalg.norm(anchor.centre[:, None] - now.centre[None], axis=2).min(axis=1) < settings.still
+    return bool(np.count_nonzero(~stayed) > 0.5 * len(anchor.points))
+
+
+def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+    """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
+    points, s = state.points, tracker.settings.loss
+    if len(points) < 2:
+        return replace(state, found=None)
+    found = stamp if state.found is None else state.found
+    state = replace(state, found=found)
+    if isinstance(state.filter, So3State) and isinstance(tracker.filter, So3Filter):
+        known = identify(
+            points.direction,
+            state.filter.discs,
+            sigma=s.identify_sigma,
+            view_axis=tracker.filter.towards_camera,
+            horizon=tracker.filter.horizon,
+        )
+        if known is not None:
+            placed = relocate(state.filter, known.rotation, s.identify_sigma, tracker.settings.so3, stamp)
+            filtered = tracker.filter.update(placed, points, np.zeros(len(points), dtype=bool))
+            return replace(
+                state,
+                filter=filtered,
+                phase=Phase.TRACKING,
+                sent=filtered.attitude,
+                held=stamp,
+                found=None,
+                lookalikes=_forget(state.lookalikes),
+                event=f"tracking again: attitude kept, recognised by {len(known.pairs)} discs",
+            )
+        if stamp - found < s.reset_after:
+            return state
+    attitude = state.filter.attitude
+    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), points)
+    return replace(
+        state,
+        filter=filtered,
+        phase=Phase.TRACKING,
+        sent=attitude,
+        held=stamp,
+        found=None,
+        moved=False,
+        recent=(Sight(stamp, state.detections, points, attitude),),
+        lookalikes=_forget(state.lookalikes),
+        event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
+    )
+
+
+def _forget(lookalikes: Lookalikes) -> Lookalikes:
+    """Masks stay; candidates followed under another attitude go."""
+    return Lookalikes(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
+
+
+def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+    """Is the attitude held by at least two discs?"""
+    if len(state.filter.used) >= 2:
+        state = replace(state, held=stamp)
+    if state.phase is Phase.SEARCHING:
+        if len(state.filter.discs) >= 2:
+            return replace(
+                state, phase=Phase.TRACKING, held=stamp, event=f"tracking: {len(state.points)} discs in view"
+            )
+        return replace(state, held=stamp)
+    if state.phase is Phase.TRACKING and stamp - state.held > tracker.settings.loss.lost_after:
+        seen = len(state.points)
+        why = f"{seen} discs in view, none where it should be" if seen else "no disc in view"
+        return replace(
+            state, phase=Phase.LOST, found=None, event=f"lost: {why} for {tracker.settings.loss.lost_after:.1f} s"
+        )
+    return state
+
+
+def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
+    """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
+    if state.phase is not Phase.TRACKING or state.held < stamp:
+        return state, Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
+    attitude = state.filter.attitude
+    rotation = rotation_between(state.sent, attitude)
+    counts, remainder = to_counts(rotation, tracker.counts, state.remainder)
+    return replace(state, sent=attitude, remainder=remainder), Motion(stamp, counts, rotation, state.filter.rate)
+
+
+def _no_points(tracker: Tracker) -> SpherePoints:
+    return intersect(no_detections(), tracker.rig, tracker.pose)

@@ -1,0 +1,177 @@
+"""The camera model, against OpenCV, finite differences and densely sampled outlines."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from spheremouse.camera import (
+    InteriorOrientation,
+    Pose,
+    distort,
+    pose_from_matrix,
+    project,
+    project_circle,
+    project_sphere,
+    reduced_to_pixel,
+    unproject,
+)
+from spheremouse.rotation import exp, tangent_basis
+
+STRONG = np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11])
+FOLD = np.sqrt(np.min(np.roots([7 * -0.11, 5 * 0.3, 3 * -0.49, 1]).real))  # where that lens stops growing: 1.12
+CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1398.0, 967.0, 540.0, STRONG)
+PINHOLE = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+
+
+def central_differences(f, x, h):
+    """df/dx, (..., m, k), of a function of one (k,) vector."""
+    return np.stack([(f(x + d) - f(x - d)) / (2 * h) for d in h * np.eye(len(x))], axis=-1)
+
+
+def points_in_view(n, seed=0):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform([-0.65, -0.4], [0.65, 0.4], (n, 2))
+    z = rng.uniform(0.5, 4.0, (n, 1))
+    return np.concatenate([xy * z, z], axis=1)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, PINHOLE])
+def test_project_is_opencvs(camera):
+    points = points_in_view(500)
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)
+    uv, _ = project(points, camera)
+    assert_allclose(uv, expected[:, 0], atol=1e-9)
+
+
+def test_points_behind_the_camera_give_nan_and_no_other():
+    uv, _ = project(np.array([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0], [0.1, 0.1, 1.0]]), CAMERA)
+    assert_allclose(np.isnan(uv).all(axis=1), [True, True, False])
+
+
+def test_project_jacobian_is_the_finite_difference():
+    points = points_in_view(50)
+    _, J = project(points, CAMERA)
+    for p, j in zip(points, J, strict=True):
+        assert_allclose(j, central_differences(lambda x: project(x[None], CAMERA)[0][0], p, 1e-6), rtol=1e-6, atol=1e-4)
+
+
+def test_distortion_jacobians_are_the_finite_differences():
+    xy = points_in_view(50)[:, :2]
+    for f in (lambda x: distort(x, CAMERA), lambda x: reduced_to_pixel(x, CAMERA)):
+        _, J = f(xy)
+        for p, j in zip(xy, J, strict=True):
+            assert_allclose(j, central_differences(lambda x, f=f: f(x[None])[0][0], p, 1e-6), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, PINHOLE])
+def test_unproject_inverts_project_over_the_whole_image(camera):
+    u, v = np.meshgrid(np.arange(0.0, camera.width, 16.0), np.arange(0.0, camera.height, 16.0))
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    xy, _ = unproject(uv, camera)
+    seen = ~np.isnan(xy).any(axis=1)
+    assert np.mean(seen) > 0.95  # the outermost corners of that lens are folded
+    back, _ = project(np.concatenate([xy[seen], np.ones((seen.sum(), 1))], axis=1), camera)
+    assert_allclose(back, uv[seen], atol=1e-8)
+
+
+def polar(radii):
+    angle = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
+    return np.stack([np.outer(radii, np.cos(angle)).ravel(), np.outer(radii, np.sin(angle)).ravel()], axis=1)
+
+
+def test_unproject_finds_every_ray_on_the_near_side_of_the_fold():
+    xy = polar(np.linspace(0.0, 0.99 * FOLD, 40))
+    back, _ = unproject(reduced_to_pixel(xy, CAMERA)[0], CAMERA)
+    assert_allclose(back, xy, atol=1e-9)
+
+
+@pytest.mark.parametrize("terms", [STRONG, np.array([-0.5, 0.1, 0.0, 0.0, 0.0])])
+def test_unproject_beyond_the_fold_gives_nan(terms):
+    """The second lens grows once more behind its fold: Newton's method ends there if nothing stops it."""
+    camera = InteriorOrientation(640, 480, 300.0, 300.0, 320.0, 240.0, terms)
+    r = np.linspace(0.0, 1.3, 100_000)
+    largest = np.max(r * (1 + terms[0] * r**2 + terms[1] * r**4 + terms[4] * r**6))
+    xy, J = unproject(polar(np.linspace(1.01 * largest, 4.0 * largest, 60)) * 300.0 + (320.0, 240.0), camera)
+    assert np.isnan(xy).all()
+    assert np.isfinite(J).all()
+
+
+def test_unproject_jacobian_is_the_finite_difference():
+    uv = np.random.default_rng(1).uniform([200.0, 100.0], [1700.0, 980.0], (50, 2))
+    for camera in (CAMERA, PINHOLE):
+        _, J = unproject(uv, camera)
+        for p, j in zip(uv, J, strict=True):
+            expected = central_differences(lambda x, c=camera: unproject(x[None], c)[0][0], p, 1e-3)
+            assert_allclose(j, expected, rtol=1e-5, atol=1e-9)
+
+
+def test_unproject_of_nothing_is_nothing():
+    xy, J = unproject(np.zeros((0, 2)), CAMERA)
+    assert xy.shape == (0, 2)
+    assert J.shape == (0, 2, 2)
+
+
+def test_pose_maps_obj_to_cam_as_its_matrix_does():
+    pose = Pose(exp(np.array([0.3, -2.0, 0.5])), np.array([0.1, -0.45, 1.27]))
+    points = np.random.default_rng(2).normal(size=(5, 3))
+    homogeneous = np.concatenate([points, np.ones((5, 1))], axis=1) @ np.linalg.inv(pose.matrix()).T
+    assert_allclose(pose.to_cam(points), homogeneous[:, :3], atol=1e-14)
+    again = pose_from_matrix(pose.matrix() * np.array([1 + 1e-9, 1, 1, 1]))
+    assert_allclose(again.rotation @ again.rotation.T, np.eye(3), atol=1e-15)
+    assert_allclose(again.rotation, pose.rotation, atol=1e-8)
+
+
+def circles(n, seed=3):
+    """Circles in view with every tilt up to 80 degrees from facing the camera."""
+    rng = np.random.default_rng(seed)
+    centre = points_in_view(n, seed)
+    tilt = rng.uniform(0.0, np.radians(80.0), n)
+    about = np.cross(centre, rng.normal(size=(n, 3)))
+    about /= np.linalg.norm(about, axis=1, keepdims=True)
+    facing = -centre / np.linalg.norm(centre, axis=1, keepdims=True)
+    return centre, np.einsum("nij,nj->ni", exp(tilt[:, None] * about), facing), rng.uniform(0.01, 0.1, n)
+
+
+def test_project_circle_is_the_outline_of_the_sampled_circle():
+    t = np.linspace(0.0, 2 * np.pi, 4000, endpoint=False)
+    centre, normal, radius = circles(40)
+    c, S = project_circle(centre, normal, radius)
+    basis = tangent_basis(normal)
+    for k in range(40):
+        rim = centre[k] + radius[k] * np.stack([np.cos(t), np.sin(t)], axis=1) @ basis[k].T
+        outline = rim[:, :2] / rim[:, 2:]
+        d = outline - c[k]
+        assert_allclose(np.sum(d * np.linalg.solve(S[k], d.T).T, axis=1), 1.0, rtol=1e-6)
+        x, y = outline.T
+        twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
+        area = abs(np.sum(twice_area)) / 2
+        assert np.pi * np.sqrt(np.linalg.det(S[k])) == pytest.approx(area, rel=1e-5)
+        centroid = np.sum((outline + np.roll(outline, -1, axis=0)) * twice_area[:, None], axis=0) / (
+            3 * np.sum(twice_area)
+        )
+        assert_allclose(c[k], centroid, atol=1e-8)
+
+
+def test_project_circle_shows_the_eccentricity():
+    """A tilted ring of 5 cm at 1.3 m: its ellipse's centre is not where its own centre projects to."""
+    centre = np.array([[0.3, 0.1, 1.3]])
+    normal = np.array([[0.0, 0.8, -0.6]])
+    c, _ = project_circle(centre, normal, 0.05)
+    offset = 320.0 * np.linalg.norm(c[0] - centre[0, :2] / centre[0, 2])
+    assert 0.1 < offset < 0.5  # px with the near camera's focal length
+
+
+@pytest.mark.parametrize("centre", [[0.0, 0.0, 2.35], [0.4, -0.3, 1.3], [-0.5, 0.2, 1.0]])
+def test_project_sphere_is_touched_by_tangent_rays(centre):
+    centre, radius = np.array(centre), 0.6
+    c, S = project_sphere(centre, radius)
+    distance = np.linalg.norm(centre)
+    half_angle = np.arcsin(radius / distance)
+    t = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
+    around = np.stack([np.cos(t), np.sin(t)], axis=1) @ tangent_basis(centre / distance).T
+    rays = np.cos(half_angle) * centre / distance + np.sin(half_angle) * around
+    closest = np.linalg.norm(np.cross(rays, centre), axis=1)
+    assert_allclose(closest, radius, rtol=1e-12)  # they do touch
+    d = rays[:, :2] / rays[:, 2:] - c
+    assert_allclose(np.sum(d * np.linalg.solve(S, d.T).T, axis=1), 1.0, rtol=1e-9)

@@ -1,0 +1,115 @@
+"""Rotation to counts: nothing lost to rounding, the arc instead of the chord, signs as in the design."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from spheremouse.motion import MotionSettings, Remainder, rotation_between, to_counts
+from spheremouse.rotation import exp
+
+RADIUS = 0.6
+steps = st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array), max_size=60)
+
+
+def total_counts(rotations, matrix):
+    remainder = Remainder()
+    total = np.zeros(3)
+    for rotation in rotations:
+        counts, remainder = to_counts(rotation, matrix, remainder)
+        assert all(isinstance(c, int) for c in counts)
+        assert np.max(np.abs(remainder.value)) <= 0.5
+        total += counts
+    return total
+
+
+@settings(deadline=None)
+@given(steps, st.floats(0.01, 2000.0))
+def test_sum_of_counts_is_the_integral_within_half_a_count(rotations, per_radian):
+    matrix = MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)
+    integral = matrix @ np.sum(rotations, axis=0) if rotations else np.zeros(3)
+    assert np.max(np.abs(total_counts(rotations, matrix) - integral)) <= 0.5 + 1e-6  # 1e-6: rounding of the sums
+
+
+def test_slow_motion_is_not_lost():
+    """A thousandth of a count per frame, both ways."""
+    matrix = MotionSettings(counts_per_radian=1.0).matrix(RADIUS)
+    assert_allclose(total_counts([np.full(3, 1e-3)] * 10_000, matrix), 10.0)
+    assert_allclose(total_counts([np.full(3, -1e-3)] * 10_000, matrix), -10.0)
+
+
+def test_counts_are_those_of_the_touching_point():
+    """d = rho x C with C = (0, -c, 0); counts (d_x, -d_z), per millimetre; the third axis is rho_y."""
+    matrix = MotionSettings().matrix(RADIUS)
+    for rho in np.random.default_rng(1).normal(size=(20, 3)):
+        d = np.cross(rho, [0.0, -RADIUS, 0.0])
+        assert_allclose(matrix @ rho, 1000.0 * np.array([d[0], -d[2], RADIUS * rho[1]]), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("axis", "touching_point_moves", "counts"),
+    [
+        ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0], (1, 0, 0)),  # the underside goes right: pointer right
+        ([1.0, 0.0, 0.0], [0.0, 0.0, -1.0], (0, 1, 0)),  # the underside goes away from the camera
+        ([0.0, 1.0, 0.0], [0.0, 0.0, 0.0], (0, 0, 1)),  # spin about the vertical moves no pointer
+    ],
+)
+def test_signs(axis, touching_point_moves, counts):
+    step = 1e-6
+    under = np.array([0.0, -RADIUS, 0.0])
+    moved = exp(step * np.array(axis)) @ under - under
+    assert_allclose(moved / (step * RADIUS), touching_point_moves, atol=1e-5)
+    exact = MotionSettings(counts_per_radian=1.0).matrix(RADIUS) @ axis
+    assert_array_equal(exact, counts)
+
+
+def test_a_ball_that_rolls_to_the_right_moves_its_underside_to_the_left():
+    """Seen from the front its top goes right; the trackball under it is dragged left, and so is the pointer."""
+    rolling = rotation_between(np.eye(3), exp(np.array([0.0, 0.0, -0.01])))
+    assert (exp(rolling) @ [0.0, RADIUS, 0.0])[0] > 0.0
+    counts, _ = to_counts(rolling, MotionSettings().matrix(RADIUS), Remainder())
+    assert counts == (-6, 0, 0)
+
+
+def test_rotation_between_is_in_obj_not_in_the_ball():
+    before = exp(np.array([0.4, -1.0, 2.0]))
+    rho = np.array([0.1, 0.2, -0.3])
+    assert_allclose(rotation_between(before, exp(rho) @ before), rho, atol=1e-14)
+
+
+@pytest.mark.parametrize("hz", [5, 10, 30, 240])
+def test_the_arc_is_counted_not_its_chord(hz):
+    """Two turns at 150 deg/s: the counts are the arc at any frame rate; the chord loses 5 % at 5 Hz."""
+    turn = np.array([0.0, 0.0, 4 * np.pi])
+    n = round(4 * np.pi / np.radians(150.0) * hz)
+    attitudes = exp(np.linspace(0.0, 1.0, n + 1)[:, None] * turn)
+    rotations = [rotation_between(a, b) for a, b in pairwise(attitudes)]
+    total = total_counts(rotations, MotionSettings().matrix(RADIUS))
+    assert_allclose(total, [4 * np.pi * 600.0, 0.0, 0.0], atol=0.5 + 1e-9)
+
+
+def test_scales():
+    rho = np.array([1.0, 1.0, 1.0])
+    assert_allclose(MotionSettings(counts_per_mm=0.5).matrix(0.25) @ rho, 125.0)
+    assert_allclose(MotionSettings(counts_per_radian=700.0).matrix(0.25) @ rho, 700.0)  # whatever the radius
+    scaled = MotionSettings(counts_per_radian=1.0, scale_x=2.0, scale_y=3.0, scale_z=5.0).matrix(1.0)
+    assert_allclose(scaled @ rho, [2.0, 3.0, 5.0])
+
+
+def test_each_inversion_reverses_its_own_axis():
+    rho = np.array([1.0, 2.0, 3.0])
+    plain = MotionSettings().matrix(1.0) @ rho
+    assert_allclose(MotionSettings(invert_x=True).matrix(1.0) @ rho, plain * [-1, 1, 1])
+    assert_allclose(MotionSettings(invert_y=True).matrix(1.0) @ rho, plain * [1, -1, 1])
+    assert_allclose(MotionSettings(invert_z=True).matrix(1.0) @ rho, plain * [1, 1, -1])
+
+
+def test_swap_exchanges_x_and_y_before_scale_and_inversion():
+    rho = np.array([1.0, 2.0, 3.0])
+    x, y, z = MotionSettings(counts_per_radian=1.0).matrix(1.0) @ rho
+    assert_allclose(MotionSettings(counts_per_radian=1.0, swap_xy=True).matrix(1.0) @ rho, [y, x, z])
+    both = MotionSettings(counts_per_radian=1.0, swap_xy=True, invert_x=True, scale_x=2.0)
+    assert_allclose(both.matrix(1.0) @ rho, [-2.0 * y, x, z])

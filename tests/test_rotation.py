@@ -1,0 +1,183 @@
+"""Laws of rotations, against SciPy and finite differences."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from spheremouse.rotation import (
+    align,
+    euler_rate_matrix,
+    exp,
+    from_euler,
+    hat,
+    left_jacobian,
+    log,
+    tangent_basis,
+    to_euler,
+)
+
+
+def vectors(limit):
+    """Vectors of length up to `limit` rad, short ones among them."""
+    length = st.one_of(st.floats(0.0, limit), st.floats(0.0, 1e-5))
+    angle = st.floats(-np.pi, np.pi)
+    return st.builds(
+        lambda s, a, z: s * np.array([np.sqrt(1 - z * z) * np.cos(a), np.sqrt(1 - z * z) * np.sin(a), z]),
+        length,
+        angle,
+        st.floats(-1.0, 1.0),
+    )
+
+
+angles = st.tuples(*[st.floats(-3.2, 3.2)] * 3).map(np.array)
+
+
+def random_units(n, seed=1):
+    v = np.random.default_rng(seed).normal(size=(n, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+@settings(deadline=None)
+@given(vectors(10.0), vectors(10.0))
+def test_hat_is_the_cross_product(a, b):
+    assert_allclose(hat(a) @ b, np.cross(a, b), atol=1e-13)
+    assert_allclose(hat(a).T, -hat(a))
+
+
+@settings(deadline=None)
+@given(vectors(10.0))
+def test_exp_is_scipys_rotation_vector(v):
+    assert_allclose(exp(v), Rotation.from_rotvec(v).as_matrix(), atol=1e-14)
+
+
+@settings(deadline=None)
+@given(vectors(7.0), vectors(7.0))
+def test_group_laws(a, b):
+    A, B = exp(a), exp(b)
+    assert_allclose(A @ exp(-a), np.eye(3), atol=1e-14)
+    assert_allclose(A @ A.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(A) == pytest.approx(1.0)
+    assert_allclose(exp(0.3 * a) @ exp(0.7 * a), A, atol=1e-14)
+    assert_allclose(A @ B @ A.T, exp(A @ b), atol=1e-13)  # adjoint
+
+
+@settings(deadline=None)
+@given(vectors(np.pi - 1e-6))
+def test_log_inverts_exp(v):
+    assert_allclose(log(exp(v)), v, atol=1e-14, rtol=1e-9)
+
+
+@pytest.mark.parametrize("short_of_pi", [1e-2, 1e-5, 1e-8, 1e-11, 0.0])
+def test_log_keeps_its_precision_near_pi(short_of_pi):
+    axis = np.concatenate([random_units(200), np.eye(3), -np.eye(3)])
+    R = exp((np.pi - short_of_pi) * axis)
+    v = log(R)
+    assert_allclose(exp(v), R, atol=5e-15)
+    assert_allclose(np.linalg.norm(v, axis=1), np.pi - short_of_pi, atol=1e-14)
+    assert_allclose(np.abs(np.sum(v * axis, axis=1)), np.pi - short_of_pi, atol=1e-14)  # at pi the sign is free
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-300, 1e-160, 1e-12, 1e-7, 0.99e-6, 1.01e-6, 1e-5])
+def test_log_keeps_its_relative_precision_near_zero(length):
+    v = length * random_units(50)
+    assert_allclose(log(exp(v)), v, rtol=1e-9, atol=1e-17 if length else 0.0)
+
+
+def test_batches_are_single_rotations():
+    v = random_units(12).reshape(3, 4, 3) * np.linspace(0.0, 4.0, 12).reshape(3, 4, 1)
+    R = exp(v)
+    assert R.shape == (3, 4, 3, 3)
+    for i, j in np.ndindex(3, 4):
+        assert_allclose(R[i, j], exp(v[i, j]), atol=1e-15)
+        assert_allclose(log(R)[i, j], log(R[i, j]), atol=1e-15)
+        assert_allclose(left_jacobian(v)[i, j], left_jacobian(v[i, j]), atol=1e-15)
+        assert_allclose(from_euler(v)[i, j], from_euler(v[i, j]), atol=1e-15)
+        assert_allclose(to_euler(R)[i, j], to_euler(R[i, j]), atol=1e-15)
+        assert_allclose(euler_rate_matrix(v)[i, j], euler_rate_matrix(v[i, j]), atol=1e-15)
+        assert_allclose(tangent_basis(v)[i, j], tangent_basis(v[i, j]), atol=1e-15)
+
+
+@settings(deadline=None)
+@given(vectors(6.0))
+def test_left_jacobian_is_the_derivative_of_exp(v):
+    h = 1e-6
+    J = np.stack([log(exp(v + d) @ exp(v - d).T) / (2 * h) for d in h * np.eye(3)], axis=1)
+    assert_allclose(left_jacobian(v), J, atol=1e-8)
+
+
+@pytest.mark.parametrize("length", [1e-9, 0.99e-4, 1.01e-4, 1e-3])
+def test_left_jacobian_is_its_series_for_small_vectors(length):
+    for v in length * random_units(20):
+        k = hat(v)
+        k2 = k @ k
+        series = np.eye(3) + k / 2 + k2 / 6 + k2 @ k / 24 + k2 @ k2 / 120
+        assert_allclose(left_jacobian(v), series, rtol=0, atol=1e-15)
+
+
+@settings(deadline=None)
+@given(angles)
+def test_euler_angles_are_scipys_intrinsic_xyz(a):
+    assert_allclose(from_euler(a), Rotation.from_euler("XYZ", a).as_matrix(), atol=1e-14)
+
+
+@settings(deadline=None)
+@given(angles)
+def test_euler_angles_come_back(a):
+    R = from_euler(a)
+    b = to_euler(R)
+    assert abs(b[1]) <= np.pi / 2
+    assert_allclose(from_euler(b), R, atol=3e-9)  # near phi = 90 deg kappa is set to 0 within 1e-9
+    if abs(abs(b[1]) - np.pi / 2) > 1e-3:
+        turn = b - Rotation.from_matrix(R).as_euler("XYZ")
+        assert_allclose(turn - 2 * np.pi * np.round(turn / (2 * np.pi)), 0.0, atol=1e-11)  # pi is -pi
+
+
+@pytest.mark.parametrize("phi", [np.pi / 2, -np.pi / 2])
+def test_euler_angles_at_the_singularity_still_give_the_rotation(phi):
+    R = from_euler(np.array([0.7, phi, 0.4]))
+    b = to_euler(R)
+    assert b[2] == 0.0
+    assert_allclose(from_euler(b), R, atol=1e-14)
+
+
+@settings(deadline=None)
+@given(angles, st.tuples(*[st.floats(-5.0, 5.0)] * 3).map(np.array))
+def test_euler_rate_matrix_gives_the_angular_velocity_in_obj(a, a_dot):
+    h = 1e-6
+    w = log(from_euler(a + h * a_dot) @ from_euler(a - h * a_dot).T) / (2 * h)
+    assert_allclose(euler_rate_matrix(a) @ a_dot, w, atol=1e-8)
+
+
+@settings(deadline=None)
+@given(angles)
+def test_euler_rate_matrix_loses_rank_at_90_degrees(a):
+    assert np.linalg.det(euler_rate_matrix(a)) == pytest.approx(np.cos(a[1]), abs=1e-14)
+
+
+def test_tangent_basis_is_orthonormal_everywhere():
+    u = np.concatenate([random_units(500), np.eye(3), -np.eye(3), [[1.0, 0.0, -0.0], [1e-9, 0.0, -1.0]]])
+    B = tangent_basis(u)
+    full = np.concatenate([B, u[:, :, None]], axis=2)
+    assert_allclose(full.transpose(0, 2, 1) @ full, np.broadcast_to(np.eye(3), full.shape), atol=1e-14)
+    assert_allclose(np.linalg.det(full), 1.0)
+
+
+@settings(deadline=None)
+@given(vectors(np.pi), st.integers(0, 10_000))
+def test_align_is_scipys_align_vectors(v, seed):
+    rng = np.random.default_rng(seed)
+    a = rng.normal(size=(8, 3))
+    b = a @ exp(v).T + 0.05 * rng.normal(size=(8, 3))
+    w = rng.uniform(0.1, 2.0, 8)
+    assert_allclose(align(a, b), Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9)
+    assert_allclose(align(a, b, w), Rotation.align_vectors(b, a, weights=w)[0].as_matrix(), atol=1e-9)
+
+
+@settings(deadline=None)
+@given(vectors(np.pi))
+def test_align_two_directions_is_a_rotation_not_a_reflection(v):
+    a = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])
+    assert_allclose(align(a, a @ exp(v).T), exp(v), atol=1e-9)
