@@ -1,0 +1,95 @@
+"""One run from the first frame to the last: the camera's pose from the targets, then every frame tracked.
+
+The shell's part of the use phase: it takes frames as they come and measures times. Printing is its callers' matter.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import Pose
+from spheremouse.detect.rings import detect_targets
+from spheremouse.errors import PoseError, SourceError
+from spheremouse.frame import Frame
+from spheremouse.motion import Motion
+from spheremouse.resect import Resection, gather, resect
+from spheremouse.rig import Rig
+from spheremouse.track import Settings, Tracker, TrackState, advance, begin, check_size
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """The end of initialisation: the pose, what it rests on, and the frames from the first that was used on."""
+
+    pose: Pose
+    resection: Resection | None  # None where the pose was known beforehand
+    frames: Iterator[Frame]
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """One tracked frame."""
+
+    frame: Frame
+    state: TrackState
+    motion: Motion
+    seconds: dict[str, float]  # wall time per stage: detect, filter
+
+
+def initialise(
+    frames: Iterator[Frame],
+    rig: Rig,
+    settings: Settings,
+    *,
+    live: bool = False,
+    report: Callable[[str], None] = lambda _: None,
+) -> Start:
+    """Find the camera's pose in the first views that show enough targets.
+
+    A recording is tracked from the first of those views on; a live camera from where it is by then. Views that show too
+    few targets are passed over and `report`ed once; PoseError where the frames end before a pose was found.
+    """
+    if rig.pose is not None:
+        return Start(rig.pose, None, frames)
+    if len(rig.targets.codes) < 3:
+        raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
+    said: str | None = None
+    while True:
+        views = list(islice(frames, settings.pose.frames))
+        if not views:
+            raise PoseError(said or "the source gave no frame")
+        for view in views:
+            check_size(view, rig)
+        try:
+            seen = [detect_targets(_colour(view), rig.targets.radii, settings.rings) for view in views]
+            resection = resect(gather(seen, settings.pose), rig, views[0].image)
+        except PoseError as e:
+            if str(e) != said:
+                said = str(e)
+                report(said)
+            continue
+        return Start(resection.pose, resection, frames if live else chain(views, frames))
+
+
+def _colour(frame: Frame) -> NDArray[np.uint8]:
+    if frame.image.ndim != 3:
+        raise SourceError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
+    return frame.image
+
+
+def track(frames: Iterator[Frame], tracker: Tracker) -> Iterator[Epoch]:
+    """Track every frame."""
+    state: TrackState | None = None
+    for frame in frames:
+        check_size(frame, tracker.rig)
+        state = state or begin(tracker, frame.stamp)
+        started = time.perf_counter()
+        detections = tracker.detector.detect(frame.image)
+        detected = time.perf_counter()
+        state, motion = advance(state, frame.stamp, detections, tracker)
+        filtered = time.perf_counter()
+        yield Epoch(frame, state, motion, {"detect": detected - started, "filter": filtered - detected})
