@@ -32,8 +32,8 @@ class Appearance:
     area: Array  # (n,) px²
     whole: NDArray[np.bool_]  # (n,) the whole rim faces the camera
 
-    def take(self, keep: NDArray[np.bool_]) -> "Appearance":
-        """Those of a mask."""
+    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "Appearance":
+        """Those of a mask or of indices."""
         return Appearance(self.centre[keep], self.centroid[keep], self.shape[keep], self.area[keep], self.whole[keep])
 
 

@@ -1,11 +1,14 @@
 """What every disc detector gives."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.rotation import Array
+
+Image = NDArray[Any]  # (h, w, 3) BGR or (h, w), uint8; Any because OpenCV's stubs name no type
 
 
 @dataclass(frozen=True, slots=True)

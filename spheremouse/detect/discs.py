@@ -8,23 +8,24 @@ its rim is none.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import expit
 
 from spheremouse.camera import Pose
 from spheremouse.detect.cap import Appearance, appearance, ball_mask, largest_disc
-from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _SURROUND = 4.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
-_ITERATIONS = 5
+_ITERATIONS = 4
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 
 
@@ -63,19 +64,23 @@ class DiscDetector:
     rig: Rig
     pose: Pose
     window: tuple[slice, slice]  # rows and columns of the ball's bounding box
-    mask: NDArray[np.uint8]  # 255 on the ball within the window
+    mask: Image  # 255 on the ball within the window
     diameter: float  # px, of the largest disc
 
-    def detect(self, image: NDArray[np.uint8]) -> Detections:
+    def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included."""
         grey, noise = self._grey(image)
-        centre = self._dark_places(grey, noise)
-        directions, index = directions_at(centre, self.rig, self.pose)
+        places, size, background = self._dark_places(grey, noise)
+        directions, index = directions_at(places + self.origin, self.rig, self.pose)
         seen = appearance(directions, self.rig, self.pose)
-        plausible = (seen.area >= self.settings.min_area) & self._inside(seen)
-        return self._fit(grey, noise, centre[index][plausible], seen.take(plausible))
+        share = size[index] / seen.area
+        # half a disc to one with its shadow; of several regions in one place that which covers a disc best
+        plausible = (seen.area >= self.settings.min_area) & (share > 0.3) & (share < 2.5) & self._inside(seen)
+        best = np.flatnonzero(plausible)[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
+        best = best[_first_of_each(places[index][best], 0.3 * self.diameter)]
+        return self._fit(grey, noise, places[index][best], background[index][best], seen.take(best))
 
-    def _grey(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float]:
+    def _grey(self, image: Image) -> tuple[NDArray[np.float32], float]:
         """Smoothed grey of the window, dark discs, and the noise of one pixel before smoothing, grey values."""
         grey = image[self.window]
         if grey.ndim == 3:
@@ -88,105 +93,100 @@ class DiscDetector:
             grey = cv2.GaussianBlur(grey, (0, 0), self.settings.smoothing)
         return grey, noise
 
-    def _dark_places(self, grey: NDArray[np.float32], noise: float) -> Array:
-        """Centroids, (n, 2) px, of compact regions darker than what surrounds them.
+    def _dark_places(self, grey: NDArray[np.float32], noise: float) -> tuple[Array, Array, Array]:
+        """Compact regions darker than what surrounds them: centroids (n, 2) px in the window, areas, backgrounds.
 
         Looked for at three levels: the low one finds slivers at the limb, the high one parts a disc from a shadow.
         """
+        flat = grey.astype(np.uint8)
         width = 2 * int(np.ceil(0.75 * self.diameter)) + 1
-        background = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
-        darkness = background - grey
-        darkness[self.mask == 0] = 0.0
-        found = []
+        background = cv2.morphologyEx(flat, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
+        deep = cv2.compare(cv2.subtract(background, flat), min(4.0 * noise + 1.0, 255.0), cv2.CMP_GT)
+        deep = cv2.bitwise_and(deep, self.mask)
+        places, sizes = [], []
         for share in (0.6, 1.2, 2.4):
-            floor = np.maximum(share * self.settings.contrast * background, 4.0 * noise)
-            _, _, stats, centroids = cv2.connectedComponentsWithStats(
-                (darkness > floor).astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
-            )
-            size = stats[1:, cv2.CC_STAT_AREA]
-            extent = np.maximum(stats[1:, cv2.CC_STAT_WIDTH], stats[1:, cv2.CC_STAT_HEIGHT])
-            keep = (size >= 0.3 * self.settings.min_area) & (extent <= 1.2 * self.diameter + 3)
-            found.append(centroids[1:][keep])
-        places = np.concatenate(found)
-        return places[_first_of_each(places, 1.0)] + self.origin
+            level = cv2.convertScaleAbs(background, alpha=max(1.0 - share * self.settings.contrast, 0.0))
+            dark = cv2.bitwise_and(cv2.compare(flat, level, cv2.CMP_LT), deep)
+            contours, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            for contour in contours:
+                if len(contour) < 4:
+                    continue
+                _, _, w, h = cv2.boundingRect(contour)
+                if max(w, h) > 1.2 * self.diameter + 3:
+                    continue
+                # the outline runs through pixel centres: Pick's theorem gives the pixels it holds
+                area = cv2.contourArea(contour) + 0.5 * len(contour) + 1.0
+                if area < 0.3 * self.settings.min_area:
+                    continue
+                places.append(_centroid(contour))
+                sizes.append(area)
+        where = np.array(places, dtype=float).reshape(-1, 2)
+        at = np.rint(where).astype(int)
+        return where, np.array(sizes, dtype=float), background[at[:, 1], at[:, 0]].astype(float)
 
-    def _fit(self, grey: NDArray[np.float32], noise: float, start: Array, seen: Appearance) -> Detections:
-        """Fit I = b0 + b1 x + b2 y - a e(x - c; s) by Gauss-Newton with Tukey weights, all discs at once.
+    def _fit(
+        self, grey: NDArray[np.float32], noise: float, start: Array, background: Array, seen: Appearance
+    ) -> Detections:
+        """Fit I = b0 + b1 x + b2 y - a e(x - c; s) by Gauss-Newton with Tukey weights.
 
         e is the blurred ellipse; unknown are the background b (3), the contrast a, the centre c (2) and the size s.
+        All pixels of all discs lie in one row, disc after disc: what is done to a pixel is done to all at once.
         """
         n = len(start)
         if n == 0:
             return no_detections()
-        reach = int(np.ceil(self.diameter / 2 + _SURROUND))
-        span = np.arange(-reach, reach + 1)
-        corner = np.rint(start - self.origin).astype(int)
-        rows = (corner[:, 1, None] + span)[:, :, None]
-        columns = (corner[:, 0, None] + span)[:, None, :]
-        height, width = grey.shape
-        on_ball = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        rows, columns = np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)
-        on_ball &= self.mask[rows, columns] > 0
-        image = grey[rows, columns].reshape(n, -1).astype(float)
-        x = np.broadcast_to(span[None, :], (len(span),) * 2).ravel().astype(float)
-        y = np.broadcast_to(span[:, None], (len(span),) * 2).ravel().astype(float)
-        base = corner + self.origin
-        c = start - base
+        pixels = _Pixels.around(start, seen.shape, self.mask, self.diameter)
+        disc = pixels.disc
+        image = grey[pixels.row, pixels.column].astype(float)
         inverse = np.linalg.inv(seen.shape)
-        blur = np.sqrt(self.settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2)
-        s = np.ones(n)
-        e, de_dc, de_ds, distance = _blurred_ellipse(x, y, c, s, inverse, blur)
-        near = on_ball.reshape(n, -1) & (distance < _SURROUND)
-        b, a = _levels(image, distance, near)
-        scale = np.maximum(noise, 0.02 * np.abs(a))  # shading and print: two percent of the contrast
+        blur = float(np.sqrt(self.settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2))
+        at = np.rint(start).astype(int)
+        contrast = background - grey[at[:, 1], at[:, 0]]
+        scale = np.maximum(noise, 0.02 * np.abs(contrast))  # shading and print: two percent of the contrast
         prior = (scale / (0.4 * self.settings.size_tolerance)) ** 2
-        weight = near.astype(float)
+        # unknowns: b0, b1, b2, a, cx, cy, s; the origin of each disc's coordinates is its start
+        x = np.zeros((n, 7))
+        x[:, 0], x[:, 3], x[:, 6] = background, contrast, 1.0
         step = np.zeros((n, 7))
         N = np.zeros((n, 7, 7))
+        weight = np.ones_like(image)
         residual = image
+        e, de = _blurred_ellipse(pixels, x, inverse, blur)
         for iteration in range(_ITERATIONS):
-            model = b[:, :1] + b[:, 1:2] * x + b[:, 2:] * y - a[:, None] * e
-            residual = image - model
+            p = x[disc]
+            residual = image - (p[:, 0] + p[:, 1] * pixels.x + p[:, 2] * pixels.y - p[:, 3] * e)
             if iteration:  # the first step brings the model near: no pixel is an outlier before that
-                limit = _tukey_limit(residual, weight > 0, near, scale)
-                weight = near * np.maximum(0.0, 1.0 - (residual / limit[:, None]) ** 2) ** 2
-            A = np.stack(
-                [
-                    np.ones_like(e),
-                    np.broadcast_to(x, e.shape),
-                    np.broadcast_to(y, e.shape),
-                    -e,
-                    -a[:, None] * de_dc[0],
-                    -a[:, None] * de_dc[1],
-                    -a[:, None] * de_ds,
-                ],
-                axis=1,
-            )
+                spread = 1.4826 * np.array([_median(np.abs(residual[k])) for k in pixels.of])
+                limit = 4.685 * np.maximum(spread, scale)
+                weight = np.maximum(0.0, 1.0 - (residual / limit[disc]) ** 2) ** 2
+            A = np.stack([np.ones_like(e), pixels.x, pixels.y, -e, *(-p[:, 3] * de)], axis=1)
             Aw = A * weight[:, None]
-            N = Aw @ A.transpose(0, 2, 1) + 1e-6 * np.eye(7)
-            gradient = (Aw @ residual[:, :, None])[:, :, 0]
+            N = np.array([Aw[k].T @ A[k] for k in pixels.of]) + 1e-6 * np.eye(7)
+            gradient = np.array([residual[k] @ Aw[k] for k in pixels.of])
             N[:, 6, 6] += prior  # a sliver cannot tell size from contrast: there the known size decides
-            gradient[:, 6] -= prior * (s - 1.0)
+            gradient[:, 6] -= prior * (x[:, 6] - 1.0)
             step = np.linalg.solve(N, gradient[:, :, None])[:, :, 0]
-            b, a = b + step[:, :3], a + step[:, 3]
-            c = c + np.clip(step[:, 4:6], -1.0, 1.0)
-            s = np.clip(s + np.clip(step[:, 6], -0.2, 0.2), 0.3, 2.5)
-            e, de_dc, de_ds, distance = _blurred_ellipse(x, y, c, s, inverse, blur)
-        rim = np.hypot(*de_dc) * near
-        rim_seen = (rim * weight).sum(axis=1) / np.maximum((np.hypot(*de_dc)).sum(axis=1), 1e-9)
-        freedom = np.maximum(weight.sum(axis=1) - 7.0, 1.0)
-        misfit = (weight * residual**2).sum(axis=1) / freedom
+            step[:, 4:6] = np.clip(step[:, 4:6], -1.0, 1.0)
+            step[:, 6] = np.clip(step[:, 6], -0.2, 0.2)
+            x += step
+            x[:, 6] = np.clip(x[:, 6], 0.3, 2.5)
+            e, de = _blurred_ellipse(pixels, x, inverse, blur)
+        rim = np.hypot(de[0], de[1])
+        whole = 2.0 * np.pi * np.sqrt(np.trace(seen.shape, axis1=1, axis2=2) / 2.0)  # px, the rim integrated across
+        rim_seen = np.array([rim[k] @ weight[k] for k in pixels.of]) / whole
+        freedom = np.array([weight[k].sum() for k in pixels.of]) - 7.0
+        misfit = np.array([weight[k] @ residual[k] ** 2 for k in pixels.of]) / np.maximum(freedom, 1.0)
         variance = np.maximum(misfit, noise**2)
         covariance = np.linalg.inv(N)[:, 4:6, 4:6] * variance[:, None, None] + self.settings.sigma**2 * np.eye(2)
+        b0, b1, b2, a, cx, cy, size = x.T
         sliver = np.sqrt(np.linalg.eigvalsh(seen.shape)[:, 0])  # semi-minor axis, px
-        level = b[:, 0] + b[:, 1] * c[:, 0] + b[:, 2] * c[:, 1]
         ok = (
-            (a > np.maximum(self.settings.contrast * level, 4.0 * noise))
-            & (np.abs(s - 1.0) < np.maximum(self.settings.size_tolerance, _RIM_OFF / sliver))
+            (a > np.maximum(self.settings.contrast * (b0 + b1 * cx + b2 * cy), 4.0 * noise))
+            & (np.abs(size - 1.0) < np.maximum(self.settings.size_tolerance, _RIM_OFF / sliver))
             & (rim_seen > self.settings.rim)
             & (np.abs(step[:, 4:6]).max(axis=1) < 0.1)
         )
-        centre = c + base - (seen.centroid - seen.centre)
+        centre = x[:, 4:6] + start + self.origin - (seen.centroid - seen.centre)
         best = np.flatnonzero(ok)[np.argsort(-rim_seen[ok], kind="stable")]
         return Detections(centre, covariance, seen.area).take(best[_first_of_each(centre[best], 0.3 * self.diameter)])
 
@@ -224,41 +224,75 @@ def _noise(grey: NDArray[np.float32]) -> float:
     return max(float(np.median(np.abs(difference))) * 1.4826 / np.sqrt(1.5), 0.29)
 
 
-def _blurred_ellipse(  # noqa: PLR0917
-    x: Array, y: Array, c: Array, s: Array, inverse: Array, blur: float
-) -> tuple[Array, tuple[Array, Array], Array, Array]:
-    """e, (n, k), of n ellipses in k pixels, its derivatives by centre and size, and the distance from the rim in px.
+def _median(values: Array) -> float:
+    """Upper median, without what np.median adds to it: this runs a hundred times a frame."""
+    middle = len(values) // 2
+    return float(np.partition(values, middle)[middle]) if len(values) else 0.0
+
+
+def _centroid(contour: NDArray[np.int32]) -> tuple[float, float]:
+    m = cv2.moments(contour)
+    if m["m00"] > 0:
+        return m["m10"] / m["m00"], m["m01"] / m["m00"]
+    x, y = contour[:, 0].mean(axis=0)
+    return float(x), float(y)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pixels:
+    """The pixels around n discs, disc after disc."""
+
+    disc: NDArray[np.intp]  # (k,) whose
+    row: NDArray[np.intp]  # (k,) in the window
+    column: NDArray[np.intp]  # (k,)
+    x: Array  # (k,) px from the disc's start
+    y: Array  # (k,)
+    of: list[slice]  # n slices into them
+
+    @staticmethod
+    def around(start: Array, shape: Array, mask: Image, diameter: float) -> "_Pixels":
+        """Those within _SURROUND px of the expected rim and on the ball (`mask`)."""
+        reach = int(np.ceil(diameter / 2 + _SURROUND))
+        span = np.arange(-reach, reach + 1)
+        base = np.rint(start).astype(int)
+        row = np.broadcast_to(base[:, 1, None, None] + span[:, None], (len(start), len(span), len(span)))
+        column = np.broadcast_to(base[:, 0, None, None] + span[None, :], row.shape)
+        x, y = column - start[:, 0, None, None], row - start[:, 1, None, None]
+        inverse = np.linalg.inv(_grown(shape, _SURROUND))
+        q = inverse[:, 0, 0, None, None] * x * x + inverse[:, 1, 1, None, None] * y * y
+        q += 2.0 * inverse[:, 0, 1, None, None] * x * y
+        height, width = mask.shape
+        near = (q < 1.0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        near[near] = mask[row[near], column[near]] > 0
+        disc = np.nonzero(near)[0]
+        edge = np.searchsorted(disc, np.arange(len(start) + 1))
+        of = [slice(int(a), int(b)) for a, b in pairwise(edge)]
+        return _Pixels(disc, row[near], column[near], x[near], y[near], of)
+
+
+def _grown(shape: Array, margin: float) -> Array:
+    """Ellipses, (n, 2, 2), whose axes are longer by `margin` px."""
+    values, vectors = np.linalg.eigh(shape)
+    values = (np.sqrt(np.maximum(values, 0.0)) + margin) ** 2
+    return (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
+
+
+def _blurred_ellipse(pixels: _Pixels, x: Array, inverse: Array, blur: float) -> tuple[Array, Array]:
+    """e, (k,), of every pixel and its derivatives by centre x, y and size, (3, k).
 
     With rho^2 = (x - c)^T S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
-    a strip of that width blurred by a Gaussian is e = Phi(ahead / blur) + Phi(behind / blur) - 1, exact for a sliver.
+    a strip of that width, blurred, is e = L(ahead) + L(behind) - 1. L is the logistic function of the Gaussian's
+    width: within 1 % of it, and its own derivative.
     """
-    dx, dy = x - c[:, :1], y - c[:, 1:]
-    gx = inverse[:, 0, 0, None] * dx + inverse[:, 0, 1, None] * dy
-    gy = inverse[:, 1, 0, None] * dx + inverse[:, 1, 1, None] * dy
+    M = inverse[pixels.disc]
+    dx, dy = pixels.x - x[pixels.disc, 4], pixels.y - x[pixels.disc, 5]
+    size = x[pixels.disc, 6]
+    gx = M[:, 0, 0] * dx + M[:, 0, 1] * dy
+    gy = M[:, 0, 1] * dx + M[:, 1, 1] * dy
     rho = np.sqrt(np.maximum(gx * dx + gy * dy, 1e-9))
-    gx, gy = gx / rho, gy / rho
-    slope = np.maximum(np.hypot(gx, gy), 1e-9)
-    ahead, behind = (s[:, None] - rho) / slope, (s[:, None] + rho) / slope
-    e = ndtr(ahead / blur) + ndtr(behind / blur) - 1.0
-    bell_ahead, bell_behind = _bell(ahead, blur), _bell(behind, blur)
-    by_rho = (bell_ahead - bell_behind) / slope  # minus de/drho; rho falls by g along dc
-    return e, (by_rho * gx, by_rho * gy), (bell_ahead + bell_behind) / slope, -ahead
-
-
-def _bell(d: Array, blur: float) -> Array:
-    return np.exp(-0.5 * (d / blur) ** 2) / (blur * np.sqrt(2.0 * np.pi))
-
-
-def _levels(image: Array, distance: Array, near: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Start values: background (n, 3), level at the origin with its slopes, and contrast (n,), from medians."""
-    outside = np.ma.masked_array(image, ~(near & (distance > 1.0)))
-    inside = np.ma.masked_array(image, ~(near & (distance < np.minimum(-0.5, distance.min(axis=1)[:, None] + 1.0))))
-    background = np.ma.median(outside, axis=1).filled(0.0)
-    contrast = background - np.ma.median(inside, axis=1).filled(0.0)
-    return np.stack([background, np.zeros_like(background), np.zeros_like(background)], axis=1), contrast
-
-
-def _tukey_limit(residual: Array, used: NDArray[np.bool_], near: NDArray[np.bool_], scale: Array) -> Array:
-    """Residual at which a pixel loses all weight, (n,): 4.685 robust standard deviations."""
-    spread = np.ma.median(np.ma.masked_array(np.abs(residual), ~near), axis=1).filled(0.0) * 1.4826
-    return 4.685 * np.maximum(spread, scale)
+    slope = np.maximum(np.hypot(gx, gy), 1e-9)  # times rho
+    steep = 1.702 / blur * rho / slope
+    ahead, behind = expit((size - rho) * steep), expit((size + rho) * steep)
+    bell_ahead, bell_behind = steep * ahead * (1.0 - ahead), steep * behind * (1.0 - behind)
+    by_rho = (bell_ahead - bell_behind) / rho  # minus de/drho; rho falls by g / rho along dc
+    return ahead + behind - 1.0, np.stack([by_rho * gx, by_rho * gy, bell_ahead + bell_behind])
