@@ -1,0 +1,72 @@
+"""`spheremouse config`: show what is in force, check a file, write one to begin with."""
+
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from spheremouse import config
+from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.yaml_file import write_atomically
+
+app = typer.Typer(no_args_is_help=True, help="Show, check or write a configuration file.")
+
+
+def root() -> type[Any]:
+    """The settings of the whole program; imported late, since it brings all of the core."""
+    from spheremouse.track import Settings
+
+    return Settings
+
+
+def settings_of(file: Path | None, assignments: list[str] | None, cls: type[Any]) -> Any:
+    """Settings in force: the defaults, then the file, then each KEY=VALUE in order."""
+    settings = cls() if file is None else config.load(file, cls)
+    for assignment in assignments or []:
+        settings = config.override(settings, assignment)
+    return settings
+
+
+@app.command()
+def show(
+    file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="Configuration file.")] = None,
+    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
+) -> None:
+    """Print the configuration in force; what differs from the default is marked."""
+    try:
+        settings = settings_of(file, assignments, root())
+    except SpheremouseError as e:
+        _fail(e)
+    typer.echo(config.dump(settings, root()()), nl=False)
+
+
+@app.command()
+def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)]) -> None:
+    """Check a configuration file: 'FILE: ok', or every problem with its line and exit code 2."""
+    try:
+        config.load(file, root())
+    except SpheremouseError as e:
+        _fail(e)
+    typer.echo(f"{file}: ok")
+
+
+@app.command()
+def init(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]")] = Path("spheremouse.yaml"),
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a configuration file with every parameter, its unit, default and reason."""
+    try:
+        if file.is_dir():
+            raise ConfigurationError(f"{file}: is a directory; name a file in it")
+        if file.exists() and not force:
+            raise ConfigurationError(f"{file}: exists already; choose another name, or replace it with --force")
+        write_atomically(file, config.dump_commented(root()()))
+    except SpheremouseError as e:
+        _fail(e)
+    typer.echo(f"{file}: written")
+
+
+def _fail(error: SpheremouseError) -> NoReturn:
+    typer.echo(str(error), err=True)
+    raise typer.Exit(2)

@@ -1,0 +1,330 @@
+"""The configuration: one YAML file in, the core's settings out, and back as a commented text.
+
+The schema is not written here: it is built from the settings dataclasses, whose fields (`settings.param`) carry unit,
+meaning and bounds. A file names what differs from the defaults; `override` does the same for one `--set KEY=VALUE`.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import textwrap
+import types
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.validate import nearest, validated
+from spheremouse.yaml_file import (
+    SCHEMA,
+    Document,
+    Key,
+    Problem,
+    dotted,
+    parse_document,
+    parse_value,
+    read_document,
+    without_schema,
+)
+
+S = TypeVar("S")
+
+_WIDTH = 110
+_JOINED = "\u00a0"  # a space at which a comment is not broken
+
+
+def load(path: Path, root: type[S]) -> S:
+    """Settings of a configuration file: `root()` with what the file says in place of the defaults."""
+    return loads(read_document(path), root)
+
+
+def loads(document: Document, root: type[S]) -> S:
+    """Settings of a document already read."""
+    return _applied(without_schema(document), root())
+
+
+def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
+    """Settings with one `KEY=VALUE`, as in `so3.acceleration_sigma=0.5`; the value is read as YAML.
+
+    Messages begin with `label`, which says where the assignment stands.
+    """
+    key, equals, text = assignment.partition("=")
+    key = key.strip()
+    if not equals or not key:
+        raise ConfigurationError(f"{label}{assignment}: not KEY=VALUE; write for example section.name=1.5")
+    value = _single_value(text, f"{label}{key}")
+    known = dict(parameters(settings))
+    parts: Key = tuple(key.split("."))
+    if parts not in known:
+        names = [dotted(k) for k in known]
+        inside = [n for n in names if n.startswith(key + ".")]
+        advice = f"a section; set one of {', '.join(inside)}" if inside else f"unknown key; {nearest(key, names)}"
+        raise ConfigurationError(f"{label}{key}: {advice}")
+    data: Any = value
+    for part in reversed(parts):
+        data = {part: data}
+    try:
+        return _applied(Document("", data, {}), settings)
+    except ConfigurationError as e:  # one value has no line
+        raise ConfigurationError("\n".join(label + line.removeprefix(":1: ") for line in str(e).split("\n"))) from None
+
+
+def dump_commented(settings: Any) -> str:
+    """A configuration file with every parameter, its unit, bounds, default and reason; loads back to equal settings."""
+    lines = [
+        "# Configuration of spheremouse. What is left out keeps its default.",
+        f"schema: {SCHEMA}",
+        *_commented(settings, ""),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def dump(settings: S, default: S) -> str:
+    """The effective configuration without reasons; what differs from `default` is marked with the default's value."""
+    before = dict(parameters(default))
+    lines = [f"schema: {SCHEMA}"]
+    section: Key = ()
+    for key, value in parameters(settings):
+        for depth in range(len(key) - 1):
+            if section[: depth + 1] != key[: depth + 1]:
+                lines.append(f"{'  ' * depth}{key[depth]}:")
+        section = key[:-1]
+        mark = "" if value == before.get(key) else f"  # default: {to_yaml(before.get(key))}"
+        lines.append(f"{'  ' * len(section)}{key[-1]}: {to_yaml(value)}{mark}")
+    return "\n".join(lines) + "\n"
+
+
+def parameters(settings: Any, prefix: Key = ()) -> Iterator[tuple[Key, Any]]:
+    """Every parameter of (nested) settings with its value, plain ones before sections."""
+    for field in _ordered(type(settings)):
+        value = getattr(settings, field.name)
+        if _is_section(type(settings), field):
+            yield from parameters(value, (*prefix, field.name))
+        else:
+            yield (*prefix, field.name), value
+
+
+@functools.cache
+def model_of(cls: type) -> type[BaseModel]:
+    """The pydantic model of a settings dataclass: no unknown keys, no conversions but int to float, all finite."""
+    hints = typing.get_type_hints(cls)
+    fields: dict[str, Any] = {}
+    for field in dataclasses.fields(cls):
+        annotation = _annotation(hints[field.name], field.metadata.get("bounds", {}))
+        required = _is_required(field)
+        description = None if _is_section(cls, field) else _advice(field)
+        fields[field.name] = (annotation, Field(... if required else None, description=description))
+    config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
+    return create_model(cls.__name__, __config__=config, **fields)
+
+
+def to_yaml(value: Any) -> str:
+    """A parameter's value on one line of YAML."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return value if _is_plain_word(value) else "'" + value.replace("'", "''") + "'"
+    if dataclasses.is_dataclass(value):
+        return "{" + ", ".join(f"{f.name}: {to_yaml(getattr(value, f.name))}" for f in dataclasses.fields(value)) + "}"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(to_yaml(v) for v in value) + "]"
+    return repr(value)
+
+
+def _single_value(text: str, name: str) -> Any:
+    try:
+        return parse_value(text, name)
+    except ConfigurationError as e:
+        raise ConfigurationError(str(e).replace(f"{name}:1: ", f"{name}: ", 1)) from None
+
+
+def _is_plain_word(text: str) -> bool:
+    return text.isidentifier() and text.isascii() and parse_document(text, "").data == text
+
+
+def _annotation(hint: Any, bounds: dict[str, float]) -> Any:
+    """A dataclass field's type as pydantic shall check it, bounds on each number."""
+    origin, args = get_origin(hint), get_args(hint)
+    if dataclasses.is_dataclass(hint):
+        return model_of(typing.cast(type, hint))
+    if hint in (int, float):
+        return Annotated[hint, Field(**typing.cast(dict[str, Any], bounds))] if bounds else hint
+    if hint in (bool, str, type(None)) or origin is Literal:
+        return hint
+    if origin in (typing.Union, types.UnionType):
+        return typing.Union[tuple(_annotation(a, bounds) for a in args)]  # noqa: UP007  built at run time
+    if origin is tuple:
+        return tuple[tuple(a if a is ... else _annotation(a, bounds) for a in args)]  # type: ignore[misc]
+    raise TypeError(f"settings cannot hold {hint}: use bool, int, float, str, Literal, None, tuples and dataclasses")
+
+
+def _applied(document: Document, settings: S) -> S:
+    document = Document(document.name, _without_empty_sections(document.data, settings), document.lines)
+    checked = validated(document, model_of(type(settings)))
+    return _updated(settings, checked, document, ())
+
+
+def _without_empty_sections(data: Any, settings: Any) -> Any:
+    """A section whose keys are all commented out reads as null; it means: nothing to say."""
+    if not isinstance(data, dict):
+        return data
+    sections = {f.name for f in dataclasses.fields(settings) if _is_section(type(settings), f)}
+    return {
+        k: ({} if v is None else _without_empty_sections(v, getattr(settings, k))) if k in sections else v
+        for k, v in data.items()
+    }
+
+
+def _updated(settings: S, checked: BaseModel, document: Document, key: Key) -> S:
+    """`settings` with the values that the document gave."""
+    changes: dict[str, Any] = {}
+    for name in checked.model_fields_set:
+        old, new = getattr(settings, name), getattr(checked, name)
+        nested = isinstance(new, BaseModel) and dataclasses.is_dataclass(old)
+        field = next(f for f in dataclasses.fields(typing.cast(Any, settings)) if f.name == name)
+        hint = typing.get_type_hints(type(settings))[name]
+        if nested and _is_section(type(settings), field):
+            changes[name] = _updated(old, new, document, (*key, name))
+        else:
+            changes[name] = _built(hint, new, document, (*key, name))
+    with _refusal(document, key):
+        return dataclasses.replace(typing.cast(Any, settings), **changes)
+
+
+def _built(hint: Any, checked: Any, document: Document, key: Key) -> Any:
+    """Validated data as the dataclasses of the type hint."""
+    if isinstance(checked, BaseModel):
+        cls = next(_dataclasses_in(hint))
+        hints = typing.get_type_hints(cls)
+        given = {n: _built(hints[n], getattr(checked, n), document, (*key, n)) for n in checked.model_fields_set}
+        with _refusal(document, key):
+            return cls(**given)
+    if isinstance(checked, tuple):
+        inner = next((h for h in (hint, *get_args(hint)) if get_origin(h) is tuple), hint)
+        args = get_args(inner)
+        return tuple(
+            _built(args[i] if i < len(args) and args[i] is not ... else args[0], v, document, (*key, i))
+            for i, v in enumerate(checked)
+        )
+    return checked
+
+
+@contextlib.contextmanager
+def _refusal(document: Document, key: Key) -> Iterator[None]:
+    """Turns the ValueError of a dataclass that checks itself (`__post_init__`) into an error with file and line."""
+    try:
+        yield
+    except ValueError as e:
+        raise document.error([Problem(key, str(e))]) from None
+
+
+def _dataclasses_in(hint: Any) -> Iterator[type]:
+    if dataclasses.is_dataclass(hint):
+        yield typing.cast(type, hint)
+    for a in get_args(hint):
+        yield from _dataclasses_in(a)
+
+
+def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
+    return dataclasses.is_dataclass(typing.get_type_hints(cls)[field.name])
+
+
+def _ordered(cls: type) -> list["dataclasses.Field[Any]"]:
+    """Fields of a settings class, plain parameters before sections, so that YAML reads top-down."""
+    return sorted(dataclasses.fields(cls), key=lambda f: _is_section(cls, f))
+
+
+def _is_required(field: "dataclasses.Field[Any]") -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+
+
+def _default(field: "dataclasses.Field[Any]") -> Any:
+    if field.default is not dataclasses.MISSING:
+        return field.default
+    return None if field.default_factory is dataclasses.MISSING else field.default_factory()
+
+
+def _unit(field: "dataclasses.Field[Any]") -> str:
+    unit = field.metadata.get("unit", "-")
+    return "" if unit == "-" else f" {unit}"
+
+
+def _advice(field: "dataclasses.Field[Any]") -> str | None:
+    if _is_required(field):
+        return None
+    value = _default(field)
+    return f"the default is {to_yaml(value)}{'' if value is None or isinstance(value, str) else _unit(field)}"
+
+
+def _commented(settings: Any, indent: str) -> Iterator[str]:
+    hints = typing.get_type_hints(type(settings))
+    for i, field in enumerate(_ordered(type(settings))):
+        value = getattr(settings, field.name)
+        if i or not indent:
+            yield ""
+        if _is_section(type(settings), field):
+            yield from _comment(_summary(type(value)), indent)
+            yield f"{indent}{field.name}:"
+            yield from _commented(value, indent + "  ")
+            continue
+        yield from _comment(_about(field, hints[field.name]), indent)
+        for inner in _dataclasses_in(hints[field.name]):
+            inner_hints = typing.get_type_hints(inner)
+            for f in dataclasses.fields(inner):
+                yield from _comment(f"{f.name}: {_about(f, inner_hints[f.name])}", indent, hang="  ")
+        if isinstance(value, tuple) and any(dataclasses.is_dataclass(v) for v in value):
+            yield f"{indent}{field.name}:"
+            yield from (f"{indent}  - {to_yaml(v)}" for v in value)
+        else:
+            yield f"{indent}{field.name}: {to_yaml(value)}"
+
+
+def _about(field: "dataclasses.Field[Any]", hint: Any) -> str:
+    """Meaning of a parameter, then choices, unit, bounds and default in brackets."""
+    words = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    meaning = field.metadata.get("meaning", "").rstrip(".")
+    limits = [f"{words[k]} {v:g}" for k, v in field.metadata.get("bounds", {}).items()]
+    choices = [to_yaml(a) for a in _choices(hint)]
+    facts = [f"one of {', '.join(choices)}"] if choices else []
+    facts += [unit] if (unit := _unit(field).strip()) else []
+    facts += limits
+    if not _is_required(field):
+        facts.append(f"default {to_yaml(_default(field))}")
+    first = meaning.partition(" ")[0]
+    if first.isalpha():  # a symbol keeps its case
+        meaning = meaning[:1].upper() + meaning[1:]
+    bracket = f"[{'; '.join(facts)}]"
+    if len(bracket) <= 60:
+        bracket = bracket.replace(" ", _JOINED)
+    return f"{meaning}. {bracket}" if facts else f"{meaning}."
+
+
+def _choices(hint: Any) -> Iterator[Any]:
+    if get_origin(hint) is Literal:
+        yield from get_args(hint)
+    elif get_origin(hint) in (typing.Union, types.UnionType):
+        for a in get_args(hint):
+            yield from _choices(a)
+
+
+def _summary(cls: type) -> str:
+    """First sentence of a settings class, for the head of its section."""
+    text = (cls.__doc__ or cls.__name__).strip().split("\n\n")[0]
+    return " ".join(text.split())
+
+
+def _comment(text: str, indent: str, hang: str = "") -> list[str]:
+    lines = textwrap.wrap(
+        text,
+        _WIDTH,
+        initial_indent=f"{indent}# {hang}",
+        subsequent_indent=f"{indent}# {hang}",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [line.replace(_JOINED, " ") for line in lines]

@@ -1,0 +1,40 @@
+"""Outputs: where motion goes. `KIND:ARGUMENT` in, a context manager that takes Motions out.
+
+An output is a module here with `open(argument: str) -> Output`; its name is its kind.
+"""
+
+import sys
+from types import TracebackType
+from typing import Protocol, Self
+
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.spec import resolve
+
+
+class OutputClosed(Exception):  # noqa: N818  an end, not an error
+    """Whoever read the output has gone. Leaving the output's `with` block swallows it: a quiet end, no error."""
+
+
+class Output(Protocol):
+    """Takes motions; closed by leaving its `with` block. What cannot be sent is an OutputError."""
+
+    def send(self, motion: Motion) -> None:
+        """Pass one motion on."""
+        ...
+
+    def describe(self, motion: Motion) -> str:
+        """The text twin: what `send` does with this motion right now, in one line; empty for nothing."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool | None: ...
+
+
+def open_output(spec: str) -> Output:
+    """The output that `KIND:ARGUMENT` names."""
+    module, argument = resolve(sys.modules[__name__], spec, OutputError)
+    return module.open(argument)

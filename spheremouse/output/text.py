@@ -1,0 +1,101 @@
+"""`text:-` and `text:FILE`: one line per motion, after a header line that begins with `#`.
+
+A line is `stamp dx dy dz rx ry rz wx wy wz`: s, counts, rotation vector since the last line (rad, obj), rate (rad/s,
+obj), with all digits. Every line is flushed. FILE is begun anew like after the shell's `>`, with one guard: an existing
+file that holds anything but such a log is refused, so that a slip does not cost a recording or a rig.
+"""
+
+import contextlib
+import os
+import stat
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Self, TextIO
+
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import OutputClosed
+
+NAMES = "# stamp dx dy dz rx ry rz wx wy wz"
+HEADER = f"{NAMES} (s, counts, rotation since the last line in rad and rate in rad/s, both in obj)"
+
+
+class Text:
+    """Writes motions as lines."""
+
+    def __init__(self, file: TextIO, name: str) -> None:
+        self._file, self._name, self._reader_gone = file, name, False
+        with contextlib.suppress(OutputClosed):  # too early to end quietly: the first `send` does
+            self._write(HEADER)
+
+    def send(self, motion: Motion) -> None:
+        """Write one line."""
+        self._write(line(motion))
+
+    def describe(self, motion: Motion) -> str:
+        """The line itself."""
+        return line(motion)
+
+    def _write(self, text: str) -> None:
+        if self._reader_gone:
+            raise OutputClosed(self._name)
+        try:
+            self._file.write(text + "\n")
+            self._file.flush()
+        except BrokenPipeError:
+            self._reader_gone = True
+            self._drop_unwritten()
+            raise OutputClosed(self._name) from None
+        except OSError as e:
+            self._drop_unwritten()
+            raise OutputError(f"{self._name}: cannot be written: {e.strerror or e}") from None
+
+    def _drop_unwritten(self) -> None:
+        """Let the rest of the buffer go to nowhere, or Python complains about it when it flushes at the end."""
+        with contextlib.suppress(OSError, ValueError):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self._file.fileno())
+            os.close(nowhere)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        if self._file is not sys.stdout:
+            self._file.close()
+        return isinstance(error, OutputClosed)
+
+
+def open(argument: str) -> Text:
+    """Lines to standard output (`-` or nothing) or to a file."""
+    if argument in ("", "-"):
+        return Text(sys.stdout, "standard output")
+    path = Path(argument)
+    try:
+        if _is_something_else(path):
+            raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
+        return Text(path.open("w", encoding="utf-8"), str(path))
+    except (OSError, ValueError) as e:
+        reason = (e.strerror if isinstance(e, OSError) else None) or e
+        raise OutputError(f"{path}: cannot be written: {reason}") from None
+
+
+def line(motion: Motion) -> str:
+    """A motion as a line; each number reads back to the very same."""
+    exact = [float(v) for v in (*motion.rotation, *motion.rate)]
+    return " ".join([repr(float(motion.stamp)), *(str(int(n)) for n in motion.counts), *map(repr, exact)])
+
+
+def _is_something_else(path: Path) -> bool:
+    """Whether overwriting would destroy a file of another kind; pipes and devices cannot be destroyed."""
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return False
+    if not stat.S_ISREG(status.st_mode) or status.st_size == 0:
+        return False
+    with path.open("rb") as file:
+        return file.read(len(NAMES)) != NAMES.encode()

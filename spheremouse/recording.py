@@ -1,0 +1,290 @@
+"""Recordings on disk: a folder with what is known beforehand, the frames, and the truth where there is one.
+
+`open_dataset` and `read_frames` read one, `DatasetWriter` makes one (in dataset_writer). The format is that of
+docs/datasets.
+"""
+
+import csv
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
+from spheremouse.dataset_format import BLOB_COLUMNS, DISC_COLUMNS, MOTION_COLUMNS, folder_images, video_images
+from spheremouse.dataset_writer import DatasetWriter, write_simulation
+from spheremouse.errors import DatasetError
+from spheremouse.frame import Frame
+from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rotation import Array
+from spheremouse.simulate.truth import DiscTruth, Truth
+
+__all__ = ["DatasetWriter", "DiscTruth", "Recording", "Truth", "open_dataset", "read_frames", "write_simulation"]
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A dataset whose description has been read and checked; its frames come from `read_frames`."""
+
+    path: Path
+    name: str
+    rig: Rig  # from what is known beforehand; the covariances of ball and targets are zero
+    fps: float
+    frames: int
+    exposure_s: float
+    pose: Pose | None  # the true pose of the camera
+    truth: Truth | None
+    discs: DiscTruth | None
+    truth_directions: Array | None  # (m, 3) true unit vectors to the discs, ball
+
+
+# ---- scene.json ----
+
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Vector = tuple[_Number, _Number, _Number]
+_Row4 = tuple[_Number, _Number, _Number, _Number]
+_Matrix4 = tuple[_Row4, _Row4, _Row4, _Row4]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+
+class _Camera(_Model):
+    fx: _Positive
+    fy: _Positive
+    cx: _Number
+    cy: _Number
+    dist: tuple[_Number, _Number, _Number, _Number, _Number]
+
+
+class _Ball(_Model):
+    radius: _Positive
+
+
+class _Target(_Model):
+    id: int
+    code: Literal["CMY", "CYM", "MCY", "MYC", "YCM", "YMC"]
+    position: _Vector
+
+
+class _Scene(_Model):
+    name: str = ""
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    fps: _Positive
+    frames: Annotated[int, Field(gt=0)]
+    exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    readout_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    camera: _Camera
+    ball: _Ball
+    disc_radius: _Positive
+    targets: list[_Target] = []
+    target_radii: tuple[_Positive, _Positive, _Positive] | None = None
+    T_obj_cam: _Matrix4 | None = None
+    truth_T_obj_cam: _Matrix4 | None = None  # noqa: N815
+    truth_disc_directions: list[_Vector] | None = None
+
+
+def open_dataset(path: Path | str) -> Recording:
+    """Read and check the description of a dataset folder; DatasetError names the file at fault."""
+    path = Path(path)
+    if not path.is_dir():
+        raise DatasetError(f"{path}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
+    scene = _read_scene(path / "scene.json")
+    if not (path / "video.mkv").is_file() and not (path / "frames").is_dir():
+        raise DatasetError(f"{path}: neither video.mkv nor a folder frames/ is there")
+    truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
+    discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
+    directions = None
+    if scene.truth_disc_directions is not None:
+        directions = np.array(scene.truth_disc_directions, dtype=float).reshape(-1, 3)
+    return Recording(
+        path=path,
+        name=scene.name or path.name,
+        rig=_rig(scene),
+        fps=scene.fps,
+        frames=scene.frames,
+        exposure_s=scene.exposure_s,
+        pose=_pose(path, "truth_T_obj_cam", scene.truth_T_obj_cam),
+        truth=truth,
+        discs=discs,
+        truth_directions=directions,
+    )
+
+
+def _read_scene(path: Path) -> _Scene:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: missing; a dataset needs it") from None
+    except (OSError, UnicodeDecodeError) as e:
+        raise DatasetError(f"{path}: cannot be read ({e})") from None
+    except json.JSONDecodeError as e:
+        raise DatasetError(f"{path}, line {e.lineno}: not valid JSON ({e.msg})") from None
+    if isinstance(content, dict) and "wand" in content and "ball" not in content:
+        raise DatasetError(f"{path}: this is a recording of a wand, which this tracker does not support yet")
+    try:
+        # Through JSON once more, so that lists count as tuples while "640" still does not count as a number.
+        scene = _Scene.model_validate_json(json.dumps(content))
+    except ValidationError as e:
+        first = e.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the file"
+        more = f" (and {e.error_count() - 1} more)" if e.error_count() > 1 else ""
+        raise DatasetError(f"{path}: {key}: {first['msg'].lower()}{more}") from None
+    if scene.targets and scene.target_radii is None:
+        raise DatasetError(f"{path}: target_radii: field required where there are targets")
+    if len({t.id for t in scene.targets}) < len(scene.targets) or len({t.code for t in scene.targets}) < len(
+        scene.targets
+    ):
+        raise DatasetError(f"{path}: targets: ids and codes must differ from one another")
+    _pose(path, "T_obj_cam", scene.T_obj_cam)
+    return scene
+
+
+def _rig(scene: _Scene) -> Rig:
+    """The keys without `truth_` only."""
+    camera = InteriorOrientation(
+        scene.width,
+        scene.height,
+        scene.camera.fx,
+        scene.camera.fy,
+        scene.camera.cx,
+        scene.camera.cy,
+        np.array(scene.camera.dist, dtype=float),
+    )
+    n = len(scene.targets)
+    targets = Targets(
+        ids=tuple(t.id for t in scene.targets),
+        codes=tuple(t.code for t in scene.targets),
+        position=np.array([t.position for t in scene.targets], dtype=float).reshape(n, 3),
+        covariance=np.zeros((n, 3, 3)),
+        radii=np.array(scene.target_radii if scene.target_radii is not None else (0.0, 0.0, 0.0), dtype=float),
+    )
+    return Rig(
+        camera=camera,
+        ball=Ball(scene.ball.radius),
+        targets=targets,
+        disc_radius=scene.disc_radius,
+        readout_s=scene.readout_s,
+        pose=None if scene.T_obj_cam is None else pose_from_matrix(np.array(scene.T_obj_cam)),
+    )
+
+
+def _pose(path: Path, key: str, matrix: _Matrix4 | None) -> Pose | None:
+    if matrix is None:
+        return None
+    T = np.array(matrix, dtype=float)
+    if not _is_rotation(T[:3, :3]) or not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
+        raise DatasetError(f"{path}: {key}: not a rotation and a translation (4 x 4, last row 0 0 0 1)")
+    return pose_from_matrix(T)
+
+
+def _is_rotation(R: Array) -> bool:
+    return bool(np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0.0)
+
+
+# ---- tables ----
+
+
+def _read_table(path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = ()) -> Array:
+    """Those columns of a csv file with a header, (n, len(columns)); only `optional` ones may be empty (nan)."""
+    rows: list[list[float]] = []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.reader(file)
+            header = next(reader, [])
+            missing = [c for c in columns if c not in header]
+            if missing:
+                raise DatasetError(f"{path}, line 1: no column {', '.join(missing)}")
+            places = [header.index(c) for c in columns]
+            for cells in reader:
+                if not cells:
+                    continue
+                if len(cells) != len(header):
+                    raise DatasetError(
+                        f"{path}, line {reader.line_num}: {len(cells)} cells under {len(header)} columns"
+                    )
+                rows.append(
+                    [
+                        _cell(path, reader.line_num, c, cells[i], c in optional)
+                        for c, i in zip(columns, places, strict=True)
+                    ]
+                )
+    except (OSError, UnicodeDecodeError, csv.Error) as e:
+        raise DatasetError(f"{path}: cannot be read ({e})") from None
+    return np.array(rows, dtype=float).reshape(-1, len(columns))
+
+
+def _cell(path: Path, line: int, column: str, text: str, may_be_empty: bool) -> float:
+    if may_be_empty and not text.strip():
+        return np.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise DatasetError(f"{path}, line {line}: {column}: {text!r} is not a number")
+    return value
+
+
+def _read_truth(path: Path, frames: int) -> Truth:
+    table = _read_table(path, MOTION_COLUMNS)
+    if len(table) != frames:
+        raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
+    truth = Truth(table[:, 1].copy(), table[:, 2:11].reshape(-1, 3, 3).copy(), table[:, 11:14].copy())
+    for i in range(frames):
+        if table[i, 0] != i:
+            raise DatasetError(f"{path}, row {i + 1}: frame {table[i, 0]:g} where {i} is due")
+        if i and truth.stamp[i] <= truth.stamp[i - 1]:
+            raise DatasetError(f"{path}, row {i + 1}: t does not increase")
+        if not _is_rotation(truth.attitude[i]):
+            raise DatasetError(f"{path}, row {i + 1}: r11..r33 is not a rotation")
+    return truth
+
+
+def _read_discs(path: Path, frames: int) -> DiscTruth:
+    table = _read_table(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
+    whole = table[:, [0, 1, 7]]
+    if np.any(whole != np.rint(whole)) or np.any(table[:, 0] < 0) or np.any(table[:, 0] >= frames):
+        raise DatasetError(f"{path}: frame, disc and state must be whole numbers, frame below {frames}")
+    return DiscTruth(
+        frame=table[:, 0].astype(np.intp),
+        disc=table[:, 1].astype(np.intp),
+        centre=table[:, 2:4].copy(),
+        blob_centre=table[:, 4:6].copy(),
+        area=table[:, 6].copy(),
+        state=table[:, 7].astype(np.intp),
+    )
+
+
+# ---- frames ----
+
+
+def read_frames(recording: Recording) -> Iterator[Frame]:
+    """The frames in order, stamped from the truth's times, or index / fps where there is none.
+
+    A recording cut short gives what is there and then raises DatasetError.
+    """
+    source = recording.path / "video.mkv"
+    images = video_images(source) if source.is_file() else folder_images(source := recording.path / "frames")
+    size = (recording.rig.camera.height, recording.rig.camera.width)
+    count = 0
+    for image in images:
+        if image.shape[:2] != size:
+            raise DatasetError(
+                f"{source}: frame {count} is {image.shape[1]}x{image.shape[0]}, but scene.json says {size[1]}x{size[0]}"
+            )
+        stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
+        yield Frame(image, stamp, count)
+        count += 1
+        if count == recording.frames:
+            return
+    if count == 0:
+        raise DatasetError(f"{source}: no frame in it can be read")
+    raise DatasetError(f"{source}: ends after {count} of {recording.frames} frames")

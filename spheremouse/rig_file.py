@@ -1,0 +1,281 @@
+"""rig.yaml and camera.yaml: what calibration knows of a device, to and from files a person can read and mend.
+
+Units, frames and conventions are those of `rig` and `camera`: metres, `obj`, OpenCV's k1 k2 p1 p2 k3. Everything a
+file claims is checked here, so that the core may take it as true.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
+from spheremouse.rig import CODES, Ball, Rig, Targets
+from spheremouse.rotation import Array
+from spheremouse.validate import read_checked
+from spheremouse.yaml_file import SCHEMA, Key, Problem, write_atomically
+
+Code = Literal["CMY", "CYM", "MCY", "MYC", "YCM", "YMC"]
+assert get_args(Code) == CODES
+
+Positive = Annotated[float, Field(gt=0)]
+Vector3 = tuple[float, float, float]
+Matrix = tuple[tuple[float, ...], ...]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
+
+
+class _Camera(_Part):
+    width: int = Field(gt=0, le=100_000, description="width of the images in px")
+    height: int = Field(gt=0, le=100_000, description="height of the images in px")
+    fx: Positive = Field(description="focal length in px")
+    fy: Positive = Field(description="focal length in px")
+    cx: float = Field(description="principal point in px, 0 the centre of the leftmost column")
+    cy: float = Field(description="principal point in px, 0 the centre of the topmost row")
+    dist: tuple[float, float, float, float, float] = Field(
+        (0.0, 0.0, 0.0, 0.0, 0.0), description="lens distortion [k1, k2, p1, p2, k3], OpenCV's order"
+    )
+    covariance: Matrix | None = Field(None, description="9 x 9 of fx, fy, cx, cy, k1, k2, p1, p2, k3")
+
+
+class _Ball(_Part):
+    radius: Positive = Field(description="radius of the ball in m")
+    center: Vector3 = Field((0.0, 0.0, 0.0), description="centre [x, y, z] in m, obj; the origin by definition")
+    covariance: Matrix | None = Field(None, description="4 x 4 of centre x, y, z and radius in m²")
+
+
+class _Target(_Part):
+    id: int = Field(description="a whole number that names the target")
+    code: Code = Field(description="colours inside to outside")
+    position: Vector3 = Field(description="[x, y, z] in m, obj")
+    covariance: Matrix | None = Field(None, description="3 x 3 in m²")
+
+
+class _CameraFile(_Part):
+    camera: _Camera = Field(description="width, height, fx, fy, cx, cy and dist of the camera")
+
+
+class _RigFile(_CameraFile):
+    ball: _Ball = Field(description="radius of the ball, and what else is known of it")
+    disc_radius: Positive = Field(description="radius of a disc in m, along the ball's surface")
+    readout_s: float = Field(0.0, ge=0, lt=1, description="time a rolling shutter takes over all rows in s")
+    target_radii: tuple[Positive, Positive, Positive] | None = Field(
+        None, description="[inner disc, middle ring, outer ring] in m"
+    )
+    targets: tuple[_Target, ...] = Field((), description="list of {id, code, position}")
+    T_obj_cam: Matrix | None = Field(None, description="4 x 4, a point in camera coordinates to obj")
+    pose_covariance: Matrix | None = Field(None, description="6 x 6 of camera position (m) and rotation (rad) in obj")
+    discs: tuple[Vector3, ...] = Field((), description="list of unit vectors [x, y, z] in ball")
+
+
+def load_rig(path: Path) -> Rig:
+    """The rig of a file; ConfigurationError with a line per problem."""
+    document, file = read_checked(path, _RigFile)
+    if problems := [*_camera_problems(file.camera), *_rig_problems(file)]:
+        raise document.error(problems)
+    return Rig(
+        camera=_interior(file.camera),
+        ball=Ball(file.ball.radius, np.array(file.ball.center), _matrix(file.ball.covariance, 4)),
+        targets=Targets(
+            ids=tuple(t.id for t in file.targets),
+            codes=tuple(t.code for t in file.targets),
+            position=np.array([t.position for t in file.targets]).reshape(-1, 3),
+            covariance=np.array([_matrix(t.covariance, 3) for t in file.targets]).reshape(-1, 3, 3),
+            radii=np.array(file.target_radii or (0.0, 0.0, 0.0)),
+        ),
+        disc_radius=file.disc_radius,
+        readout_s=file.readout_s,
+        pose=_pose(file),
+        disc_directions=_unit_rows(file.discs) if file.discs else None,
+    )
+
+
+def load_camera(path: Path) -> InteriorOrientation:
+    """The interior orientation of a camera file; ConfigurationError with a line per problem."""
+    document, file = read_checked(path, _CameraFile)
+    if problems := list(_camera_problems(file.camera)):
+        raise document.error(problems)
+    return _interior(file.camera)
+
+
+def with_camera(rig: Rig, camera: InteriorOrientation) -> Rig:
+    """The rig seen through another interior orientation: calibrated at another resolution, or another lens."""
+    return dataclasses.replace(rig, camera=camera)
+
+
+def save_rig(path: Path, rig: Rig) -> None:
+    """Write a rig file that reads back to the same rig; whole or not at all."""
+    write_atomically(path, rig_text(rig))
+
+
+def save_camera(path: Path, camera: InteriorOrientation) -> None:
+    """Write a camera file that reads back to the same interior orientation; whole or not at all."""
+    write_atomically(path, f"schema: {SCHEMA}\n{_camera_text(camera)}")
+
+
+def rig_text(rig: Rig) -> str:
+    """A rig as YAML."""
+    lines = [
+        "# A device as calibrated. Metres and pixels; obj: ball centre, X right, Y up, Z towards the camera.",
+        f"schema: {SCHEMA}",
+        _camera_text(rig.camera).rstrip(),
+        "ball:",
+        f"  radius: {float(rig.ball.radius)!r}",
+        f"  center: {_flow(rig.ball.centre)}",
+        *_covariance_lines(rig.ball.covariance, "  covariance", "  # m², of centre x, y, z and radius"),
+        f"disc_radius: {float(rig.disc_radius)!r}  # along the ball's surface",
+        f"readout_s: {float(rig.readout_s)!r}  # time a rolling shutter takes over all rows",
+    ]
+    if np.any(rig.targets.radii):
+        lines.append(f"target_radii: {_flow(rig.targets.radii)}  # inner disc, middle ring, outer ring")
+    lines.append("targets:  # colours inside to outside" if rig.targets.ids else "targets: []")
+    for id_, code, position, covariance in zip(
+        rig.targets.ids, rig.targets.codes, rig.targets.position, rig.targets.covariance, strict=True
+    ):
+        lines += [f"  - id: {int(id_)}", f"    code: {code}", f"    position: {_flow(position)}"]
+        lines += _covariance_lines(covariance, "    covariance", "  # m²")
+    if rig.pose is not None:
+        lines += _matrix_lines(rig.pose.matrix(), "T_obj_cam", "  # a point in camera coordinates to obj")
+        lines += _covariance_lines(
+            rig.pose.covariance, "pose_covariance", "  # m and rad, position and rotation in obj"
+        )
+    if rig.disc_directions is not None and len(rig.disc_directions):
+        lines += _matrix_lines(rig.disc_directions, "discs", "  # unit vectors in ball")
+    return "\n".join(lines) + "\n"
+
+
+def _camera_text(camera: InteriorOrientation) -> str:
+    return (
+        f"camera:\n  width: {int(camera.width)}\n  height: {int(camera.height)}\n"
+        f"  fx: {float(camera.fx)!r}\n  fy: {float(camera.fy)!r}\n"
+        f"  cx: {float(camera.cx)!r}\n  cy: {float(camera.cy)!r}\n"
+        f"  dist: {_flow(camera.distortion)}  # k1, k2, p1, p2, k3\n"
+    )
+
+
+def _flow(values: Array) -> str:
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"
+
+
+def _matrix_lines(rows: Array, name: str, comment: str) -> list[str]:
+    indent = " " * (len(name) - len(name.lstrip()) + 2)
+    return [f"{name}:{comment}", *(f"{indent}- {_flow(row)}" for row in rows)]
+
+
+def _covariance_lines(matrix: Array, name: str, comment: str) -> list[str]:
+    return _matrix_lines(matrix, name, comment) if np.any(matrix) else []
+
+
+def _interior(c: _Camera) -> InteriorOrientation:
+    return InteriorOrientation(c.width, c.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist))
+
+
+def _matrix(rows: Matrix | None, n: int) -> Array:
+    return np.zeros((n, n)) if rows is None else np.array(rows, dtype=float)
+
+
+def _pose(file: _RigFile) -> Pose | None:
+    if file.T_obj_cam is None:
+        return None
+    return pose_from_matrix(_matrix(file.T_obj_cam, 4), _matrix(file.pose_covariance, 6))
+
+
+def _unit_rows(vectors: tuple[Vector3, ...]) -> Array:
+    v = np.array(vectors)
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def _camera_problems(c: _Camera) -> Iterator[Problem]:
+    for name, value, size in (("cx", c.cx, c.width), ("cy", c.cy, c.height)):
+        if not -size <= value <= 2 * size:
+            text = f"is {value:g}, far outside an image of {size} px; it is given in px, and lies near {size / 2:g}"
+            yield Problem(("camera", name), text)
+    yield from _covariance_problems(("camera", "covariance"), c.covariance, 9)
+
+
+def _rig_problems(file: _RigFile) -> Iterator[Problem]:
+    yield from _covariance_problems(("ball", "covariance"), file.ball.covariance, 4)
+    if file.disc_radius >= file.ball.radius:
+        yield Problem(("disc_radius",), f"is {file.disc_radius:g} m, not smaller than the ball; both are in metres")
+    yield from _target_problems(file)
+    yield from _pose_problems(file)
+    for i, disc in enumerate(file.discs):
+        if abs(np.linalg.norm(disc) - 1.0) > 1e-3:
+            yield Problem(("discs", i), f"has length {np.linalg.norm(disc):.4g}; give a unit vector")
+
+
+def _target_problems(file: _RigFile) -> Iterator[Problem]:
+    radii = file.target_radii
+    if radii is not None and not radii[0] < radii[1] < radii[2]:
+        yield Problem(
+            ("target_radii",), f"are {', '.join(f'{r:g}' for r in radii)}; they must grow from inside to outside"
+        )
+    if radii is None and file.targets:
+        yield Problem((), "target_radii: missing; give [inner disc, middle ring, outer ring] in m")
+    for i, target in enumerate(file.targets):
+        before = file.targets[:i]
+        if target.id in (t.id for t in before):
+            yield Problem(("targets", i, "id"), f"{target.id} names another target already; give each its own")
+        if target.code in (t.code for t in before):
+            yield Problem(("targets", i, "code"), f"{target.code} is on another target already; each code appears once")
+        if target.position in (t.position for t in before):
+            yield Problem(("targets", i, "position"), "another target is in this very place; measure one of them again")
+        yield from _covariance_problems(("targets", i, "covariance"), target.covariance, 3)
+
+
+def _pose_problems(file: _RigFile) -> Iterator[Problem]:
+    if file.pose_covariance is not None and file.T_obj_cam is None:
+        yield Problem(("pose_covariance",), "belongs to T_obj_cam, which is missing; give both or none")
+    yield from _covariance_problems(("pose_covariance",), file.pose_covariance, 6)
+    if file.T_obj_cam is None:
+        return
+    key: Key = ("T_obj_cam",)
+    if not _is_square(file.T_obj_cam, 4):
+        yield Problem(key, f"must be 4 rows of 4 numbers, is {_shape(file.T_obj_cam)}")
+        return
+    T = _matrix(file.T_obj_cam, 4)
+    R = T[:3, :3]
+    if not np.array_equal(T[3], [0, 0, 0, 1]):
+        yield Problem((*key, 3), "must be [0, 0, 0, 1]; is the matrix transposed?")
+    elif np.abs(R.T @ R - np.eye(3)).max() > 1e-3:
+        yield Problem(key, "its first 3 x 3 are not a rotation (columns of length 1 at right angles); copy all digits")
+    elif np.linalg.det(R) < 0:
+        yield Problem(key, "its first 3 x 3 mirror (determinant -1); all frames here are right-handed")
+    elif np.linalg.norm(T[:3, 3] - file.ball.center) <= file.ball.radius:
+        yield Problem(key, "puts the camera inside the ball; is it T_cam_obj, or not in metres?")
+
+
+def _covariance_problems(key: Key, rows: Matrix | None, n: int) -> Iterator[Problem]:
+    if rows is None:
+        return
+    if not _is_square(rows, n):
+        yield Problem(key, f"must be {n} rows of {n} numbers, is {_shape(rows)}")
+        return
+    C = _matrix(rows, n)
+    scale = np.sqrt(np.abs(np.outer(np.diag(C), np.diag(C))))  # units differ from row to row
+    if np.any(np.diag(C) < 0):
+        i = int(np.argmin(np.diag(C)))
+        yield Problem((*key, i), f"has the negative variance {C[i, i]:g} on its diagonal; variances are squares")
+    elif np.any(np.abs(C - C.T) > 1e-6 * scale):
+        i, j = np.unravel_index(int(np.argmax(np.abs(C - C.T) - 1e-6 * scale)), C.shape)
+        yield Problem(
+            key, f"is not symmetric: {C[i, j]:g} against {C[j, i]:g} in rows {i + 1} and {j + 1}; make them equal"
+        )
+    else:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlation = np.where(scale > 0, C / scale, np.where(C == 0, 0.0, np.inf))
+        if not np.isfinite(correlation).all() or np.linalg.eigvalsh(correlation).min() < -1e-6:
+            yield Problem(key, "is not positive semidefinite: some correlation is beyond 1; copy all digits")
+
+
+def _is_square(rows: Matrix, n: int) -> bool:
+    return len(rows) == n and all(len(row) == n for row in rows)
+
+
+def _shape(rows: Matrix) -> str:
+    return f"{len(rows)} rows of {'/'.join(sorted({str(len(r)) for r in rows})) or 0}"

@@ -1,0 +1,152 @@
+"""What does not change from frame to frame, rendered once: the scene with an all-white and with an all-black ball.
+
+A frame is then a mixture of the two, by the share of each pixel that the discs cover.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import unproject
+from spheremouse.rotation import Array
+from spheremouse.simulate.furniture import BLACK, WHITE_BALL
+from spheremouse.simulate.light import develop
+from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.shapes import Face, Shape, Sphere, Viewpoint, look
+
+_FINE = 6  # rays across a pixel where shapes meet
+_IDS = 256  # stripes per shape, as in shapes
+
+
+@dataclass(frozen=True, slots=True)
+class Backdrop:
+    """Grey values 0..255, blue, green, red."""
+
+    white: NDArray[np.float32]  # (h, w, 3) with a ball without discs
+    black: NDArray[np.float32]  # (h, w, 3) with a ball that is one big disc
+    ball: NDArray[np.float32]  # (h, w) share of each pixel that shows the ball
+    outline: NDArray[np.float32]  # (h, w) the same with nothing in front of it
+
+
+def render_backdrop(scene: Scene) -> Backdrop:
+    """Cast a ray per pixel, and `_FINE`² where neighbouring pixels see different shapes."""
+    h, w = scene.camera.height, scene.camera.width
+    v, u = np.mgrid[0:h, 0:w]
+    uv = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
+    xy, dxy_duv = np.empty((h * w, 2)), np.empty((h * w, 2, 2))
+    for part in _parts(np.arange(h * w), 10_000):  # a part with no way back through the lens takes long
+        xy[part], dxy_duv[part] = unproject(uv[part], scene.camera)
+    shapes: list[Shape] = [Sphere(np.zeros(3), scene.ball_radius, WHITE_BALL), *scene.surroundings]
+    view = look(shapes, scene.pose.position, scene.pose.rotation)
+    alone = look(shapes[:1], scene.pose.position, scene.pose.rotation)
+
+    ids, outline = np.empty(h * w, dtype=np.int64), np.empty(h * w)
+    white, black = np.empty((h * w, 3)), np.empty((h * w, 3))
+    for tiles in _parts(_tiles(h, w), 64):
+        ids[tiles], depth = _seen(view, xy[tiles])
+        outline[tiles] = alone.cast(xy[tiles])[0] == 0
+        flat = tiles.ravel()
+        white[flat], black[flat] = _colours(scene, view, xy[flat], ids[flat], depth.ravel())
+    ball = (ids == 0).astype(float)
+
+    edge = np.flatnonzero((_borders(ids.reshape(h, w)) | _borders(outline.reshape(h, w))).ravel())
+    offset = (np.arange(_FINE) + 0.5) / _FINE - 0.5
+    grid = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
+    base = (len(shapes) + 1) * _IDS
+    for part in _parts(edge, 2000):
+        fine = xy[part, None] + grid @ dxy_duv[part].transpose(0, 2, 1)
+        fine_ids, depth = _seen(view, fine)
+        outline[part] = (alone.cast(fine)[0] == 0).mean(axis=1)
+        ball[part] = (fine_ids == 0).mean(axis=1)
+        # One colour for each shape in each pixel, at the mean of the places where it is seen.
+        key = np.arange(len(part))[:, None] * base + fine_ids + _IDS
+        pairs, group, count = np.unique(key, return_inverse=True, return_counts=True)
+        group = group.ravel()
+        place = np.concatenate([fine, np.nan_to_num(depth, posinf=0.0)[..., None]], axis=2).reshape(-1, 3)
+        mean = np.stack([np.bincount(group, place[:, i]) / count for i in range(3)], axis=1)
+        colours = _colours(scene, view, mean[:, :2], pairs % base - _IDS, mean[:, 2])
+        for image, colour in zip((white, black), colours, strict=True):
+            for channel in range(3):
+                share = count / len(grid) * colour[:, channel]
+                image[part, channel] = np.bincount(pairs // base, share, len(part))
+    return Backdrop(
+        white.reshape(h, w, 3).astype(np.float32),
+        black.reshape(h, w, 3).astype(np.float32),
+        ball.reshape(h, w).astype(np.float32),
+        outline.reshape(h, w).astype(np.float32),
+    )
+
+
+def _parts(index: NDArray[np.intp], size: int) -> list[NDArray[np.intp]]:
+    """Pieces of about `size` rows: small arrays stay in the processor's cache."""
+    return np.array_split(index, max(1, len(index) // size))
+
+
+def _tiles(h: int, w: int, size: int = 16) -> NDArray[np.intp]:
+    """Indices of pixels in square tiles, (m, size²); those on the right and lower border may repeat pixels."""
+    v = np.minimum(np.arange(0, h, size)[:, None] + np.arange(size), h - 1)
+    u = np.minimum(np.arange(0, w, size)[:, None] + np.arange(size), w - 1)
+    return (v[:, None, :, None] * w + u[None, :, None, :]).reshape(-1, size * size)
+
+
+def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
+    """What bundles of rays meet, (m, k): shape * _IDS + stripe, below zero for nothing; and z in cam, (m, k) m."""
+    first, depth = view.cast(xy)
+    ids = first * _IDS
+    for index, shape in enumerate(view.shapes):
+        if isinstance(shape, Face) and shape.stripes > 0.0:
+            on = first == index
+            ids[on] += shape.stripe(view.origin + depth[on][:, None] * view.rays(xy[on]))
+    return ids, depth
+
+
+def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
+    """Grey values of what rays see, (n, 3), with a white and with a black ball; black where they see nothing."""
+    light, gloss = np.zeros((len(xy), 3)), np.zeros((len(xy), 3))
+    albedo = np.zeros((len(xy), 3))
+    on_ball = np.flatnonzero(ids == 0)
+    if len(on_ball):
+        points = view.origin + depth[on_ball, None] * view.rays(xy[on_ball])
+        points *= scene.ball_radius / np.linalg.norm(points, axis=1, keepdims=True)
+        light[on_ball] = scene.lighting.on_ball(points)
+        gloss[on_ball] = scene.lighting.gloss(points, view.origin)
+    on_room = np.flatnonzero(ids >= _IDS)
+    if len(on_room):
+        points = view.origin + depth[on_room, None] * view.rays(xy[on_room])
+        index, stripe = ids[on_room] // _IDS, ids[on_room] % _IDS
+        normals = _normals(view.shapes, index, points)
+        normals *= np.where(np.sum(normals * (view.origin - points), axis=1) < 0.0, -1.0, 1.0)[:, None]
+        light[on_room] = scene.lighting.on_room(points, normals)
+        tone = 1.0 + 0.16 * np.sin(2.4 * stripe + 0.8) * np.sin(0.7 * stripe)
+        albedo[on_room] = np.array([shape.colour for shape in view.shapes])[index] * tone[:, None]
+    black, white = albedo.copy(), albedo
+    black[on_ball], white[on_ball] = BLACK, WHITE_BALL
+    return develop(white * light + gloss), develop(black * light + gloss)
+
+
+def _normals(shapes: tuple[Shape, ...], index: NDArray[np.int64], points: Array) -> Array:
+    """Unit normals, (n, 3), of the shapes met at points (n, 3); either side."""
+    normals = np.empty((len(points), 3))
+    for i in np.unique(index):
+        on, shape = index == i, shapes[i]
+        if isinstance(shape, Sphere):
+            normals[on] = (points[on] - shape.centre) / shape.radius
+        else:
+            normals[on] = shape.normal()
+    return normals
+
+
+def _borders(ids: NDArray[np.int64] | Array) -> NDArray[np.bool_]:
+    """Pixels with a different neighbour, (h, w)."""
+    border = np.zeros(ids.shape, dtype=bool)
+    for axis in (0, 1):
+        a, b = np.moveaxis(ids, axis, 0)[1:], np.moveaxis(ids, axis, 0)[:-1]
+        differs = a != b
+        np.moveaxis(border, axis, 0)[1:] |= differs
+        np.moveaxis(border, axis, 0)[:-1] |= differs
+    # diagonal neighbours, and thin things between pixel centres that only graze them
+    wide = border.copy()
+    wide[1:] |= border[:-1]
+    wide[:-1] |= border[1:]
+    return wide

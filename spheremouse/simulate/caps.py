@@ -1,0 +1,240 @@
+"""The discs on the ball as they appear in the image: spherical caps, their coverage of pixels and their exact outlines.
+
+A cap is all points of the sphere within an angle of its centre. With n(u, v) the unit vector where a pixel's ray meets
+the ball and d the cap's centre, g = n·d - cos(angle) is positive inside; g over its image gradient is the distance to
+the edge in pixels, and a pixel cut by a straight edge is covered in a known share.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import project, project_sphere, reduced_to_pixel, unproject
+from spheremouse.rotation import Array, tangent_basis
+from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
+
+AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
+
+_FINE = 3  # parts of a pixel's side where an edge runs through it
+_FINER = 7  # the same near the limb, where a pixel sees far around the ball
+_GRAZING = 5.0  # square roots of a pixel's size on the ball, in radii: below that cosine is near the limb
+_CORNERS = 180  # of the polygon that stands for a cap's outline
+_MARGIN = 2  # px around a disc that are looked at
+
+
+class Coverage(NamedTuple):
+    """Where discs are in an image."""
+
+    pixel: NDArray[np.intp]  # (k,) index into the image's pixels, row by row
+    disc: NDArray[np.intp]  # (k,)
+    share: Array  # (k,) of the ball's part of the pixel that the disc covers
+
+
+class BallView(NamedTuple):
+    """How much of each pixel the ball fills: together they say what is hidden."""
+
+    shown: NDArray[np.float32]  # (h, w) as it is seen
+    alone: NDArray[np.float32]  # (h, w) were nothing in front of it
+
+
+class _Edge(NamedTuple):
+    g: Array  # (k,) of the module's docstring
+    slope: Array  # (k, 2) absolute values of its gradient, 1/px
+    cosine: Array  # (k,) of the angle between ray and normal, 0 where the ray misses the ball
+
+
+class Caps:
+    """The caps of a scene's discs in its camera."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        camera, pose = scene.camera, scene.pose
+        self._eye = pose.position / np.linalg.norm(pose.position)
+        self._horizon = float(np.arccos(scene.ball_radius / np.linalg.norm(pose.position)))  # rad, from the eye
+        gap = np.linalg.norm(pose.position) - scene.ball_radius
+        self._pixel = float(gap / scene.ball_radius / max(camera.fx, camera.fy))  # rad on the ball, square to the ray
+        self._low, high = _ball_bounds(scene)
+        v, u = np.mgrid[self._low[1] : high[1], self._low[0] : high[0]]
+        xy, dxy_duv = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
+        turn = pose.rotation[:, :2]
+        self._ray = (xy @ turn.T + pose.rotation[:, 2]).reshape(*u.shape, 3)
+        self._dray = (turn @ dxy_duv).reshape(*u.shape, 3, 2)
+        self._size = u.shape
+
+    def row_offset(self, v: Array) -> Array:
+        """s, when image rows `v` are exposed, relative to the middle row."""
+        h = self.scene.camera.height
+        return (v - 0.5 * (h - 1)) / h * self.scene.readout_s
+
+    def coverage(self, attitude_at: AttitudeAt, t: float) -> Coverage:
+        """Share of pixels that discs cover at time `t` (of the middle row)."""
+        centres = self._centres_by_row(attitude_at, t)
+        disc, v, u = self._windows(centres)
+        toward = centres[v if len(centres) > 1 else np.zeros_like(v), disc]
+        row, column = v - self._low[1], u - self._low[0]
+        ray, dray = self._ray[row, column], self._dray[row, column]
+        edge = self._edge(ray, dray, toward)
+        share = (edge.g > 0.0).astype(float)
+        reach = 1.5 * self._pixel / np.maximum(edge.cosine, np.sqrt(self._pixel))  # rad, from the middle to a corner
+        angle = self.scene.disc_angle
+        grazing = (edge.cosine < _GRAZING * np.sqrt(self._pixel)) & (edge.g > np.cos(angle + reach) - np.cos(angle))
+        cut = np.abs(edge.g) <= 0.75 * edge.slope.sum(axis=1)
+        for pixels, fine in (
+            (np.flatnonzero(cut & ~grazing), _FINE),
+            (np.flatnonzero(grazing), _FINER),
+        ):
+            share[pixels] = self._share(ray[pixels], dray[pixels], toward[pixels], fine)
+        keep = share > 0.0
+        return Coverage((v * self.scene.camera.width + u)[keep], disc[keep], share[keep])
+
+    def truth(self, attitude_at: AttitudeAt, t: float, frame: int, covered: Coverage, view: BallView) -> DiscTruth:
+        """The discs whose centres are on the near side at time `t`, each at the time of its own rows.
+
+        `covered` is the coverage at that time.
+        """
+        scene = self.scene
+        discs = np.arange(len(scene.disc_directions))
+        directions, times = self._directions(attitude_at, t, scene.disc_directions)
+        angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
+        near = angle < self._horizon
+        discs, directions, angle = discs[near], directions[near], angle[near]
+        centre = self._project(directions)
+        ring = self._outline(scene.disc_directions[discs])
+        edges, _ = self._directions(attitude_at, t, ring.reshape(-1, 3), np.repeat(times[near], _CORNERS))
+        blob, area = _polygon(self._project(edges).reshape(len(discs), _CORNERS, 2))
+        cut = angle + scene.disc_angle > self._horizon
+        state = self._states(discs, np.where(cut, np.nan, area), covered, view)
+        return DiscTruth(
+            frame=np.full(len(discs), frame, dtype=np.intp),
+            disc=discs,
+            centre=centre,
+            blob_centre=np.where(cut[:, None], np.nan, blob),
+            area=np.where(cut, np.nan, area),
+            state=state,
+        )
+
+    def _states(self, discs: NDArray[np.intp], area: Array, covered: Coverage, view: BallView) -> NDArray[np.intp]:
+        pixel, disc, share = covered
+        n = len(self.scene.disc_directions)
+        whole = np.bincount(disc, share * view.alone.ravel()[pixel], n)[discs]
+        seen = np.bincount(disc, share * view.shown.ravel()[pixel], n)[discs]
+        whole = np.where(np.isnan(area), whole, np.maximum(whole, 0.99 * area))  # what lies outside the image is hidden
+        shown = seen / np.maximum(whole, 1e-9)
+        state = np.where(shown > 0.99, VISIBLE, np.where(shown > 0.01, PARTLY_HIDDEN, HIDDEN))
+        return np.where(np.isnan(area) & (state == VISIBLE), PARTLY_HIDDEN, state).astype(np.intp)
+
+    def _centres_by_row(self, attitude_at: AttitudeAt, t: float) -> Array:
+        """Disc directions in `obj`, (1 or h, n, 3)."""
+        h = self.scene.camera.height
+        times = np.array([t]) if self.scene.readout_s == 0.0 else t + self.row_offset(np.arange(float(h)))
+        return self.scene.disc_directions @ attitude_at(times).transpose(0, 2, 1)
+
+    def _windows(self, centres: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Disc, row and column of all pixels that may show a disc."""
+        angle = self.scene.disc_angle
+        samples = centres if len(centres) == 1 else centres[np.linspace(0, len(centres) - 1, 9).astype(int)]
+        possible = np.flatnonzero((samples @ self._eye > np.cos(self._horizon + angle)).any(axis=0))
+        around = self._outline(samples[:, possible].reshape(-1, 3), 24).reshape(-1, 3)
+        uv = self._project(around).reshape(len(samples), len(possible), 24, 2) - self._low
+        limit = np.array(self._size[::-1])
+        lows = np.clip(np.floor(uv.min(axis=(0, 2))).astype(int) - _MARGIN, 0, limit)
+        highs = np.clip(np.ceil(uv.max(axis=(0, 2))).astype(int) + _MARGIN + 1, 0, limit)
+        discs, rows, columns = [], [], []
+        for k, low, high in zip(possible, lows, highs, strict=True):
+            v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+            discs.append(np.full(v.size, k))
+            rows.append(v.ravel() + self._low[1])
+            columns.append(u.ravel() + self._low[0])
+        if not discs:
+            none = np.zeros(0, dtype=np.intp)
+            return none, none, none
+        return np.concatenate(discs), np.concatenate(rows), np.concatenate(columns)
+
+    def _share(self, ray: Array, dray: Array, toward: Array, fine: int) -> Array:
+        """Share of the ball's part of pixels that caps around `toward` cover, (k,), from `fine`² parts of each."""
+        offset = (np.arange(fine) + 0.5) / fine - 0.5
+        grid = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
+        n = len(grid)
+        rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
+        edge = self._edge(rays, np.repeat(dray, n, axis=0), np.repeat(toward, n, axis=0))
+        on_ball = (edge.cosine > 0.0).reshape(-1, n)
+        part = _half_plane(edge.g, edge.slope / fine).reshape(-1, n) * on_ball
+        return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
+
+    def _edge(self, ray: Array, dray: Array, toward: Array) -> _Edge:
+        R, origin = self.scene.ball_radius, self.scene.pose.position
+        a = np.einsum("ki,ki->k", ray, ray)
+        b = ray @ origin
+        root = b * b - a * (origin @ origin - R * R)
+        on_ball = root > 0.0  # nan (the lens maps no ray there) compares false
+        depth = np.sqrt(np.where(on_ball, root, 0.0))
+        s = (-b - depth) / a
+        n = origin + s[:, None] * ray
+        n /= np.linalg.norm(n, axis=1, keepdims=True)
+        g = np.einsum("ki,ki->k", n, toward) - np.cos(self.scene.disc_angle)
+        cosine = np.where(on_ball, depth / np.sqrt(a) / R, 0.0)
+        along = -np.maximum(cosine, 1e-6) * np.sqrt(a)
+        slide = toward - (np.einsum("ki,ki->k", toward, ray) / along)[:, None] * n
+        gradient = np.einsum("ki,kij->kj", slide, dray) * (s / R)[:, None]
+        return _Edge(np.nan_to_num(g, nan=-1.0), np.abs(np.nan_to_num(gradient)), cosine)
+
+    def _directions(
+        self, attitude_at: AttitudeAt, t: float, directions: Array, start: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Directions in `ball`, (n, 3), turned to `obj`, each at the time of the row it appears in; and the times."""
+        if self.scene.readout_s == 0.0:
+            return directions @ attitude_at(np.array([t]))[0].T, np.full(len(directions), t)
+        times = np.full(len(directions), t) if start is None else start
+        for _ in range(6):  # rows are read much faster than discs move: the fixed point is reached at once
+            turned = (attitude_at(times) @ directions[..., None])[..., 0]
+            times = t + self.row_offset(self._project(turned)[:, 1])
+        return (attitude_at(times) @ directions[..., None])[..., 0], times
+
+    def _outline(self, directions: Array, corners: int = _CORNERS) -> Array:
+        """Points around caps, (n, corners, 3) unit vectors, for centres (n, 3)."""
+        angle = self.scene.disc_angle
+        phase = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+        around = np.stack([np.cos(phase), np.sin(phase)], axis=1) @ np.swapaxes(tangent_basis(directions), 1, 2)
+        return np.cos(angle) * directions[:, None] + np.sin(angle) * around
+
+    def _project(self, directions: Array) -> Array:
+        pose = self.scene.pose
+        return project(pose.to_cam(self.scene.ball_radius * directions), self.scene.camera)[0]
+
+
+def _ball_bounds(scene: Scene) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Columns and rows that show the ball: first, (2,), and one past the last, (2,)."""
+    centre, shape = project_sphere(scene.pose.to_cam(np.zeros(3)), scene.ball_radius)
+    phase = np.linspace(0.0, 2.0 * np.pi, 360)
+    circle = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    uv, _ = reduced_to_pixel(centre + circle @ np.linalg.cholesky(shape).T, scene.camera)
+    limit = np.array([scene.camera.width, scene.camera.height])
+    low = np.clip(np.floor(uv.min(axis=0)).astype(int) - _MARGIN, 0, limit)
+    high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + _MARGIN + 1, 0, limit)
+    return low, high
+
+
+def _half_plane(g: Array, slope: Array) -> Array:
+    """Share of a unit square where a linear function is positive: value `g` in the middle (k,), |gradient| (k, 2)."""
+    wide = np.maximum(slope.max(axis=1), 1e-15)
+    narrow = np.maximum(slope.min(axis=1), 1e-15)
+    t = np.abs(g)
+    low, high = 0.5 * (wide - narrow), 0.5 * (wide + narrow)
+    share = np.where(t <= low, 0.5 + t / wide, 1.0 - 0.5 * np.maximum(high - t, 0.0) ** 2 / (wide * narrow))
+    return np.where(g >= 0.0, share, 1.0 - share)
+
+
+def _polygon(corners: Array) -> tuple[Array, Array]:
+    """Centroid, (n, 2), and area, (n,), of polygons (n, k, 2) inscribed in ellipses."""
+    origin = corners.mean(axis=1, keepdims=True)
+    a = corners - origin
+    b = np.roll(a, -1, axis=1)
+    cross = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    twice = cross.sum(axis=1)
+    centroid = ((a + b) * cross[..., None]).sum(axis=1) / (3.0 * np.where(twice == 0.0, 1.0, twice)[:, None])
+    k = corners.shape[1]
+    chords = 2.0 * np.pi / k / np.sin(2.0 * np.pi / k)  # the area between chords and curve
+    return origin[:, 0] + centroid, 0.5 * np.abs(twice) * chords

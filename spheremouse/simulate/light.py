@@ -1,0 +1,155 @@
+"""Light on a simulated scene: what the camera sees of a point, as a grey value per channel.
+
+Two rectangular lamps (form factor of a polygon, Lambert 1760), light from all round, soft shadows of the ball and the
+struts, a glossy coat on the ball (Schlick 1994). It is there to be plausible, and smooth; no truth depends on it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from spheremouse.rotation import Array
+from spheremouse.simulate.shapes import Colour
+
+_SKY = np.array([0.50, 0.47, 0.45])  # blue, green, red: light from above
+_FLOOR = np.array([0.20, 0.24, 0.28])  # and what the floor throws back
+
+
+@dataclass(frozen=True, slots=True)
+class Lamp:
+    """A rectangle that shines from its front."""
+
+    centre: tuple[float, float, float]  # m, obj
+    right: tuple[float, float, float]  # m, half its width
+    up: tuple[float, float, float]  # m, half its height; it shines towards up x right
+    power: Colour
+
+    def corners(self) -> Array:
+        """(4, 3), seen from the lit side going round to the left."""
+        c, r, u = np.array(self.centre), np.array(self.right), np.array(self.up)
+        return np.array([c - r - u, c - r + u, c + r + u, c + r - u])
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """A strut, as far as its shadow goes: an upright rectangle in a plane z = const."""
+
+    x: tuple[float, float]  # m, obj
+    y: tuple[float, float]  # m
+    z: float  # m
+
+    def corners(self) -> Array:
+        """(4, 3), going round to the left seen from the ball."""
+        (x0, x1), (y0, y1) = self.x, self.y
+        return np.array([[x0, y0, self.z], [x0, y1, self.z], [x1, y1, self.z], [x1, y0, self.z]])
+
+
+@dataclass(frozen=True, slots=True)
+class Lighting:
+    """Everything that gives and takes light."""
+
+    lamps: tuple[Lamp, ...]
+    strips: tuple[Strip, ...]
+    ball_radius: float  # m
+
+    def on_room(self, points: Array, normals: Array) -> Array:
+        """Light that falls on points of the room, (n, 3); the ball and the struts stand in its way."""
+        towards = -points
+        distance = np.linalg.norm(towards, axis=1)
+        facing = np.sum(normals * towards, axis=1) / distance
+        hidden = np.clip(facing, 0.0, 1.0) * np.minimum(1.0, (self.ball_radius / distance) ** 2)
+        light = _ambient(normals) * (1.0 - 0.8 * hidden)[:, None]
+        for lamp in self.lamps:
+            open_share = self._past_strips(points, lamp) * self._past_ball(points, lamp)
+            light += (_form_factor(points, normals, lamp.corners()) * open_share)[:, None] * np.array(lamp.power)
+        return light
+
+    def on_ball(self, points: Array) -> Array:
+        """Light that falls on points of the ball, (n, 3)."""
+        normals = points / self.ball_radius
+        covered = sum((_form_factor(points, normals, s.corners()) for s in self.strips), np.zeros(len(points)))
+        light = _ambient(normals) * (1.0 - np.clip(covered, 0.0, 1.0))[:, None]
+        for lamp in self.lamps:
+            share = _form_factor(points, normals, lamp.corners()) * self._past_strips(points, lamp)
+            light += share[:, None] * np.array(lamp.power)
+        return light
+
+    def gloss(self, points: Array, eye: Array) -> Array:
+        """Light thrown back by the coat of the ball towards `eye`, (n, 3): blurred lamps, room at the limb."""
+        normals = points / self.ball_radius
+        view = eye - points
+        view /= np.linalg.norm(view, axis=1, keepdims=True)
+        cosine = np.clip(np.sum(normals * view, axis=1), 0.0, 1.0)
+        fresnel = 0.04 + 0.96 * (1.0 - cosine) ** 5
+        away = 2.0 * cosine[:, None] * normals - view
+        seen = 0.55 * _ambient(away)
+        for lamp in self.lamps:
+            c, r, u = np.array(lamp.centre), np.array(lamp.right), np.array(lamp.up)
+            n = np.cross(u, r)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                s = ((c - points) @ n) / (away @ n)
+            at = points + np.where(np.isfinite(s) & (s > 0.0), s, 0.0)[:, None] * away - c
+            inside = np.ones(len(points))
+            for half in (r, u):
+                size = np.linalg.norm(half)
+                inside *= _step((1.0 - np.abs(at @ half) / size**2) * size, 0.35)
+            inside *= (s > 0.0) * self._past_strips(points, lamp)
+            seen += 0.35 * inside[:, None] * np.array(lamp.power)
+        return fresnel[:, None] * seen
+
+    def _past_strips(self, points: Array, lamp: Lamp) -> Array:
+        """Share of the lamp that no strut hides, (n,)."""
+        share = np.ones(len(points))
+        to_lamp = np.array(lamp.centre) - points
+        for strip in self.strips:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                s = (strip.z - points[:, 2]) / to_lamp[:, 2]
+                between = (s > 0.005) & (s < 1.0)
+                at = points[:, :2] + np.where(between, s, 0.0)[:, None] * to_lamp[:, :2]
+            x = np.minimum(at[:, 0] - strip.x[0], strip.x[1] - at[:, 0])
+            y = np.minimum(at[:, 1] - strip.y[0], strip.y[1] - at[:, 1])
+            s = np.where(between, s, 0.5)
+            soft = 0.004 + 0.35 * s / (1.0 - s)
+            half = 0.5 * (strip.x[1] - strip.x[0])
+            dark = np.minimum(1.0, half / soft)  # a strut narrower than the half shadow never hides the whole lamp
+            share *= 1.0 - between * dark * _step(x, soft) * _step(y, soft)
+        return share
+
+    def _past_ball(self, points: Array, lamp: Lamp) -> Array:
+        """Share of the lamp that the ball does not hide, (n,)."""
+        to_lamp = np.array(lamp.centre) - points
+        s = np.clip(-np.sum(points * to_lamp, axis=1) / np.sum(to_lamp * to_lamp, axis=1), 0.0, 1.0)
+        miss = np.linalg.norm(points + s[:, None] * to_lamp, axis=1)
+        return 1.0 - _step(self.ball_radius - miss, 0.05 + 0.35 * s)
+
+
+def develop(light: Array) -> Array:
+    """Light to grey values 0..255: the bright end rolls off softly, then the curve of sRGB."""
+    x = np.maximum(light, 0.0)
+    x = x / (1.0 + x**4) ** 0.25
+    return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
+
+
+def _ambient(normals: Array) -> Array:
+    up = 0.5 + 0.5 * normals[:, 1:2]
+    return up * _SKY + (1.0 - up) * _FLOOR
+
+
+def _step(x: Array, width: Array | float) -> Array:
+    """0 below -width, 1 above width, smooth between."""
+    t = np.clip(0.5 + 0.5 * x / width, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def _form_factor(points: Array, normals: Array, corners: Array) -> Array:
+    """Share of the half-space over each point that a polygon fills, weighted by the cosine, (n,)."""
+    total = np.zeros(len(points))
+    to = corners[None] - points[:, None]
+    to /= np.maximum(np.linalg.norm(to, axis=2, keepdims=True), 1e-9)
+    for i in range(len(corners)):
+        a, b = to[:, i], to[:, (i + 1) % len(corners)]
+        cross = np.cross(a, b)
+        length = np.maximum(np.linalg.norm(cross, axis=1), 1e-12)
+        angle = np.arctan2(length, np.sum(a * b, axis=1))
+        total += angle / length * np.sum(cross * normals, axis=1)
+    return np.maximum(0.0, -total / (2.0 * np.pi))

@@ -1,0 +1,208 @@
+"""How a simulated ball moves: its exact attitude and angular velocity at any time.
+
+A profile takes times, (n,) s, and gives R_obj_ball, (n, 3, 3), and w_obj, (n, 3) rad/s, which agree:
+dR/dt = hat(w) R. At time 0 the ball is at rest and `ball` equals `obj`.
+"""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from spheremouse.rotation import Array, euler_rate_matrix, exp, from_euler
+
+
+class Profile(Protocol):
+    """A motion of the ball."""
+
+    @property
+    def seconds(self) -> float:
+        """s, how long it takes; afterwards it rests or repeats."""
+        ...
+
+    def attitude(self, t: Array) -> Array:
+        """R_obj_ball at times (n,) s, (n, 3, 3)."""
+        ...
+
+    def rate(self, t: Array) -> Array:
+        """w_obj at times (n,) s, (n, 3) rad/s."""
+        ...
+
+
+# ---- Euler angles made of parabolas ----
+
+
+@dataclass(frozen=True, slots=True)
+class Parabolas:
+    """Euler angles that go from rest to rest between knots, speeding up for half the time and then slowing down.
+
+    Angles and angular rates have no jumps; the motion repeats every `seconds`. Wittich 2017, figure 30.
+    """
+
+    times: tuple[tuple[float, ...], ...]  # three rows (omega, phi, kappa) of knots, s; from 0 to the same end
+    angles: tuple[tuple[float, ...], ...]  # their angles, rad; the last equals the first
+
+    @property
+    def seconds(self) -> float:
+        return self.times[0][-1]
+
+    def attitude(self, t: Array) -> Array:
+        return from_euler(self.euler(t)[0])
+
+    def rate(self, t: Array) -> Array:
+        angles, speeds = self.euler(t)
+        return (euler_rate_matrix(angles) @ speeds[..., None])[..., 0]
+
+    def euler(self, t: Array) -> tuple[Array, Array]:
+        """omega, phi, kappa and their derivatives at times (n,) s, both (n, 3)."""
+        t = np.mod(np.asarray(t, dtype=float), self.seconds)
+        angles, speeds = np.empty((len(t), 3)), np.empty((len(t), 3))
+        for i in range(3):
+            knots, values = np.array(self.times[i]), np.array(self.angles[i])
+            k = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
+            length, rise = knots[k + 1] - knots[k], values[k + 1] - values[k]
+            x = (t - knots[k]) / length
+            early = x < 0.5
+            angles[:, i] = values[k] + rise * np.where(early, 2.0 * x * x, 1.0 - 2.0 * (1.0 - x) ** 2)
+            speeds[:, i] = rise / length * np.where(early, 4.0 * x, 4.0 * (1.0 - x))
+        return angles, speeds
+
+
+def thesis() -> Parabolas:
+    """The motion of the synthetic sets of Wittich 2017 (figure 30), to its description.
+
+    10 s, back at the start; mean angular acceleration 16.4 deg/s², peak rate 28 deg/s.
+    """
+    degrees = (
+        (0.0, 61.0, 0.0),
+        (0.0, -24.0, 10.0, 0.0),
+        (0.0, 46.0, -3.0, 0.0),
+    )
+    return Parabolas(
+        times=((0.0, 5.4, 10.0), (0.0, 2.8, 6.7, 10.0), (0.0, 3.6, 7.9, 10.0)),
+        angles=tuple(tuple(np.radians(row).tolist()) for row in degrees),
+    )
+
+
+# ---- gestures ----
+
+
+@dataclass(frozen=True, slots=True)
+class Gesture:
+    """A turn about an axis fixed in `obj`, from rest to rest."""
+
+    start: float  # s
+    length: float  # s
+    axis: tuple[float, float, float]  # unit vector, obj
+    angle: float  # rad
+    ramp: float = 0.5  # share of the length spent speeding up, and slowing down at the end
+    coast: float = 0.0  # 0: as slow to stop as to start; towards 1: a flick, quickly started and slowly spent
+
+    def turned(self, t: Array) -> tuple[Array, Array]:
+        """Angle turned so far, rad, and its derivative, rad/s, at times (n,) s.
+
+        The rate rises and falls along x²(3 - 2x), so that the angular acceleration has no jump either.
+        """
+        up = self.ramp * (1.0 - self.coast)
+        down = self.ramp * (1.0 + self.coast)
+        x = np.clip((np.asarray(t, dtype=float) - self.start) / self.length, 0.0, 1.0)
+        peak = 1.0 / (1.0 - 0.5 * (up + down))
+        rise, rise_integral = _smooth(x / up)
+        fall, fall_integral = _smooth((1.0 - x) / down)
+        middle = np.clip(x, up, 1.0 - down) - up
+        share = peak * (up * rise_integral + middle + down * (0.5 - fall_integral))
+        return self.angle * share, self.angle / self.length * peak * np.minimum(rise, fall)
+
+
+def _smooth(x: Array) -> tuple[Array, Array]:
+    """x²(3 - 2x) on [0, 1] and its integral from 0, both constant outside."""
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x), x**3 - 0.5 * x**4
+
+
+@dataclass(frozen=True, slots=True)
+class Gestures:
+    """Gestures one after the other, overlapping or not: R = R_last ... R_2 R_1, each turn about its axis in `obj`."""
+
+    gestures: tuple[Gesture, ...]  # by start time
+    seconds: float  # s
+    _before: Array = field(init=False, repr=False)  # (n + 1, 3, 3) product of the first k gestures, all finished
+
+    def __post_init__(self) -> None:
+        before = [np.eye(3)]
+        for g in self.gestures:
+            before.append(exp(np.array(g.axis) * g.angle) @ before[-1])
+        object.__setattr__(self, "_before", np.array(before))
+
+    def attitude(self, t: Array) -> Array:
+        return self._both(t)[0]
+
+    def rate(self, t: Array) -> Array:
+        return self._both(t)[1]
+
+    def _both(self, t: Array) -> tuple[Array, Array]:
+        t = np.asarray(t, dtype=float)
+        first, last = (float(t.min()), float(t.max())) if len(t) else (0.0, 0.0)
+        done = 0
+        while done < len(self.gestures) and self.gestures[done].start + self.gestures[done].length <= first:
+            done += 1
+        R = np.broadcast_to(self._before[done], (len(t), 3, 3))
+        w = np.zeros((len(t), 3))
+        for g in self.gestures[done:]:
+            if g.start >= last:
+                break
+            angle, speed = g.turned(t)
+            turn = exp(angle[:, None] * np.array(g.axis))
+            R = turn @ R
+            w = (turn @ w[..., None])[..., 0] + speed[:, None] * np.array(g.axis)
+        return R, w
+
+
+def still(seconds: float = 10.0) -> Gestures:
+    """A ball at rest."""
+    return Gestures((), seconds)
+
+
+def roll(turns: float, seconds: float | None = None) -> Gestures:
+    """The ball rolls on about a horizontal axis, then comes back another way, `turns` turns in all (3 s each).
+
+    About (1, 0, 1) it meets phi = +90 deg in the middle of every turn, about (1, 0, -1) phi = -90 deg: where Euler
+    angles are singular.
+    """
+    total = 3.0 * turns if seconds is None else seconds
+    there = float(np.ceil(turns / 2.0))
+    parts = [(there, (1.0, 0.0, 1.0)), (turns - there, (1.0, 0.0, -1.0))] if turns > 1.0 else [(turns, (1.0, 0.0, 1.0))]
+    gestures, start = [], 0.0
+    for share, axis in parts:
+        length = total * share / turns
+        x, y, z = np.array(axis) / np.sqrt(2.0)
+        ramp = min(0.4, 1.0 / length)
+        gestures.append(Gesture(start, length, (float(x), float(y), float(z)), 2.0 * np.pi * share, ramp))
+        start += length
+    return Gestures(tuple(gestures), total)
+
+
+def play(seconds: float, rng: np.random.Generator) -> Gestures:
+    """Somebody plays: rolls that run into each other, spins, flicks that coast, rests. It starts with a rest of 1 s."""
+    gestures: list[Gesture] = []
+    t = 1.0
+    while t < seconds - 0.5:
+        kind = rng.choice(["roll", "spin", "flick", "rest"], p=[0.5, 0.15, 0.2, 0.15])
+        heading = rng.uniform(0.0, 2.0 * np.pi)
+        sign = rng.choice([-1.0, 1.0])
+        axis = np.array([np.cos(heading), 0.3 * rng.standard_normal(), np.sin(heading)])
+        if kind == "rest":
+            t += rng.uniform(0.4, 1.5)
+            continue
+        if kind == "roll":
+            length, angle, ramp, coast = rng.uniform(0.8, 2.5), rng.uniform(0.3, 2.0), 0.5, 0.0
+        elif kind == "spin":
+            axis = np.array([0.15 * rng.standard_normal(), 1.0, 0.15 * rng.standard_normal()])
+            length, angle, ramp, coast = rng.uniform(0.8, 2.0), sign * rng.uniform(0.3, 1.5), 0.5, 0.0
+        else:
+            length, angle, ramp, coast = rng.uniform(0.8, 1.4), rng.uniform(1.0, 2.0), 0.5, 0.7
+        length = min(float(length), seconds - t)
+        x, y, z = axis / np.linalg.norm(axis)
+        gestures.append(Gesture(float(t), length, (float(x), float(y), float(z)), float(angle), ramp, coast))
+        t += length * rng.uniform(0.6, 1.05)  # often the next begins before this one has ended
+    return Gestures(tuple(sorted(gestures, key=lambda g: g.start)), seconds)

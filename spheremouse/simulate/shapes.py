@@ -1,0 +1,194 @@
+"""The shapes a simulated scene is built of, in `obj`, and where rays meet them first.
+
+Everything but the ball is flat or a small sphere: boxes, posts and lampshades are made of flat faces.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.rotation import Array
+
+Colour = tuple[float, float, float]  # share of light given back: blue, green, red
+Vector = tuple[float, float, float]
+
+_STRIPES = 256  # most stripes told apart on one face
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """A convex polygon."""
+
+    corners: Array  # (k, 3) m, obj, in one plane, going round
+    colour: Colour
+    stripes: float = 0.0  # m, width of floor boards across the first edge; 0: plain
+    _normal: Array = field(init=False, repr=False)  # (3,)
+    _inward: Array = field(init=False, repr=False)  # (k, 3) across each edge, in the plane
+
+    def __post_init__(self) -> None:
+        normal = np.cross(self.corners[1] - self.corners[0], self.corners[2] - self.corners[1])
+        normal /= np.linalg.norm(normal)
+        object.__setattr__(self, "_normal", normal)
+        object.__setattr__(self, "_inward", np.cross(normal, np.roll(self.corners, -1, axis=0) - self.corners))
+
+    def outline(self) -> Array:
+        """Corners, (k, 3)."""
+        return self.corners
+
+    def normal(self) -> Array:
+        """Unit vector across, (3,); which side is left open."""
+        return self._normal
+
+    def hit(self, origin: Array, rays: Array) -> Array:
+        """Distance in units of each ray, (n,); inf where it misses."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = ((self.corners[0] - origin) @ self._normal) / (rays @ self._normal)
+            inside = s > 0.0
+            for corner, inward in zip(self.corners, self._inward, strict=True):
+                inside &= s * (rays @ inward) >= (corner - origin) @ inward
+        return np.where(inside, s, np.inf)
+
+    def stripe(self, points: Array) -> NDArray[np.int64]:
+        """Which board points, (n, 3), lie on."""
+        if self.stripes == 0.0:
+            return np.zeros(len(points), dtype=np.int64)
+        along = self.corners[1] - self.corners[0]
+        place = (points - self.corners[0]) @ along / np.linalg.norm(along) / self.stripes
+        return np.clip(place, 0, _STRIPES - 1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Ring:
+    """A flat ring or, with no inner radius, a disc."""
+
+    centre: Array  # (3,) m, obj
+    across: Array  # (3,) unit normal
+    inner: float  # m
+    outer: float  # m
+    colour: Colour
+
+    def outline(self) -> Array:
+        """Points around it, (32, 3), a little outside."""
+        a = np.cross(self.across, (0.3, 0.9, 0.2))
+        a /= np.linalg.norm(a)
+        b = np.cross(self.across, a)
+        angle = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)[:, None]
+        return self.centre + 1.01 * self.outer * (np.cos(angle) * a + np.sin(angle) * b)
+
+    def normal(self) -> Array:
+        """Unit vector across, (3,)."""
+        return self.across
+
+    def hit(self, origin: Array, rays: Array) -> Array:
+        """Distance in units of each ray, (n,); inf where it misses."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = ((self.centre - origin) @ self.across) / (rays @ self.across)
+            offset = origin - self.centre
+            r2 = s * s * np.sum(rays * rays, axis=1) + 2.0 * s * (rays @ offset) + offset @ offset
+            inside = (s > 0.0) & (r2 < self.outer**2) & (r2 >= self.inner**2)
+        return np.where(inside, s, np.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A sphere; the ball is the one at the origin."""
+
+    centre: Array  # (3,) m, obj
+    radius: float  # m
+    colour: Colour
+
+    def outline(self) -> Array:
+        """Corners of a cube around it, (8, 3)."""
+        sign = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+        return self.centre + self.radius * sign
+
+    def hit(self, origin: Array, rays: Array) -> Array:
+        """Distance in units of each ray, (n,); inf where it misses."""
+        offset = self.centre - origin
+        a = np.sum(rays * rays, axis=1)
+        b = rays @ offset
+        root = b * b - a * (offset @ offset - self.radius**2)
+        return np.where((root >= 0.0) & (b > 0.0), (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
+
+
+Shape = Face | Ring | Sphere
+
+
+def box(low: Vector, high: Vector, colour: Colour, turn: float = 0.0) -> list[Face]:
+    """Six faces of a box between two corners, turned by `turn` rad about the vertical through its middle."""
+    lo, hi = np.array(low), np.array(high)
+    middle, half = (lo + hi) / 2.0, (hi - lo) / 2.0
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
+    faces = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            corners = np.insert(square, axis, sign, axis=1) * half
+            faces.append(Face(corners @ R.T + middle, colour))
+    return faces
+
+
+def post(
+    foot: Vector, top: Vector, radius: float, colour: Colour, *, top_radius: float | None = None, sides: int = 16
+) -> list[Face]:
+    """Faces around a post, cone or lampshade between two points, without its ends."""
+    a, b = np.array(foot), np.array(top)
+    axis = (b - a) / np.linalg.norm(b - a)
+    u = np.cross(axis, (0.31, 0.17, 0.93))
+    u /= np.linalg.norm(u)
+    v = np.cross(axis, u)
+    angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)[:, None]
+    around = np.cos(angle) * u + np.sin(angle) * v
+    low, high = a + radius * around, b + (radius if top_radius is None else top_radius) * around
+    return [Face(np.array([low[i], low[i + 1], high[i + 1], high[i]]), colour) for i in range(sides)]
+
+
+@dataclass(frozen=True, slots=True)
+class Viewpoint:
+    """Shapes as a camera has them before it: with their bounds in reduced image coordinates."""
+
+    shapes: tuple[Shape, ...]
+    origin: Array  # (3,) m, obj
+    rotation: Array  # (3, 3) R_obj_cam
+    low: Array  # (n, 2); below every ray for a shape that is partly beside or behind the camera
+    high: Array  # (n, 2)
+
+    def rays(self, xy: Array) -> Array:
+        """Directions, (..., 3) obj, of reduced coordinates (..., 2), so long that distances are z in cam."""
+        return xy @ self.rotation[:, :2].T + self.rotation[:, 2]
+
+    def cast(self, xy: Array) -> tuple[NDArray[np.int64], Array]:
+        """What rays meet first: index of the shape, (m, k), -1 for none, and z in `cam`, (m, k) m.
+
+        `xy` (m, k, 2) are m bundles of k neighbouring rays each: only shapes that a bundle may meet are tried on it.
+        """
+        first = np.full(xy.shape[:2], -1, dtype=np.int64)
+        depth = np.full(xy.shape[:2], np.inf)
+        rays = self.rays(xy)
+        flat = np.ascontiguousarray(np.moveaxis(xy, 2, 0))  # NumPy reduces the last axis of a compact array fastest
+        lost = np.isnan(flat)  # no ray comes from there
+        low, high = np.where(lost, np.inf, flat).min(axis=2).T, np.where(lost, -np.inf, flat).max(axis=2).T
+        apart = ((high[:, None] < self.low) | (low[:, None] > self.high)).any(axis=2)
+        for index in np.flatnonzero(~apart.all(axis=0)):
+            near = np.flatnonzero(~apart[:, index])
+            s = self.shapes[index].hit(self.origin, rays[near].reshape(-1, 3)).reshape(len(near), -1)
+            nearer = s < depth[near]
+            first[near] = np.where(nearer, index, first[near])
+            depth[near] = np.where(nearer, s, depth[near])
+        return first, depth
+
+
+def look(shapes: Sequence[Shape], origin: Array, rotation: Array) -> Viewpoint:
+    """The shapes from `origin` (3,) in obj, with R_obj_cam (3, 3)."""
+    low, high = np.full((len(shapes), 2), -np.inf), np.full((len(shapes), 2), np.inf)
+    for i, shape in enumerate(shapes):
+        cam = (shape.outline() - origin) @ rotation
+        if np.all(cam[:, 2] <= 0.0):
+            low[i], high[i] = np.inf, -np.inf
+        elif np.all(cam[:, 2] >= 1e-3):
+            flat = cam[:, :2] / cam[:, 2:]
+            low[i], high[i] = flat.min(axis=0), flat.max(axis=0)
+    return Viewpoint(tuple(shapes), origin, rotation, low, high)

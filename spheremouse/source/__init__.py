@@ -1,0 +1,89 @@
+"""Sources: where frames come from. `KIND:ARGUMENT` in, a context manager that yields Frames out.
+
+A source is a module here with `open(argument: str, realtime: bool) -> Source`; its name is its kind.
+"""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
+
+from spheremouse.errors import SourceError
+from spheremouse.frame import Frame
+from spheremouse.rig import Rig
+from spheremouse.spec import resolve
+
+
+class Source(Protocol):
+    """An iterator of frames that is closed by leaving its `with` block. Ends, or raises SourceError (a live one)."""
+
+    @property
+    def rig(self) -> Rig | None:
+        """What the source itself knows of the device, if anything."""
+        ...
+
+    @property
+    def live(self) -> bool:
+        """Frames come when they are taken, and those not fetched in time are lost."""
+        ...
+
+    @property
+    def fps(self) -> float | None:
+        """Nominal frames per second, for display only: time steps come from the stamps."""
+        ...
+
+    @property
+    def count(self) -> int | None:
+        """Number of frames to come, as far as the source can promise."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """The plain source: an iterator of frames, what is known of it, and how to close it."""
+
+    frames: Iterator[Frame]
+    rig: Rig | None = None
+    live: bool = False
+    fps: float | None = None
+    count: int | None = None
+    close: Callable[[], None] | None = None
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self.frames
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.close is not None:
+            self.close()
+
+
+def open_source(spec: str, *, realtime: bool = False) -> Source:
+    """The source that `KIND:ARGUMENT` names; `realtime` gives recorded frames no sooner than their stamps say."""
+    module, argument = resolve(sys.modules[__name__], spec, SourceError)
+    return module.open(argument, realtime)
+
+
+def paced(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """The frames, each held back until the time since the first one is what the stamps say; none is dropped."""
+    ahead: float | None = None  # clock less stamp, at the first frame
+    for frame in frames:
+        now = time.monotonic()
+        if ahead is None:
+            ahead = now - frame.stamp
+        time.sleep(max(0.0, frame.stamp + ahead - now))
+        yield frame

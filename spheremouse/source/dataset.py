@@ -1,0 +1,16 @@
+"""`dataset:DIR`: a recording with what is known of it (docs/datasets); the truth, if there is any, is not read here."""
+
+from pathlib import Path
+
+from spheremouse.errors import SourceError
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.source import Stream, paced
+
+
+def open(argument: str, realtime: bool) -> Stream:
+    """The frames of a dataset, and its rig."""
+    if not argument:
+        raise SourceError("dataset: needs a folder; write dataset:DIR")
+    recording = open_dataset(Path(argument))
+    frames = read_frames(recording)
+    return Stream(paced(frames) if realtime else frames, rig=recording.rig, fps=recording.fps, count=recording.frames)

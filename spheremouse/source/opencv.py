@@ -1,0 +1,64 @@
+"""`opencv:INDEX[,width=W,height=H,fps=F]`: a live camera through OpenCV, which runs everywhere and knows little.
+
+Stamps are time.monotonic() when the frame has been fetched, not mid-exposure: late by half the exposure, the readout
+and the transfer, typically 10 to 40 ms, and unsteady by the scheduling of this process.
+"""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from spheremouse.errors import SourceError
+from spheremouse.frame import Frame
+from spheremouse.source import Stream
+from spheremouse.source._capture import open_capture
+from spheremouse.spec import options
+
+_PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT, "fps": cv2.CAP_PROP_FPS}
+
+
+def open(argument: str, realtime: bool) -> Stream:  # a live source is real time by itself
+    """The frames of camera number INDEX."""
+    index, _, rest = argument.partition(",")
+    if not index.strip().isdecimal():
+        raise SourceError(f"opencv:{argument}: needs the number of a camera; write opencv:0 for the first")
+    wanted = options(rest, {"width": int, "height": int, "fps": float}, f"opencv:{argument}", SourceError)
+    capture = open_capture(int(index))
+    if capture is None:
+        raise SourceError(
+            f"opencv:{index}: no camera there, or another program uses it, or it may not be opened; "
+            "see `ls -l /dev/video*` and whether you are in the group video"
+        )
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # old frames waiting in a queue would get late stamps
+    for name, value in wanted.items():
+        capture.set(_PROPERTIES[name], float(value))
+    for name in ("width", "height"):
+        if name in wanted and round(capture.get(_PROPERTIES[name])) != wanted[name]:
+            given = f"{capture.get(_PROPERTIES['width']):g}x{capture.get(_PROPERTIES['height']):g}"
+            capture.release()
+            raise SourceError(f"opencv:{index}: the camera gives {given} instead; ask for a size it has")
+    rate = capture.get(cv2.CAP_PROP_FPS)
+    fps = rate if math.isfinite(rate) and rate > 0 else None
+    return Stream(read_frames(capture, index), live=True, fps=fps, close=capture.release)
+
+
+def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:
+    """Frames until the camera fails."""
+    sequence = 0
+    while True:
+        image, stamp = None, 0.0
+        with contextlib.suppress(cv2.error):
+            grabbed = capture.grab()
+            stamp = time.monotonic()
+            image = capture.retrieve()[1] if grabbed else None
+        if image is None:
+            raise SourceError(
+                f"opencv:{index}: the camera gives no more frames after {sequence}; is it plugged in, "
+                "and does another program use it?"
+            )
+        yield Frame(np.asarray(image, dtype=np.uint8), stamp, sequence)
+        sequence += 1

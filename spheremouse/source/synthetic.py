@@ -1,0 +1,26 @@
+"""`synthetic[:KEY=VALUE,...]`: a simulated camera films a simulated ball; keys as in `spheremouse simulate`.
+
+For example `synthetic:motion=play,seconds=10,noise=5`; lists in brackets, as in `size=[1280,960]`.
+"""
+
+import re
+
+from spheremouse.config import override
+from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.source import Stream, paced
+
+
+def open(argument: str, realtime: bool) -> Stream:
+    """The frames of a simulation, and the rig that it films."""
+    options = SimulationOptions()
+    for item in re.split(r",(?![^\[]*\])", argument):
+        if item.strip():
+            options = override(options, item, label="synthetic: ")
+    simulation = prepare(options)
+    frames = (made.frame for made in simulate(simulation))
+    return Stream(
+        paced(frames) if realtime else frames,
+        rig=simulation.scene.rig(),
+        fps=simulation.fps,
+        count=simulation.frames,
+    )

@@ -1,0 +1,85 @@
+"""`video:PATH`: any video file that OpenCV reads, stamped by the times its container carries.
+
+Matroska keeps times in whole milliseconds. Where a time lies within 0.6 ms of a whole multiple of the frame interval,
+that multiple is taken: at 30 Hz the rounding alone would be 1 % of every rate. A missing frame stays a longer step.
+"""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from spheremouse.errors import SourceError
+from spheremouse.frame import Frame
+from spheremouse.source import Stream, paced
+from spheremouse.source._capture import open_capture
+
+_SNAP = 0.6e-3  # s: half a millisecond of rounding and a little more
+
+
+def open(argument: str, realtime: bool) -> Stream:
+    """The frames of a video file."""
+    path = Path(argument)
+    if not argument:
+        raise SourceError("video: needs a file; write video:PATH")
+    if not path.exists():
+        raise SourceError(f"{path}: no such file; check the path after video:")
+    if not path.is_file():
+        raise SourceError(f"{path}: is no file; name a video file, or write dataset:{path} for a dataset folder")
+    capture = open_capture(str(path))
+    if capture is None:
+        raise SourceError(f"{path}: not a video that OpenCV can read; convert it, for example with ffmpeg to .mkv")
+    fps = _positive(capture.get(cv2.CAP_PROP_FPS))
+    promised = _positive(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    count = None if promised is None else round(promised)
+    frames = read_frames(capture, path, fps, count)
+    return Stream(paced(frames) if realtime else frames, fps=fps, count=count, close=capture.release)
+
+
+def read_frames(capture: cv2.VideoCapture, path: Path, fps: float | None, count: int | None) -> Iterator[Frame]:
+    """The frames there are; SourceError afterwards if the file promised more, or has none at all."""
+    read, last = 0, -math.inf
+    while True:
+        try:
+            good, image = capture.read()
+        except cv2.error:
+            good, image = False, None
+        if not good or image is None:
+            break
+        last = stamp(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0, last, fps)
+        yield Frame(np.asarray(image, dtype=np.uint8), last, read)
+        read += 1
+    if read == 0:
+        raise SourceError(f"{path}: holds no frame that can be read; the file is damaged or empty")
+    if is_cut_short(read, last, fps, count):
+        raise SourceError(f"{path}: ends after {read} of {count} frames; the file is truncated or damaged there")
+
+
+def stamp(container: float, last: float, fps: float | None) -> float:
+    """Stamp in s of a frame whose container says `container` s and whose predecessor has `last` (-inf: none).
+
+    Times that do not increase or are no numbers (some containers carry none) are replaced: one interval after the last.
+    """
+    interval = 1.0 / (fps or 30.0)
+    if not (math.isfinite(container) and container > last):
+        return last + interval if math.isfinite(last) else 0.0
+    on_grid = round(container / interval) * interval
+    return on_grid if abs(on_grid - container) <= _SNAP and on_grid > last else container
+
+
+def is_cut_short(read: int, last: float, fps: float | None, count: int | None) -> bool:
+    """Whether a video of `count` promised frames stopped early, both in frames and in time.
+
+    The promise is often duration times rate, which is a guess where the rate varies: frames may be fewer, but the last
+    stamp then still lies at the end. A frame or two at the end are beyond what the promise can say.
+    """
+    if count is None or fps is None:
+        return False
+    slack = max(2.0, 0.01 * count)
+    return count - read > slack and count / fps - (last + 1.0 / fps) > slack / fps
+
+
+def _positive(value: float) -> float | None:
+    return value if math.isfinite(value) and value > 0 else None

@@ -1,0 +1,180 @@
+"""Plain data against a pydantic model: the instance out, or every problem in words a user can act on.
+
+pydantic's complaints become lines `FILE:LINE: key: what is wrong, is VALUE; what to do`. What to do about a value is
+the description of the model's field; unknown keys get the nearest known names.
+"""
+
+import difflib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from spheremouse.yaml_file import Document, Key, Problem, dotted, one_line, read_document, shown, without_schema
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def read_checked(path: Path, model: type[M]) -> tuple[Document, M]:
+    """The document in a file, and the model instance made of all but its `schema`."""
+    document = without_schema(read_document(path))
+    return document, validated(document, model)
+
+
+def validated(document: Document, model: type[M]) -> M:
+    """The model instance made of the document, or one ConfigurationError with all problems."""
+    try:
+        return model.model_validate(document.data)
+    except ValidationError as e:
+        raise document.error(_problems(e, document.data, model)) from None
+
+
+def nearest(word: str, names: Sequence[str]) -> str:
+    """Advice on an unknown name: the nearest known ones, or all."""
+    close = difflib.get_close_matches(word, names, n=3, cutoff=0.6)
+    if not close:  # a setting under the wrong section
+        close = [n for n in names if n.rpartition(".")[2] == word.rpartition(".")[2]][:3]
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    if len(names) > 12:
+        return "`spheremouse config show` lists those that are known"
+    return f"known here: {', '.join(names)}" if names else "no keys are known here"
+
+
+def _problems(error: ValidationError, data: Any, model: type[BaseModel]) -> list[Problem]:
+    """pydantic's complaints in the user's words; several about one key (a union's branches) become one."""
+    found: dict[Key, Problem] = {}
+    for e in error.errors(include_url=False):
+        key = _within(e["loc"], data, missing=e["type"] in ("missing", "extra_forbidden"))
+        if key in found:
+            both = f"{found[key].text.partition(', is ')[0]}, or {_complaint(e)}"
+            found[key] = Problem(key, _with_advice(both, key, data, model))
+        elif e["type"] == "extra_forbidden":
+            found[key] = Problem(key, f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}")
+        elif e["type"] == "missing":
+            found[key] = Problem(key, _with_advice("missing", key, None, model, value=False))
+        else:
+            found[key] = Problem(key, _with_advice(_complaint(e), key, data, model))
+    return list(found.values())
+
+
+def _within(loc: tuple[int | str, ...], data: Any, *, missing: bool) -> Key:
+    """The part of pydantic's location that exists in the data (unions add names of their branches)."""
+    key: list[int | str] = []
+    for i, part in enumerate(loc):
+        there = (isinstance(data, dict) and part in data) or (
+            isinstance(data, tuple) and isinstance(part, int) and part < len(data)
+        )
+        if there:
+            data = data[part]  # type: ignore[index]
+        elif not (missing and i == len(loc) - 1):
+            continue
+        key.append(part)
+    return tuple(key)
+
+
+_WORDS = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "bool_type": "must be true or false",
+    "string_type": "must be text",
+    "none_required": "empty (null)",
+    "tuple_type": "must be a list [a, b, ...]",
+    "finite_number": "must be a finite number",
+    "model_type": "must be a section of `key: value` lines",
+    "model_attributes_type": "must be a section of `key: value` lines",
+}
+_BOUNDS = {
+    "greater_than": ("gt", "must be greater than {}"),
+    "greater_than_equal": ("ge", "must be at least {}"),
+    "less_than": ("lt", "must be less than {}"),
+    "less_than_equal": ("le", "must be at most {}"),
+    "too_long": ("max_length", "must be a list of {}"),
+    "too_short": ("min_length", "must be a list of at least {}"),
+    "literal_error": ("expected", "must be {}"),
+}
+
+
+def _complaint(e: Any) -> str:
+    if e["type"] in _WORDS:
+        return _WORDS[e["type"]]
+    if e["type"] in _BOUNDS:
+        name, text = _BOUNDS[e["type"]]
+        bound = e["ctx"][name]
+        return text.format(f"{bound:g}" if isinstance(bound, float) else bound)
+    if e["type"] == "value_error":
+        return str(e["ctx"]["error"])
+    return one_line(e["msg"])
+
+
+def _with_advice(text: str, key: Key, data: Any, model: type[BaseModel], *, value: bool = True) -> str:
+    if value:
+        for part in key:
+            data = data[part]
+        text += f", is {shown(data)}"
+    along = _fields_along(key, model)
+    if key and isinstance(key[-1], str):  # what stands around a key of its own says nothing of it
+        along = along[-1:]
+    described = [f.description for f in along if f.description]
+    return f"{text}; {described[-1]}" if described else text
+
+
+def _advice_on_name(word: str, parent: Key, model: type[BaseModel]) -> str:
+    here = _model_at(parent, model)
+    siblings = list(here.model_fields) if here else []
+    if difflib.get_close_matches(word, siblings, cutoff=0.6):
+        return nearest(word, siblings)
+    everywhere = [dotted(k) for k in _all_keys(model)]
+    elsewhere = [k for k in everywhere if difflib.get_close_matches(word, [k.rpartition(".")[2]], cutoff=0.85)]
+    if elsewhere:
+        return f"did you mean {' or '.join(elsewhere[:3])}?"
+    return nearest(word, siblings)
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Models directly in an annotation, through Optional and Annotated."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    elif get_origin(annotation) is not tuple:
+        for a in get_args(annotation):
+            yield from _models(a)
+
+
+def _element(annotation: Any) -> Any:
+    """The element type of a tuple in an annotation, or None."""
+    if get_origin(annotation) is tuple:
+        return get_args(annotation)[0]
+    return next((e for a in get_args(annotation) if (e := _element(a)) is not None), None)
+
+
+def _walk(key: Key, model: type[BaseModel]) -> Iterator[tuple[FieldInfo | None, Any]]:
+    annotation: Any = model
+    for part in key:
+        info = None
+        if isinstance(part, int):
+            annotation = _element(annotation)
+        else:
+            here = next(_models(annotation), None)
+            info = here.model_fields.get(part) if here else None
+            annotation = info.annotation if info else None
+        yield info, annotation
+
+
+def _fields_along(key: Key, model: type[BaseModel]) -> list[FieldInfo]:
+    return [info for info, _ in _walk(key, model) if info]
+
+
+def _model_at(key: Key, model: type[BaseModel]) -> type[BaseModel] | None:
+    annotation: Any = model
+    for _, annotation in _walk(key, model):  # noqa: B007  the last one is wanted
+        pass
+    return next(_models(annotation), None)
+
+
+def _all_keys(model: type[BaseModel], prefix: Key = ()) -> Iterator[Key]:
+    for name, info in model.model_fields.items():
+        yield (*prefix, name)
+        for inner in _models(info.annotation):
+            yield from _all_keys(inner, (*prefix, name))

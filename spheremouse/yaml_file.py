@@ -1,0 +1,255 @@
+"""A YAML file a person wrote, and what is wrong with it: text in, plain data with line numbers out, problems by line.
+
+Only plain data is read: mappings, lists, text, numbers, true/false, null. Tags, anchors and aliases are refused, so
+that no file can run code or blow up in memory. Problems read `FILE:LINE: key: what is wrong; what to do`.
+"""
+
+import os
+import re
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, DocumentStartEvent, NodeEvent
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
+
+from spheremouse.errors import ConfigurationError
+
+SCHEMA = 1
+MAX_BYTES = 1_000_000
+MAX_DEPTH = 20
+
+Key = tuple[str | int, ...]
+
+_TAGS = {f"tag:yaml.org,2002:{t}": t for t in ("null", "bool", "int", "float", "str", "timestamp", "value", "merge")}
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing wrong at one place."""
+
+    key: Key
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """What a YAML text holds: dicts, tuples and scalars, and the line (from 1) of every key and item."""
+
+    name: str  # how messages call it: the path
+    data: Any
+    lines: dict[Key, int]
+
+    def line(self, key: Key) -> int:
+        """Line of a key, or of the nearest thing around it."""
+        while key not in self.lines and key:
+            key = key[:-1]
+        return self.lines.get(key, 1)
+
+    def error(self, problems: Sequence[Problem]) -> ConfigurationError:
+        """All problems as one error, a line each, in the order of the file."""
+        ordered = sorted(problems, key=lambda p: self.line(p.key))
+        return ConfigurationError(
+            "\n".join(
+                f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in ordered
+            )
+        )
+
+
+def dotted(key: Key) -> str:
+    """`a.b[2].c` of ("a", "b", 2, "c")."""
+    text = "".join(f"[{k}]" if isinstance(k, int) else f".{_word(k)}" for k in key)
+    return text.removeprefix(".")
+
+
+def _word(key: str) -> str:
+    """A key as a message shows it: on one line, and not endless."""
+    text = key if key.isprintable() else repr(key)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def read_document(path: Path) -> Document:
+    """The document in a file; anything that is not plain YAML is a ConfigurationError with its line."""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such file; check the path") from None
+    except IsADirectoryError:
+        raise ConfigurationError(f"{path}: is a directory; name the YAML file in it") from None
+    except OSError as e:
+        raise ConfigurationError(f"{path}: cannot be read: {e.strerror or e}") from None
+    except ValueError as e:  # a NUL in the name
+        raise ConfigurationError(f"{str(path)!r}: cannot be read: {e}") from None
+    if len(raw) > MAX_BYTES:
+        raise ConfigurationError(f"{path}: larger than {MAX_BYTES} bytes; this is not a file of spheremouse")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        line = raw.count(b"\n", 0, e.start) + 1
+        raise ConfigurationError(f"{path}:{line}: not UTF-8 text; name a YAML file, saved as UTF-8") from None
+    return parse_document(text, str(path))
+
+
+def parse_document(text: str, name: str) -> Document:
+    """The document in a text; `name` is what messages call it."""
+    try:
+        root = _compose(text, name)
+    except YAMLError as e:
+        raise _syntax_error(e, text, name) from None
+    except (ValueError, TypeError, AttributeError, IndexError, KeyError, AssertionError, RecursionError) as e:
+        # ruamel.yaml lets a few of its own slips out on garbage; to the user they are all the same
+        raise ConfigurationError(f"{name}:1: not readable as YAML ({type(e).__name__}: {one_line(str(e))})") from None
+    if root is None:
+        raise ConfigurationError(f"{name}:1: empty; the first line is `schema: {SCHEMA}`")
+    lines: dict[Key, int] = {(): root.start_mark.line + 1}
+    problems: list[Problem] = []
+    data = _plain(root, (), lines, problems)
+    document = Document(name, data, lines)
+    if problems:
+        raise document.error(problems)
+    return document
+
+
+def parse_value(text: str, name: str) -> Any:
+    """One plain value, as in `--set KEY=VALUE`; an empty text is null."""
+    return parse_document(text, name).data if text.strip() and not text.lstrip().startswith("#") else None
+
+
+def without_schema(document: Document) -> Document:
+    """The document less its `schema` key, which must be the version this program reads."""
+    if not isinstance(document.data, dict):
+        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {SCHEMA}`")])
+    data = dict(document.data)
+    version = data.pop("schema", None)
+    if version is None:
+        raise document.error([Problem((), f"schema: missing; write `schema: {SCHEMA}` as the first line")])
+    if version is True or version != SCHEMA:
+        text = f"is {shown(version)}; this program reads version {SCHEMA}: update one of the two"
+        raise document.error([Problem(("schema",), text)])
+    return Document(document.name, data, document.lines)
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file so that at any moment either the old or the new one is there, whole."""
+    try:
+        mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".new")
+        try:
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(temporary).chmod(mode)
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as e:
+        raise ConfigurationError(f"{path}: cannot be written: {e.strerror or e}") from None
+
+
+def shown(value: Any) -> str:
+    """A value as a message quotes it."""
+    if value is None:
+        return "empty"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, dict):
+        return "a section"
+    if isinstance(value, tuple):
+        return f"a list of {len(value)}"
+    text = repr(value) if isinstance(value, str) else str(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def one_line(text: str) -> str:
+    """Any text as one short line."""
+    return " ".join(text.split())[:120]
+
+
+def _umask() -> int:
+    value = os.umask(0o077)
+    os.umask(value)
+    return value
+
+
+def _compose(text: str, name: str) -> Node | None:
+    """Node graph of the only document in the text, after a look at its events for what is not plain."""
+    depth = documents = 0
+    for event in _yaml().parse(text):
+        at = f"{name}:{event.start_mark.line + 1}"
+        if isinstance(event, AliasEvent):
+            raise ConfigurationError(f"{at}: aliases (*{event.anchor}) are not read; write the value out")
+        if isinstance(event, NodeEvent) and (tag := getattr(event, "tag", None)):
+            raise ConfigurationError(f"{at}: tags ({one_line(str(tag))}) are not read; write a plain value")
+        documents += isinstance(event, DocumentStartEvent)
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ConfigurationError(f"{at}: nested deeper than {MAX_DEPTH} levels; this is not a file of spheremouse")
+        if documents > 1:
+            raise ConfigurationError(f"{at}: a second document begins here; keep one and remove the `---`")
+    return _yaml().compose(text)
+
+
+def _yaml() -> YAML:
+    return YAML(typ="safe", pure=True)
+
+
+def _syntax_error(e: YAMLError, text: str, name: str) -> ConfigurationError:
+    mark = getattr(e, "problem_mark", None) or getattr(e, "context_mark", None)
+    if mark is not None:
+        where, what = mark.line + 1, f"column {mark.column + 1}: {one_line(getattr(e, 'problem', '') or 'not YAML')}"
+    else:  # a character YAML does not allow: the reader gives its position only
+        position = getattr(e, "position", None)
+        where = text.count("\n", 0, position) + 1 if isinstance(position, int) else 1
+        what = "a character that YAML does not allow"
+    return ConfigurationError(f"{name}:{where}: not YAML: {what}; mind indentation, colons and quotes")
+
+
+def _plain(node: Node, key: Key, lines: dict[Key, int], problems: list[Problem]) -> Any:
+    if isinstance(node, ScalarNode):
+        return _scalar(node, key, problems)
+    if not isinstance(node, MappingNode):
+        items = []
+        for i, item in enumerate(node.value):
+            lines[(*key, i)] = item.start_mark.line + 1
+            items.append(_plain(item, (*key, i), lines, problems))
+        return tuple(items)
+    data: dict[str, Any] = {}
+    for name, value in node.value:
+        line = name.start_mark.line + 1
+        word = name.value if isinstance(name, ScalarNode) else "?"
+        here = (*key, word)
+        if not isinstance(name, ScalarNode):
+            lines[here] = line
+            problems.append(Problem(here, "a key must be a word, not a list or a section"))
+            continue
+        if word in data:
+            problems.append(Problem(here, f"stands here and in line {line}; remove one of them"))
+            continue
+        lines[here] = line
+        data[word] = _plain(value, here, lines, problems)
+    return data
+
+
+def _scalar(node: ScalarNode, key: Key, problems: list[Problem]) -> Any:
+    text: str = node.value
+    kind = _TAGS.get(str(node.tag), "str")
+    number = text.replace("_", "").lower()
+    try:
+        if kind == "null":
+            return None
+        if kind == "bool":
+            return text.lower() == "true"
+        if kind == "int":
+            prefixed = re.match(r"[-+]?0[box]", number)
+            return int(number, 0) if prefixed else int(number)
+        if kind == "float":
+            return float(number.replace(".inf", "inf").replace(".nan", "nan"))
+    except ValueError:
+        problems.append(Problem(key, f"{shown(text)} is not a number that can be read"))
+    return text

@@ -1,0 +1,156 @@
+"""The mouse that output `uinput` makes, as another process sees it through the kernel. Run by tests/system/run."""
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import open_output, uinput
+
+evdev = pytest.importorskip("evdev")
+e = evdev.ecodes
+
+MOTIONS = int(os.environ.get("MOTIONS", "1000"))
+
+# A second process: prints one line of JSON, [[code, value], ...], per report that the kernel delivers.
+READER = """
+import json, sys
+from evdev import InputDevice, ecodes as e
+device = InputDevice(sys.argv[1])
+print("ready", flush=True)
+report = []
+for event in device.read_loop():
+    if event.type == e.EV_SYN:
+        print(json.dumps(report if event.code == e.SYN_REPORT else "dropped"), flush=True)
+        report = []
+    else:
+        report.append([event.type, event.code, event.value])
+"""
+
+
+def devices():
+    """Input devices of our name."""
+    found = [evdev.InputDevice(path) for path in evdev.list_devices()]
+    return [d for d in found if d.name == uinput.NAME]
+
+
+@contextmanager
+def reading():
+    """A function that waits for the next report of the only mouse of our name, as {code: value}."""
+    (device,) = devices()
+    with subprocess.Popen([sys.executable, "-c", READER, device.path], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = process.stdout
+        assert lines.readline() == "ready\n"
+
+        def report():
+            events = json.loads(lines.readline())
+            assert all(kind == e.EV_REL for kind, _, _ in events), events
+            return {code: value for _, code, value in events}
+
+        try:
+            yield report
+        finally:
+            process.kill()
+
+
+def motion(x=0, y=0, z=0):
+    return Motion(0.0, (x, y, z), np.zeros(3), np.zeros(3))
+
+
+def test_name_ids_and_capabilities():
+    seen = []
+    for _ in range(2):  # the same again after a restart
+        with open_output("uinput"):
+            (device,) = devices()
+            info = device.info
+            seen.append((device.phys, info.bustype, info.vendor, info.product, info.version))
+            assert device.capabilities() == {
+                e.EV_SYN: [e.SYN_REPORT, e.EV_KEY, e.EV_REL],  # the kernel lists the types under EV_SYN
+                e.EV_KEY: [e.BTN_LEFT, e.BTN_RIGHT, e.BTN_MIDDLE],
+                e.EV_REL: [e.REL_X, e.REL_Y],
+            }
+        assert devices() == []
+    assert seen == [("spheremouse/input0", e.BUS_VIRTUAL, 0x5350, 0x4D31, 1)] * 2
+
+
+def test_the_kernel_itself_takes_it_for_a_mouse():
+    with open_output("uinput"):
+        entries = Path("/proc/bus/input/devices").read_text().split("\n\n")
+        (entry,) = [t for t in entries if f'Name="{uinput.NAME}"' in t]
+        handlers = next(line for line in entry.splitlines() if line.startswith("H: Handlers="))
+        assert "mouse" in handlers
+
+
+def test_random_motions_arrive_exactly_with_x_and_y_in_one_report():
+    rng = np.random.default_rng(2017)
+    counts = rng.integers(-40, 41, (MOTIONS, 3)) * (rng.random((MOTIONS, 3)) < 0.7)
+    counts[:5] = [(0, 0, 0), (2**31 - 1, 1 - 2**31, 0), (0, 0, 5), (40_000, -70_000, 0), (0, -1, 0)]
+    sums = np.zeros(2, dtype=np.int64)
+    reports = 0
+    with open_output("uinput") as output, reading() as report:
+        for x, y, z in counts.tolist():
+            output.send(motion(x, y, z))
+            if x == 0 and y == 0:
+                continue  # nothing arrives: the next report belongs to the next motion
+            seen = report()
+            assert seen == {code: value for code, value in ((e.REL_X, x), (e.REL_Y, y)) if value}
+            sums += [seen.get(e.REL_X, 0), seen.get(e.REL_Y, 0)]
+            reports += 1
+    np.testing.assert_array_equal(sums, counts[:, :2].sum(axis=0))
+    print(f"{len(counts)} motions, {reports} reports, sums {sums.tolist()}")
+    assert reports > MOTIONS / 2
+
+
+@pytest.mark.parametrize(
+    ("third", "axes"),
+    [("wheel", [e.REL_X, e.REL_Y, e.REL_WHEEL, e.REL_WHEEL_HI_RES]), ("rz", [e.REL_X, e.REL_Y, e.REL_RZ])],
+)
+def test_the_third_axis(third, axes):
+    rng = np.random.default_rng(26)
+    turns = rng.integers(-300, 301, 50).tolist()
+    sums = dict.fromkeys(axes, 0)
+    with open_output(f"uinput:third={third}") as output, reading() as report:
+        (device,) = devices()
+        assert sorted(device.capabilities()[e.EV_REL]) == sorted(axes)
+        for z in turns:
+            output.send(motion(1, -1, z))
+            seen = report()
+            assert (seen[e.REL_X], seen[e.REL_Y]) == (1, -1)
+            for code, value in seen.items():
+                sums[code] += value
+    if third == "rz":
+        assert sums[e.REL_RZ] == sum(turns)
+    else:
+        assert sums[e.REL_WHEEL_HI_RES] == sum(turns)
+        assert abs(sum(turns) - 120 * sums[e.REL_WHEEL]) < 120
+
+
+def test_the_text_twin_says_what_arrives():
+    with open_output("uinput:third=wheel") as output, reading() as report:
+        for z in (100, 100, -300):
+            words = output.describe(motion(4, 0, z)).split(" ")
+            output.send(motion(4, 0, z))
+            seen = {f"{e.REL[code]}": f"{value:+d}" for code, value in report().items()}
+            assert words.pop() == "SYN"
+            assert dict(zip(words[::2], words[1::2], strict=True)) == seen
+
+
+def test_without_permission_the_error_says_what_to_do():
+    pid = os.fork()
+    if pid == 0:
+        os.setgid(65534)
+        os.setuid(65534)
+        try:
+            open_output("uinput")
+        except OutputError as error:
+            os._exit(0 if "may not be written; add a udev rule" in str(error) else 3)
+        os._exit(4)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0

@@ -1,0 +1,163 @@
+#!/bin/bash
+# Run one command as root in a QEMU guest that has a real kernel with uinput and evdev, on top of this machine's own
+# files: the guest sees them read-only, what it writes goes to its memory, and nothing outside can be harmed.
+#
+#     run_in_vm.sh [--setup] [--timeout SECONDS] COMMAND [ARGUMENT...]
+#
+# Starts in the current folder. Standard output and error of the command come out here, together. Exit code: that of
+# the command, 123 at most; 124 after the timeout (300 s unless given); 125 if the guest could not be made or died.
+# The kernel is Debian's linux-image-amd64, downloaded once (70 MB) and kept with an initramfs in
+# ${XDG_CACHE_HOME:-~/.cache}/spheremouse-vm; nothing of it is installed. Another kernel: SPHEREMOUSE_VM_KERNEL=DIR,
+# a folder with boot/vmlinuz-VERSION and lib/modules/VERSION ("/" for the machine's own, where those can be read).
+set -euo pipefail
+
+cache=${XDG_CACHE_HOME:-$HOME/.cache}/spheremouse-vm
+modules="virtio_pci 9pnet_virtio 9p overlay evdev uinput" # the first four make the root file system
+limit=300
+
+say() { echo "run_in_vm: $*" >&2; }
+die() { say "$@"; exit 125; }
+
+check_tools() {
+    local missing=()
+    command -v qemu-system-x86_64 >/dev/null || missing+=(qemu-system-x86)
+    command -v cpio >/dev/null || missing+=(cpio)
+    command -v /sbin/modprobe >/dev/null || missing+=(kmod)
+    static_busybox || missing+=(busybox-static)
+    [ "${#missing[@]}" = 0 ] ||
+        die "QEMU cannot be had here; as root: apt-get update && apt-get install --no-install-recommends ${missing[*]}"
+}
+
+static_busybox() { [ -x /bin/busybox ] && ! ldd /bin/busybox >/dev/null 2>&1; }
+
+# A folder with boot/vmlinuz-* and lib/modules, in $kernel.
+fetch_kernel() {
+    local new=$1 package
+    if [ -n "${SPHEREMOUSE_VM_KERNEL:-}" ]; then
+        kernel=$SPHEREMOUSE_VM_KERNEL
+        return
+    fi
+    command -v apt-get >/dev/null || die "no apt-get here to fetch a kernel with; name one in SPHEREMOUSE_VM_KERNEL"
+    package=$(apt-cache depends linux-image-amd64 2>/dev/null | awk '/Depends: linux-image-[0-9]/ { print $2; exit }')
+    [ -n "$package" ] || die "apt knows no linux-image-amd64; run apt-get update, or set SPHEREMOUSE_VM_KERNEL"
+    say "fetching $package (once)"
+    (cd "$new" && apt-get -qq download "$package" 2>/dev/null) || die "could not download $package"
+    kernel=$new/kernel
+    dpkg-deb -x "$new"/*.deb "$kernel"
+    rm -f "$new"/*.deb
+}
+
+# The kernel, and an initramfs of busybox, the modules in loading order, and `guest_init`.
+setup() {
+    local new version module file number=100
+    mkdir -p "$(dirname "$cache")"
+    new=$(mktemp -d "$cache.XXXXXX")
+    trap 'rm -rf "$new"' EXIT
+    fetch_kernel "$new"
+    version=$(basename "$(find "$kernel/boot" -name 'vmlinuz-*' | sort -V | tail -1)" | sed s/^vmlinuz-//)
+    [ -r "$kernel/boot/vmlinuz-$version" ] || die "$kernel/boot has no vmlinuz-* that can be read"
+    [ "$kernel" = / ] || /sbin/depmod -b "$kernel" "$version"
+    mkdir -p "$new/tree"/{bin,modules,proc,sys,dev,low,top,root}
+    cp /bin/busybox "$new/tree/bin/"
+    for module in $modules; do
+        while read -r _ file _; do
+            number=$((number + 1))
+            case $file in
+            *.xz) xz -dc "$file" ;;
+            *.zst) zstd -qdc "$file" ;;
+            *) cat "$file" ;;
+            esac >"$new/tree/modules/$number"
+        done < <(/sbin/modprobe -d "$kernel" -S "$version" --show-depends "$module" | grep '^insmod')
+    done
+    guest_init >"$new/tree/init"
+    chmod 755 "$new/tree/init"
+    (cd "$new/tree" && find . | cpio -o -H newc --quiet) >"$new/initrd"
+    cp "$kernel/boot/vmlinuz-$version" "$new/vmlinuz"
+    recipe >"$new/made_from"
+    rm -rf "$new/tree" "$new/kernel" "$cache"
+    mv "$new" "$cache"
+    trap - EXIT
+    say "kernel $version is ready in $cache"
+}
+
+# Tells whether the cache was made by another version of this script.
+recipe() { { echo "$modules" "${SPHEREMOUSE_VM_KERNEL:-}" && guest_init; } | cksum; }
+
+# What runs first in the guest. `job`, from the kernel's command line, is the path of the script to run. The command
+# writes to the second serial port; its exit code, plus 1, leaves by QEMU's debug port. Modules that are loaded already (as
+# another's need) are refused a second time, which does no harm.
+guest_init() {
+    cat <<'INIT'
+#!/bin/busybox sh
+B=/bin/busybox
+leave() {
+    $B printf "\\$($B printf %o $(($1 + 1)))" | $B dd of=/dev/port bs=1 seek=244 2>/dev/null
+    $B poweroff -f
+}
+$B mount -t proc proc /proc
+$B mount -t sysfs sys /sys
+$B mount -t devtmpfs dev /dev
+exec </dev/null >/dev/console 2>&1
+for m in /modules/*; do $B insmod "$m" 2>/dev/null; done
+$B mount -t 9p -o trans=virtio,version=9p2000.L,msize=512000,ro,cache=loose,noxattr root /low || leave 125
+$B mount -t tmpfs -o size=75% top /top && $B mkdir /top/upper /top/work || leave 125
+$B mount -t overlay -o lowerdir=/low,upperdir=/top/upper,workdir=/top/work all /root || leave 125
+$B mount -t devtmpfs dev /root/dev && $B mount -t proc proc /root/proc && $B mount -t sysfs sys /root/sys || leave 125
+$B mkdir -p /root/dev/shm && $B mount -t tmpfs shm /root/dev/shm
+$B mount -t tmpfs run /root/run
+$B ifconfig lo 127.0.0.1 up
+$B stty -F /dev/ttyS1 raw -echo
+$B chroot /root /bin/bash "$job" >/dev/ttyS1 2>&1
+code=$?
+[ $code -le 123 ] || code=123
+leave $code
+INIT
+}
+
+while [ $# -gt 0 ]; do
+    case $1 in
+    --setup) only_setup=1; shift ;;
+    --timeout) limit=$2; shift 2 ;;
+    -h | --help) sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//;p}' "$0"; exit 0 ;;
+    -*) die "unknown option $1" ;;
+    *) break ;;
+    esac
+done
+[ "$(uname -sm)" = "Linux x86_64" ] || die "the guest is an x86_64 Linux on top of this machine's own programs; this is $(uname -sm)"
+check_tools
+[ "$(cat "$cache/made_from" 2>/dev/null)" = "$(recipe)" ] || setup
+[ -z "${only_setup:-}" ] || exit 0
+[ $# -gt 0 ] || die "which command? run_in_vm.sh COMMAND [ARGUMENT...]"
+
+job=$(mktemp -d)
+trap 'rm -rf "$job"' EXIT
+{
+    printf 'cd %q && exec env -i IN_VM=1 TERM=dumb' "$PWD"
+    for name in PATH HOME LANG LC_ALL; do
+        [ -z "${!name:-}" ] || printf ' %q' "$name=${!name}"
+    done
+    printf ' %q' "$@"
+    echo
+} >"$job/script"
+
+# TCG, not KVM: it runs everywhere, inside other guests too. cpu max: NumPy needs x86-64-v2.
+code=0
+timeout "$limit" qemu-system-x86_64 -M pc -m 1536 -accel tcg,thread=multi -cpu max -smp "$(nproc)" \
+    -nodefaults -no-user-config -display none -no-reboot \
+    -serial "file:$job/console" -chardev stdio,id=out,signal=off -serial chardev:out \
+    -device isa-debug-exit,iobase=0xf4,iosize=1 \
+    -fsdev local,id=root,path=/,security_model=none,readonly=on,multidevs=remap \
+    -device virtio-9p-pci,fsdev=root,mount_tag=root \
+    -object rng-random,id=rng,filename=/dev/urandom -device virtio-rng-pci,rng=rng \
+    -kernel "$cache/vmlinuz" -initrd "$cache/initrd" \
+    -append "console=ttyS0 quiet panic=-1 tsc=reliable clocksource=tsc no_timer_check mitigations=off random.trust_cpu=on job=$job/script" \
+    </dev/null 2>"$job/qemu" || code=$?
+[ "$code" != 124 ] || { say "timed out after $limit s"; exit 124; }
+# the debug port makes 2 n + 1 of a byte n, which is never 0; QEMU's own failure is 1, an orderly power-off 0
+if [ "$code" -gt 1 ] && [ $((code % 2)) = 1 ] && [ "$code" != 253 ]; then
+    exit $((code / 2 - 1))
+fi
+say "the guest did not come to run the command; its console ends:"
+tail -20 "$job/console" >&2 || true
+cat "$job/qemu" >&2
+exit 125

@@ -1,0 +1,443 @@
+"""The configuration against a small tree of settings with every kind of parameter that the core may declare."""
+
+import os
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Literal
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from spheremouse import cli_config, config, yaml_file
+from spheremouse.errors import ConfigurationError
+from spheremouse.settings import param
+from spheremouse.track import Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Mask:
+    """One band of a value."""
+
+    lower: int = param(0, "grey", "lower bound", ge=0, le=255)
+    upper: int = param(255, "grey", "upper bound", ge=0, le=255)
+
+    def __post_init__(self) -> None:
+        if self.lower > self.upper:
+            raise ValueError(f"lower {self.lower} is above upper {self.upper}; exchange them")
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A thing without a default."""
+
+    name: str
+    size: float = param(1.0, "m", "size")
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """The filter: attitude and rate.
+
+    What follows the first paragraph is for readers of the code.
+    """
+
+    acceleration_sigma: float = param(0.1, "rad/s²", "white noise of the angular acceleration", gt=0)
+    window: tuple[int, int] = param((3, 5), "px", "half width and half height", ge=1)
+    gains: tuple[float, ...] = param((1.0, 2.0), "-", "gains")
+    mode: Literal["fast", "on", "null"] = param("fast", "-", "how")
+    gate: float | None = param(None, "-", "none for no gate", gt=0, le=1)
+    level: Literal["auto"] | float = param("auto", "grey", "a number, or found in the picture")
+    enabled: bool = param(True, "-", "whether at all")
+    masks: tuple[Mask, ...] = param((Mask(1, 2), Mask()), "-", "bands; " + "many words " * 30)
+    things: tuple[Named, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Inner:
+    """Two levels down."""
+
+    count: int = param(3, "-", "how many", ge=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Outer:
+    """One level down."""
+
+    inner: Inner = field(default_factory=lambda: Inner(count=7))
+    text: str = param("yes", "-", "a string that YAML 1.1 takes for true")
+
+
+@dataclass(frozen=True, slots=True)
+class Root:
+    """Everything."""
+
+    so3: Filter = field(default_factory=Filter)
+    outer: Outer = field(default_factory=Outer)
+    tracker: Literal["so3", "ekf1"] = param("so3", "-", "which filter")
+
+
+@pytest.fixture
+def check(tmp_path):
+    """Settings of a text, read from a file."""
+
+    def load(text):
+        path = tmp_path / "c.yaml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return config.load(path, Root)
+
+    return load
+
+
+@pytest.fixture
+def problems(tmp_path, check):
+    """Messages about a text, without the file's name."""
+
+    def of(text):
+        with pytest.raises(ConfigurationError) as e:
+            check(text)
+        return [line.removeprefix(f"{tmp_path / 'c.yaml'}:") for line in str(e.value).split("\n")]
+
+    return of
+
+
+def test_a_file_that_says_nothing_gives_the_defaults(check):
+    assert check("schema: 1\n") == Root()
+    assert check("schema: 1\nso3:\n  # all commented out\nouter: {inner: }\n") == Root()
+
+
+def test_what_a_file_says_replaces_only_that(check):
+    settings = check(
+        "schema: 1\nso3: {acceleration_sigma: 2, gains: [1, 2.5], gate: null, masks: [{lower: 9}]}\n"
+        "outer:\n  inner: {}\n  text: 'no'\n"
+    )
+    expected = replace(
+        Root(),
+        so3=replace(Filter(), acceleration_sigma=2.0, gains=(1.0, 2.5), masks=(Mask(lower=9),)),
+        outer=Outer(text="no"),
+    )
+    assert settings == expected
+    assert isinstance(settings.so3.acceleration_sigma, float)
+    assert isinstance(settings.so3.gains[0], float)
+    assert settings.outer.inner.count == 7  # the tree's default, not the class's
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+masks = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda b: Mask(min(b), max(b)))
+words = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Zl", "Zp"]), max_size=12)
+filters = st.builds(
+    Filter,
+    acceleration_sigma=positive,
+    window=st.tuples(st.integers(1, 99), st.integers(1)),
+    gains=st.lists(numbers).map(tuple),
+    mode=st.sampled_from(["fast", "on", "null"]),
+    gate=st.none() | st.floats(0, 1, exclude_min=True),
+    level=st.just("auto") | numbers,
+    enabled=st.booleans(),
+    masks=st.lists(masks, max_size=3).map(tuple),
+    things=st.lists(st.builds(Named, name=words, size=numbers), max_size=3).map(tuple),
+)
+roots = st.builds(Root, so3=filters, outer=st.builds(Outer, text=words), tracker=st.sampled_from(["so3", "ekf1"]))
+
+
+@settings(deadline=None)
+@given(roots)
+def test_what_is_written_reads_back_the_same(root):
+    """Both texts: the commented file of `config init`, and what `config show` prints."""
+    for text in (config.dump_commented(root), config.dump(root, Root())):
+        assert config.loads(yaml_file.parse_document(text, "text"), Root) == root
+
+
+def test_the_commented_file_tells_all_of_every_parameter():
+    text = config.dump_commented(Root())
+    # YAML's comments wrap: compare without line breaks
+    flat = " ".join(line.strip().removeprefix("# ") for line in text.splitlines())
+    for cls in (Root, Filter, Outer, Inner, Mask):
+        for f in fields(cls):
+            assert f"{f.name}:" in text
+            if not f.metadata:
+                continue
+            meaning = " ".join(f.metadata["meaning"].split())
+            assert meaning[1:] in flat, meaning
+    assert "[rad/s²; > 0; default 0.1]" in flat
+    assert "[one of so3, ekf1; default so3]" in flat
+    assert "The filter: attitude and rate." in flat
+    assert "readers of the code" not in flat
+    assert max(map(len, text.splitlines())) <= 120
+
+
+def test_what_differs_from_the_default_is_marked():
+    settings = config.override(Root(), "so3.gate=0.5")
+    marked = [line.strip() for line in config.dump(settings, Root()).splitlines() if "default" in line]
+    assert marked == ["gate: 0.5  # default: null"]
+
+
+@pytest.mark.parametrize(
+    ("assignment", "expected"),
+    [
+        ("so3.acceleration_sigma=5e-1", replace(Root(), so3=Filter(acceleration_sigma=0.5))),
+        ("so3.gate=null", Root()),
+        ("so3.gate=# none", Root()),
+        ("so3.gate= 1", replace(Root(), so3=Filter(gate=1.0))),
+        ("so3.masks=[{upper: 3}]", replace(Root(), so3=Filter(masks=(Mask(0, 3),)))),
+        ("outer.inner.count=0", replace(Root(), outer=Outer(inner=Inner(0)))),
+        ("outer.text=a=b", replace(Root(), outer=Outer(text="a=b"))),
+        ("tracker=ekf1", replace(Root(), tracker="ekf1")),
+    ],
+)
+def test_override_sets_one_value(assignment, expected):
+    assert config.override(Root(), assignment) == expected
+
+
+def test_overrides_add_up():
+    settings = config.override(config.override(Root(), "so3.gate=0.5"), "so3.mode=on")
+    assert settings.so3 == Filter(gate=0.5, mode="on")
+
+
+@pytest.mark.parametrize(
+    ("assignment", "message"),
+    [
+        ("so3.aceleration_sigma=1", "--set so3.aceleration_sigma: unknown key; did you mean so3.acceleration_sigma?"),
+        ("acceleration_sigma=1", "--set acceleration_sigma: unknown key; did you mean so3.acceleration_sigma?"),
+        ("outer.inner=1", "--set outer.inner: a section; set one of outer.inner.count"),
+        (
+            "so3.acceleration_sigma=-1",
+            "--set so3.acceleration_sigma: must be greater than 0, is -1; the default is 0.1 rad/s²",
+        ),
+        (
+            "so3.acceleration_sigma=",
+            "--set so3.acceleration_sigma: must be a number, is empty; the default is 0.1 rad/s²",
+        ),
+        ("so3.mode=slow", "--set so3.mode: must be 'fast', 'on' or 'null', is 'slow'; the default is fast"),
+        ("so3.masks=[{lower: 9, upper: 3}]", "--set so3.masks[0]: lower 9 is above upper 3; exchange them"),
+        (
+            "so3.gains=[a, b]",
+            "--set so3.gains[0]: must be a number, is 'a'; the default is [1.0, 2.0]\n"
+            "--set so3.gains[1]: must be a number, is 'b'; the default is [1.0, 2.0]",
+        ),
+        ("tracker", "--set tracker: not KEY=VALUE; write for example section.name=1.5"),
+    ],
+)
+def test_a_wrong_override_is_one_line_that_helps(assignment, message):
+    with pytest.raises(ConfigurationError) as e:
+        config.override(Root(), assignment)
+    assert str(e.value) == message
+
+
+def test_a_wrong_override_that_is_no_yaml():
+    with pytest.raises(ConfigurationError, match=r"^--set so3.gains: not YAML: .*; mind"):
+        config.override(Root(), "so3.gains=[1")
+    with pytest.raises(ConfigurationError, match=r"^synthetic: traker: unknown key"):
+        config.override(Root(), "traker=3", label="synthetic: ")
+
+
+def test_every_problem_gets_its_line_and_advice(problems):
+    text = """\
+schema: 1
+so3:
+  aceleration_sigma: 3
+  acceleration_sigma: "1"
+  window: [1]
+  gains: [1, x, .nan]
+  gate: 2
+  masks: [{lower: 300}, {lowr: 3}, 5,
+          {lower: 5, upper: 3}]
+  enabled: 1
+  level: none
+  things: [{size: 1.0}]
+outer: 3
+counts: 3
+tracker: yes
+foo: {a: 1}
+"""
+    assert problems(text) == [
+        "3: so3.aceleration_sigma: unknown key; did you mean acceleration_sigma?",
+        "4: so3.acceleration_sigma: must be a number, is '1'; the default is 0.1 rad/s²",
+        "5: so3.window[1]: missing; the default is [3, 5] px",
+        "6: so3.gains[1]: must be a number, is 'x'; the default is [1.0, 2.0]",
+        "6: so3.gains[2]: must be a finite number, is nan; the default is [1.0, 2.0]",
+        "7: so3.gate: must be at most 1, is 2; the default is null",
+        "8: so3.masks[0].lower: must be at most 255, is 300; the default is 0 grey",
+        "8: so3.masks[1].lowr: unknown key; did you mean lower?",
+        "8: so3.masks[2]: must be a section of `key: value` lines, is 5; "
+        "the default is [{lower: 1, upper: 2}, {lower: 0, upper: 255}]",
+        "10: so3.enabled: must be true or false, is 1; the default is true",
+        "11: so3.level: must be 'auto', or must be a number, is 'none'; the default is auto",
+        "12: so3.things[0].name: missing",
+        "13: outer: must be a section of `key: value` lines, is 3",
+        "14: counts: unknown key; did you mean outer.inner.count?",
+        "15: tracker: must be 'so3' or 'ekf1', is 'yes'; the default is so3",
+        "16: foo: unknown key; known here: so3, outer, tracker",
+    ]
+
+
+def test_a_dataclass_that_checks_itself_is_heard(problems):
+    assert problems("schema: 1\nso3:\n  masks:\n    - {lower: 1}\n    - {lower: 5,\n       upper: 3}\n") == [
+        "5: so3.masks[1]: lower 5 is above upper 3; exchange them"
+    ]
+
+
+@pytest.mark.parametrize("value", ["true", "'1'", "1.5", "1e400", "[]", "{}", "2020-01-01", "0x1g", "-1", "~"])
+def test_no_value_becomes_a_whole_number_by_surprise(problems, value):
+    (line,) = problems(f"schema: 1\nouter: {{inner: {{count: {value}}}}}\n")
+    assert line.startswith("2: outer.inner.count: must be ")
+
+
+@pytest.mark.parametrize("value", ["true", "'1'", ".inf", "-.inf", ".nan", "1e400", "9" * 400, "[1.0]", "yes"])
+def test_no_value_becomes_a_number_by_surprise(problems, value):
+    (line,) = problems(f"schema: 1\nso3: {{acceleration_sigma: {value}}}\n")
+    assert line.startswith("2: so3.acceleration_sigma: must be ")
+    assert len(line) < 200
+
+
+@pytest.mark.parametrize(
+    ("text", "start"),
+    [
+        ("", "1: empty; the first line is `schema: 1`"),
+        ("# only a comment\n", "1: empty;"),
+        ("so3: {}\n", "1: schema: missing;"),
+        ("schema: 2\n", "1: schema: is 2; this program reads version 1"),
+        ("so3: {}\nschema: '1'\n", "2: schema: is '1';"),
+        ("schema: true\n", "1: schema: is true;"),
+        ("[1]\n", "1: must be `key: value` lines"),
+        ("word", "1: must be `key: value` lines"),
+        ("schema: 1\nso3:\n  mode: on\n  mode: fast\n", "3: so3.mode: stands here and in line 4; remove one"),
+        ("schema: 1\nso3: [1\n", "3: not YAML: column 1: "),
+        ("schema: 1\nso3: a: b\n", "2: not YAML: column 7: mapping values are not allowed here;"),
+        ("schema: 1\n\tso3: 1\n", "2: not YAML: column 1: "),
+        ("schema: 1\nso3: \x00\n", "2: not YAML: a character that YAML does not allow"),
+        (b"schema: 1\n\xff\xfe\n", "2: not UTF-8 text"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "1: not UTF-8 text"),
+        ("schema: 1\n--- \nschema: 1\n", "2: a second document begins here"),
+        ("schema: 1\na: &a [*a]\n", "2: aliases (*a) are not read; write the value out"),
+        ("schema: 1\na: &a {b: 1}\nc: {<<: *a}\n", "3: aliases"),
+        ("schema: 1\na: !!python/object/apply:os.system [echo]\n", "2: tags "),
+        ("schema: 1\n? [a]\n: 1\n", "2: ?: a key must be a word"),
+        ('schema: 1\n"a\\nb": 1\n', "2: 'a\\nb': unknown key"),
+        ("schema: 1\n" + "k" * 500 + ": 1\n", f"2: {'k' * 57}...: unknown key"),
+        ("schema: 1\na: " + "[" * 5000, "2: nested deeper than 20 levels"),
+    ],
+)
+def test_a_file_that_is_no_configuration_is_refused_with_its_line(problems, text, start):
+    (line,) = problems(text)
+    assert line.startswith(start)
+
+
+def test_a_byte_order_mark_and_windows_line_ends_are_no_fault(check):
+    assert check(b"\xef\xbb\xbfschema: 1\r\ntracker: ekf1\r\n").tracker == "ekf1"
+
+
+def test_what_is_not_a_readable_file_is_refused(tmp_path):
+    big = tmp_path / "big.yaml"
+    big.write_text("schema: 1\n" + "#" * yaml_file.MAX_BYTES)
+    cases = {
+        tmp_path: "is a directory",
+        tmp_path / "none.yaml": "no such file",
+        tmp_path / "x" / "none.yaml": "no such file",
+        tmp_path / ("n" * 300): "cannot be read",
+        tmp_path / "a\0b": "cannot be read",
+        big: "larger than",
+    }
+    for path, text in cases.items():
+        with pytest.raises(ConfigurationError, match=text) as e:
+            config.load(path, Root)
+        assert "\n" not in str(e.value)
+    if os.path.exists("/dev/zero"):
+        with pytest.raises(ConfigurationError, match="larger than"):
+            config.load(yaml_file.Path("/dev/zero"), Root)
+
+
+PIECES = "schema: 1\n|so3:|\n|  |- |{|}|[|]|:| |'|\"|&a|*a|!!int|#|>|? |%YAML 1.1\n|---|...|0x|1_0|1e9|.nan|~|\t|é|<<|@"
+pieces = st.sampled_from([*PIECES.split("|"), "|", ",", "\u2028", "gains"])
+
+
+@settings(deadline=None)
+@given(st.lists(pieces, max_size=25).map("".join) | st.text(max_size=60))
+def test_no_text_gets_past_as_anything_but_settings_or_a_configuration_error(text):
+    message = ""
+    try:
+        assert is_dataclass(config.loads(yaml_file.parse_document(text, "text"), Root))
+    except ConfigurationError as e:
+        message = str(e)
+    assert all(line.startswith("text:") for line in message.splitlines())
+
+
+def test_writing_replaces_the_whole_file_or_nothing(tmp_path):
+    path = tmp_path / "a.yaml"
+    yaml_file.write_atomically(path, "one")
+    path.chmod(0o640)
+    yaml_file.write_atomically(path, "two")
+    assert path.read_text() == "two"
+    assert path.stat().st_mode & 0o777 == 0o640
+    with pytest.raises(UnicodeEncodeError):  # stands for anything that goes wrong half-way
+        yaml_file.write_atomically(path, "three\ud800")
+    assert path.read_text() == "two"
+    assert os.listdir(tmp_path) == ["a.yaml"]
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        yaml_file.write_atomically(tmp_path / "no" / "a.yaml", "x")
+
+
+# ---- the program's own settings ----
+
+
+def test_the_programs_settings_are_written_and_read_back():
+    text = config.dump_commented(Settings())
+    assert config.loads(yaml_file.parse_document(text, "text"), Settings) == Settings()
+
+
+def test_every_parameter_of_the_program_says_what_it_is():
+    def declared(cls):
+        for f in fields(cls):
+            if is_dataclass(f.type) and isinstance(f.type, type):
+                yield from declared(f.type)
+            else:
+                yield f"{cls.__name__}.{f.name}", f.metadata
+
+    found = dict(declared(Settings))
+    assert "MotionSettings.counts_per_mm" in found
+    for name, metadata in found.items():
+        assert metadata.get("unit"), name
+        assert len(metadata.get("meaning", "")) > 5, name
+
+
+# ---- the commands ----
+
+
+@pytest.fixture
+def run(monkeypatch, tmp_path):
+    """`spheremouse config ...` with the settings of this file, in an empty folder."""
+    monkeypatch.setattr(cli_config, "root", lambda: Root)
+    monkeypatch.chdir(tmp_path)
+    return lambda *arguments: CliRunner().invoke(cli_config.app, arguments)
+
+
+def test_init_writes_what_check_accepts_and_show_reads(run, tmp_path):
+    assert run("init", "my.yaml").output == "my.yaml: written\n"
+    assert (tmp_path / "my.yaml").read_text() == config.dump_commented(Root())
+    assert run("check", "my.yaml").output == "my.yaml: ok\n"
+    result = run("show", "--config", "my.yaml", "--set", "tracker=ekf1")
+    assert result.exit_code == 0
+    assert "tracker: ekf1  # default: so3\n" in result.stdout
+
+
+def test_init_does_not_replace_a_file_unless_told(run, tmp_path):
+    (tmp_path / "my.yaml").write_text("precious")
+    result = run("init", "my.yaml")
+    assert result.exit_code == 2
+    assert result.stderr == "my.yaml: exists already; choose another name, or replace it with --force\n"
+    assert (tmp_path / "my.yaml").read_text() == "precious"
+    assert run("init", "my.yaml", "--force").exit_code == 0
+    assert run("check", "my.yaml").exit_code == 0
+
+
+def test_check_and_show_print_problems_and_fail(run, tmp_path):
+    (tmp_path / "my.yaml").write_text("schema: 1\ntraker: so3\nso3: {gate: 7}\n")
+    expected = (
+        "my.yaml:2: traker: unknown key; did you mean tracker?\n"
+        "my.yaml:3: so3.gate: must be at most 1, is 7; the default is null\n"
+    )
+    for arguments in (["check", "my.yaml"], ["show", "--config", "my.yaml"]):
+        result = run(*arguments)
+        assert (result.exit_code, result.stdout, result.stderr) == (2, "", expected)
+    assert run("show", "--set", "x=1").exit_code == 2

@@ -1,0 +1,211 @@
+"""Outputs: lines into real files and pipes, and the events of the mouse as text; the device itself in tests/system."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import open_output, text, uinput
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+def motion(x=0, y=0, z=0, stamp=1.5):
+    return Motion(stamp, (x, y, z), np.array([0.1, -0.2, 1e-17]), np.array([1 / 3, 0.0, np.nan]))
+
+
+def refused(spec):
+    """The one line with which an output is refused."""
+    with pytest.raises(OutputError) as e:
+        open_output(spec)
+    assert "\n" not in str(e.value)
+    return str(e.value)
+
+
+# ---- text ----
+
+
+def test_a_log_is_a_header_and_a_line_per_motion(tmp_path):
+    path = tmp_path / "log.txt"
+    with open_output(f"text:{path}") as output:
+        output.send(motion(3, -2, 0))
+        assert path.read_text().count("\n") == 2  # every line is out at once
+        output.send(motion(stamp=2.0))
+    assert path.read_text().splitlines() == [
+        "# stamp dx dy dz rx ry rz wx wy wz "
+        "(s, counts, rotation since the last line in rad and rate in rad/s, both in obj)",
+        "1.5 3 -2 0 0.1 -0.2 1e-17 0.3333333333333333 0.0 nan",
+        "2.0 0 0 0 0.1 -0.2 1e-17 0.3333333333333333 0.0 nan",
+    ]
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@settings(deadline=None)
+@given(finite, st.tuples(*[st.integers(-(2**63), 2**63)] * 3), st.tuples(*[finite] * 6))
+def test_every_number_reads_back_to_the_very_same(stamp, counts, numbers):
+    words = text.line(Motion(stamp, counts, np.array(numbers[:3]), np.array(numbers[3:]))).split(" ")
+    assert len(words) == len(text.NAMES.removeprefix("# ").split(" ")) == 10
+    assert float(words[0]) == stamp
+    assert tuple(map(int, words[1:4])) == counts
+    assert tuple(map(float, words[4:])) == numbers
+
+
+def test_the_text_twin_is_the_line(tmp_path):
+    with open_output(f"text:{tmp_path / 'log.txt'}") as output:
+        assert output.describe(motion(1)) == text.line(motion(1))
+
+
+def test_standard_output(capsys):
+    for spec in ("text:-", "text"):
+        with open_output(spec) as output:
+            output.send(motion(1, 2, 3))
+        assert capsys.readouterr().out == f"{text.HEADER}\n{text.line(motion(1, 2, 3))}\n"
+    print("still open")
+    assert capsys.readouterr().out == "still open\n"
+
+
+def test_a_log_is_begun_anew_but_nothing_else_is_overwritten(tmp_path):
+    log, rig, empty = tmp_path / "log.txt", tmp_path / "rig.yaml", tmp_path / "empty"
+    rig.write_text("schema: 1\n")
+    empty.touch()
+    for path in (log, log, empty):
+        with open_output(f"text:{path}") as output:
+            output.send(motion())
+        assert path.read_text().count("\n") == 2
+    assert refused(f"text:{rig}") == f"{rig}: exists and is no log of motions; choose another name or remove it"
+    assert rig.read_text() == "schema: 1\n"
+
+
+def test_files_that_cannot_be_written(tmp_path):
+    assert "Is a directory" in refused(f"text:{tmp_path}")
+    assert "No such file or directory" in refused(f"text:{tmp_path / 'no' / 'log.txt'}")
+    assert "cannot be written" in refused("text:a\0b")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_a_full_disk_is_an_error_and_leaving_stays_possible():
+    assert refused("text:/dev/full") == "/dev/full: cannot be written: No space left on device"
+
+
+PROGRAM = """
+import numpy as np
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import open_output
+sent = 0
+try:
+    with open_output("text:-") as output:
+        for sent in range(100_000):
+            output.send(Motion(sent / 30, (1, 2, 3), np.zeros(3), np.zeros(3)))
+except OutputError as e:
+    print(e, file=__import__("sys").stderr)
+print("ended quietly", sent < 99_999, file=__import__("sys").stderr)
+"""
+
+
+@pytest.mark.parametrize("lines", [0, 1, 5])
+def test_a_reader_that_goes_away_is_a_quiet_end(lines):
+    """A real pipe, as in `spheremouse run --output text:- | head`."""
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        for _ in range(lines):
+            process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == "ended quietly True\n"
+    assert process.returncode == 0
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+def test_standard_output_on_a_full_disk_is_one_line():
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [sys.executable, "-c", PROGRAM], stdout=full, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY, check=True
+        )
+    assert run.stderr == "standard output: cannot be written: No space left on device\nended quietly True\n"
+
+
+# ---- the mouse, as far as text tells it ----
+
+
+@pytest.mark.parametrize(
+    ("third", "counts", "words"),
+    [
+        ("none", (3, -2, 9), "REL_X +3 REL_Y -2 SYN"),
+        ("none", (0, 5, 0), "REL_Y +5 SYN"),
+        ("none", (0, 0, 7), ""),
+        ("none", (0, 0, 0), ""),
+        ("rz", (1, 0, -7), "REL_X +1 REL_RZ -7 SYN"),
+        ("rz", (0, 0, 0), ""),
+        ("wheel", (0, 0, 119), "REL_WHEEL_HI_RES +119 SYN"),
+        ("wheel", (1, 1, -250), "REL_X +1 REL_Y +1 REL_WHEEL -2 REL_WHEEL_HI_RES -250 SYN"),
+        ("none", (2**31, -(2**40), 0), "REL_X +2147483647 REL_Y -2147483647 SYN"),
+        ("none", (40_000, -40_000, 0), "REL_X +40000 REL_Y -40000 SYN"),
+    ],
+)
+def test_events_of_a_motion(third, counts, words):
+    assert str(uinput.report(motion(*counts), third)) == words
+
+
+@given(st.lists(st.integers(-500, 500), max_size=50))
+def test_notches_follow_the_fine_wheel(turns):
+    """Whole notches never lag the sum of the fine ones by a notch, whichever way it turns."""
+    notch = fine = whole = 0
+    for z in turns:
+        made = uinput.report(motion(z=z), "wheel", notch)
+        notch = made.notch
+        events = dict(made.events)
+        fine += events.get(uinput.REL_WHEEL_HI_RES, 0)
+        whole += events.get(uinput.REL_WHEEL, 0)
+        assert 0 not in events.values()
+        assert fine - whole * uinput.NOTCH == notch
+        assert abs(notch) < uinput.NOTCH
+    assert fine == sum(turns)
+
+
+def test_the_numbers_are_the_kernels():
+    ecodes = pytest.importorskip("evdev").ecodes
+    names = "EV_KEY EV_REL REL_X REL_Y REL_RZ REL_WHEEL REL_WHEEL_HI_RES BTN_LEFT BTN_RIGHT BTN_MIDDLE"
+    for name in names.split(" "):
+        assert getattr(uinput, name) == getattr(ecodes, name)
+    assert uinput.BUS == ecodes.BUS_VIRTUAL
+
+
+def test_the_mouse_where_it_cannot_be_made():
+    assert refused("uinput:third=whel") == "uinput: third=whel; write third= with one of none, wheel, rz"
+    assert "unknown key thrid; did you mean third?" in refused("uinput:thrid=rz")
+    assert "'wheel' is not KEY=VALUE" in refused("uinput:wheel")
+    if os.path.exists("/dev/uinput"):
+        pytest.skip("/dev/uinput is here; tests/system uses it")
+    assert refused("uinput") == "uinput: /dev/uinput does not exist; load the kernel module: sudo modprobe uinput"
+
+
+# ---- all ----
+
+
+def test_null_takes_everything():
+    with open_output("null") as output:
+        output.send(motion(1))
+        assert output.describe(motion(1)) == ""
+    assert "takes no argument" in refused("null:x")
+
+
+def test_unknown_kinds_are_told_the_known_ones():
+    assert refused("txt:-") == "unknown output 'txt:-'; did you mean text? (outputs are null, text, uinput)"
+
+
+def test_leaving_does_not_hide_errors(tmp_path):
+    for spec in (f"text:{tmp_path / 'log.txt'}", "null"):
+        with pytest.raises(ZeroDivisionError), open_output(spec):
+            1 / 0  # noqa: B018

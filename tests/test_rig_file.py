@@ -1,0 +1,283 @@
+"""Rig and camera files: what is saved reads back the same, and what a person may get wrong is said with its line."""
+
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.errors import ConfigurationError
+from spheremouse.recording import open_dataset
+from spheremouse.rig import CODES, Ball, Rig, Targets
+from spheremouse.rig_file import load_camera, load_rig, rig_text, save_camera, save_rig, with_camera
+
+TEXT = """\
+schema: 1
+camera: {width: 640, height: 480, fx: 900, fy: 901.5, cx: 320, cy: 239, dist: [-0.1, 0.02, 0, 1e-4, 0]}
+ball:
+  radius: 0.6
+  covariance:
+    - [4e-6, 0, 0, 0]
+    - [0, 4e-6, 0, 1e-6]
+    - [0, 0, 4e-6, 0]
+    - [0, 1e-6, 0, 1e-6]
+disc_radius: 0.02
+readout_s: 0.01
+target_radii: [0.02, 0.04, 0.06]
+targets:
+  - {id: 1, code: CMY, position: [-0.7, 0.7, 0.1]}
+  - {id: 2, code: MYC, position: [0.7, 0.7, 0.1], covariance: [[1e-6, 0, 0], [0, 1e-6, 0], [0, 0, 1e-6]]}
+  - {id: 5, code: YCM, position: [0.7, -0.7, 0.1]}
+T_obj_cam:
+  - [1, 0, 0, 0]
+  - [0, -1, 0, 0]
+  - [0, 0, -1, 2.4]
+  - [0, 0, 0, 1]
+discs: [[0, 0, 1], [0, 0.8, 0.6]]
+"""
+
+
+def random_covariance(rng, n):
+    """Symmetric to the last bit, of full rank, with very different scales."""
+    A = rng.normal(size=(n, n)) * np.logspace(-6, 0, n)[:, None]
+    return A @ A.T / 2 + (A @ A.T).T / 2
+
+
+def random_rig(seed, targets, known_pose, discs):
+    """A rig with something in every field."""
+    rng = np.random.default_rng(seed)
+    pose = Pose(Rotation.random(rng=rng).as_matrix(), np.array([0.1, 0.2, 2.5]) + rng.normal(size=3) / 9)
+    pose = Pose(pose.rotation, pose.position, random_covariance(rng, 6))
+    directions = rng.normal(size=(discs, 3))
+    return Rig(
+        camera=InteriorOrientation(640, 480, *rng.uniform(100, 900, 4).tolist(), rng.normal(size=5) / 9),
+        ball=Ball(rng.uniform(0.5, 0.7), rng.normal(size=3) / 100, random_covariance(rng, 4)),
+        targets=Targets(
+            ids=tuple(range(3, 3 + targets)),
+            codes=CODES[:targets],
+            position=rng.normal(size=(targets, 3)),
+            covariance=np.array([random_covariance(rng, 3) for _ in range(targets)]).reshape(-1, 3, 3),
+            radii=np.sort(rng.uniform(0.01, 0.1, 3)),
+        ),
+        disc_radius=rng.uniform(0.01, 0.03),
+        readout_s=rng.uniform(0, 0.03),
+        pose=pose if known_pose else None,
+        disc_directions=directions / np.linalg.norm(directions, axis=1, keepdims=True) if discs else None,
+    )
+
+
+def same(a, b):
+    """Whether two things of the core are equal, arrays to the last digits (a rotation is made orthonormal anew)."""
+    if isinstance(a, np.ndarray):
+        return isinstance(b, np.ndarray) and a.shape == b.shape and np.allclose(a, b, rtol=0, atol=1e-14)
+    if hasattr(a, "__slots__"):
+        return type(a) is type(b) and all(same(getattr(a, s), getattr(b, s)) for s in a.__slots__)
+    return type(a) is type(b) and a == b
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.booleans(), st.integers(0, 5))
+def test_a_rig_reads_back_as_it_was_saved(tmp_path_factory, seed, targets, known_pose, discs):
+    path = tmp_path_factory.mktemp("rig") / "rig.yaml"
+    rig = random_rig(seed, targets, known_pose, discs)
+    save_rig(path, rig)
+    assert same(load_rig(path), rig)
+    assert os.listdir(path.parent) == ["rig.yaml"]
+
+
+def test_the_comparison_sees_a_difference():
+    a, b = random_rig(1, 3, True, 2), random_rig(2, 3, True, 2)
+    assert same(a, a)
+    assert not same(a, with_camera(a, b.camera))
+
+
+def test_numpy_scalars_and_integers_are_saved_as_plain_numbers():
+    rig = random_rig(1, 1, False, 0)
+    text = rig_text(Rig(rig.camera, Ball(np.float64(1)), rig.targets, np.float64(0.02)))  # type: ignore[arg-type]
+    assert "radius: 1.0\n" in text
+    assert "np." not in text
+
+
+def test_a_rig_written_by_hand(tmp_path):
+    (tmp_path / "rig.yaml").write_text(TEXT)
+    rig = load_rig(tmp_path / "rig.yaml")
+    assert rig.camera.fx == 900.0
+    assert rig.targets.ids == (1, 2, 5)
+    np.testing.assert_array_equal(rig.targets.covariance[:, 0, 0], [0, 1e-6, 0])
+    np.testing.assert_array_equal(rig.ball.centre, [0, 0, 0])
+    assert rig.pose is not None
+    np.testing.assert_allclose(rig.pose.to_cam(np.zeros((1, 3))), [[0, 0, 2.4]], atol=1e-15)
+    np.testing.assert_allclose(rig.disc_directions, [[0, 0, 1], [0, 0.8, 0.6]])
+
+
+def test_a_matrix_copied_with_four_digits_is_made_a_rotation(tmp_path):
+    R = Rotation.from_euler("XYZ", [170, 20, 30], degrees=True).as_matrix()
+    rows = [[*map(float, np.round(R[i], 4)), t] for i, t in enumerate((0.0, 0.0, 2.4))]
+    head, _, rest = TEXT.partition("T_obj_cam:\n")
+    text = head + f"T_obj_cam: {[*rows, [0, 0, 0, 1]]}\n" + rest[rest.index("discs") :]
+    (tmp_path / "rig.yaml").write_text(text)
+    pose = load_rig(tmp_path / "rig.yaml").pose
+    assert pose is not None
+    np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(pose.rotation, R, atol=1e-4)
+
+
+def test_cameras_are_saved_and_replaced(tmp_path):
+    camera = InteriorOrientation(1280, 960, 1800.25, 1801.0, 640.5, 480.25, np.array([-0.1, 1e-17, 0, 0, 3]))
+    save_camera(tmp_path / "camera.yaml", camera)
+    assert same(load_camera(tmp_path / "camera.yaml"), camera)
+    rig = random_rig(1, 4, True, 3)
+    changed = with_camera(rig, camera)
+    assert changed.camera is camera
+    assert changed.targets is rig.targets
+    assert changed.pose is rig.pose
+
+
+def test_the_rig_of_a_dataset_survives(far26, tmp_path):
+    rig = open_dataset(far26).rig
+    save_rig(tmp_path / "rig.yaml", rig)
+    assert same(load_rig(tmp_path / "rig.yaml"), rig)
+
+
+ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0, 1]\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("fx: 900,", "fx: -900,", "2: camera.fx: must be greater than 0, is -900; focal length in px"),
+        ("fx: 900,", "", "2: camera.fx: missing; focal length in px"),
+        ("fx: 900,", "f: 900, fx: 1,", "2: camera.f: unknown key; did you mean fy or fx?"),
+        ("width: 640", "width: 640.5", "2: camera.width: must be a whole number, is 640.5; width of the images in px"),
+        (
+            "cx: 320",
+            "cx: 1281",
+            "2: camera.cx: is 1281, far outside an image of 640 px; it is given in px, and lies near 320",
+        ),
+        (
+            "1e-4, 0]",
+            "1e-4]",
+            "2: camera.dist[4]: missing; lens distortion [k1, k2, p1, p2, k3], OpenCV's order",
+        ),
+        ("radius: 0.6", "radius: 0", "4: ball.radius: must be greater than 0, is 0; radius of the ball in m"),
+        (
+            "    - [4e-6, 0, 0, 0]\n",
+            "",
+            "5: ball.covariance: must be 4 rows of 4 numbers, is 3 rows of 4",
+        ),
+        (
+            "[0, 4e-6, 0, 1e-6]",
+            "[0, 4e-6, 0, 1e-7]",
+            "5: ball.covariance: is not symmetric: 1e-07 against 1e-06 in rows 2 and 4; make them equal",
+        ),
+        (
+            "    - [4e-6, 0, 0, 0]\n",
+            "    - [-4e-6, 0, 0, 0]\n",
+            "6: ball.covariance[0]: has the negative variance -4e-06 on its diagonal; variances are squares",
+        ),
+        (
+            "    - [0, 4e-6, 0, 1e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 1e-6,",
+            "    - [0, 4e-6, 0, 3e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 3e-6,",
+            "5: ball.covariance: is not positive semidefinite: some correlation is beyond 1; copy all digits",
+        ),
+        (
+            "disc_radius: 0.02",
+            "disc_radius: 2",
+            "10: disc_radius: is 2 m, not smaller than the ball; both are in metres",
+        ),
+        ("0.01", "10", "11: readout_s: must be less than 1, is 10; time a rolling shutter takes over all rows in s"),
+        (
+            "[0.02, 0.04, 0.06]",
+            "[0.02, 0.06, 0.04]",
+            "12: target_radii: are 0.02, 0.06, 0.04; they must grow from inside to outside",
+        ),
+        (
+            "target_radii: [0.02, 0.04, 0.06]\n",
+            "",
+            "1: target_radii: missing; give [inner disc, middle ring, outer ring] in m",
+        ),
+        (
+            "code: MYC",
+            "code: MMY",
+            "15: targets[1].code: must be 'CMY', 'CYM', 'MCY', 'MYC', 'YCM' or 'YMC', is 'MMY'; "
+            "colours inside to outside",
+        ),
+        ("code: MYC", "code: CMY", "15: targets[1].code: CMY is on another target already; each code appears once"),
+        ("id: 5", "id: 1", "16: targets[2].id: 1 names another target already; give each its own"),
+        (
+            "[0.7, -0.7, 0.1]",
+            "[0.7, 0.7, 0.1]",
+            "16: targets[2].position: another target is in this very place; measure one of them again",
+        ),
+        (
+            "[[1e-6, 0, 0], [0, 1e-6, 0]",
+            "[[1e-6, 0, 0], [0, 0, 1e-7]",
+            "15: targets[1].covariance: is not symmetric: 1e-07 against 0 in rows 2 and 3; make them equal",
+        ),
+        (
+            "[1, 0, 0, 0]",
+            "[2, 0, 0, 0]",
+            "17: T_obj_cam: its first 3 x 3 are not a rotation (columns of length 1 at right angles); copy all digits",
+        ),
+        (
+            "[1, 0, 0, 0]",
+            "[-1, 0, 0, 0]",
+            "17: T_obj_cam: its first 3 x 3 mirror (determinant -1); all frames here are right-handed",
+        ),
+        (
+            "[0, 0, 0, 1]\ndiscs",
+            "[0, 0, 2.4, 1]\ndiscs",
+            "21: T_obj_cam[3]: must be [0, 0, 0, 1]; is the matrix transposed?",
+        ),
+        (
+            "2.4]",
+            "0.24]",
+            "17: T_obj_cam: puts the camera inside the ball; is it T_cam_obj, or not in metres?",
+        ),
+        ("T_obj_cam:" + ROWS, "T_obj_cam: [[1, 0]]\n", "17: T_obj_cam: must be 4 rows of 4 numbers, is 1 rows of 2"),
+        (
+            "T_obj_cam:" + ROWS,
+            "pose_covariance: [[1]]\n",
+            "17: pose_covariance: belongs to T_obj_cam, which is missing; give both or none",
+        ),
+        ("[0, 0.8, 0.6]", "[0, 8, 6]", "22: discs[1]: has length 10; give a unit vector"),
+        ("[0, 0.8, 0.6]", "[0, 0, 0]", "22: discs[1]: has length 0; give a unit vector"),
+        ("ball:", "bal:", "3: bal: unknown key; did you mean ball?"),
+    ],
+)
+def test_a_wrong_rig_is_refused_with_line_and_advice(tmp_path, old, new, message):
+    assert TEXT.count(old) == 1 or old in ("0.01",)
+    (tmp_path / "rig.yaml").write_text(TEXT.replace(old, new, 1))
+    with pytest.raises(ConfigurationError) as e:
+        load_rig(tmp_path / "rig.yaml")
+    lines = [line.removeprefix(f"{tmp_path / 'rig.yaml'}:") for line in str(e.value).split("\n")]
+    assert message in lines
+
+
+def test_all_problems_of_a_rig_come_at_once(tmp_path):
+    text = TEXT.replace("cx: 320", "cx: 5000").replace("id: 5", "id: 1").replace("[0, 0.8, 0.6]", "[0, 8, 6]")
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(ConfigurationError) as e:
+        load_rig(tmp_path / "rig.yaml")
+    assert [line.split(":")[1] for line in str(e.value).split("\n")] == ["2", "16", "22"]
+
+
+def test_a_camera_file_holds_a_camera_only(tmp_path):
+    path = tmp_path / "camera.yaml"
+    path.write_text(TEXT)
+    with pytest.raises(ConfigurationError, match="ball: unknown key; known here: camera"):
+        load_camera(path)
+    path.write_text("schema: 1\n")
+    with pytest.raises(ConfigurationError, match="1: camera: missing; width, height"):
+        load_camera(path)
+    path.write_text(TEXT.splitlines()[1] + "\n")
+    with pytest.raises(ConfigurationError, match="schema: missing"):
+        load_camera(path)
+
+
+def test_saving_where_nothing_can_be_written(tmp_path):
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        save_rig(tmp_path / "no" / "rig.yaml", random_rig(1, 3, False, 0))
