@@ -111,7 +111,7 @@ def open_dataset(path: Path | str) -> Recording:
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,
-        pose=_pose(path, "truth_T_obj_cam", scene.truth_T_obj_cam),
+        pose=_pose(path / "scene.json", "truth_T_obj_cam", scene.truth_T_obj_cam),
         truth=truth,
         discs=discs,
         truth_directions=directions,
@@ -136,7 +136,7 @@ def _read_scene(path: Path) -> _Scene:
         first = e.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
         more = f" (and {e.error_count() - 1} more)" if e.error_count() > 1 else ""
-        raise DatasetError(f"{path}: {key}: {first['msg'].lower()}{more}") from None
+        raise DatasetError(f"{path}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{more}") from None
     if scene.targets and scene.target_radii is None:
         raise DatasetError(f"{path}: target_radii: field required where there are targets")
     if len({t.id for t in scene.targets}) < len(scene.targets) or len({t.code for t in scene.targets}) < len(

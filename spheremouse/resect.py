@@ -20,6 +20,7 @@ from spheremouse.camera import (
     reduced_to_pixel,
     unproject,
 )
+from spheremouse.detect.detections import Image
 from spheremouse.detect.rings import TargetDetections
 from spheremouse.errors import PoseError
 from spheremouse.rig import Rig
@@ -92,11 +93,12 @@ def gather(views: list[TargetDetections], settings: PoseSettings) -> list[Sighti
     return sightings
 
 
-def resect(sightings: list[Sighting], rig: Rig, image: NDArray[np.uint8]) -> Resection:
+def resect(sightings: list[Sighting], rig: Rig, image: Image) -> Resection:
     """Pose of the camera from at least three targets of the rig; `image` (any of the views) shows the ball's outline.
 
     With three targets up to four poses fit (Gao et al. 2003), with four in a plane sometimes two; they are told apart
-    by the ball's outline. Copies of a target in the room are told from the real one by the residuals.
+    by the ball's outline, which must bear out the pose of three targets in any case. Copies of a target in the room are
+    told from the real one by the residuals.
     Raises PoseError where targets are missing, where nothing fits, and where two poses fit alike.
     """
     known = {code: i for i, code in enumerate(rig.targets.codes)}
@@ -107,6 +109,11 @@ def resect(sightings: list[Sighting], rig: Rig, image: NDArray[np.uint8]) -> Res
         raise PoseError(
             f"{len(seen)} of {len(known)} targets found ({', '.join(seen) or 'none'}), at least 3 are needed; missing: "
             f"{', '.join(missing)}: light them, uncover them, or widen the colour bounds (rings.*)"
+        )
+    if _in_a_line(rig.targets.position[[known[c] for c in seen]]):
+        raise PoseError(
+            f"the targets found ({', '.join(seen)}) lie in a line in the rig, which leaves the turn about it open: "
+            "uncover one beside that line"
         )
     fits: list[Resection] = []
     chosen = [[*options, None] if len(options) > 1 else options for options in seen.values()]
@@ -120,7 +127,7 @@ def resect(sightings: list[Sighting], rig: Rig, image: NDArray[np.uint8]) -> Res
             f"no camera position fits the targets {', '.join(seen)}: their positions in the rig, or the camera's "
             "calibration, belong to another device"
         )
-    if len(fits) == 1:
+    if len(fits) == 1 and len(fits[0].codes) > 3:
         return fits[0]
     return _by_outline(fits, rig, image)
 
@@ -154,11 +161,17 @@ def _predict(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> tuple[Array, Arra
     return np.mean(centres, axis=0), J
 
 
+def _in_a_line(points: Array) -> bool:
+    """Points (n, 3) that span no plane, or one narrower than a thousandth of its length."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] <= 1e-3 * spread[0])
+
+
 def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list[Resection]:
     """All poses that satisfy one choice of sightings: closed-form starts, each adjusted."""
     points = rig.targets.position[which]
     xy, _ = unproject(np.array([s.centre for s in used]), rig.camera)
-    if not np.all(np.isfinite(xy)):
+    if not np.all(np.isfinite(xy)) or _in_a_line(points):
         return []
     if len(used) == 3:
         _, rvecs, tvecs = cv2.solveP3P(points, xy[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
@@ -186,7 +199,10 @@ def _adjust(pose: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig)
     residual = np.zeros_like(observed)
     cost = np.inf
     for _ in range(30):
-        predicted, dc_dcam = _predict(pose, rig, which)
+        try:
+            predicted, dc_dcam = _predict(pose, rig, which)
+        except np.linalg.LinAlgError:  # so far off that a target is seen edge-on
+            return None
         if not np.all(np.isfinite(predicted)):
             return None
         residual = observed - predicted
@@ -206,7 +222,10 @@ def _adjust(pose: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig)
     freedom = 2 * len(used) - 6
     # few targets, few degrees of freedom: the factor may enlarge the covariance, never shrink it
     factor = cost / freedom if freedom > 0 else 1.0
-    covariance = np.linalg.inv(N) * max(factor, 1.0)
+    try:
+        covariance = np.asarray(np.linalg.inv(N) * max(factor, 1.0), dtype=float)
+    except np.linalg.LinAlgError:
+        return None
     return Resection(
         Pose(pose.rotation, pose.position, covariance), tuple(s.code for s in used), observed, residual, factor
     )
@@ -243,11 +262,20 @@ def _distinct(fits: list[Resection]) -> list[Resection]:
     return kept
 
 
-def _by_outline(fits: list[Resection], rig: Rig, image: NDArray[np.uint8]) -> Resection:
-    """The fit whose ball outline lies on an edge of the image; refuses where two do."""
+def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
+    """The fit whose ball outline lies on an edge of the image; refuses where two do, or none.
+
+    Three targets always fit: even a single pose of them is to be believed only where the ball is seen in its place.
+    """
     scores = [_outline_score(f.pose, rig, image) for f in fits]
     order = np.argsort(scores)[::-1]
-    best, second = scores[order[0]], scores[order[1]]
+    best = scores[order[0]]
+    second = scores[order[1]] if len(fits) > 1 else 0.0
+    if len(fits) == 1 and best < 0.3:
+        raise PoseError(
+            f"the camera position that fits the targets {', '.join(fits[0].codes)} has the ball's outline where none "
+            "is seen: uncover a fourth target, or the edge of the ball, or give the rig of this device"
+        )
     if best < 0.3 or second > 0.7 * best:
         seen = fits[0].codes
         raise PoseError(
@@ -257,7 +285,7 @@ def _by_outline(fits: list[Resection], rig: Rig, image: NDArray[np.uint8]) -> Re
     return fits[int(order[0])]
 
 
-def _outline_score(pose: Pose, rig: Rig, image: NDArray[np.uint8]) -> float:
+def _outline_score(pose: Pose, rig: Rig, image: Image) -> float:
     """Part of the visible outline, 0..1, that lies within 2 px of an edge running along it."""
     grey = cv2.GaussianBlur(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0)
     centre, shape = project_sphere(pose.to_cam(rig.ball.centre), rig.ball.radius)
@@ -276,7 +304,8 @@ def _outline_score(pose: Pose, rig: Rig, image: NDArray[np.uint8]) -> float:
     visible = np.all((at > 1) & (at < [w - 2, h - 2]), axis=(1, 2))
     if np.count_nonzero(visible) < 24:
         return 0.0
-    profile = cv2.remap(grey.astype(np.float32), at[visible].astype(np.float32), None, cv2.INTER_LINEAR)
+    x, y = (np.ascontiguousarray(at[visible, :, i], dtype=np.float32) for i in (0, 1))
+    profile = cv2.remap(grey.astype(np.float32), x, y, cv2.INTER_LINEAR)
     slope = np.abs(profile[:, 4:] - profile[:, :-4])  # over 2 px
     strongest = slope.max(axis=1)
     offset = np.abs(reach[2:-2][slope.argmax(axis=1)])

@@ -15,7 +15,7 @@ from spheremouse.associate import common_rotation, identify
 from spheremouse.camera import Pose, project
 from spheremouse.detect import static
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
-from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings
 from spheremouse.detect.static import Lookalikes, StaticSettings
@@ -67,7 +67,7 @@ class Settings:
 class Detector(Protocol):
     """What finds discs."""
 
-    def detect(self, image: NDArray[np.uint8]) -> Detections:
+    def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w)."""
         ...
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.settings import param
 
 
@@ -35,14 +34,14 @@ class BlobDetector:
 
     settings: BlobSettings
 
-    def detect(self, image: NDArray[np.uint8]) -> Detections:
+    def detect(self, image: Image) -> Detections:
         """Blobs in an image (h, w, 3) BGR or (h, w); centres are centroids of contours (eq. 96)."""
         s = self.settings
         grey = image if image.ndim == 2 else _mean_of_channels(image)
         if s.median > 1:
             grey = cv2.medianBlur(grey, s.median)
         kernel = np.ones((s.opening, s.opening), np.uint8)
-        kept: list[tuple[float, tuple[float, float], NDArray[np.int32]]] = []
+        kept: list[tuple[float, tuple[float, float], Image]] = []
         for i in range(s.masks):
             mask = cv2.inRange(grey, np.array(s.mask_step * i), np.array(s.mask_step * i + s.mask_width))
             mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel)
@@ -59,7 +58,7 @@ class BlobDetector:
             tuple(contour for _, _, contour in unique),
         )
 
-    def _blob(self, contour: NDArray[np.int32]) -> tuple[float, tuple[float, float], NDArray[np.int32]] | None:
+    def _blob(self, contour: Image) -> tuple[float, tuple[float, float], Image] | None:
         """Area, centroid and outline of a contour that passes eq. 97, 98 and the bound on convexity."""
         area = cv2.contourArea(contour)
         if not self.settings.min_area <= area <= self.settings.max_area:
@@ -70,16 +69,16 @@ class BlobDetector:
         return area, (m["m10"] / m["m00"], m["m01"] / m["m00"]), contour
 
 
-def _mean_of_channels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _mean_of_channels(image: Image) -> Image:
     """Grey as (r + g + b) / 3."""
     return cv2.transform(image, np.full((1, 3), 1.0 / 3.0))
 
 
 def _without_contained(
-    blobs: list[tuple[float, tuple[float, float], NDArray[np.int32]]],
-) -> list[tuple[float, tuple[float, float], NDArray[np.int32]]]:
+    blobs: list[tuple[float, tuple[float, float], Image]],
+) -> list[tuple[float, tuple[float, float], Image]]:
     """Of contours that hold each other's centroid the largest: the others are the same blob in another mask."""
-    unique: list[tuple[float, tuple[float, float], NDArray[np.int32]]] = []
+    unique: list[tuple[float, tuple[float, float], Image]] = []
     for blob in sorted(blobs, key=lambda b: -b[0]):
         if all(cv2.pointPolygonTest(other[2], blob[1], False) < 0 for other in unique):
             unique.append(blob)

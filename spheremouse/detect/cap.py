@@ -18,6 +18,7 @@ from spheremouse.camera import (
     project_sphere,
     reduced_to_pixel,
 )
+from spheremouse.detect.detections import Image
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 
@@ -68,7 +69,7 @@ def ball_outline(rig: Rig, pose: Pose, points: int = 180) -> Array:
     return reduced_to_pixel(rim, rig.camera)[0]
 
 
-def ball_mask(rig: Rig, pose: Pose) -> NDArray[np.uint8]:
+def ball_mask(rig: Rig, pose: Pose) -> Image:
     """255 on the ball's image, 0 elsewhere, (h, w)."""
     mask = np.zeros((rig.camera.height, rig.camera.width), np.uint8)
     outline = np.clip(ball_outline(rig, pose), -1e4, 1e4)

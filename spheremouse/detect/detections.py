@@ -18,7 +18,7 @@ class Detections:
     centre: Array  # (n, 2) px, the disc's centre in the (distorted) image
     covariance: Array  # (n, 2, 2) px²
     area: Array  # (n,) px²
-    contours: tuple[NDArray[np.int32], ...] = field(default=())  # outlines for the overlay; may be empty
+    contours: tuple[Image, ...] = field(default=())  # outlines for the overlay; may be empty
 
     def __len__(self) -> int:
         return len(self.centre)

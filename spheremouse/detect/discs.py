@@ -80,7 +80,7 @@ class DiscDetector:
         best = best[_first_of_each(places[index][best], 0.3 * self.diameter)]
         return self._fit(grey, noise, places[index][best], background[index][best], seen.take(best))
 
-    def _grey(self, image: Image) -> tuple[NDArray[np.float32], float]:
+    def _grey(self, image: Image) -> tuple[Image, float]:
         """Smoothed grey of the window, dark discs, and the noise of one pixel before smoothing, grey values."""
         grey = image[self.window]
         if grey.ndim == 3:
@@ -93,7 +93,7 @@ class DiscDetector:
             grey = cv2.GaussianBlur(grey, (0, 0), self.settings.smoothing)
         return grey, noise
 
-    def _dark_places(self, grey: NDArray[np.float32], noise: float) -> tuple[Array, Array, Array]:
+    def _dark_places(self, grey: Image, noise: float) -> tuple[Array, Array, Array]:
         """Compact regions darker than what surrounds them: centroids (n, 2) px in the window, areas, backgrounds.
 
         Looked for at three levels: the low one finds slivers at the limb, the high one parts a disc from a shadow.
@@ -101,7 +101,7 @@ class DiscDetector:
         flat = grey.astype(np.uint8)
         width = 2 * int(np.ceil(0.75 * self.diameter)) + 1
         background = cv2.morphologyEx(flat, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
-        deep = cv2.compare(cv2.subtract(background, flat), min(4.0 * noise + 1.0, 255.0), cv2.CMP_GT)
+        deep = cv2.inRange(cv2.subtract(background, flat), np.array(4.0 * noise + 1.0), np.array(255.0))
         deep = cv2.bitwise_and(deep, self.mask)
         places, sizes = [], []
         for share in (0.6, 1.2, 2.4):
@@ -125,7 +125,7 @@ class DiscDetector:
         return where, np.array(sizes, dtype=float), background[at[:, 1], at[:, 0]].astype(float)
 
     def _fit(
-        self, grey: NDArray[np.float32], noise: float, start: Array, background: Array, seen: Appearance
+        self, grey: Image, noise: float, start: Array, background: Array, seen: Appearance
     ) -> Detections:
         """Fit I = b0 + b1 x + b2 y - a e(x - c; s) by Gauss-Newton with Tukey weights.
 
@@ -138,7 +138,7 @@ class DiscDetector:
         pixels = _Pixels.around(start, seen.shape, self.mask, self.diameter)
         disc = pixels.disc
         image = grey[pixels.row, pixels.column].astype(float)
-        inverse = np.linalg.inv(seen.shape)
+        inverse = np.asarray(np.linalg.inv(seen.shape), dtype=float)
         blur = float(np.sqrt(self.settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2))
         at = np.rint(start).astype(int)
         contrast = background - grey[at[:, 1], at[:, 0]]
@@ -217,7 +217,7 @@ def _first_of_each(points: Array, radius: float) -> NDArray[np.intp]:
     return np.flatnonzero(~np.tril(near, -1).any(axis=1))
 
 
-def _noise(grey: NDArray[np.float32]) -> float:
+def _noise(grey: Image) -> float:
     """Standard deviation of a pixel, grey values, from second differences along every eighth row."""
     rows = grey[::8]
     difference = rows[:, 1:-1] - 0.5 * (rows[:, :-2] + rows[:, 2:])
@@ -230,7 +230,7 @@ def _median(values: Array) -> float:
     return float(np.partition(values, middle)[middle]) if len(values) else 0.0
 
 
-def _centroid(contour: NDArray[np.int32]) -> tuple[float, float]:
+def _centroid(contour: Image) -> tuple[float, float]:
     m = cv2.moments(contour)
     if m["m00"] > 0:
         return m["m10"] / m["m00"], m["m01"] / m["m00"]

@@ -10,8 +10,8 @@ from itertools import permutations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from spheremouse.detect.detections import Image
 from spheremouse.rig import COLOURS
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -46,7 +46,7 @@ class TargetDetections:
     codes: tuple[str, ...]
     centre: Array  # (n, 2) px, mean centroid of the three filled ellipses: eccentricity not yet corrected
     radius: Array  # (n,) px, of the outer ring, geometric mean of the semi-axes
-    contours: tuple[NDArray[np.int32], ...]  # outer outlines, for the overlay
+    contours: tuple[Image, ...]  # outer outlines, for the overlay
 
     def __len__(self) -> int:
         return len(self.codes)
@@ -54,12 +54,12 @@ class TargetDetections:
 
 @dataclass(frozen=True, slots=True)
 class _Blob:
-    contour: NDArray[np.int32]  # (k, 2) px
+    contour: Image  # (k, 2) px
     centre: Array  # (2,) px
     radius: float  # px, of the circle of equal area
 
 
-def detect_targets(image: NDArray[np.uint8], radii: Array, settings: RingSettings) -> TargetDetections:
+def detect_targets(image: Image, radii: Array, settings: RingSettings) -> TargetDetections:
     """All targets in a BGR image, (h, w, 3). `radii` (3,) are the rig's circles, in any unit.
 
     Single discs, rings within rings of two colours, and nestings whose circles are not concentric or not in
@@ -82,7 +82,7 @@ def detect_targets(image: NDArray[np.uint8], radii: Array, settings: RingSetting
     )
 
 
-def _masks(image: NDArray[np.uint8], settings: RingSettings) -> list[NDArray[np.uint8]]:
+def _masks(image: Image, settings: RingSettings) -> list[Image]:
     smooth = cv2.medianBlur(image, settings.median) if settings.median > 1 else image
     hsv = cv2.cvtColor(smooth, cv2.COLOR_BGR2HSV)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (settings.opening, settings.opening))
@@ -96,7 +96,7 @@ def _masks(image: NDArray[np.uint8], settings: RingSettings) -> list[NDArray[np.
     return masks
 
 
-def _colour_blobs(mask: NDArray[np.uint8], settings: RingSettings) -> list[_Blob]:
+def _colour_blobs(mask: Image, settings: RingSettings) -> list[_Blob]:
     """Outlines of the connected regions of a mask, filled: their moments are those of discs, not of rings."""
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     blobs = []
@@ -114,7 +114,10 @@ def _colour_blobs(mask: NDArray[np.uint8], settings: RingSettings) -> list[_Blob
 def _nests(layers: list[list[_Blob]], proportion: Array, settings: RingSettings) -> list[tuple[_Blob, ...]]:
     """Triples (inner, middle, outer) that lie in one another, concentric and in proportion; the best of each place."""
     found = []
+    least = settings.min_radius / proportion[0] / settings.ratio  # no smaller outer ring holds a large enough disc
     for outer in layers[2]:
+        if outer.radius < least:
+            continue
         inside = [
             [b for b in layer if _fits(b, outer, expected, settings)]
             for layer, expected in zip(layers[:2], proportion[:2], strict=True)
@@ -132,7 +135,8 @@ def _nests(layers: list[list[_Blob]], proportion: Array, settings: RingSettings)
 def _fits(blob: _Blob, outer: _Blob, expected: float, settings: RingSettings) -> bool:
     ratio = blob.radius / (outer.radius * expected)
     offset = np.linalg.norm(blob.centre - outer.centre)
-    return 1.0 / settings.ratio < ratio < settings.ratio and offset < max(settings.concentric * outer.radius, 1.0)
+    near = offset < max(settings.concentric * outer.radius, 1.0)
+    return bool(near and 1.0 / settings.ratio < ratio < settings.ratio)
 
 
 def _misfit(nest: tuple[_Blob, ...], proportion: Array) -> float:
@@ -140,7 +144,7 @@ def _misfit(nest: tuple[_Blob, ...], proportion: Array) -> float:
     return float(np.ptp(np.log(ratios)))
 
 
-def _measure(image: NDArray[np.uint8], nest: tuple[_Blob, ...], proportion: Array) -> tuple[Array, float] | None:
+def _measure(image: Image, nest: tuple[_Blob, ...], proportion: Array) -> tuple[Array, float] | None:
     """Sub-pixel centre (2,) px and radius of the outer circle.
 
     Each edge separates two flat colours A and B; a pixel near it is covered by (I - B)(A - B) / |A - B|^2 parts of the
@@ -148,7 +152,7 @@ def _measure(image: NDArray[np.uint8], nest: tuple[_Blob, ...], proportion: Arra
     """
     outer = nest[2]
     ellipse = cv2.fitEllipse(outer.contour) if len(outer.contour) >= 5 else None
-    if ellipse is None or min(ellipse[1]) <= 0 or not np.all(np.isfinite(ellipse[0] + ellipse[1])):
+    if ellipse is None or min(ellipse[1]) <= 0 or not np.all(np.isfinite((*ellipse[0], *ellipse[1]))):
         return None
     margin = max(ellipse[1]) / 2 + 6.0
     x0, y0 = (max(int(np.floor(c - margin)), 0) for c in outer.centre)

@@ -161,7 +161,9 @@ class Caps:
         rays = (ray[:, None] + grid @ dray.transpose(0, 2, 1)).reshape(-1, 3)
         edge = self._edge(rays, np.repeat(dray, n, axis=0), np.repeat(toward, n, axis=0))
         on_ball = (edge.cosine > 0.0).reshape(-1, n)
-        part = _half_plane(edge.g, edge.slope / fine).reshape(-1, n) * on_ball
+        # At the very limb g is no linear function of the pixel: there the middle of a part stands for all of it.
+        steep = edge.cosine < np.sqrt(self._pixel)
+        part = np.where(steep, edge.g > 0.0, _half_plane(edge.g, edge.slope / fine)).reshape(-1, n) * on_ball
         return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
 
     def _edge(self, ray: Array, dray: Array, toward: Array) -> _Edge:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.frame import Frame
 from spheremouse.rotation import Array
-from spheremouse.simulate.backdrop import render_backdrop
+from spheremouse.simulate.backdrop import Backdrop, render_backdrop
 from spheremouse.simulate.caps import BallView, Caps, Coverage
 from spheremouse.simulate.hands import HandVisit, PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.profile import Profile
@@ -58,13 +58,14 @@ class SimulatedFrame:
 class Renderer:
     """Renders frames of one scene; making it takes a few seconds, a frame takes milliseconds."""
 
-    def __init__(self, scene: Scene, options: RenderOptions | None = None) -> None:
+    def __init__(self, scene: Scene, options: RenderOptions | None = None, backdrop: Backdrop | None = None) -> None:
+        """`backdrop`: that of another renderer whose scene looks the same without discs; it saves the seconds."""
         self.scene = scene
         self.options = RenderOptions() if options is None else options
-        self._backdrop = render_backdrop(scene)
+        self.backdrop = render_backdrop(scene) if backdrop is None else backdrop
         self._caps = Caps(scene)
-        self._change = (self._backdrop.black - self._backdrop.white).reshape(-1, 3)
-        self._bytes = _to_bytes(self._backdrop.white)
+        self._change = (self.backdrop.black - self.backdrop.white).reshape(-1, 3)
+        self._bytes = _to_bytes(self.backdrop.white)
         self._hand = draw_hand() if self.options.hands else None
 
     def frame(self, profile: Profile, t: float, sequence: int, rng: np.random.Generator) -> SimulatedFrame:
@@ -72,10 +73,10 @@ class Renderer:
         moments = [self._caps.coverage(profile.attitude, moment) for moment in self._moments(profile, t)]
         hands = self._hands(t)
         image = self._picture(moments, hands, t, rng)
-        shows_ball = self._backdrop.ball.copy() if hands else self._backdrop.ball
+        shows_ball = self.backdrop.ball.copy() if hands else self.backdrop.ball
         for hand in hands:
             shows_ball[hand.place] *= 1.0 - hand.paint[..., 3]
-        view = BallView(shows_ball, self._backdrop.outline)
+        view = BallView(shows_ball, self.backdrop.outline)
         discs = self._caps.truth(profile.attitude, t, sequence, moments[len(moments) // 2], view)
         now = np.array([t])
         return SimulatedFrame(Frame(image, t, sequence), profile.attitude(now)[0], profile.rate(now)[0], discs)
@@ -86,12 +87,12 @@ class Renderer:
         pixel, share = _mean_coverage(moments)
         options = self.options
         factor = float(np.prod([d.at(t) for d in options.dimming]))
-        touched = self._backdrop.white.reshape(-1, 3)[pixel] + share[:, None] * self._change[pixel]
+        touched = self.backdrop.white.reshape(-1, 3)[pixel] + share[:, None] * self._change[pixel]
         if not hands and factor == 1.0 and options.brightness == 0.0 and options.noise == 0.0:
             image = self._bytes.copy()
             image.reshape(-1, 3)[pixel] = _to_bytes(touched)
             return image
-        picture = self._backdrop.white.copy()
+        picture = self.backdrop.white.copy()
         picture.reshape(-1, 3)[pixel] = touched
         for hand in hands:
             part = picture[hand.place]

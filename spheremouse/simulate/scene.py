@@ -103,6 +103,8 @@ def spread_directions(n: int, apart: float, rng: np.random.Generator) -> Array:
     """
     if n < 1:
         raise ValueError("a ball needs at least one disc")
+    if n * 0.5 * (1.0 - np.cos(0.5 * apart)) > 0.5:  # caps in the densest packing fill 0.9 of a plane
+        raise ValueError(f"{n} discs do not fit on the ball")
     u = rng.standard_normal((n, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     spacing = np.sqrt(4.0 * np.pi / n)

@@ -1,0 +1,5 @@
+"""`python -m spheremouse` is `spheremouse`."""
+
+from spheremouse.cli import main
+
+main()

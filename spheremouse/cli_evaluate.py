@@ -1,0 +1,304 @@
+"""`spheremouse evaluate`: run the tracker on recordings and measure it against their truth."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from spheremouse import config
+from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
+from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
+from spheremouse.frame import Frame
+from spheremouse.plot import plot_run, require_matplotlib
+from spheremouse.recording import Recording, open_dataset, read_frames
+from spheremouse.rig import Rig
+from spheremouse.rig_file import load_camera, load_rig, with_camera
+from spheremouse.rotation import Array
+from spheremouse.session import Epoch, initialise, track
+from spheremouse.track import Settings, build
+from spheremouse.yaml_file import write_atomically
+
+_SEED = 0  # of the noise added: the same frame gets the same noise in every run
+
+
+def evaluate(  # noqa: PLR0917
+    datasets: Annotated[list[Path], typer.Argument(metavar="DATASET...", show_default=False, help="Folders.")],
+    tracker: Annotated[str | None, typer.Option(metavar="so3|ekf1|ekf2", help="Filter.")] = None,
+    detector: Annotated[str | None, typer.Option(metavar="default|blobs", help="Disc detector.")] = None,
+    pose: Annotated[
+        str, typer.Option(metavar="own|known", help="Camera pose: found from the images, or the true one.")
+    ] = "own",
+    assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
+    config_file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="Configuration file.")] = None,
+    rig_file: Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="In place of the dataset's.")] = None,
+    camera_file: Annotated[Path | None, typer.Option("--camera", metavar="FILE", help="Interior orientation.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw one dataset's run.")
+    ] = None,
+    noise: Annotated[float, typer.Option(metavar="S", help="Add normal noise, grey values.")] = 0.0,
+    brightness: Annotated[float, typer.Option(metavar="L", help="Add a constant, grey values.")] = 0.0,
+) -> None:
+    """Track recordings and compare with their truth."""
+    printed_json = json_file == Path("-")
+    out, err = _console(stderr=printed_json), _console(stderr=True)
+    try:
+        settings = _settings(config_file, assignments, tracker, detector)
+        _check(pose, noise, datasets, json_file, plot_file)
+        rig = None if rig_file is None else load_rig(rig_file)
+        camera = None if camera_file is None else load_camera(camera_file)
+        recordings = [open_dataset(path) for path in datasets]
+        rigs = [_rig(recording, rig, camera, pose) for recording in recordings]
+        if plot_file is not None and recordings[0].truth is None:
+            raise DatasetError(f"{recordings[0].path}: no truth.csv, which --plot compares with")
+    except SpheremouseError as e:
+        _fail(str(e))
+    results: list[dict[str, Any]] = []
+    failed = False
+    for recording, used_rig in zip(recordings, rigs, strict=True):
+        try:
+            run, found = _run(recording, used_rig, settings, noise, brightness, err)
+        except SpheremouseError as e:
+            typer.echo(_about(recording, str(e)), err=True)
+            failed = True
+            continue
+        reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
+        results.append(
+            report(
+                run,
+                reference,
+                used_rig,
+                dataset=recording.name,
+                tracker=settings.tracker,
+                frames=recording.frames,
+                found=found,
+            )
+        )
+        try:
+            if plot_file is not None:
+                _plot(run, recording, plot_file)
+        except SpheremouseError as e:
+            typer.echo(str(e), err=True)
+            failed = True
+    if results:
+        out.print(_table(results, settings, pose))
+    try:
+        if json_file is not None and results:
+            text = json.dumps(results[0] if len(datasets) == 1 else results, indent=1, allow_nan=False) + "\n"
+            if printed_json:
+                typer.echo(text, nl=False)
+            else:
+                write_atomically(json_file, text)
+    except SpheremouseError as e:
+        _fail(str(e))
+    if failed:
+        raise typer.Exit(2)
+
+
+# ---- what is asked for ----
+
+
+def _settings(file: Path | None, assignments: list[str] | None, tracker: str | None, detector: str | None) -> Settings:
+    """The defaults, then the file, then each KEY=VALUE, then the options with a name of their own."""
+    settings = Settings() if file is None else config.load(file, Settings)
+    for assignment in assignments or []:
+        settings = config.override(settings, assignment)
+    for key, value in (("tracker", tracker), ("detector", detector)):
+        if value is not None:
+            settings = config.override(settings, f"{key}={value}", label="--")
+    return settings
+
+
+def _check(pose: str, noise: float, datasets: list[Path], json_file: Path | None, plot_file: Path | None) -> None:
+    if pose not in ("own", "known"):
+        raise ConfigurationError(f"--pose: must be own or known, is {pose!r}")
+    if not 0.0 <= noise < np.inf:
+        raise ConfigurationError(f"--noise: must be 0 or more grey values, is {noise:g}")
+    for name, path in (("--json", json_file), ("--plot", plot_file)):
+        if path is not None and not path.parent.is_dir():
+            raise ConfigurationError(f"{name}: {path.parent}: no such folder")
+    if plot_file is not None:
+        if len(datasets) > 1:
+            raise ConfigurationError("--plot: draws one dataset; name one at a time")
+        require_matplotlib()
+
+
+def _rig(recording: Recording, rig: Rig | None, camera: InteriorOrientation | None, pose: str) -> Rig:
+    rig = recording.rig if rig is None else rig
+    rig = rig if camera is None else with_camera(rig, camera)
+    if pose == "own":
+        return rig
+    if recording.pose is None:
+        raise DatasetError(f"{recording.path}: scene.json has no truth_T_obj_cam, which --pose known takes")
+    return replace(rig, pose=recording.pose)
+
+
+def _about(recording: Recording, message: str) -> str:
+    """A message that says which dataset it is about; those of the recording itself begin with its path."""
+    return message if str(recording.path) in message else f"{recording.path}: {message}"
+
+
+def _fail(message: str) -> NoReturn:
+    typer.echo(message, err=True)
+    raise typer.Exit(2)
+
+
+# ---- one run ----
+
+
+def _run(  # noqa: PLR0917
+    recording: Recording, rig: Rig, settings: Settings, noise: float, brightness: float, err: Console
+) -> tuple[Run, Pose | None]:
+    """Track a recording from its first frame; also the camera's pose where it was found from the images."""
+    frames = degraded(read_frames(recording), noise, brightness)
+    with _progress(err) as progress:
+        task = progress.add_task(recording.name, total=recording.frames)
+        passed_over: list[str] = []  # why the first views gave no pose: said only where later ones did
+        start = initialise(frames, rig, settings, report=passed_over.append)
+        for text in passed_over:
+            err.print(f"{_about(recording, text)} (first frames passed over)", markup=False, highlight=False)
+        epochs: list[_Seen] = []
+        for epoch in track(start.frames, build(rig, start.pose, settings)):
+            epochs.append(_seen(epoch))
+            progress.update(task, completed=epoch.frame.sequence + 1)
+    return _collected(epochs), None if start.resection is None else start.pose
+
+
+def degraded(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
+    """Frames with normal noise on every channel and a constant added (Wittich 2017, section 4.9), 8 bits again."""
+    for frame in frames:
+        if noise == 0.0 and brightness == 0.0:
+            yield frame
+            continue
+        rng = np.random.default_rng([_SEED, frame.sequence])
+        values = frame.image + np.float32(brightness)
+        if noise:
+            values += np.float32(noise) * rng.standard_normal(values.shape, dtype=np.float32)
+        yield replace(frame, image=np.clip(np.rint(values), 0, 255).astype(np.uint8))
+
+
+_Seen = tuple[Epoch, Array]  # without its image; used centres, (k, 2) px
+
+
+def _seen(epoch: Epoch) -> _Seen:
+    """What is kept of an epoch: all but the picture."""
+    state = epoch.state
+    used = np.zeros((0, 2))
+    if state.filter.stamp == epoch.frame.stamp:  # else the filter was not asked in this frame
+        used = state.detections.centre[state.points.index[state.filter.used]]
+    return replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))), used
+
+
+def _collected(seen: list[_Seen]) -> Run:
+    epochs = [epoch for epoch, _ in seen]
+    states = [epoch.state for epoch in epochs]
+    n = len(epochs)
+    return Run(
+        frame=np.array([epoch.frame.sequence for epoch in epochs], dtype=np.intp),
+        stamp=np.array([epoch.frame.stamp for epoch in epochs], dtype=float),
+        phase=tuple(state.phase for state in states),
+        attitude=np.array([state.filter.attitude for state in states]).reshape(n, 3, 3),
+        rate=np.array([state.filter.rate for state in states]).reshape(n, 3),
+        covariance=np.array([state.filter.covariance for state in states]).reshape(n, 6, 6),
+        detected=tuple(state.detections.centre for state in states),
+        used=tuple(used for _, used in seen),
+        seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
+    )
+
+
+def _plot(run: Run, recording: Recording, path: Path) -> None:
+    """The tracked frames; those between are gaps."""
+    kept, truth = run.tracked, recording.truth
+    assert truth is not None
+    if len(kept) == 0:
+        raise DatasetError(f"{recording.path}: nothing was tracked, so there is nothing to draw for --plot")
+    true = truth.attitude[run.frame[kept]], truth.rate[run.frame[kept]]
+    plot_run(run.stamp[kept], run.attitude[kept], run.rate[kept], *true, run.covariance[kept], path)
+
+
+def _console(stderr: bool) -> Console:
+    """As wide as the terminal; into a file or a pipe, as wide as it takes."""
+    console = Console(stderr=stderr, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = 1000
+    return console
+
+
+def _progress(err: Console) -> Progress:
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    return Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
+
+
+# ---- for a reader ----
+
+
+def _table(results: list[dict[str, Any]], settings: Settings, pose: str) -> Table:
+    title = f"{settings.tracker} with detector {settings.detector}, {pose} camera pose"
+    table = Table(title=title, caption="in brackets: about or along x, y, z of obj", title_justify="left")
+    table.add_column("")
+    for result in results:
+        table.add_column(result["dataset"], justify="right")
+    for label, value in _ROWS:
+        table.add_row(label, *[value(result) for result in results])
+    return table
+
+
+def _shown(value: float | None, form: str = ".3g") -> str:
+    return "–" if value is None else format(value, form)
+
+
+def _axes(part: dict[str, float | None], form: str = ".3g") -> str:
+    """Combined first, then each axis."""
+    if part["combined"] is None:
+        return "–"
+    return f"{_shown(part['combined'], form)} ({' '.join(_shown(part[a], form) for a in 'xyz' if a in part)})"
+
+
+def _each(result: dict[str, Any], part: str, *names: str, form: str = ".3g") -> str:
+    values = result[part]
+    return "–" if values is None else "  ".join(_shown(values[name], form) for name in names)
+
+
+def _list(result: dict[str, Any], part: str, name: str) -> str:
+    values = result[part]
+    return "–" if values is None else f"({' '.join(_shown(v, '.2g') for v in values[name])})"
+
+
+def _percent(result: dict[str, Any], name: str) -> str:
+    detection = result["detection"]
+    return "–" if detection is None or detection[name] is None else f"{100.0 * detection[name]:.1f}"
+
+
+_ROWS: tuple[tuple[str, Callable[[dict[str, Any]], str]], ...] = (
+    ("frames tracked / all", lambda r: f"{r['tracked']} / {r['frames']}"),
+    ("times lost", lambda r: str(r["lost_episodes"])),
+    ("attitude RMSE, °", lambda r: _axes(r["attitude_rmse_deg"])),
+    ("rate RMSE, °/s", lambda r: _axes(r["rate_rmse_deg_s"])),
+    ("surface speed RMSE, mm/s", lambda r: _axes(r["surface_speed_rmse_mm_s"])),
+    ("surface speed, Pearson's r", lambda r: _axes(r["surface_speed_r"], ".4f")),
+    ("discs used per frame", lambda r: _shown(r["mean_discs"])),
+    (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r, "recall")),
+    ("points used that are no disc, %", lambda r: _percent(r, "false_share")),
+    ("disc centre RMS per axis, px", lambda r: _each(r, "detection", "centre_rms_px")),
+    ("camera position error, mm", lambda r: _list(r, "pose_error", "position_mm")),
+    ("  its standard deviation, mm", lambda r: _list(r, "pose_error", "sigma_position_mm")),
+    ("camera rotation error, °", lambda r: _list(r, "pose_error", "angle_deg")),
+    ("  its standard deviation, °", lambda r: _list(r, "pose_error", "sigma_angle_deg")),
+    ("NEES of attitude, rate (3 is right)", lambda r: _each(r, "nees", "attitude", "rate")),
+    ("RMSE / bound: attitude, rate", lambda r: _each(r, "bound_ratio", "attitude", "rate")),
+    ("time per frame: median, p99, max, µs", lambda r: _each(r, "frame_us", "median", "p99", "max", form=".0f")),
+    (
+        "median per stage, µs",
+        lambda r: "  ".join(f"{stage} {_shown(us, '.0f')}" for stage, us in r["stages_us"].items()) or "–",
+    ),
+)

@@ -1,0 +1,1 @@
+"""How well a run did: what the tracker said against what was true. Arrays in, numbers out."""

@@ -1,0 +1,112 @@
+"""Posterior Cramer-Rao bound: how well any filter can know attitude and rate from the discs that were in view.
+
+The recursion of Tichavsky, Muravchik, Nehorai 1998 ("Posterior Cramer-Rao bounds for discrete-time nonlinear
+filtering") along the true trajectory: constant angular velocity with white angular acceleration as strong as the true
+one, discs at unknown places, the ball's attitude in the first frame being the reference. A filter with a better model
+of how a ball is moved may go below it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import Pose, project
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array, exp, hat, left_jacobian, log, tangent_basis
+from spheremouse.simulate.truth import Truth
+
+_UNKNOWN = 100.0  # rad/s, standard deviation of a rate of which nothing is known
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """Least covariances, one per frame, given that frame and all before it."""
+
+    attitude: Array  # (n, 3, 3) rad², rotation error in obj; zero in the first frame
+    rate: Array  # (n, 3, 3) rad²/s², obj
+
+    def take(self, index: NDArray[np.intp]) -> "Bound":
+        """Those of some frames."""
+        return Bound(self.attitude[index], self.rate[index])
+
+
+def posterior_bound(  # noqa: PLR0917
+    motion: Truth, seen: list[NDArray[np.intp]], directions: Array, rig: Rig, pose: Pose, sigma: float
+) -> Bound:
+    """The bound for n frames of true motion, in which the discs `seen` (indices into `directions`) are measured.
+
+    `directions` (m, 3) unit vectors in `ball`, `pose` the true one, `sigma` px the noise of a centre per axis. The
+    state is (rotation error, rate, two tangent coordinates of each disc seen so far). The recursion is carried in
+    covariance form, (F J^-1 F^T + Q)^-1 + H^T R^-1 H by Woodbury's identity, since the first attitude is known exactly
+    and has no finite information. A disc's first sight enters as the limit of an infinite prior.
+    """
+    acceleration = np.sqrt(np.mean((np.diff(motion.rate, axis=0) / np.diff(motion.stamp)[:, None]) ** 2, axis=0))
+    basis = tangent_basis(directions)
+    place = np.full(len(directions), -1)  # of a disc's coordinates in the state
+    P = np.diag([0.0] * 3 + [_UNKNOWN**2] * 3)
+    attitude, rate = np.empty((len(motion), 3, 3)), np.empty((len(motion), 3, 3))
+    for k in range(len(motion)):
+        if k:
+            P = _predicted(P, motion, k, acceleration)
+        discs = seen[k]
+        on_attitude, on_disc = _jacobians(motion.attitude[k], directions[discs], basis[discs], rig, pose)
+        known = place[discs] >= 0
+        P = _measured(P, on_attitude[known], on_disc[known], place[discs[known]], sigma)
+        place[discs[~known]] = len(P) + 2 * np.arange(np.count_nonzero(~known))
+        P = _augmented(P, on_attitude[~known], on_disc[~known], sigma)
+        attitude[k], rate[k] = P[:3, :3], P[3:6, 3:6]
+    return Bound(attitude, rate)
+
+
+def _predicted(P: Array, motion: Truth, k: int, acceleration: Array) -> Array:
+    """Covariance before frame k: F P F^T + G diag(acceleration²) G^T, the acceleration constant between two frames."""
+    dt = motion.stamp[k] - motion.stamp[k - 1]
+    turn = log(motion.attitude[k] @ motion.attitude[k - 1].T)
+    F = np.eye(6)
+    F[:3, :3] = exp(turn)
+    F[:3, 3:] = left_jacobian(turn) * dt
+    G = np.concatenate([0.5 * dt * F[:3, 3:], dt * np.eye(3)])
+    P = P.copy()
+    P[:6] = F @ P[:6]
+    P[:, :6] = P[:, :6] @ F.T
+    P[:6, :6] += (G * acceleration**2) @ G.T
+    return P
+
+
+def _jacobians(R: Array, directions: Array, basis: Array, rig: Rig, pose: Pose) -> tuple[Array, Array]:
+    """Of the projected centres by the rotation error, (k, 2, 3) px/rad, and by each disc's place, (k, 2, 2) px/rad."""
+    arm = rig.ball.radius * directions @ R.T
+    _, duv_dcam = project(pose.to_cam(rig.ball.centre + arm), rig.camera)
+    duv = duv_dcam @ pose.rotation.T
+    return -duv @ hat(arm), rig.ball.radius * duv @ R @ basis
+
+
+def _measured(P: Array, on_attitude: Array, on_disc: Array, place: NDArray[np.intp], sigma: float) -> Array:
+    """Covariance after discs already in the state were measured."""
+    k = len(place)
+    H = np.zeros((k, 2, len(P)))
+    H[:, :, :3] = on_attitude
+    for i in range(k):
+        H[i, :, place[i] : place[i] + 2] = on_disc[i]
+    H = H.reshape(2 * k, len(P))
+    HP = H @ P
+    P = P - HP.T @ np.linalg.solve(HP @ H.T + sigma**2 * np.eye(2 * k), HP)
+    return 0.5 * (P + P.T)
+
+
+def _augmented(P: Array, on_attitude: Array, on_disc: Array, sigma: float) -> Array:
+    """Covariance with discs seen for the first time: their places follow from the attitude and what was measured."""
+    k, n = len(on_disc), len(P)
+    inverse = np.linalg.inv(on_disc)
+    G = np.zeros((2 * k, n))
+    G[:, :3] = -(inverse @ on_attitude).reshape(2 * k, 3)
+    out = np.empty((n + 2 * k, n + 2 * k))
+    out[:n, :n] = P
+    out[n:, :n] = G @ P
+    out[:n, n:] = out[n:, :n].T
+    out[n:, n:] = G @ P @ G.T
+    for i in range(k):
+        at = slice(n + 2 * i, n + 2 * i + 2)
+        out[at, at] += sigma**2 * inverse[i] @ inverse[i].T
+    return out

@@ -1,0 +1,290 @@
+"""The metrics of `evaluate --json`: a run and the truth of its recording in, numbers out (docs/datasets).
+
+Errors are measured over the frames that were tracked, in the axes of `obj`; how many those are stands beside them.
+What a tracker or a recording does not have is None, never 0 and never nan. Definitions: Wittich 2017, section 4.1.2,
+with rotation vectors in place of differences of Euler angles.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.associate import assign
+from spheremouse.camera import Pose
+from spheremouse.evaluate.bound import Bound, posterior_bound
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array, log
+from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth, Truth
+from spheremouse.track import Phase
+
+# px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a
+# strut cuts the disc, while the next thing dark is at least a disc's radius away (7 px, thesis' cameras).
+MATCH = 3.0
+MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across
+_RANK = 1e-9  # eigenvalues below this part of the largest are none
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What a tracker said, one entry per frame it was given."""
+
+    frame: NDArray[np.intp]  # (n,) index into the recording
+    stamp: Array  # (n,) s
+    phase: tuple[Phase, ...]  # (n,)
+    attitude: Array  # (n, 3, 3) R_obj_ball
+    rate: Array  # (n, 3) rad/s, w_obj
+    covariance: Array  # (n, 6, 6) of rotation error (rad, obj) and rate (rad/s)
+    detected: tuple[Array, ...]  # (n,) of (k, 2) px: all candidates of the detector
+    used: tuple[Array, ...]  # (n,) of (k, 2) px: those that took part in the filter's update
+    seconds: dict[str, Array]  # stage -> (n,) s, measured by the caller
+
+    @property
+    def tracked(self) -> NDArray[np.intp]:
+        """Indices of the frames in Phase.TRACKING."""
+        return np.flatnonzero([p is Phase.TRACKING for p in self.phase])
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What is true of a recording, as far as it says."""
+
+    motion: Truth | None = None
+    discs: DiscTruth | None = None
+    pose: Pose | None = None  # of the camera
+    directions: Array | None = None  # (m, 3) unit vectors to the discs, ball
+
+
+def report(
+    run: Run, reference: Reference, rig: Rig, *, dataset: str, tracker: str, frames: int, found: Pose | None
+) -> dict[str, Any]:
+    """All metrics of one run as `evaluate --json` writes them.
+
+    `frames` is the length of the recording, `found` the camera's pose where it was found from the images.
+    """
+    kept = run.tracked
+    motion = reference.motion
+    attitude = rate = speed = true_speed = slip = None
+    if motion is not None and len(kept):
+        true = motion.attitude[run.frame[kept]], motion.rate[run.frame[kept]]
+        attitude = attitude_error(run.attitude[kept], true[0])
+        rate = run.rate[kept] - true[1]
+        speed = surface_speed(run.rate[kept], rig.ball.radius)
+        true_speed = surface_speed(true[1], rig.ball.radius)
+        slip = speed - true_speed
+    detection = None if reference.discs is None else detection_quality(run, reference.discs)
+    bound = None
+    if detection is not None and detection["centre_rms_px"]:
+        bound = _bound(run, reference, rig, detection["centre_rms_px"])
+    attitude_rmse = per_axis(None if attitude is None else np.rad2deg(attitude), "xyz")
+    rate_rmse = per_axis(None if rate is None else np.rad2deg(rate), "xyz")
+    P = run.covariance[kept]
+    return {
+        "dataset": dataset,
+        "tracker": tracker,
+        "frames": frames,
+        "tracked": len(kept),
+        "lost_episodes": lost_episodes(run.phase),
+        "attitude_rmse_deg": attitude_rmse,
+        "rate_rmse_deg_s": rate_rmse,
+        "surface_speed_rmse_mm_s": per_axis(slip, "xy"),
+        "surface_speed_r": correlation(speed, true_speed),
+        "mean_discs": mean_discs(run),
+        "identified_from_frame": None,  # from the first frame with a saved map; there is none yet
+        "detection": detection,
+        "pose_error": None if found is None or reference.pose is None else pose_error(found, reference.pose),
+        "nees": {
+            # the first tracked frame is the reference: there the error is zero by definition
+            "attitude": None if attitude is None else mean_nees(attitude[1:], P[1:, :3, :3]),
+            "rate": None if rate is None else mean_nees(rate, P[:, 3:, 3:]),
+        },
+        "bound_ratio": bound_ratio(attitude, rate, bound),
+        "frame_us": frame_times(run.seconds),
+        "stages_us": {stage: _number(1e6 * np.median(s)) if len(s) else None for stage, s in run.seconds.items()},
+    }
+
+
+# ---- errors of the motion ----
+
+
+def attitude_error(estimate: Array, truth: Array) -> Array:
+    """Rotation vectors in `obj`, (n, 3) rad, of R_est R_true^T relative to the first frame; both (n, 3, 3) R_obj_ball.
+
+    `ball` of the estimate is `obj` at its own first frame, that of the truth another frame fixed to the ball: M with
+    R_est = R_true M is no error. It is taken from the first frame, M = R_true0^T R_est0, so that the error is
+    log(R_est R_est0^T R_true0 R_true^T).
+    """
+    M = truth[0].T @ estimate[0]
+    return log(estimate @ (truth @ M).transpose(0, 2, 1))
+
+
+def surface_speed(rate: Array, radius: float) -> Array:
+    """Mouse motion per second, (n, 2) mm/s of ball surface, of a rate w_obj (n, 3) rad/s; `radius` m.
+
+    The touching point C = (0, -R, 0) moves with v = w x C = (R w_z, 0, -R w_x); the pointer goes by (v_x, -v_z), as in
+    `motion` (Wittich 2017, eq. 172-174, per unit of time).
+    """
+    return 1000.0 * radius * rate[:, [2, 0]]
+
+
+def per_axis(error: Array | None, axes: str) -> dict[str, float | None]:
+    """RMS of (n, len(axes)) errors per axis and combined: sqrt(mean(x² + y² + z²)) (Wittich 2017, eq. 176-177)."""
+    if error is None or len(error) == 0:
+        return dict.fromkeys([*axes, "combined"])
+    square = np.mean(error**2, axis=0)
+    named = {axis: _number(np.sqrt(s)) for axis, s in zip(axes, square, strict=True)}
+    return {**named, "combined": _number(np.sqrt(square.sum()))}
+
+
+def correlation(estimate: Array | None, truth: Array | None) -> dict[str, float | None]:
+    """Pearson's r of (n, 2) speeds per axis, and combined: of x and y taken as one series of 2n values.
+
+    The thesis gives one figure for both axes without saying how it combines them (section 4.1).
+    """
+    if estimate is None or truth is None:
+        return {"x": None, "y": None, "combined": None}
+    return {
+        "x": pearson(estimate[:, 0], truth[:, 0]),
+        "y": pearson(estimate[:, 1], truth[:, 1]),
+        "combined": pearson(estimate.ravel(), truth.ravel()),
+    }
+
+
+def pearson(a: Array, b: Array) -> float | None:
+    """Correlation coefficient of two series; None where one of them does not vary."""
+    a, b = a - np.mean(a), b - np.mean(b)
+    norm = np.sqrt((a @ a) * (b @ b))
+    return _number(a @ b / norm) if norm > 0.0 else None
+
+
+def mean_nees(error: Array, covariance: Array) -> float | None:
+    """Mean of e^T P^-1 e over (n, k) errors with (n, k, k) covariances: k for a filter that knows what it knows.
+
+    Singular covariances (Euler angles at phi = +-90 deg) are inverted where they have rank.
+    """
+    if len(error) == 0 or not (np.all(np.isfinite(error)) and np.all(np.isfinite(covariance))):
+        return None
+    inverse = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True)
+    return _number(np.mean(np.einsum("ni,nij,nj->n", error, inverse, error)))
+
+
+def lost_episodes(phase: Sequence[Phase]) -> int:
+    """How often the tracker fell from another phase to LOST."""
+    return sum(
+        now is Phase.LOST and before is not Phase.LOST for before, now in zip([None, *phase], phase, strict=False)
+    )
+
+
+# ---- detection, pose, time ----
+
+
+def mean_discs(run: Run) -> float | None:
+    """Discs that took part in the filter's update, mean over the tracked frames.
+
+    Comparable with the mean number of stored markers of Wittich 2017, tables 20 and 23: there a disc not seen is
+    forgotten, so that what is stored is what was used and what was new (5.2 and 0.1 on `far26`). A filter with a map
+    that lasts stores more than it sees, which says nothing of how well it sees.
+    """
+    kept = run.tracked
+    return float(np.mean([len(run.used[i]) for i in kept])) if len(kept) else None
+
+
+def detection_quality(run: Run, truth: DiscTruth) -> dict[str, float | None]:
+    """Detections against the true discs, over all frames that the tracker was given.
+
+    recall: share of the wholly visible discs of at least MIN_AREA px² that have a detection within MATCH px of the
+    true centre, each detection counted for one disc. false_share: share of the points that the filter used that are
+    farther than that from the centre of every disc that is not hidden. centre_rms_px: per axis, over the discs found.
+    """
+    wanted = found = points = false = 0
+    offsets: list[Array] = [np.zeros((0, 2))]
+    for frame, detected, used in zip(run.frame, run.detected, run.used, strict=True):
+        discs = truth.of_frame(int(frame))
+        centre = discs.centre[(discs.state == VISIBLE) & (discs.area >= MIN_AREA)]
+        i, j = assign(_distance(centre, detected), MATCH)
+        wanted, found = wanted + len(centre), found + len(i)
+        offsets.append(detected[j] - centre[i])
+        near = _distance(used, discs.centre[discs.state != HIDDEN]).min(axis=1, initial=np.inf) <= MATCH
+        points, false = points + len(used), false + int(np.count_nonzero(~near))
+    offset = np.concatenate(offsets)
+    return {
+        "recall": found / wanted if wanted else None,
+        "false_share": false / points if points else None,
+        "centre_rms_px": _number(np.sqrt(np.mean(offset**2))) if len(offset) else None,
+    }
+
+
+def _distance(a: Array, b: Array) -> Array:
+    return np.linalg.norm(a[:, None] - b[None], axis=2)
+
+
+def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
+    """Estimate minus truth of the camera's pose in the axes of `obj`, with the standard deviations it was given.
+
+    Position in mm, rotation vector of R_est R_true^T in degrees: the error model of `camera.Pose`.
+    """
+    sigma = np.sqrt(np.diag(found.covariance))
+    return {
+        "position_mm": _numbers(1e3 * (found.position - true.position)),
+        "angle_deg": _numbers(np.rad2deg(log(found.rotation @ true.rotation.T))),
+        "sigma_position_mm": _numbers(1e3 * sigma[:3]),
+        "sigma_angle_deg": _numbers(np.rad2deg(sigma[3:])),
+    }
+
+
+def frame_times(seconds: dict[str, Array]) -> dict[str, float | None]:
+    """Time per frame in microseconds, all stages together."""
+    total = 1e6 * np.sum(list(seconds.values()), axis=0) if seconds else np.zeros(0)
+    if len(total) == 0:
+        return {"median": None, "p99": None, "max": None}
+    return {"median": _number(np.median(total)), "p99": _number(np.percentile(total, 99)), "max": _number(total.max())}
+
+
+# ---- against the bound ----
+
+
+def bound_ratio(attitude: Array | None, rate: Array | None, bound: Bound | None) -> dict[str, float | None]:
+    """RMS error over the posterior Cramer-Rao bound, combined over axes; 1 is as good as the pixels allow.
+
+    Over the tracked frames but the first: there the attitude is known by definition and of the rate nothing. The bound
+    rests on one noise for all discs, the centre_rms_px of the same run, and on the wholly visible discs alone: a
+    tracker that gives weight to the better centres, or that takes partly hidden discs along, can go below 1.
+    """
+    if attitude is None or rate is None or bound is None:
+        return {"attitude": None, "rate": None}
+    return {"attitude": _ratio(attitude[1:], bound.attitude[1:]), "rate": _ratio(rate[1:], bound.rate[1:])}
+
+
+def _ratio(error: Array, covariance: Array) -> float | None:
+    limit = np.trace(covariance, axis1=1, axis2=2)
+    if len(error) == 0 or not np.mean(limit) > 0.0:
+        return None
+    return _number(np.sqrt(np.mean(np.sum(error**2, axis=1)) / np.mean(limit)))
+
+
+def _bound(run: Run, reference: Reference, rig: Rig, sigma: float) -> Bound | None:
+    """The bound at the tracked frames; None where the recording does not say all it takes."""
+    motion, discs, pose = reference.motion, reference.discs, reference.pose
+    kept = run.tracked
+    if motion is None or discs is None or pose is None or reference.directions is None or len(kept) < 3:
+        return None
+    frames = run.frame[kept[0] : kept[-1] + 1]
+    if np.any(discs.disc >= len(reference.directions)):
+        return None
+    sights = []
+    for frame in frames:
+        seen = discs.of_frame(int(frame))
+        sights.append(seen.disc[seen.state == VISIBLE])
+    at = Truth(motion.stamp[frames], motion.attitude[frames], motion.rate[frames])
+    return posterior_bound(at, sights, reference.directions, rig, pose, sigma).take(kept - kept[0])
+
+
+def _number(x: Any) -> float | None:
+    """A plain number, or None where there is none."""
+    return float(x) if np.isfinite(x) else None
+
+
+def _numbers(x: Array) -> list[float | None]:
+    return [_number(v) for v in x]

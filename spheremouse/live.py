@@ -1,0 +1,187 @@
+"""What a run looks like while it goes: a table on a terminal, a line a second where there is none.
+
+Takes epochs as they are tracked and writes to standard error only; refreshed ten times a second at most, so that
+looking costs nothing to speak of.
+"""
+
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from spheremouse.overlay import used_points
+from spheremouse.rotation import Array, to_euler
+from spheremouse.session import Epoch
+from spheremouse.timing import FrameTimes
+from spheremouse.track import Phase
+
+_REFRESH = 0.1  # s between two pictures of the table
+_LINE_EVERY = 1.0  # s between two lines where there is no terminal
+_HISTORY = 5.0  # s of rates in the small curves
+_CURVE = 26  # characters
+_BLOCKS = "▁▂▃▄▅▆▇█"
+_AXES = (("X", "bright_red", "ω"), ("Y", "bright_green", "φ"), ("Z", "bright_cyan", "κ"))
+_PHASES = {Phase.SEARCHING: "yellow", Phase.TRACKING: "green", Phase.LOST: "red"}
+
+
+class Tally:
+    """What a run comes to: frames, sum of counts, times."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.counts = (0, 0, 0)
+        self.times = FrameTimes()
+
+    def add(self, epoch: Epoch) -> None:
+        """One more frame."""
+        x, y, z = epoch.motion.counts
+        self.frames += 1
+        self.counts = (self.counts[0] + x, self.counts[1] + y, self.counts[2] + z)
+        self.times.add(sum(epoch.seconds.values()), time.perf_counter())
+
+    def __str__(self) -> str:
+        if not self.frames:
+            return "no frame tracked"
+        x, y, z = self.counts
+        median, slow = (1e3 * self.times.quantile(q) for q in (0.5, 0.99))
+        frames = f"{self.frames} frame{'s' if self.frames != 1 else ''}"
+        return f"{frames}; counts x {x:+d}, y {y:+d}, third {z:+d}; {median:.1f} ms per frame (99 %: {slow:.1f} ms)"
+
+
+class Board:
+    """Shows epochs; a context manager. `say` writes a line that stays."""
+
+    def __init__(self, title: str, table: bool, tally: Tally, console: Console | None = None) -> None:
+        """`table` False: nothing but what is said. `tally` is read, not changed."""
+        self.console = Console(file=sys.stderr, highlight=False) if console is None else console
+        self._title, self._tally = title, tally
+        self._wanted = table
+        self._live = Live(console=self.console, auto_refresh=False) if table and self.console.is_terminal else None
+        self._due = 0.0
+        self._last: Epoch | None = None
+        self._rates: deque[tuple[float, Array]] = deque(maxlen=5000)  # stamp s, rad/s
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            if self._last is not None:
+                self._live.update(self._picture(self._last), refresh=True)
+            self._live.__exit__(kind, error, trace)
+
+    def say(self, text: str) -> None:
+        """One or more lines, as they are."""
+        self.console.print(Text(text), soft_wrap=True)
+
+    def show(self, epoch: Epoch) -> None:
+        """The newest epoch; drawn when it is time."""
+        self._last = epoch
+        stamp = epoch.frame.stamp
+        self._rates.append((stamp, epoch.state.filter.rate))
+        while self._rates[0][0] < stamp - _HISTORY:
+            self._rates.popleft()
+        now = time.perf_counter()
+        if not self._wanted or now < self._due:
+            return
+        if self._live is not None:
+            self._due = now + _REFRESH
+            self._live.update(self._picture(epoch), refresh=True)
+        else:
+            self._due = now + _LINE_EVERY
+            self.say(as_line(epoch, self._tally))
+
+    def _picture(self, epoch: Epoch) -> RenderableType:
+        return as_table(epoch, self._tally, list(self._rates), self._title)
+
+
+def as_line(epoch: Epoch, tally: Tally) -> str:
+    """The state in one line."""
+    state = epoch.state
+    rate = " ".join(f"{np.rad2deg(w):+.1f}" for w in state.filter.rate)
+    counts = " ".join(f"{n:+d}" for n in tally.counts)
+    return (
+        f"{epoch.frame.stamp:9.3f} s  {state.phase}  rate {rate} deg/s  counts {counts}  discs {_discs(epoch)}  "
+        f"{1e3 * tally.times.recent_quantile(0.5):.1f} ms"
+    )
+
+
+def as_table(epoch: Epoch, tally: Tally, rates: Sequence[tuple[float, Array]], title: str) -> RenderableType:
+    """The state as a table of 78 columns; `rates` are stamps in s and w_obj (3,) rad/s of the last seconds."""
+    state = epoch.state
+    rate = np.rad2deg(state.filter.rate)
+    sigma = np.rad2deg(np.sqrt(np.maximum(np.diag(state.filter.covariance)[3:6], 0.0)))
+    angles = np.rad2deg(to_euler(state.filter.attitude))
+    history = np.rad2deg(np.array([w for _, w in rates]).reshape(-1, 3))
+    stamps = np.array([t for t, _ in rates])
+
+    grid = Table(box=None, padding=(0, 1), expand=True, header_style="dim")
+    grid.add_column("about")
+    grid.add_column("rate", justify="right", min_width=11)
+    grid.add_column("sigma", justify="right")
+    grid.add_column(f"last {_HISTORY:.0f} s", width=_CURVE)
+    grid.add_column("attitude", justify="right", min_width=11)
+    for i, (name, colour, letter) in enumerate(_AXES):
+        grid.add_row(
+            Text(name, style=f"bold {colour}"),
+            Text(f"{rate[i]:+.1f} °/s", style="dim" if state.phase is Phase.LOST else "bold"),
+            Text(f"±{sigma[i]:.2f}", style="dim"),
+            Text(curve(stamps, history[:, i], epoch.frame.stamp), style=colour),
+            Text(f"{letter} {angles[i]:+7.1f}°"),
+        )
+
+    x, y, third = tally.counts
+    times = tally.times
+    facts = Table.grid(padding=(0, 2))
+    facts.add_column(style="dim", min_width=7)
+    facts.add_column()
+    facts.add_row("counts", Text.assemble(*_named((("x", x), ("y", y), ("third", third)))))
+    facts.add_row("discs", Text(_discs(epoch)))
+    pace = f"median {1e3 * times.recent_quantile(0.5):.1f} ms, 99 % {1e3 * times.recent_quantile(0.99):.1f} ms"
+    facts.add_row("time", Text(f"{pace}; {times.rate:.0f} frames/s" if np.isfinite(times.rate) else pace))
+
+    head = Text.assemble(
+        (f" {title} ", "bold"), "│ ", (f"● {state.phase}", _PHASES[state.phase]), f" │ {epoch.frame.stamp:.2f} s "
+    )
+    return Panel(Group(grid, Text(), facts), title=head, title_align="left", border_style="dim", width=78)
+
+
+def curve(stamps: Array, values: Array, now: float) -> str:
+    """Values, (n,) at stamps (n,) s, of the last seconds up to `now` as blocks, zero at half height."""
+    if len(values) == 0:
+        return ""
+    most = max(float(np.abs(values).max()), 5.0)  # deg/s; noise at rest stays flat
+    place = ((stamps - (now - _HISTORY)) / _HISTORY * _CURVE).astype(int)
+    cells = []
+    for k in range(_CURVE):
+        here = values[np.minimum(place, _CURVE - 1) == k]
+        level = None if len(here) == 0 else (float(here.mean()) / most + 1.0) / 2.0 * (len(_BLOCKS) - 1)
+        cells.append(" " if level is None else _BLOCKS[round(level)])
+    return "".join(cells)
+
+
+def _discs(epoch: Epoch) -> str:
+    state = epoch.state
+    masked = len(state.lookalikes.masks)
+    text = f"{len(used_points(epoch))} used, {len(state.points)} seen, {len(state.filter.discs)} known"
+    return f"{text}; {masked} masked" if masked else text
+
+
+def _named(pairs: Sequence[tuple[str, int]]) -> list[tuple[str, str]]:
+    parts: list[tuple[str, str]] = []
+    for name, value in pairs:
+        parts += [(f"{name} ", "dim"), (f"{value:+d}".ljust(9), "bold")]
+    return parts

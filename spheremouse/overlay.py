@@ -1,0 +1,312 @@
+"""What the tracker sees, drawn on the frame: a picture or a video to judge by eye.
+
+Detected contours white, targets green, discs of the map where they are predicted red with the last epochs fading
+(Wittich 2017, fig. 27), masked look-alikes blue, the ball's outline thin; a strip with numbers below.
+"""
+
+import os
+from collections import deque
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import Pose, ellipse_to_pixel, project_circle
+from spheremouse.detect.cap import appearance, ball_outline
+from spheremouse.errors import OutputError
+from spheremouse.resect import Resection, predict_targets
+from spheremouse.rig import Rig, directions_at
+from spheremouse.rotation import Array
+from spheremouse.session import Epoch
+from spheremouse.track import Phase, Tracker, TrackState
+
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]  # blue, green, red
+
+WHITE, GREEN, RED, BLUE, OUTLINE = (255, 255, 255), (90, 220, 60), (40, 40, 255), (230, 150, 60), (200, 200, 120)  # BGR
+SHADOW = (40, 40, 40)
+_SHIFT = 4  # fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel
+_EPOCHS = 15  # epochs that fade: half a second
+_PICTURES = (".png", ".jpg", ".jpeg")
+# MPEG-4 plays in every player though not in every browser, and costs 2 ms a frame; VP8, which browsers play, costs 80.
+_CODECS = {".mkv": "mp4v", ".mp4": "mp4v", ".avi": "MJPG"}
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A target as it is drawn."""
+
+    code: str
+    centre: Array  # (2,) px
+    shape: Array  # (2, 2) px², of the outer ring
+
+
+def target_marks(rig: Rig, pose: Pose, seen: Resection | None) -> tuple[Mark, ...]:
+    """Marks of the targets that the pose rests on, where they were seen; of all, where they should be, without it."""
+    if len(rig.targets.codes) == 0:
+        return ()
+    codes, centres = (rig.targets.codes, predict_targets(pose, rig)) if seen is None else (seen.codes, seen.centre)
+    points = pose.to_cam(rig.targets.position[[rig.targets.codes.index(c) for c in codes]])
+    normal = np.broadcast_to(pose.rotation[2], points.shape)  # obj's Z axis in cam
+    _, shape = ellipse_to_pixel(*project_circle(points, normal, float(rig.targets.radii[-1])), rig.camera)
+    return tuple(Mark(c, p, s) for c, p, s in zip(codes, centres, shape, strict=True) if np.all(np.isfinite(p)))
+
+
+def used_points(epoch: Epoch) -> NDArray[np.intp]:
+    """Indices into `state.points` of those that took part in this epoch's update; none while lost."""
+    state = epoch.state
+    # a filter that was not asked in this frame still holds the indices of an earlier one
+    return state.filter.used if state.filter.stamp == epoch.frame.stamp else np.zeros(0, dtype=np.intp)
+
+
+class Overlay:
+    """Draws epochs, and remembers the last few for their traces."""
+
+    def __init__(self, tracker: Tracker, targets: tuple[Mark, ...] = (), scale: int = 1) -> None:
+        """`scale` enlarges the frame before anything is drawn on it."""
+        self._tracker, self._targets, self._scale = tracker, targets, scale
+        self._outline = ball_outline(tracker.rig, tracker.pose)
+        self._trace: deque[Array] = deque(maxlen=_EPOCHS)  # (m, 2) px each, the newest last
+
+    def remember(self, state: TrackState) -> None:
+        """The predicted discs of an epoch, for the traces; `draw` does not."""
+        seen = _predicted(state, self._tracker)
+        self._trace.append(seen if state.phase is not Phase.LOST else seen[:0])
+
+    def draw(self, epoch: Epoch, counts: tuple[int, int, int]) -> Image:
+        """The epoch that was remembered last, with the sum of counts so far."""
+        image, state = epoch.frame.image, epoch.state
+        canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+        if self._scale != 1:
+            canvas = cv2.resize(canvas, None, fx=self._scale, fy=self._scale, interpolation=cv2.INTER_CUBIC)
+        canvas = np.ascontiguousarray(canvas, dtype=np.uint8)
+        pen = _Pen(canvas, self._scale)
+        pen.outline(self._outline)
+        pen.trace(list(self._trace))
+        used = np.zeros(len(state.points), dtype=bool)
+        used[used_points(epoch)] = True
+        _draw_detections(pen, state, self._tracker, used)
+        for mark in self._targets:
+            pen.target(mark)
+        for centre in _masked(state, self._tracker):
+            pen.cross(centre)
+        _caption(canvas, pen.width, epoch, counts)
+        return canvas
+
+
+class OverlayFile:
+    """A picture of the last epoch, or a video of all, under its name only when it is complete. A context manager."""
+
+    def __init__(self, path: Path, fps: float | None) -> None:
+        """`fps` is what a video plays at. Raises OutputError where nothing can be written there."""
+        self.path = path
+        self._picture = path.suffix.lower() in _PICTURES
+        self._fps = fps or 30.0
+        self._part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+        self._video: cv2.VideoWriter | None = None
+        self._overlay: Overlay | None = None
+        self._last: tuple[Epoch, tuple[int, int, int]] | None = None
+        if not self._picture and path.suffix.lower() not in _CODECS:
+            known = ", ".join((*_CODECS, *_PICTURES))
+            raise OutputError(f"{path}: unknown kind of overlay; end the name in one of {known}")
+        try:
+            self._part.touch()
+            self._part.unlink()
+        except OSError as e:
+            raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from None
+
+    def begin(self, tracker: Tracker, targets: tuple[Mark, ...]) -> None:
+        """What will be drawn: known only once the camera's pose is."""
+        enlarge = max(1, round(1280 / tracker.rig.camera.width)) if self._picture else 1
+        self._overlay = Overlay(tracker, targets, enlarge)
+
+    def add(self, epoch: Epoch, counts: tuple[int, int, int]) -> None:
+        """One more epoch."""
+        assert self._overlay is not None
+        self._overlay.remember(epoch.state)
+        self._last = (epoch, counts)
+        if self._picture:
+            return
+        image = self._overlay.draw(epoch, counts)
+        if self._video is None:
+            self._video = _open_video(self._part, self._fps, (image.shape[1], image.shape[0]))
+        self._video.write(image)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if self._video is not None:
+                self._video.release()
+            if self._last is not None and self._overlay is not None:
+                if self._picture:
+                    write_picture(self.path, self._overlay.draw(*self._last))
+                else:
+                    self._publish()
+        finally:
+            with suppress(OSError):
+                self._part.unlink()
+
+    def _publish(self) -> None:
+        """OpenCV's writer reports no errors: look whether the file can be read before it gets its name."""
+        written = cv2.VideoCapture(str(self._part), cv2.CAP_FFMPEG)
+        good = written.isOpened() and written.grab()
+        written.release()
+        if not good:
+            raise OutputError(f"{self.path}: the video could not be written; is the disk full?")
+        try:
+            os.replace(self._part, self.path)
+        except OSError as e:
+            raise OutputError(f"{self.path}: cannot be written: {e.strerror or e}") from None
+
+
+def write_picture(path: Path, image: Image) -> None:
+    """Write an image under its name only when it is complete; OutputError where that fails."""
+    part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        good, data = cv2.imencode(path.suffix, image)
+        if not good:
+            raise OutputError(f"{path}: OpenCV cannot write such a picture; use .png")
+        part.write_bytes(data.tobytes())
+        os.replace(part, path)
+    except OSError as e:
+        raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def _open_video(path: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:
+    codec = cv2.VideoWriter.fourcc(*_CODECS[path.suffix.lower()])
+    video = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, fps, size)
+    if not video.isOpened():
+        raise OutputError(f"{path}: this OpenCV cannot write such a video; use another of {', '.join(_CODECS)} or .png")
+    return video
+
+
+def _predicted(state: TrackState, tracker: Tracker) -> Array:
+    """Where the discs of the map are seen, (m, 2) px, those on the near side."""
+    discs = np.asarray(state.filter.discs, dtype=float).reshape(-1, 3)
+    seen = appearance(discs @ state.filter.attitude.T, tracker.rig, tracker.pose)
+    return seen.centre[seen.whole]
+
+
+def _masked(state: TrackState, tracker: Tracker) -> Array:
+    """Detections set aside as look-alikes, (k, 2) px."""
+    offset = state.detections.centre[:, None] - state.lookalikes.masks[None]
+    near = np.linalg.norm(offset, axis=2) < tracker.settings.static.mask_radius
+    near[state.points.index] = False
+    return state.detections.centre[near.any(axis=1)]
+
+
+def _draw_detections(pen: "_Pen", state: TrackState, tracker: Tracker, used: NDArray[np.bool_]) -> None:
+    """Contours as detected; where the detector fits ellipses and has none, the ellipse of the disc seen there."""
+    weights = np.where(used, 1.0, 0.45)
+    if state.detections.contours:
+        for index, weight in zip(state.points.index, weights, strict=True):
+            pen.contour(state.detections.contours[index], float(weight))
+        return
+    centre = state.detections.centre[state.points.index]
+    directions, which = directions_at(centre, tracker.rig, tracker.pose)
+    seen = appearance(directions, tracker.rig, tracker.pose)
+    for k in np.flatnonzero(seen.whole):
+        pen.ellipse(centre[which[k]], seen.shape[k], WHITE, float(weights[which[k]]))
+
+
+class _Pen:
+    """Draws in the frame's pixels on a canvas `scale` times as large."""
+
+    def __init__(self, canvas: Image, scale: int) -> None:
+        self._canvas, self._scale = canvas, scale
+        self.width = max(1, round(min(canvas.shape[:2]) / 480))  # of a thin line, px
+
+    def outline(self, points: Array) -> None:
+        layer = self._canvas.copy()
+        cv2.polylines(layer, [self._fixed(points)], True, OUTLINE, self.width, cv2.LINE_AA, _SHIFT)
+        cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
+
+    def contour(self, points: NDArray[np.int32], weight: float) -> None:
+        self._closed(points.reshape(-1, 2).astype(float), WHITE, weight)
+
+    def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
+        angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+        rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
+        self._closed(rim, colour, weight)
+
+    def trace(self, epochs: list[Array]) -> None:
+        """Dots at (m, 2) px of each epoch, the newest last: older ones smaller and fainter."""
+        alpha = np.zeros(self._canvas.shape[:2], np.uint8)
+        for age, points in reversed(list(enumerate(reversed(epochs)))):
+            freshness = 1.0 - age / _EPOCHS
+            radius = (0.9 + 1.9 * freshness) * self.width
+            level = round(255 * (1.0 if age == 0 else 0.15 + 0.6 * freshness))
+            for p in self._fixed(points):
+                x, y = int(p[0]), int(p[1])
+                cv2.circle(alpha, (x, y), round(radius * 2**_SHIFT), level, -1, cv2.LINE_AA, _SHIFT)
+        rows, columns = np.nonzero(alpha)
+        share = alpha[rows, columns, None].astype(np.float32) / 255.0
+        mixed = self._canvas[rows, columns] * (1.0 - share) + np.array(RED, np.float32) * share
+        self._canvas[rows, columns] = np.rint(mixed).astype(np.uint8)
+
+    def cross(self, centre: Array) -> None:
+        """A diagonal cross on a look-alike."""
+        r = 5.0 * self.width / self._scale
+        for arm in (np.array([r, r]), np.array([r, -r])):
+            self._stroke(np.array([centre - arm, centre + arm]), BLUE, 2 * self.width)
+
+    def target(self, mark: Mark) -> None:
+        """A ring around the target, a crosshair through it, its code beside it."""
+        self.ellipse(mark.centre, 1.6 * mark.shape, GREEN)
+        across = np.sqrt(np.diag(mark.shape))
+        for arm in 1.75 * np.diag(across):
+            self._stroke(np.array([mark.centre - arm, mark.centre + arm]), GREEN, self.width)
+        x, y = np.rint((mark.centre + (1.5, -1.1) * across) * self._scale).astype(int).tolist()
+        _text(self._canvas, mark.code, (x + self.width, y + self.width), 11 * self.width, SHADOW)
+        _text(self._canvas, mark.code, (x, y), 11 * self.width, GREEN)
+
+    def _closed(self, points: Array, colour: Colour, weight: float) -> None:
+        """A closed line; a `weight` below 1 makes it greyer."""
+        dull = tuple(round(weight * c + (1.0 - weight) * 110) for c in colour)
+        cv2.polylines(self._canvas, [self._fixed(points)], True, dull, self.width, cv2.LINE_AA, _SHIFT)
+
+    def _stroke(self, points: Array, colour: Colour, width: int) -> None:
+        cv2.polylines(self._canvas, [self._fixed(points)], False, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def _fixed(self, points: Array) -> NDArray[np.int32]:
+        """Frame pixels to OpenCV's fixed point on the canvas; pixel centres stay pixel centres."""
+        at = (np.asarray(points, dtype=float) + 0.5) * self._scale - 0.5
+        return np.rint(np.clip(at, -1e5, 1e5) * 2**_SHIFT).astype(np.int32)
+
+
+_LETTERS = 22.0  # px high at font scale 1
+
+
+def _text(image: Image, text: str, at: tuple[int, int], height: float, colour: Colour) -> None:
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, height / _LETTERS, colour, 1, cv2.LINE_AA)
+
+
+def _caption(canvas: Image, width: int, epoch: Epoch, counts: tuple[int, int, int]) -> None:
+    """A strip along the lower edge: time, phase, rate, counts, discs."""
+    h, w = canvas.shape[:2]
+    size = 11 * width
+    top = h - 2 * size
+    canvas[top:] = canvas[top:] // 4
+    state = epoch.state
+    rate = "  ".join(f"{n} {np.rad2deg(v):+.1f}" for n, v in zip("XYZ", state.filter.rate, strict=True))
+    cells = (
+        f"{epoch.frame.stamp:.2f} s  {state.phase}",
+        f"{rate} deg/s",
+        f"counts {counts[0]:+d} {counts[1]:+d} {counts[2]:+d}",
+        f"discs {len(used_points(epoch))} of {len(state.filter.discs)}",
+    )
+    # fixed places, so that the numbers do not dance from frame to frame
+    for text, place in zip(cells, (0.012, 0.2, 0.55, 0.86), strict=True):
+        _text(canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))

@@ -1,0 +1,65 @@
+"""Ctrl-C and SIGTERM end a run between two frames, never in the middle of one.
+
+A signal that comes while a frame is awaited ends the wait; one that comes while a frame is worked on is heard after it,
+so that what was measured is sent and no file is left half written.
+"""
+
+import signal
+from collections.abc import Iterator
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from spheremouse.frame import Frame
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class _Asked(BaseException):
+    """Raised by the handler while a frame is awaited; caught where it is awaited."""
+
+
+class Stopping:
+    """Listens to the signals within its `with` block; a second signal does what it would have done without."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._waiting = False
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        self._before = {s: signal.signal(s, self._hear) for s in _SIGNALS}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._restore()
+
+    def frames(self, frames: Iterator[Frame]) -> Iterator[Frame]:
+        """The frames until a signal comes."""
+        while not self.asked:
+            try:
+                self._waiting = True
+                if self.asked:  # between the question above and the line before
+                    return
+                frame = next(frames)
+                self._waiting = False
+            except (StopIteration, _Asked):
+                return
+            finally:
+                self._waiting = False
+            if self.asked:
+                return
+            yield frame
+
+    def _hear(self, _number: int, _frame: FrameType | None) -> None:
+        self.asked = True
+        self._restore()
+        if self._waiting:
+            self._waiting = False
+            raise _Asked
+
+    def _restore(self) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before = {}

@@ -1,0 +1,415 @@
+"""The command line as a user meets it: commands in, what stands on the two streams and the exit code out.
+
+One small simulated recording serves all; the damaged ones are made from its frames. What concerns signals and pipes
+runs in a process of its own, the rest in this one.
+"""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from spheremouse import cli, demo
+from spheremouse.motion import MotionSettings
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.rig_file import save_camera, save_rig
+from spheremouse.rotation import log
+from spheremouse.stopping import Stopping
+from spheremouse.timing import FrameTimes
+
+COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"])
+QUICK = ("--set", "pose.frames=2")
+
+
+@pytest.fixture
+def spheremouse(monkeypatch, capfd):
+    """Runs the program in this process: (*words) -> exit code, standard output, standard error."""
+    before = {s: signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)}
+
+    def run(*words):
+        capfd.readouterr()
+        monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capfd.readouterr()
+        return end.value.code or 0, out, err
+
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture(scope="module")
+def roll(tmp_path_factory):
+    """A dataset: one turn in 2 s, through phi = 90 degrees; made by the command."""
+    path = tmp_path_factory.mktemp("cli") / "roll"
+    words = ["simulate", path, "--motion", "roll", "--turns", "1", "--seconds", "2", "--noise", "2"]
+    made = subprocess.run(
+        [sys.executable, "-m", "spheremouse", *map(str, words)], capture_output=True, text=True, check=False
+    )
+    assert made.returncode == 0, made.stderr
+    assert made.stdout.startswith(f"{path}: 60 frames of 640x480 at 30 Hz, 26 discs, motion roll; ")
+    assert made.stderr == ""  # no bar where there is no terminal
+    return path
+
+
+@pytest.fixture(scope="module")
+def images(roll):
+    return [frame.image for frame in read_frames(open_dataset(roll))]
+
+
+@pytest.fixture
+def variant(roll, tmp_path):
+    """Makes a dataset like `roll` with other frames: (frames, **changes of scene.json) -> path."""
+
+    def make(pictures, **changes):
+        path = tmp_path / "variant"
+        (path / "frames").mkdir(parents=True)
+        scene = json.loads((roll / "scene.json").read_text())
+        (path / "scene.json").write_text(json.dumps({**scene, "frames": len(pictures), **changes}))
+        for i, image in enumerate(pictures):
+            cv2.imwrite(str(path / "frames" / f"{i:06d}.png"), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        return path
+
+    return make
+
+
+@pytest.fixture
+def empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def motions(text):
+    """Lines of the text output as an array, (n, 10)."""
+    header, *lines = text.splitlines()
+    assert header.startswith("# stamp dx dy dz rx ry rz wx wy wz")
+    return np.array([[float(x) for x in line.split()] for line in lines]).reshape(-1, 10)
+
+
+def video_frames(path):
+    capture = cv2.VideoCapture(str(path))
+    count = 0
+    while capture.read()[0]:
+        count += 1
+    capture.release()
+    return count
+
+
+# ---- what is offered ----
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda c: " ".join(c) or "spheremouse")
+def test_help_says_what_a_command_does_with_an_example(spheremouse, command):
+    code, out, err = spheremouse(*command, "--help")
+    assert (code, err) == (0, "")
+    assert out.startswith(f"Usage: spheremouse {' '.join(command)}".rstrip())
+    summary = out.split("\n\n")[1].strip()
+    assert summary.endswith(".")
+    assert "spheremouse " in out.split("Options:")[1]  # the example at the end
+    for option in re.findall(r"\n {2}(?:-\w, )?--[^\n]+(?:\n {4,}[^\n]*)*", out):
+        assert re.search(r" {2,}\w", option), f"says nothing: {option}"
+
+
+def test_simulate_offers_every_option_of_the_simulation(spheremouse):
+    _, out, _ = spheremouse("simulate", "--help")
+    for field in ("discs", "view", "motion", "turns", "seconds", "fps", "noise", "brightness", "blur", "readout"):
+        assert f"--{field} " in out
+    for field in ("seed", "size", "dist", "hands", "dim", "force"):
+        assert f"--{field} " in out
+
+
+def test_version(spheremouse):
+    code, out, err = spheremouse("--version")
+    assert (code, out, err) == (0, "spheremouse 0.1.0\n", "")
+
+
+# ---- a run ----
+
+
+def test_a_run_gives_counts_that_sum_to_the_motion_and_says_what_happened(spheremouse, roll, tmp_path):
+    picture = tmp_path / "last.png"
+    code, out, err = spheremouse("run", "--source", f"dataset:{roll}", "--output", "text:-", "--overlay", picture)
+    assert code == 0
+    table = motions(out)
+    recording = open_dataset(roll)
+    assert len(table) == recording.frames
+    np.testing.assert_allclose(table[:, 0], recording.truth.stamp)
+    R = recording.truth.attitude
+    turned = np.sum([log(b @ a.T) for a, b in pairwise(R)], axis=0)
+    exact = MotionSettings().matrix(recording.rig.ball.radius) @ turned
+    assert np.linalg.norm(exact) > 3000  # 3770 counts: a turn of a ball of 0.6 m
+    assert np.max(np.abs(table[:, 1:4].sum(axis=0) - exact)) < 0.2 / 57.3 * 600  # 0.2 degrees
+    x, y, z = table[:, 1:4].sum(axis=0).astype(int)
+    assert f"60 frames; counts x {x:+d}, y {y:+d}, third {z:+d}; " in err
+    lines = err.splitlines()
+    assert sum("camera pose" in line for line in lines) == 1
+    assert sum("sigma" in line for line in lines) == 1
+    assert sum("tracking: " in line for line in lines) == 1
+    assert sum("the ball turns" in line for line in lines) == 1
+    assert cv2.imread(str(picture)).shape == (960, 1280, 3)
+    assert list(tmp_path.iterdir()) == [picture]
+
+
+def test_frames_ends_the_run_early_and_a_table_without_a_terminal_is_plain_lines(spheremouse, roll, tmp_path):
+    log_file, video = tmp_path / "motion.txt", tmp_path / "seen.mkv"
+    words = ("--output", f"text:{log_file}", "--frames", "7", "--table", "--overlay", video, *QUICK)
+    code, out, err = spheremouse("run", "--source", f"dataset:{roll}", *words)
+    assert (code, out) == (0, "")
+    assert len(motions(log_file.read_text())) == 7
+    assert video_frames(video) == 7
+    assert re.search(r"^ +0\.000 s  tracking  rate [-+.\d ]+ deg/s  counts ", err, re.MULTILINE)
+    assert "\x1b" not in err
+
+
+def test_a_rig_file_serves_a_bare_video_and_a_camera_file_replaces_its_camera(spheremouse, roll, tmp_path):
+    rig = open_dataset(roll).rig
+    save_rig(tmp_path / "rig.yaml", rig)
+    save_camera(tmp_path / "other.yaml", replace(rig.camera, width=1280, height=960))
+    source = ("run", "--source", f"video:{roll / 'video.mkv'}", "--output", "text:-", *QUICK)
+    code, out, err = spheremouse(*source)
+    assert (code, out) == (2, "")
+    assert (
+        err == f"spheremouse: video:{roll}/video.mkv: says nothing of the device; give its rig file with --rig FILE\n"
+    )
+    code, out, _ = spheremouse(*source, "--rig", tmp_path / "rig.yaml", "--frames", "3")
+    assert (code, len(motions(out))) == (0, 3)
+    code, _, err = spheremouse(*source, "--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "other.yaml")
+    assert code == 2
+    assert err.startswith("spheremouse: frame 0 is 640x480, the camera was calibrated at 1280x960: ")
+    assert err.count("\n") == 1
+
+
+# ---- bad input ----
+
+
+def test_a_lens_cap_is_told_and_so_is_what_became_of_the_attitude(spheremouse, images, variant):
+    capped = [np.zeros_like(f) if 24 <= i < 40 else f for i, f in enumerate(images)]
+    code, out, err = spheremouse("run", "--source", f"dataset:{variant(capped)}", "--output", "text:-", *QUICK)
+    assert code == 0
+    table = motions(out)
+    assert len(table) == 60
+    assert not table[24:40, 1:].any()  # nothing seen, nothing sent
+    events = [line.split(" s  ", 1) for line in err.splitlines() if " s  " in line]
+    lost = [float(stamp) for stamp, event in events if event.startswith("lost: no disc in view")]
+    found = [float(stamp) for stamp, event in events if event.startswith("tracking again: attitude ")]
+    assert len(lost) == len(found) == 1
+    assert 24 / 30 < lost[0] < found[0]
+    assert found[0] > 39.5 / 30  # printed to the millisecond
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_pictures_of_one_colour_are_refused_in_one_line(spheremouse, images, variant, level):
+    flat = [np.full_like(f, level) for f in images[:3]]
+    code, out, err = spheremouse("run", "--source", f"dataset:{variant(flat)}", "--output", "text:-", *QUICK)
+    assert code == 2
+    assert len(motions(out)) == 0
+    assert err.startswith("spheremouse: 0 of 4 targets found (none), at least 3 are needed; missing: ")
+    assert err.count("\n") == 1
+
+
+def test_views_with_too_few_targets_are_passed_over(spheremouse, images, variant):
+    hidden = [f.copy() for f in images[:4]]
+    for image in hidden[:2]:
+        image[320:400, 220:300] = image[320:400, 490:580] = 90
+    code, out, err = spheremouse("run", "--source", f"dataset:{variant(hidden)}", "--output", "text:-", *QUICK)
+    assert code == 0
+    assert len(motions(out)) == 2  # a recording is tracked from the first view that showed enough
+    assert err.startswith(
+        "views passed over: 2 of 4 targets found (YMC, CMY), at least 3 are needed; missing: MCY, CYM"
+    )
+
+
+def test_a_truncated_recording_is_tracked_as_far_as_it_goes(spheremouse, images, variant, tmp_path):
+    path = variant(images[:5], frames=60)
+    video = tmp_path / "seen.avi"
+    words = ("--output", "text:-", "--overlay", video, *QUICK)
+    code, out, err = spheremouse("run", "--source", f"dataset:{path}", *words)
+    assert code == 2
+    assert len(motions(out)) == 5
+    assert video_frames(video) == 5
+    summary, error = err.splitlines()[-2:]
+    assert summary.startswith("5 frames; counts ")
+    assert error == f"spheremouse: {path}/frames: ends after 5 of 60 frames"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--source", "dataset:nowhere"], "nowhere: no such folder; "),
+        (["--source", "vidoe:x.mkv"], "unknown source 'vidoe:x.mkv'; did you mean video? "),
+        (["--source", "synthetic:motoin=roll"], "synthetic: motoin: unknown key; "),
+        (["--output", "txt:-"], "unknown output 'txt:-'; did you mean text? "),
+        (["--config", "nowhere.yaml"], "nowhere.yaml: "),
+        (["--rig", "nowhere.yaml"], "nowhere.yaml: "),
+        (["--set", "loss.lost_afer=1"], "--set loss.lost_afer: unknown key; did you mean loss.lost_after"),
+        (["--overlay", "seen.gif"], "seen.gif: unknown kind of overlay; "),
+        (["--overlay", "nowhere/seen.mkv"], "nowhere/seen.mkv: cannot be written: "),
+    ],
+    ids=lambda p: p[-1] if isinstance(p, list) else "",
+)
+def test_a_slip_is_answered_in_one_line(spheremouse, roll, empty_folder, words, message):
+    given = {"--source": f"dataset:{roll}", "--output": "text:-"} | dict([words])
+    code, out, err = spheremouse("run", *(w for pair in given.items() for w in pair))
+    assert (code, out) == (2, "")
+    assert err.startswith(f"spheremouse: {message}")
+    assert err.count("\n") == 1
+    assert list(empty_folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--size", "640"], "--size 640: write WIDTHxHEIGHT in px"),
+        (["--dist", "1,2"], "--dist 1,2: write five numbers"),
+        (["--fps", "0"], "--fps: 0.0 must be above 0"),
+        (["--blur", "1"], "--blur: 1 s is longer than a frame"),
+    ],
+    ids=lambda p: p[0] if isinstance(p, list) else "",
+)
+def test_simulate_refuses_what_makes_no_sense(spheremouse, tmp_path, words, message):
+    code, out, err = spheremouse("simulate", tmp_path / "new", *words)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"spheremouse: {message}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_simulate_replaces_nothing_unasked(spheremouse, roll):
+    code, _, err = spheremouse("simulate", roll, "--seconds", "0.1")
+    assert code == 2
+    assert err.startswith(f"spheremouse: {roll}: is not empty; ")
+    assert open_dataset(roll).frames == 60
+
+
+def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_request(spheremouse, monkeypatch):
+    def broken(*_, **__):
+        raise ZeroDivisionError("one\ntwo")
+
+    monkeypatch.setattr("spheremouse.source.open_source", broken)
+    words = ("run", "--source", "synthetic", "--output", "null")
+    code, out, err = spheremouse(*words)
+    assert (code, out) == (70, "")
+    assert err.startswith("spheremouse: internal error, please report it ")
+    assert err.endswith("ZeroDivisionError: one two\n")
+    assert err.count("\n") == 1
+    monkeypatch.setattr(sys, "argv", ["spheremouse", "--debug", *words])
+    with pytest.raises(ZeroDivisionError):
+        cli.main()
+
+
+# ---- signals and pipes ----
+
+
+def start(words, **streams):
+    return subprocess.Popen(
+        [sys.executable, "-m", "spheremouse", *map(str, words)],
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        **streams,
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "SIGINT"])
+def test_a_signal_ends_a_run_between_two_frames_with_everything_complete(roll, tmp_path, number):
+    video = tmp_path / "seen.mkv"
+    words = ("run", "--source", f"dataset:{roll}", "--realtime", "--output", "text:-", "--overlay", video, *QUICK)
+    process = start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    lines = [process.stdout.readline() for _ in range(9)]  # the header and eight motions
+    process.send_signal(number)
+    rest, err = process.communicate(timeout=20)
+    assert process.returncode == 0
+    table = motions("".join(lines) + rest)
+    assert 8 <= len(table) < 60
+    assert err.splitlines()[-1].startswith(f"{len(table)} frames; counts ")
+    assert "Traceback" not in err
+    assert [p.name for p in tmp_path.iterdir()] == ["seen.mkv"]
+    assert video_frames(video) == len(table)
+
+
+def test_a_reader_that_goes_away_ends_a_run_quietly(roll):
+    words = ("run", "--source", f"dataset:{roll}", "--output", "text:-", *QUICK)
+    process = start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    for _ in range(3):
+        process.stdout.readline()
+    process.stdout.close()
+    err = process.stderr.read()
+    assert process.wait(timeout=20) == 0
+    assert re.search(r"\n\d+ frames?; counts [^\n]*\n\Z", err)
+    assert "rror" not in err
+
+
+def test_simulate_killed_half_way_leaves_nothing(tmp_path):
+    process = start(("simulate", tmp_path / "new", "--seconds", "60"), stderr=subprocess.PIPE)
+    until = time.monotonic() + 20
+    while not list(tmp_path.iterdir()) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert [p.name.startswith(".new.") for p in tmp_path.iterdir()] == [True]
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (128 + signal.SIGTERM, "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_while_a_frame_is_worked_on_is_heard_after_it():
+    with Stopping() as stopping:
+        got = []
+        for frame in stopping.frames(iter(range(5))):
+            if frame == 2:
+                os.kill(os.getpid(), signal.SIGTERM)
+            got.append(frame)
+    assert got == [0, 1, 2]
+    assert stopping.asked
+
+
+def test_a_signal_while_a_frame_is_awaited_ends_the_wait():
+    def slow():
+        yield 0
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(60)
+        yield 1
+
+    before = signal.getsignal(signal.SIGTERM)
+    with Stopping() as stopping:
+        assert list(stopping.frames(slow())) == [0]
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+# ---- the demo, and what is shown ----
+
+
+def test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones(spheremouse, tmp_path):
+    code, out, err = spheremouse("demo", "--out", tmp_path / "demo", "--seconds", "2", "--seed", "1")
+    assert code == 0, err
+    for name in demo.FILES:
+        assert str(tmp_path / "demo" / name) in out
+        assert (tmp_path / "demo" / name).stat().st_size > 1000
+    assert sorted(p.name for p in (tmp_path / "demo").iterdir()) == sorted(demo.FILES)
+    sent, exact = re.search(r"counts sent +(\S+ \S+ \S+) +exact would be (\S+ \S+ \S+)", out).groups()
+    assert motions((tmp_path / "demo" / "motion.txt").read_text())[:, 1:4].sum(axis=0).tolist() == [
+        int(n) for n in sent.split()
+    ]
+    assert max(abs(int(a) - int(b)) for a, b in zip(sent.split(), exact.split(), strict=True)) <= 2
+    assert "60 of 60" in out
+    assert "\x1b" not in out + err
+
+
+def test_times_are_summed_up_like_numpy_does():
+    rng = np.random.default_rng(0)
+    seconds = rng.lognormal(-4.0, 0.5, 5000)
+    times = FrameTimes(window=1.0)
+    for i, s in enumerate(seconds):
+        times.add(s, i / 100.0)
+    assert times.count == 5000
+    for share in (0.1, 0.5, 0.99):
+        assert times.quantile(share) == pytest.approx(np.quantile(seconds, share), rel=0.02)
+        assert times.recent_quantile(share) == pytest.approx(np.quantile(seconds[-101:], share))
+    assert times.rate == pytest.approx(100.0)

@@ -1,0 +1,529 @@
+"""The measuring instrument: figures against hand-made errors, SciPy and a batch adjustment; the command's words."""
+
+import json
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.stats import pearsonr
+from typer.testing import CliRunner
+
+from spheremouse import cli_evaluate, plot
+from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.errors import ConfigurationError
+from spheremouse.evaluate.bound import Bound, posterior_bound
+from spheremouse.evaluate.metrics import (
+    Reference,
+    Run,
+    attitude_error,
+    bound_ratio,
+    correlation,
+    detection_quality,
+    frame_times,
+    lost_episodes,
+    mean_nees,
+    pearson,
+    per_axis,
+    pose_error,
+    report,
+    surface_speed,
+)
+from spheremouse.frame import Frame
+from spheremouse.motion import MotionSettings, rotation_between
+from spheremouse.recording import write_simulation
+from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rotation import tangent_basis
+from spheremouse.simulate import SimulationOptions, prepare
+from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
+from spheremouse.track import Phase
+
+CAMERA = InteriorOrientation(640, 480, 600.0, 620.0, 318.0, 243.0)
+POSE = Pose(Rotation.from_euler("XYZ", [175.0, 4.0, 80.0], degrees=True).as_matrix(), np.array([0.1, -0.05, 2.3]))
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+T, L, S = Phase.TRACKING, Phase.LOST, Phase.SEARCHING
+
+
+def random_motion(n, seed=0):
+    """A ball that turns a lot: attitudes by SciPy from random rates."""
+    rng = np.random.default_rng(seed)
+    rate = np.cumsum(rng.normal(0.0, 0.3, (n, 3)), axis=0)
+    R = Rotation.random(rng=rng)
+    attitude = []
+    for w in rate:
+        attitude.append(R.as_matrix())
+        R = Rotation.from_rotvec(w / 30.0) * R
+    return Truth(np.arange(n) / 30.0, np.array(attitude), rate)
+
+
+def perfect_run(truth, detected=None, used=None):
+    n = len(truth)
+    none = tuple(np.zeros((0, 2)) for _ in range(n))
+    return Run(
+        frame=np.arange(n),
+        stamp=truth.stamp,
+        phase=(T,) * n,
+        attitude=truth.attitude.copy(),
+        rate=truth.rate.copy(),
+        covariance=np.broadcast_to(np.eye(6), (n, 6, 6)).copy(),
+        detected=none if detected is None else detected,
+        used=none if used is None else used,
+        seconds={"detect": np.full(n, 3e-3), "filter": np.full(n, 1e-3)},
+    )
+
+
+def figures(run, reference, found=None, frames=None):
+    frames = len(run.frame) if frames is None else frames
+    return report(run, reference, RIG, dataset="d", tracker="so3", frames=frames, found=found)
+
+
+# ---- errors of the motion ----
+
+
+def test_another_ball_frame_is_no_attitude_error():
+    truth = random_motion(50).attitude
+    assert_allclose(attitude_error(truth @ Rotation.random(rng=1).as_matrix(), truth), 0.0, atol=1e-14)
+
+
+def test_attitude_errors_are_rotation_vectors_in_obj():
+    """Errors that grow from zero are given back exactly, whatever the ball's frame and wherever it has turned to."""
+    truth = random_motion(50).attitude
+    e = np.linspace(0.0, 1.0, 50)[:, None] * [0.3, -0.5, 0.7]
+    estimate = Rotation.from_rotvec(e).as_matrix() @ truth @ Rotation.random(rng=1).as_matrix()
+    assert_allclose(attitude_error(estimate, truth), e, atol=1e-13)
+
+
+def test_the_first_frames_error_is_taken_as_turning_with_the_ball():
+    """exp(e) R in all frames: what is left is e against e turned along with the ball since."""
+    truth, e = random_motion(50).attitude, np.array([0.02, -0.01, 0.03])
+    moved = truth @ truth[0].T
+    expected = (Rotation.from_rotvec(e) * Rotation.from_rotvec(moved @ -e)).as_rotvec()
+    assert_allclose(attitude_error(Rotation.from_rotvec(e).as_matrix() @ truth, truth), expected, atol=1e-14)
+
+
+def test_rms_per_axis_and_combined():
+    """Wittich 2017, eq. 176-177."""
+    rms = per_axis(np.array([[3.0, 0.0, 1.0], [-3.0, 4.0, 1.0]]), "xyz")
+    assert rms == pytest.approx({"x": 3.0, "y": math.sqrt(8.0), "z": 1.0, "combined": math.sqrt(18.0)})
+    assert per_axis(None, "xy") == {"x": None, "y": None, "combined": None}
+    assert per_axis(np.array([[np.nan, 1.0]]), "xy") == {"x": None, "y": 1.0, "combined": None}
+
+
+def test_surface_speed_is_what_the_mouse_does_per_second():
+    """Constant rate over a frame: counts at 1 per mm, over the time they take."""
+    truth = random_motion(30)
+    matrix = MotionSettings(counts_per_mm=1.0).matrix(0.6)
+    travel = [
+        matrix @ rotation_between(a, b) * 30.0 for a, b in zip(truth.attitude[:-1], truth.attitude[1:], strict=True)
+    ]
+    assert_allclose(surface_speed(truth.rate, 0.6)[:-1], np.array(travel)[:, :2], rtol=1e-9, atol=1e-9)
+
+
+def test_pearson():
+    rng = np.random.default_rng(3)
+    a = rng.normal(size=(200, 2))
+    b = 0.5 * a + rng.normal(size=(200, 2)) + [0.0, 3.0]
+    r = correlation(a, b)
+    assert r["x"] == pytest.approx(pearsonr(a[:, 0], b[:, 0])[0])
+    assert r["y"] == pytest.approx(pearsonr(a[:, 1], b[:, 1])[0])
+    both = pearsonr(np.r_[a[:, 0], a[:, 1]], np.r_[b[:, 0], b[:, 1]])[0]
+    assert r["combined"] == pytest.approx(both)
+    assert pearson(np.ones(5), np.arange(5.0)) is None
+
+
+def test_nees_of_errors_drawn_from_their_covariances():
+    """Chi-square with k degrees: mean k, standard deviation sqrt(2 k / n)."""
+    rng = np.random.default_rng(4)
+    L = rng.normal(size=(20_000, 3, 3))
+    e = np.einsum("nij,nj->ni", L, rng.normal(size=(20_000, 3)))
+    assert mean_nees(e, L @ L.transpose(0, 2, 1)) == pytest.approx(3.0, abs=5 * math.sqrt(6.0 / 20_000))
+    thin = L[:, :, :2]  # rank 2
+    e = np.einsum("nij,nj->ni", thin, rng.normal(size=(20_000, 2)))
+    assert mean_nees(e, thin @ thin.transpose(0, 2, 1)) == pytest.approx(2.0, abs=5 * math.sqrt(4.0 / 20_000))
+    assert mean_nees(2.0 * np.eye(3)[:1], np.array([np.diag([4.0, 1.0, 1.0])])) == pytest.approx(1.0)
+    assert mean_nees(np.full((1, 3), np.nan), np.eye(3)[None]) is None
+
+
+def test_lost_episodes_are_counted_once_each():
+    assert lost_episodes([S, T, L, L, T, L, T]) == 2
+    assert lost_episodes([L, T]) == 1
+    assert lost_episodes([S, T]) == lost_episodes([]) == 0
+
+
+# ---- detection, pose, time ----
+
+
+def disc_truth(*rows):
+    """Rows of frame, u, v, area, state."""
+    t = np.array(rows, dtype=float)
+    centre = t[:, 1:3]
+    return DiscTruth(t[:, 0].astype(int), np.arange(len(t)), centre, centre + 0.1, t[:, 3], t[:, 4].astype(int))
+
+
+def test_detection_quality_by_hand():
+    truth = disc_truth(
+        (0, 100.0, 100.0, 80.0, VISIBLE),  # found, off by (0.3, -0.4)
+        (0, 200.0, 100.0, 80.0, VISIBLE),  # not found: 3.5 px off
+        (0, 204.5, 100.0, 11.9, VISIBLE),  # too small to be asked for
+        (0, 300.0, 100.0, 80.0, PARTLY_HIDDEN),  # not asked for, but a disc where it is used
+        (0, 400.0, 100.0, 80.0, HIDDEN),  # what is seen here is something else
+        (1, 100.0, 100.0, 80.0, VISIBLE),  # two detections near one disc
+        (1, 110.0, 100.0, np.nan, VISIBLE),  # at the limb
+    )
+    detected = (
+        np.array([[100.3, 99.6], [203.5, 100.0], [300.0, 100.0], [400.0, 100.0]]),
+        np.array([[101.0, 100.0], [99.5, 100.0]]),
+    )
+    used = (np.array([[100.3, 99.6], [301.0, 101.0], [400.0, 100.0], [50.0, 50.0]]), np.array([[101.0, 100.0]]))
+    quality = detection_quality(perfect_run(random_motion(2), detected, used), truth)
+    assert quality["recall"] == pytest.approx(2 / 3)
+    assert quality["false_share"] == pytest.approx(2 / 5)
+    assert quality["centre_rms_px"] == pytest.approx(math.sqrt((0.09 + 0.16 + 0.25 + 0.0) / 4))
+
+
+def test_one_detection_is_not_two_discs():
+    truth = disc_truth((0, 100.0, 100.0, 20.0, VISIBLE), (0, 104.0, 100.0, 20.0, VISIBLE))
+    run = perfect_run(random_motion(1), (np.array([[102.0, 100.0]]),))
+    assert detection_quality(run, truth)["recall"] == 0.5
+
+
+def test_detection_with_nothing_seen():
+    truth = disc_truth((5, 100.0, 100.0, 20.0, VISIBLE))
+    nothing = {"recall": None, "false_share": None, "centre_rms_px": None}
+    assert detection_quality(perfect_run(random_motion(1)), truth) == nothing
+    assert detection_quality(perfect_run(random_motion(6)), truth) == {**nothing, "recall": 0.0}
+
+
+def test_pose_error_in_obj_axes():
+    turn = np.deg2rad([0.1, -0.2, 0.3])
+    P = np.diag(np.square([1e-3, 2e-3, 3e-3, *np.deg2rad([0.05, 0.06, 0.07])]))
+    found = Pose((Rotation.from_rotvec(turn) * Rotation.from_matrix(POSE.rotation)).as_matrix(), POSE.position, P)
+    error = pose_error(replace(found, position=np.add(POSE.position, [1e-3, 0.0, -2e-3])), POSE)
+    assert_allclose(error["position_mm"], [1.0, 0.0, -2.0], atol=1e-12)
+    assert_allclose(error["angle_deg"], [0.1, -0.2, 0.3], atol=1e-10)
+    assert_allclose(error["sigma_position_mm"], [1.0, 2.0, 3.0])
+    assert_allclose(error["sigma_angle_deg"], [0.05, 0.06, 0.07])
+
+
+def test_frame_times_add_the_stages_of_each_frame():
+    times = frame_times({"detect": np.array([1e-3, 2e-3, 9e-3]), "filter": np.array([5e-4, 1e-4, 1e-3])})
+    assert times["median"] == pytest.approx(2100.0)
+    assert times["max"] == pytest.approx(10_000.0)
+    assert times["p99"] == pytest.approx(2100.0 + 0.98 * 7900.0)
+    assert frame_times({}) == {"median": None, "p99": None, "max": None}
+
+
+# ---- the report ----
+
+KEYS = {
+    "dataset": None,
+    "tracker": None,
+    "frames": None,
+    "tracked": None,
+    "lost_episodes": None,
+    "attitude_rmse_deg": ["x", "y", "z", "combined"],
+    "rate_rmse_deg_s": ["x", "y", "z", "combined"],
+    "surface_speed_rmse_mm_s": ["x", "y", "combined"],
+    "surface_speed_r": ["x", "y", "combined"],
+    "mean_discs": None,
+    "identified_from_frame": None,
+    "detection": ["recall", "false_share", "centre_rms_px"],
+    "pose_error": ["position_mm", "angle_deg", "sigma_position_mm", "sigma_angle_deg"],
+    "nees": ["attitude", "rate"],
+    "bound_ratio": ["attitude", "rate"],
+    "frame_us": ["median", "p99", "max"],
+    "stages_us": ["detect", "filter"],
+}
+
+
+def assert_has_all_keys(result, without=()):
+    assert list(result) == list(KEYS)
+    for key, parts in KEYS.items():
+        if parts and key not in without:
+            assert list(result[key]) == parts, key
+    json.dumps(result, allow_nan=False)
+
+
+def test_report_has_the_keys_of_the_format_and_known_errors():
+    truth = random_motion(40)
+    discs = disc_truth(*[(k, 100.0, 100.0, 80.0, VISIBLE) for k in range(40)])
+    seen = tuple(np.array([[100.0, 100.1]]) for _ in range(40))
+    run = perfect_run(truth, seen, seen)
+    error = np.deg2rad([0.1, 0.2, 0.2])
+    run.attitude[1:] = Rotation.from_rotvec(error).as_matrix() @ run.attitude[1:]
+    run = replace(run, rate=run.rate + np.deg2rad([3.0, 0.0, 4.0]))
+    result = figures(run, Reference(truth, discs, POSE), POSE)
+    assert_has_all_keys(result)
+    share = math.sqrt(39 / 40)  # the first frame is the reference
+    expected = {"x": 0.1 * share, "y": 0.2 * share, "z": 0.2 * share, "combined": 0.3 * share}
+    assert result["attitude_rmse_deg"] == pytest.approx(expected)
+    assert result["rate_rmse_deg_s"] == pytest.approx({"x": 3.0, "y": 0.0, "z": 4.0, "combined": 5.0})
+    mm = 600.0 * math.pi / 180.0
+    assert result["surface_speed_rmse_mm_s"] == pytest.approx({"x": 4 * mm, "y": 3 * mm, "combined": 5 * mm})
+    assert result["surface_speed_r"]["x"] == pytest.approx(1.0)
+    assert result["nees"] == pytest.approx({"attitude": error @ error, "rate": np.deg2rad(5.0) ** 2})
+    assert result["mean_discs"] == 1.0
+    assert result["detection"] == pytest.approx({"recall": 1.0, "false_share": 0.0, "centre_rms_px": 0.1 / 2**0.5})
+    assert result["frame_us"]["median"] == pytest.approx(4000.0)
+    assert result["stages_us"] == pytest.approx({"detect": 3000.0, "filter": 1000.0})
+
+
+def test_only_tracked_frames_count_and_frames_are_found_by_their_index():
+    """A run that began at frame 10 of the recording, was lost for a while, and then says nonsense."""
+    truth = random_motion(60)
+    run = perfect_run(Truth(truth.stamp[10:], truth.attitude[10:], truth.rate[10:]))
+    phase = [S] * 5 + [T] * 20 + [L] * 10 + [T] * 15
+    garbage = np.array([p is not T for p in phase])
+    run.attitude[garbage] = Rotation.random(rng=5).as_matrix()
+    run.rate[garbage] = 1e3
+    result = figures(replace(run, frame=np.arange(10, 60), phase=tuple(phase)), Reference(truth), frames=60)
+    assert (result["frames"], result["tracked"], result["lost_episodes"]) == (60, 35, 1)
+    assert result["attitude_rmse_deg"]["combined"] == pytest.approx(0.0, abs=1e-9)
+    assert result["rate_rmse_deg_s"]["combined"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_is_not_known_is_null():
+    result = figures(perfect_run(random_motion(5)), Reference())
+    assert_has_all_keys(result, without=("detection", "pose_error"))
+    assert result["detection"] is None
+    assert result["pose_error"] is None
+    for key in ("attitude_rmse_deg", "rate_rmse_deg_s", "surface_speed_rmse_mm_s", "surface_speed_r", "nees"):
+        assert set(result[key].values()) == {None}
+    assert result["bound_ratio"] == {"attitude": None, "rate": None}
+    assert result["tracked"] == 5
+
+
+def test_never_tracked_is_null_not_zero():
+    truth = random_motion(5)
+    result = figures(replace(perfect_run(truth), phase=(S,) * 5), Reference(truth))
+    assert_has_all_keys(result, without=("detection", "pose_error"))
+    assert (result["tracked"], result["mean_discs"]) == (0, None)
+    assert result["attitude_rmse_deg"]["combined"] is None
+
+
+# ---- the bound ----
+
+
+def batch_covariance(truth, seen, directions, sigma):
+    """Covariances of the last attitude and rate by one adjustment of everything at once.
+
+    Unknown: first rate, an acceleration per interval (prior: its RMS), two coordinates per disc. Jacobians by central
+    differences through the motion itself and OpenCV's projection.
+    """
+    n, m = len(truth), len(directions)
+    dt = np.diff(truth.stamp)
+    acceleration = np.sqrt(np.mean((np.diff(truth.rate, axis=0) / dt[:, None]) ** 2, axis=0))
+    turn = [
+        Rotation.from_matrix(b @ a.T).as_rotvec() for a, b in zip(truth.attitude[:-1], truth.attitude[1:], strict=True)
+    ]
+    basis = tangent_basis(directions)
+    T_cam = POSE.rotation.T
+
+    def attitudes(x):
+        R, w, a = Rotation.from_matrix(truth.attitude[0]), x[:3], x[3 : 3 * n].reshape(-1, 3)
+        path = [R]
+        for k in range(n - 1):
+            R = Rotation.from_rotvec(turn[k] + dt[k] * w + 0.5 * dt[k] ** 2 * a[k]) * R
+            w = w + dt[k] * a[k]
+            path.append(R)
+        return path, w
+
+    def pixels(x):
+        path, _ = attitudes(x)
+        d = directions + np.einsum("mij,mj->mi", basis, x[3 * n :].reshape(m, 2))
+        d = d / np.linalg.norm(d, axis=1, keepdims=True)
+        uv = []
+        for R, k in zip(path, seen, strict=True):
+            points = 0.6 * R.apply(d[k])
+            uv.append(
+                cv2.projectPoints(points, cv2.Rodrigues(T_cam)[0], -T_cam @ POSE.position, CAMERA.matrix, None)[0]
+            )
+        return np.concatenate(uv).ravel()
+
+    def last(x):
+        path, w = attitudes(x)
+        return np.r_[(path[-1] * Rotation.from_matrix(truth.attitude[-1]).inv()).as_rotvec(), w]
+
+    def jacobian(f):
+        steps = 1e-5 * np.eye(3 * n + 2 * m)
+        return np.array([(f(s) - f(-s)) / 2e-5 for s in steps]).T
+
+    J = jacobian(pixels)
+    information = J.T @ J / sigma**2
+    information[range(3, 3 * n), range(3, 3 * n)] += np.tile(acceleration**-2.0, n - 1)
+    A = jacobian(last)
+    covariance = A @ np.linalg.solve(information, A.T)
+    return covariance[:3, :3], covariance[3:, 3:]
+
+
+def test_bound_equals_an_adjustment_of_all_frames_at_once():
+    """Discs come into view, go, and come back; the step between frames is not constant."""
+    rng = np.random.default_rng(6)
+    n = 7
+    truth = random_motion(n, seed=7)
+    truth = replace(truth, stamp=np.cumsum(rng.uniform(0.02, 0.08, n)))
+    near = Rotation.from_rotvec(rng.uniform(-0.6, 0.6, (5, 3))).apply([0.0, 0.0, 1.0])
+    directions = near @ truth.attitude[3]
+    seen = [np.array(s) for s in ([0, 1, 2], [0, 1, 2], [1, 2, 3], [1, 3, 4], [3, 4], [0, 3, 4], [0, 1, 2, 3, 4])]
+    bound = posterior_bound(truth, seen, directions, RIG, POSE, 0.08)
+    attitude, rate = batch_covariance(truth, seen, directions, 0.08)
+    assert_allclose(bound.attitude[-1], attitude, rtol=2e-4, atol=2e-4 * attitude.max())
+    assert_allclose(bound.rate[-1], rate, rtol=2e-4, atol=2e-4 * rate.max())
+    assert_allclose(bound.attitude[0], 0.0)
+
+
+def test_bound_ratio_leaves_out_the_first_frame():
+    bound = Bound(np.tile(np.eye(3), (3, 1, 1)), np.tile(4.0 * np.eye(3), (3, 1, 1)))
+    bound.rate[0] = 1e9
+    e = np.array([[9.0, 9.0, 9.0], [1.0, 1.0, 1.0], [0.0, 3.0, 0.0]])
+    assert bound_ratio(e, e, bound) == pytest.approx({"attitude": 2**0.5, "rate": 0.5**0.5})
+
+
+# ---- the command ----
+
+app = typer.Typer()
+app.command()(cli_evaluate.evaluate)
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """Half a second of our own renderer's film."""
+    path = tmp_path_factory.mktemp("film") / "short"
+    for _ in write_simulation(path, prepare(SimulationOptions(seconds=0.5))):
+        pass
+    return path
+
+
+def run_command(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_command_writes_a_table_and_json(filmed, tmp_path):
+    file = tmp_path / "out.json"
+    done = run_command(filmed, "--json", file)
+    assert done.exit_code == 0, done.output
+    assert "attitude RMSE, °" in done.stdout
+    result = json.loads(file.read_text())
+    assert_has_all_keys(result)
+    assert (result["dataset"], result["tracker"], result["frames"], result["tracked"]) == ("short", "so3", 15, 15)
+    assert result["attitude_rmse_deg"]["combined"] < 0.2
+    assert max(map(abs, result["pose_error"]["position_mm"])) < 5.0
+    assert result["detection"]["recall"] > 0.8
+
+
+def test_json_to_stdout_is_only_json_and_a_list_for_several(filmed):
+    done = run_command(filmed, filmed, "--pose", "known", "--tracker", "ekf2", "--json", "-")
+    assert done.exit_code == 0, done.output
+    both = json.loads(done.stdout)
+    assert [r["tracker"] for r in both] == ["ekf2", "ekf2"]
+    assert both[0]["pose_error"] is None
+    for r in both:
+        del r["frame_us"], r["stages_us"]
+    assert both[0] == both[1]
+
+
+def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
+    (tmp_path / "bare").mkdir()
+    for name in filmed.iterdir():
+        if name.name not in ("truth.csv", "discs.csv"):
+            (tmp_path / "bare" / name.name).symlink_to(name)
+    done = run_command(tmp_path / "bare", "--pose", "known", "--json", "-")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["tracked"] == 15
+    assert result["attitude_rmse_deg"]["combined"] is None
+    assert result["detection"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--tracker", "ekf3"), "--tracker"),
+        (("--detector", "holes"), "--detector"),
+        (("--pose", "given"), "--pose"),
+        (("--noise", "-1"), "--noise"),
+        (("--set", "so3.nothing=1"), "so3.nothing"),
+        (("--config", "missing.yaml"), "missing.yaml"),
+        (("--rig", "missing.yaml"), "missing.yaml"),
+        (("--camera", "missing.yaml"), "missing.yaml"),
+        (("--json", "nowhere/out.json"), "--json"),
+        (("another", "--plot", "out.png"), "--plot"),
+        (("missing",), "missing"),
+    ],
+)
+def test_a_fault_is_one_line_and_code_2(filmed, arguments, says):
+    done = run_command(filmed, *arguments)
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert says in done.stderr
+
+
+def test_a_recording_that_fails_does_not_take_the_others_along(filmed, tmp_path):
+    (tmp_path / "cut").mkdir()
+    for name in filmed.iterdir():
+        if name.name != "scene.json":
+            (tmp_path / "cut" / name.name).symlink_to(name)
+    scene = json.loads((filmed / "scene.json").read_text())
+    del scene["targets"]
+    (tmp_path / "cut" / "scene.json").write_text(json.dumps(scene))
+    done = run_command(tmp_path / "cut", filmed, "--json", tmp_path / "out.json")
+    assert done.exit_code == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert str(tmp_path / "cut") in done.stderr
+    assert [r["dataset"] for r in json.loads((tmp_path / "out.json").read_text())] == ["short"]
+
+
+def test_darkness_is_one_line(filmed, tmp_path):
+    done = run_command(filmed, "--brightness", "-255", "--json", tmp_path / "out.json")
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert f"{filmed}: 0 of 4 targets found" in done.stderr
+    assert not (tmp_path / "out.json").exists()
+
+
+def test_added_noise_and_brightness():
+    image = np.full((200, 200, 3), 100, np.uint8)
+    frames = [Frame(image, 0.0, 0), Frame(image, 1.0, 1), Frame(image, 0.0, 0)]
+    a, b, again = (f.image.astype(float) for f in cli_evaluate.degraded(iter(frames), 10.0, 50.0))
+    assert a.mean() == pytest.approx(150.0, abs=0.2)
+    assert a.std() == pytest.approx(10.0, abs=0.2)
+    assert np.corrcoef(a[..., 0].ravel(), a[..., 1].ravel())[0, 1] == pytest.approx(0.0, abs=0.03)
+    assert np.corrcoef(a.ravel(), b.ravel())[0, 1] == pytest.approx(0.0, abs=0.03)
+    assert np.array_equal(a, again)
+    (dark,) = cli_evaluate.degraded(iter(frames[:1]), 0.0, -120.0)
+    assert not dark.image.any()
+
+
+# ---- the picture ----
+
+
+def test_plot_draws_a_picture(tmp_path):
+    pytest.importorskip("matplotlib")
+    truth = random_motion(60)
+    P = np.broadcast_to(1e-4 * np.eye(6), (60, 6, 6))
+    path = tmp_path / "run.png"
+    plot.plot_run(truth.stamp, truth.attitude, truth.rate, truth.attitude, truth.rate, P, path)
+    image = cv2.imread(str(path))
+    assert image.shape[0] > 600
+    assert image.shape[1] > 1000
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 50
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        plot.plot_run(truth.stamp, truth.attitude, truth.rate, truth.attitude, truth.rate, P, tmp_path / "no" / "a.png")
+
+
+def test_plot_breaks_its_curves_where_nothing_was_tracked_and_where_a_rotation_vector_jumps():
+    assert np.isnan(plot._gaps(np.array([0.0, 0.1, 0.2, 0.6, 0.7]))).tolist() == [False, False, False, True, False]
+    angle = np.deg2rad([170.0, 179.0, 188.0, 197.0])[:, None] * [1.0, 0.0, 0.0]
+    vectors = Rotation.from_rotvec(angle).as_rotvec()
+    assert np.isnan(plot._unbroken(vectors)).any(axis=1).tolist() == [False, False, True, False]
+
+
+def test_without_matplotlib_it_says_what_to_install(filmed, monkeypatch):
+    monkeypatch.setattr(plot.importlib.util, "find_spec", lambda name: None)
+    done = run_command(filmed, "--plot", "out.png")
+    assert done.exit_code == 2
+    assert "pip install 'spheremouse[plot]'" in done.stderr
