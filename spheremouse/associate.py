@@ -21,7 +21,7 @@ def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]
     """
     if cost.size == 0 or not np.any(cost < gate):
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
-    rows, columns = linear_sum_assignment(np.minimum(cost, gate))
+    rows, columns = linear_sum_assignment(np.fmin(cost, gate))  # nan: no pair
     keep = cost[rows, columns] < gate
     return rows[keep], columns[keep]
 

@@ -3,6 +3,8 @@
 Bolts, their shadows, a player's buttons pass every test of shape. Each candidate's place is followed from where it was
 first seen; the ball's rotation says where a disc would be by now. Only what moved with the ball may found a disc, and
 what stayed is remembered as a mask in the image, for as long as the camera stands.
+All this holds while the ball's attitude is right. Where the candidates that turned with it so far say otherwise (a hand
+stopped the ball while it hid the discs), nothing is judged: else the discs themselves would be masked.
 """
 
 from dataclasses import dataclass, field, replace
@@ -81,10 +83,12 @@ def judge(  # noqa: PLR0917
     """Follow the candidates of one frame: `centre` (n, 2) px, `direction` (n, 3) unit in obj, none of them masked.
 
     `attitude` is R_obj_ball, (3, 3). Returns which are proven to turn with the ball, (n,), which have just shown that
-    they stand still, (n,), and the state with the latter masked.
+    they stand still, (n,), and the state with the latter masked. Nothing is judged nor begun in a frame whose attitude
+    the proven candidates contradict.
     """
     n = len(centre)
-    turned = project(pose.to_cam(rig.ball.centre + rig.ball.radius * state.anchor_ball @ attitude.T), rig.camera)[0]
+    turned_to = state.anchor_ball @ attitude.T
+    turned = project(pose.to_cam(rig.ball.centre + rig.ball.radius * turned_to), rig.camera)[0]
     expected = np.where(np.isfinite(turned), turned, state.place)
     to_turned = np.linalg.norm(centre[:, None] - expected[None], axis=2)
     to_place = np.linalg.norm(centre[:, None] - state.place[None], axis=2)
@@ -95,21 +99,23 @@ def judge(  # noqa: PLR0917
     path = np.linalg.norm(expected[which] - state.anchor[which], axis=1)
     off = np.linalg.norm(centre[known] - expected[which], axis=1)
     stayed = np.linalg.norm(centre[known] - state.anchor[which], axis=1)
-    tell = path > settings.moved
+    due = state.proven & (turned_to @ (pose.position - rig.ball.centre) > 1.2 * rig.ball.radius)  # not near the limb
+    trusted = _trusted(due, which, off, 0.5 * settings.moved)
+    tell = (path > settings.moved) & trusted
     turns = tell & (off < 0.3 * path)
     stands = tell & (stayed < settings.still) & (off > 0.5 * path)
 
     proven, still = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    proven[known] = state.proven[which] | turns
+    proven[known] = (state.proven[which] & trusted) | turns
     still[known] = stands
     proven &= ~still
 
     place, seen, known_proven = state.place.copy(), state.seen.copy(), state.proven.copy()
     place[which], seen[which] = centre[known], stamp
-    known_proven[which] = proven[known]
+    known_proven[which] |= proven[known]
     keep = stamp - seen < settings.forget
     keep[which[stands]] = False
-    new = ~known
+    new = ~known & trusted
     updated = replace(
         state,
         place=np.concatenate([place[keep], centre[new]]),
@@ -119,6 +125,14 @@ def judge(  # noqa: PLR0917
         proven=np.concatenate([known_proven[keep], np.zeros(np.count_nonzero(new), dtype=bool)]),
     )
     return proven, still, mask(updated, centre[still], stamp)
+
+
+def _trusted(due: NDArray[np.bool_], which: NDArray[np.intp], off: Array, limit: float) -> bool:
+    """Is the attitude that of the ball? Two of the proven candidates that are `due` in view say so, and half of those
+    seen, within `limit` px; the only one where no more are due. Where none is, nothing contradicts it.
+    """
+    agree = off[due[which]] < limit
+    return bool(np.count_nonzero(agree) >= max(min(2, np.count_nonzero(due)), 0.5 * len(agree)))
 
 
 def _nearest(distance: Array, limit: float) -> NDArray[np.intp]:

@@ -1,0 +1,302 @@
+"""The default detector on ray-cast pictures of a ball: centres, covariance, light, occlusion, limb, nothing."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.stats import chi2
+
+from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.detect.discs import DiscSettings, disc_detector
+from spheremouse.rig import Ball, Rig, Targets
+
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+PLAIN = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+BENT = InteriorOrientation(640, 480, 600.0, 595.0, 325.0, 238.0, np.array([-0.25, 0.1, 1e-3, -1e-3, 0.0]))
+RIG = Rig(PLAIN, Ball(0.6), NO_TARGETS, 0.02)
+POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
+FINE = 8  # samples per pixel and axis
+BALL, INK, ROOM = 190.0, 30.0, 90.0
+SETTINGS = DiscSettings()
+
+
+def spread(n, seed, least=0.25, axis=(0.0, 0.0, 1.0), widest=1.0):
+    """Directions within `widest` rad of the axis, no two nearer than `least`."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < n:
+        d = rng.normal(size=3)
+        d /= np.linalg.norm(d)
+        if d @ np.array(axis) > np.cos(widest) and all(d @ other < np.cos(least) for other in found):
+            found.append(d)
+    return np.array(found)
+
+
+def directions_of(u, v, rig, pose):
+    """Where the rays of pixels meet the ball, nan where they miss: distortion undone by iteration, and a quadratic."""
+    c = rig.camera
+    k1, k2, p1, p2, k3 = c.distortion
+    target = np.stack([(np.ravel(u) - c.cx) / c.fx, (np.ravel(v) - c.cy) / c.fy], axis=1)
+    xy = target
+    for _ in range(25 if np.any(c.distortion) else 0):
+        x, y = xy.T
+        r2 = x * x + y * y
+        shift = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1)
+        xy = (target - shift) / (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))[:, None]
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ pose.rotation.T
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    o = pose.position - rig.ball.centre
+    b = ray @ o
+    root = b * b - (o @ o - rig.ball.radius**2)
+    with np.errstate(invalid="ignore"):
+        s = -b - np.sqrt(root)
+    return (o + s[:, None] * ray) / rig.ball.radius
+
+
+def centre_of(directions, rig, pose):
+    if len(directions) == 0:
+        return np.zeros((0, 2))
+    R = pose.rotation.T
+    p = rig.ball.centre + rig.ball.radius * directions
+    uv, _ = cv2.projectPoints(
+        p[:, None], cv2.Rodrigues(R)[0], -R @ pose.position, rig.camera.matrix, rig.camera.distortion
+    )
+    return uv[:, 0]
+
+
+def ray_cast(directions, rig=RIG, pose=POSE, *, ball=BALL, ink=INK, blur=0.4):
+    """Grey picture, (h, w) float: flat ball, discs by the share of each pixel's rays that meet them, a lens' blur."""
+    h, w = rig.camera.height, rig.camera.width
+    v, u = np.mgrid[:h, :w]
+    on_ball = np.isfinite(directions_of(u, v, rig, pose)[:, 0]).reshape(h, w)
+    image = np.where(on_ball, ball, ROOM)
+    sub = (np.arange(FINE) + 0.5) / FINE - 0.5
+    least = np.cos(rig.disc_radius / rig.ball.radius)
+    for d, c in zip(directions, centre_of(directions, rig, pose), strict=True):
+        reach = int(1.5 * rig.disc_radius * rig.camera.fx / (pose.position[2] - rig.ball.radius)) + 3
+        x0, y0 = (int(max(round(float(x)) - reach, 0)) for x in c)
+        x1, y1 = min(int(c[0]) + reach + 2, w), min(int(c[1]) + reach + 2, h)
+        if x1 <= x0 or y1 <= y0:
+            continue
+        x, y = (np.arange(x0, x1)[:, None] + sub).ravel(), (np.arange(y0, y1)[:, None] + sub).ravel()
+        p = directions_of(*np.meshgrid(x, y), rig, pose)
+        with np.errstate(invalid="ignore"):
+            cover = (p @ d > least).reshape(y1 - y0, FINE, x1 - x0, FINE).mean(axis=(1, 3))
+        image[y0:y1, x0:x1] += cover * (ink - ball)
+    return cv2.GaussianBlur(image, (0, 0), blur) if blur else image
+
+
+def photo(image, noise=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    return np.clip(np.rint(image + noise * rng.normal(size=image.shape)), 0, 255).astype(np.uint8)
+
+
+def match(seen, truth, within=3.0):
+    """Pairs (index into detections, index into truth)."""
+    if len(seen) == 0:
+        return np.zeros((0, 2), dtype=int)
+    d = np.linalg.norm(seen.centre[:, None] - truth[None], axis=2)
+    return np.array([(i, d[i].argmin()) for i in range(len(seen)) if d[i].min() < within]).reshape(-1, 2)
+
+
+def errors(seen, truth):
+    i, j = match(seen, truth).T
+    return seen.centre[i] - truth[j]
+
+
+DISCS = spread(14, 1)
+TRUTH = centre_of(DISCS, RIG, POSE)
+CLEAN = ray_cast(DISCS)
+DETECTOR = disc_detector(SETTINGS, RIG, POSE)
+
+
+# --- measuring -------------------------------------------------------------------------------------------------------
+
+
+def test_centres_without_noise():
+    seen = DETECTOR.detect(photo(CLEAN))
+    assert len(seen) == len(DISCS)
+    assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.03
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, 2.0])
+def test_centres_through_a_lens_that_bends_from_nearer_by(turn):
+    """Eccentricity and distortion are in the geometry; a camera that stands askew."""
+    c, s = np.cos(turn), np.sin(turn)
+    roll = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    position = np.array([0.15, -0.2, 1.75])
+    z = -position / np.linalg.norm(position)
+    x = np.cross([0.1, 1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    pose = Pose(np.stack([x, np.cross(z, x), z], axis=1) @ roll, position)
+    rig = replace(RIG, camera=BENT)
+    discs = spread(10, 2, axis=-z, widest=0.8)
+    truth = centre_of(discs, rig, pose)
+    inside = np.all((truth > 20) & (truth < [620, 460]), axis=1)
+    seen = disc_detector(SETTINGS, rig, pose).detect(photo(ray_cast(discs, rig, pose)))
+    pairs = match(seen, truth)
+    assert set(np.flatnonzero(inside)) <= set(pairs[:, 1])
+    assert len(pairs) == len(seen)
+    assert np.sqrt(np.mean(errors(seen, truth) ** 2)) < 0.04
+
+
+@pytest.mark.parametrize("noise", [2.0, 6.0, 12.0])
+def test_covariance_is_honest(noise):
+    """NIS of centres, chi-square with 2: not above it, with the floor `sigma` or without, and not far below.
+
+    It is about 0.8 where noise is what limits: pixels correlated by the smoothing are counted as independent ones of
+    the unsmoothed noise, which is on the safe side.
+    """
+    bare = disc_detector(replace(SETTINGS, sigma=0.01), RIG, POSE)
+    nis, nis_floor = [], []
+    for seed in range(5):
+        image = photo(CLEAN, noise, seed)
+        for detector, out in ((bare, nis), (DETECTOR, nis_floor)):
+            seen = detector.detect(image)
+            i, j = match(seen, TRUTH).T
+            assert len(i) >= 0.9 * len(DISCS)
+            e = seen.centre[i] - TRUTH[j]
+            out += list(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
+    n = len(nis)
+    high = chi2.ppf(0.999, 2 * n) / n
+    assert np.mean(nis_floor) < high
+    assert np.mean(nis) < 1.6 * high  # rounding, sampling and the lens are in neither
+    if noise > 5:
+        assert np.mean(nis) > 0.25 * 2.0
+
+
+def test_a_colour_picture_and_its_grey_agree():
+    grey = photo(CLEAN, 3.0)
+    a, b = DETECTOR.detect(grey), DETECTOR.detect(np.repeat(grey[..., None], 3, axis=2))
+    assert_allclose(a.centre, b.centre, atol=1e-9)
+    assert_allclose(a.covariance, b.covariance, atol=1e-12)
+
+
+# --- light -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 50.0), (1.0, -25.0), (0.3, 0.0), (0.5, 60.0), (1.25, 0.0)])
+def test_brightness_and_contrast_do_not_matter(gain, offset):
+    plain = DETECTOR.detect(photo(CLEAN))
+    seen = DETECTOR.detect(photo(gain * CLEAN + offset))
+    assert len(seen) == len(plain)
+    assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.04
+    pairs = match(seen, plain.centre)
+    assert np.abs(seen.centre[pairs[:, 0]] - plain.centre[pairs[:, 1]]).max() < 0.06
+
+
+@pytest.mark.parametrize("direction", [0.0, 1.0, 2.5])
+def test_a_slope_of_light_does_not_matter(direction):
+    """From full light to a third across the ball: the darkest ball is little brighter than the brightest disc."""
+    h, w = CLEAN.shape
+    v, u = np.mgrid[:h, :w]
+    t = ((u - 320) * np.cos(direction) + (v - 240) * np.sin(direction)) / 170.0
+    seen = DETECTOR.detect(photo(CLEAN * np.clip(0.67 - 0.33 * t, 0.2, 1.2)))
+    assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
+    assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.06
+
+
+def test_light_discs_on_a_dark_ball():
+    image = ray_cast(DISCS, ball=40.0, ink=210.0)
+    seen = disc_detector(replace(SETTINGS, polarity="light"), RIG, POSE).detect(photo(image, 2.0))
+    assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
+    assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.05
+    assert len(DETECTOR.detect(photo(image, 2.0))) == 0
+
+
+# --- what hides discs ------------------------------------------------------------------------------------------------
+
+
+# a strut of another grey: the slope of the background takes it up, and the fit slides off without saying so
+slides = pytest.mark.xfail(
+    strict=True, reason="a disc cut by a grey strut is taken, 0.5 to 1.5 px off at 5 to 20 sigma"
+)
+
+
+@pytest.mark.parametrize(
+    ("level", "share"),
+    [(60.0, 0.1), (60.0, 0.3), (60.0, 0.5), (60.0, 0.7), (60.0, 0.9)]
+    + [(130.0, 0.5), (130.0, 0.7), (130.0, 0.9), (240.0, 0.1), (240.0, 0.5), (240.0, 0.7), (240.0, 0.9)]
+    + [pytest.param(*case, marks=slides) for case in [(130.0, 0.1), (130.0, 0.3), (240.0, 0.3)]],
+)
+def test_a_disc_half_hidden_is_left_out_or_honest(level, share):
+    """A straight strut covers `share` of every disc's width, from another side each."""
+    image = CLEAN.copy()
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]]
+    half = 6.0
+    for k, (x, y) in enumerate(TRUTH):
+        a = 0.9 * k
+        s = (u - x) * np.cos(a) + (v - y) * np.sin(a)
+        near = np.hypot(u - x, v - y) < 20.0
+        edge = half - 2.0 * half * share
+        image = np.where(near, image + np.clip(s - edge + 0.5, 0.0, 1.0) * (level - image), image)
+    seen = DETECTOR.detect(photo(image))
+    i, j = match(seen, TRUTH, 8.0).T
+    e = seen.centre[i] - TRUTH[j]
+    sigmas = np.sqrt(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e))
+    bad = (np.linalg.norm(e, axis=1) > 0.3) & (sigmas > 4.0)
+    assert np.count_nonzero(bad) <= 2
+    if share == 0.9:
+        assert len(i) <= 2
+
+
+def test_discs_at_the_limb():
+    """Slivers down to where the rim meets the horizon: found while large enough, never far off."""
+    tilt = np.deg2rad([50, 55, 60, 63, 66, 69, 71])
+    turn = np.arange(len(tilt)) * 2.2
+    discs = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)], axis=1)
+    truth = centre_of(discs, RIG, POSE)
+    for noise in (0.0, 3.0):
+        seen = DETECTOR.detect(photo(ray_cast(discs), noise))
+        i, j = match(seen, truth).T
+        assert {0, 1, 2} <= set(j)
+        assert len(i) == len(seen)
+        e = seen.centre[i] - truth[j]
+        assert np.linalg.norm(e, axis=1).max() < 0.5
+        assert np.sqrt(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e)).max() < 4.0
+
+
+def test_other_marks_are_not_discs():
+    """Bars, large and small spots, a shadow's edge: dark, but not of a disc's size and shape."""
+    image = ray_cast(DISCS[:0])
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]]
+    image[200:206, 250:300] = INK
+    image[np.hypot(u - 350, v - 300) < 16] = INK
+    image[np.hypot(u - 280, v - 300) < 2.5] = INK
+    image[:, 390:] = np.where(image[:, 390:] == BALL, 0.5 * BALL, image[:, 390:])
+    assert len(DETECTOR.detect(photo(cv2.GaussianBlur(image, (0, 0), 0.4), 2.0))) == 0
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0, 1, 128, 255])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_flat_pictures_show_nothing(level, channels):
+    seen = DETECTOR.detect(np.full((480, 640, *channels), level, np.uint8))
+    assert len(seen) == 0
+    assert seen.centre.shape == (0, 2)
+
+
+@pytest.mark.parametrize("sigma", [5.0, 30.0, 100.0])
+def test_noise_shows_nothing(sigma):
+    assert len(DETECTOR.detect(photo(np.full((480, 640), 128.0), sigma))) == 0
+
+
+def test_a_ball_without_discs_shows_nothing():
+    assert len(DETECTOR.detect(photo(ray_cast(DISCS[:0]), 3.0))) == 0
+
+
+@pytest.mark.parametrize("offset", [(250.0, 0.0), (-200.0, 150.0), (0.0, -220.0)])
+def test_a_ball_partly_outside_of_the_picture(offset):
+    camera = replace(PLAIN, cx=320.0 + offset[0], cy=240.0 + offset[1])
+    rig = replace(RIG, camera=camera)
+    truth = centre_of(DISCS, rig, POSE)
+    seen = disc_detector(SETTINGS, rig, POSE).detect(photo(ray_cast(DISCS, rig)))
+    inside = np.all((truth > 15) & (truth < [624, 464]), axis=1)
+    pairs = match(seen, truth)
+    assert set(np.flatnonzero(inside)) <= set(pairs[:, 1])
+    assert len(pairs) == len(seen)
+    assert np.abs(errors(seen, truth)).max() < 0.3

@@ -1,0 +1,375 @@
+"""The camera's pose from targets: exact projections, Monte-Carlo scatter, eccentricity, ambiguity, refusals."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from spheremouse.camera import InteriorOrientation, Pose, project
+from spheremouse.detect.rings import TargetDetections
+from spheremouse.errors import PoseError
+from spheremouse.resect import PoseSettings, Sighting, describe, gather, predict_targets, resect
+from spheremouse.rig import CODES, Ball, Rig, Targets
+from spheremouse.rotation import log
+
+SIGMA = 0.05  # px
+CORNERS = np.array([[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629]])
+CORNERS = np.vstack([CORNERS, [0.3256, 0.1546, 0.5629]])
+RADII = np.array([0.012, 0.024, 0.036])
+BLACK = np.zeros((480, 640, 3), np.uint8)
+
+
+def pose_of(euler_deg, position):
+    """Wittich 2017, table 2: Rx Ry Rz, and a camera that looks along its z axis."""
+    return Pose(Rotation.from_euler("XYZ", euler_deg, degrees=True).as_matrix(), np.array(position))
+
+
+FAR = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+NEAR = InteriorOrientation(640, 480, 320.0, 320.0, 320.0, 240.0)
+BENT = InteriorOrientation(640, 480, 320.0, 318.0, 322.0, 241.0, np.array([-0.2, 0.05, 1e-3, -5e-4, 0.0]))
+VIEWS = {
+    "far": (FAR, pose_of([180.0, 0.0, 90.0], [0.0, 0.0, 2.35])),
+    "near": (NEAR, pose_of([-170.0, 0.0, 0.0], [0.0, -0.45, 1.27])),
+    "bent": (BENT, pose_of([-172.0, 4.0, 20.0], [0.05, -0.4, 1.4])),
+}
+views = pytest.mark.parametrize("view", VIEWS)
+
+
+def rig_of(camera, position=CORNERS, codes=CODES, sigma=0.0):
+    n = len(position)
+    covariance = np.tile(sigma**2 * np.eye(3), (n, 1, 1))
+    return Rig(camera, Ball(0.6), Targets(tuple(range(n)), codes[:n], position, covariance, RADII), 0.02)
+
+
+def seen_centroids(rig, pose, n=720):
+    """Mean centroid of each target's three circles: their rims projected by OpenCV, moments of the polygons."""
+    R = pose.rotation.T
+    t = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    circle = np.stack([np.cos(t), np.sin(t), np.zeros(n)], axis=1)
+    out = []
+    for p in rig.targets.position:
+        centroids = []
+        for r in rig.targets.radii:
+            uv, _ = cv2.projectPoints(
+                (p + r * circle)[:, None],
+                cv2.Rodrigues(R)[0],
+                -R @ pose.position,
+                rig.camera.matrix,
+                rig.camera.distortion,
+            )
+            a, b = uv[:, 0], np.roll(uv[:, 0], -1, axis=0)
+            cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+            centroids.append(((a + b) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+        out.append(np.mean(centroids, axis=0))
+    return np.array(out)
+
+
+def sightings(centres, codes=CODES, sigma=SIGMA):
+    return [Sighting(c, uv, sigma**2 * np.eye(2), 30) for c, uv in zip(codes, centres, strict=False)]
+
+
+def pose_error(found, true):
+    """(6,) m, rad, in the pose's own error model."""
+    return np.concatenate([found.position - true.position, log(found.rotation @ true.rotation.T)])
+
+
+def picture_of_ball(rig, pose, ball=220, room=60):
+    """Every pixel by its ray: on the ball or not."""
+    h, w = rig.camera.height, rig.camera.width
+    v, u = np.mgrid[:h, :w]
+    xy = cv2.undistortPoints(
+        np.stack([u, v], axis=-1).reshape(-1, 1, 2).astype(float), rig.camera.matrix, rig.camera.distortion
+    )[:, 0]
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ pose.rotation.T
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    to = rig.ball.centre - pose.position
+    miss = np.sum(to * to) - (ray @ to) ** 2
+    grey = np.where((miss < rig.ball.radius**2) & (ray @ to > 0), ball, room).astype(np.uint8)
+    return np.repeat(grey.reshape(h, w, 1), 3, axis=2)
+
+
+# --- accuracy --------------------------------------------------------------------------------------------------------
+
+
+@views
+@pytest.mark.parametrize("n", [4, 6])
+def test_exact_sightings_give_the_exact_pose(view, n):
+    camera, pose = VIEWS[view]
+    extra = np.array([[0.0, 0.5, 0.45], [0.45, -0.2, 0.3]])  # out of the plane of the others
+    rig = rig_of(camera, np.vstack([CORNERS, extra])[:n])
+    found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
+    error = pose_error(found.pose, pose)
+    assert np.abs(error[:3]).max() < 1e-4
+    assert np.abs(error[3:]).max() < 1e-4
+    assert np.abs(found.residual).max() < 5e-3
+    assert found.codes == CODES[:n]
+    assert_allclose(predict_targets(found.pose, rig), seen_centroids(rig, pose), atol=0.01)
+
+
+@views
+def test_covariance_is_the_scatter_of_poses(view):
+    """target_sigma the only noise. The a posteriori factor enlarges where it is above 1: it is divided out again."""
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    truth = seen_centroids(rig, pose)
+    picture = picture_of_ball(rig, pose)
+    rng = np.random.default_rng(1)
+    errors, covariances, factors = [], [], []
+    for _ in range(100):
+        found = resect(sightings(truth + SIGMA * rng.normal(size=truth.shape)), rig, picture)
+        errors.append(pose_error(found.pose, pose))
+        factors.append(found.variance_factor)
+        covariances.append(found.pose.covariance / max(found.variance_factor, 1.0))
+    errors, P = np.array(errors), np.mean(covariances, axis=0)
+    nees = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(P), errors)
+    low, high = chi2.ppf([0.005, 0.995], 6 * len(nees)) / len(nees)
+    assert low < nees.mean() < high
+    sd = np.sqrt(np.diag(P))
+    assert_allclose(np.std(errors, axis=0) / sd, 1.0, atol=0.2)
+    scatter = np.cov(errors.T)
+    assert_allclose(scatter / np.outer(sd, sd), P / np.outer(sd, sd), atol=0.3)
+    assert_allclose(np.mean(factors), 1.0, atol=0.25)  # chi-square with 2 degrees of freedom over 2
+
+
+def test_uncertain_targets_enlarge_the_covariance_as_their_scatter_does():
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera)
+    sigma = 5e-4
+    believed = rig_of(camera, sigma=sigma)
+    rng = np.random.default_rng(2)
+    nees = []
+    for _ in range(80):
+        moved = rig_of(camera, CORNERS + sigma * rng.normal(size=CORNERS.shape))
+        centres = seen_centroids(moved, pose, 180) + SIGMA * rng.normal(size=(4, 2))
+        found = resect(sightings(centres), believed, picture_of_ball(rig, pose) if len(nees) == 0 else BLACK)
+        e = pose_error(found.pose, pose)
+        nees.append(e @ np.linalg.solve(found.pose.covariance / max(found.variance_factor, 1.0), e))
+    low, high = chi2.ppf([0.005, 0.995], 6 * len(nees)) / len(nees)
+    assert low < np.mean(nees) < high
+
+
+def test_misfit_enlarges_and_never_shrinks_the_covariance():
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera)
+    truth = seen_centroids(rig, pose)
+    exact = resect(sightings(truth), rig, BLACK)
+    assert exact.variance_factor < 1e-3
+    bad = truth + np.array([[0.4, 0], [-0.4, 0], [0.4, 0], [-0.4, 0]])
+    worse = resect(sightings(bad), rig, BLACK)
+    assert worse.variance_factor > 10.0
+    sd = np.sqrt(np.diag(exact.pose.covariance))
+    ratio = worse.pose.covariance / worse.variance_factor / np.outer(sd, sd)
+    assert_allclose(ratio, exact.pose.covariance / np.outer(sd, sd), atol=0.1)
+
+
+def test_eccentricity_matters_in_the_near_view_and_is_corrected():
+    """Sightings taken for projected centres: wrong by 0.1 to 0.2 px and by more than one sigma of the pose."""
+    camera, pose = VIEWS["near"]
+    rig = rig_of(camera)
+    truth = seen_centroids(rig, pose)
+    centres = project(pose.to_cam(CORNERS), camera)[0]
+    offset = np.linalg.norm(truth - centres, axis=1)
+    assert 0.05 < offset.max() < 0.3
+    corrected = resect(sightings(truth), rig, picture_of_ball(rig, pose))
+    point_like = Rig(camera, rig.ball, Targets(*_targets(rig), radii=RADII * 1e-3), 0.02)
+    plain = resect(sightings(truth), point_like, picture_of_ball(rig, pose))
+    without, with_ = (np.linalg.norm(pose_error(f.pose, pose)[:3]) for f in (plain, corrected))
+    assert with_ < 2e-5
+    assert without > 10 * with_
+    assert without > 1.5e-4
+
+
+def _targets(rig):
+    t = rig.targets
+    return t.ids, t.codes, t.position, t.covariance
+
+
+# --- gathering views -------------------------------------------------------------------------------------------------
+
+
+def view_of(pairs):
+    codes = tuple(c for c, _ in pairs)
+    centre = np.array([uv for _, uv in pairs], dtype=float).reshape(-1, 2)
+    return TargetDetections(codes, centre, np.full(len(codes), 12.0), tuple(np.zeros((4, 2), np.int32) for _ in codes))
+
+
+def test_views_are_averaged_but_not_below_the_floor():
+    rng = np.random.default_rng(3)
+    place = np.array([100.0, 50.0])
+    seen = [view_of([("CMY", place + 0.2 * rng.normal(size=2))]) for _ in range(400)]
+    (s,) = gather(seen, PoseSettings())
+    assert s.code == "CMY"
+    assert s.views > 380
+    assert np.abs(s.centre - place).max() < 0.05
+    assert_allclose(s.covariance, SIGMA**2 * np.eye(2) + 0.2**2 / 400 * np.eye(2), atol=3e-5)
+
+
+def test_what_is_seen_now_and_then_or_moves_is_left_out():
+    views = []
+    for k in range(30):
+        pairs = [("CMY", (100.0, 50.0)), ("MYC", (20.0 * k, 200.0))]
+        if k < 5:
+            pairs.append(("YCM", (300.0, 300.0)))
+        views.append(view_of(pairs))
+    assert [s.code for s in gather(views, PoseSettings())] == ["CMY"]
+
+
+def test_a_brushed_target_and_a_copy():
+    rng = np.random.default_rng(4)
+    views = []
+    for k in range(30):
+        at = np.array([100.0, 50.0]) + 0.02 * rng.normal(size=2) + (3.0 if k in (7, 8) else 0.0)
+        views.append(view_of([("CMY", at), ("CMY", (400.0, 50.0))]))
+    first, copy = gather(views, PoseSettings())
+    assert np.abs(first.centre - [100.0, 50.0]).max() < 0.05
+    assert first.views == 28
+    assert_allclose(copy.centre, [400.0, 50.0])
+
+
+def test_no_views_no_sightings():
+    assert gather([], PoseSettings()) == []
+    assert gather([view_of([])], PoseSettings()) == []
+
+
+# --- ambiguity -------------------------------------------------------------------------------------------------------
+
+
+@views
+def test_three_targets_and_the_outline_give_the_right_pose(view):
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    truth = seen_centroids(rig, pose)
+    picture = picture_of_ball(rig, pose)
+    for left_out in range(4):
+        three = [s for i, s in enumerate(sightings(truth)) if i != left_out]
+        found = resect(three, rig, picture)
+        assert np.abs(pose_error(found.pose, pose)[:3]).max() < 1e-3
+        assert found.variance_factor == 1.0
+
+
+def test_three_targets_of_which_several_poses_fit_are_refused_without_the_outline():
+    camera, pose = VIEWS["near"]
+    rig = rig_of(camera)
+    three = sightings(seen_centroids(rig, pose))[:3]
+    points, uv = CORNERS[:3], np.array([s.centre for s in three])
+    count = cv2.solveP3P(points, uv[:, None], camera.matrix, None, flags=cv2.SOLVEPNP_P3P)[0]
+    assert count > 1  # else the refusal below would prove nothing
+    with pytest.raises(PoseError, match="uncover a fourth target, or the edge of the ball"):
+        resect(three, rig, BLACK)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_fewer_than_three_targets_name_the_missing(n):
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera)
+    with pytest.raises(PoseError) as e:
+        resect(sightings(seen_centroids(rig, pose))[:n], rig, BLACK)
+    message = str(e.value)
+    assert message.startswith(f"{n} of 4 targets found")
+    assert "\n" not in message
+    missing = message.split("missing: ")[1]
+    assert all(code in missing for code in CODES[n:4])
+    assert not any(code in missing for code in CODES[:n])
+
+
+def test_look_alikes_with_other_codes_do_not_count():
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera)
+    strangers = [Sighting(c, np.array([50.0, 50.0]), SIGMA**2 * np.eye(2), 30) for c in CODES[4:]]
+    with pytest.raises(PoseError, match="2 of 4"):
+        resect(sightings(seen_centroids(rig, pose))[:2] + strangers, rig, BLACK)
+    found = resect(sightings(seen_centroids(rig, pose))[:4] + strangers, rig, picture_of_ball(rig, pose))
+    assert np.abs(pose_error(found.pose, pose)[:3]).max() < 1e-4
+
+
+@views
+@pytest.mark.parametrize("place", [[60.0, 60.0], [500.0, 400.0]])
+def test_a_copy_of_a_target_elsewhere_in_the_room(view, place):
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    true = sightings(seen_centroids(rig, pose))
+    copy = Sighting(CODES[1], np.array(place), SIGMA**2 * np.eye(2), 30)
+    for order in ([copy, *true], [*true, copy]):
+        found = resect(order, rig, picture_of_ball(rig, pose))
+        assert np.abs(pose_error(found.pose, pose)[:3]).max() < 1e-4
+        assert len(found.codes) == 4
+
+
+@views
+def test_a_copy_while_the_real_one_is_hidden(view):
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    true = sightings(seen_centroids(rig, pose))
+    true[1] = Sighting(CODES[1], np.array([60.0, 60.0]), SIGMA**2 * np.eye(2), 30)
+    try:
+        found = resect(true, rig, picture_of_ball(rig, pose))
+    except PoseError:
+        return
+    assert np.abs(pose_error(found.pose, pose)[:3]).max() < 1e-3
+
+
+@views
+def test_targets_of_another_rig_are_refused(view):
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    other = rig_of(camera, CORNERS * [1.15, 0.85, 1.0] + [[0.05, 0, 0], [0, 0.04, 0], [0, 0, 0], [0, -0.05, 0]])
+    with pytest.raises(PoseError, match="another device"):
+        resect(sightings(seen_centroids(other, pose)), rig, picture_of_ball(rig, pose))
+
+
+@views
+def test_three_targets_of_another_rig_are_refused(view):
+    """Three always fit some pose: the ball is not where that pose has it."""
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    picture = picture_of_ball(rig, pose)
+    rng = np.random.default_rng(5)
+    for _ in range(8):
+        other = rig_of(camera, CORNERS + rng.normal(size=CORNERS.shape) * [0.06, 0.06, 0.0])
+        with pytest.raises(PoseError):
+            resect(sightings(seen_centroids(other, pose))[:3], rig, picture)
+
+
+def test_exchanged_codes_are_refused():
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera)
+    centres = seen_centroids(rig, pose)[[1, 0, 2, 3]]
+    with pytest.raises(PoseError):
+        resect(sightings(centres), rig, picture_of_ball(rig, pose))
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_targets_in_a_line_are_refused_in_words(n):
+    """They leave the rotation about their line open."""
+    camera, pose = VIEWS["far"]
+    line = np.stack([np.linspace(-0.3, 0.3, n), np.zeros(n), np.full(n, 0.56)], axis=1)
+    rig = rig_of(camera, line)
+    with pytest.raises(PoseError):
+        resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
+
+
+def test_targets_in_one_place_are_refused_in_words():
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera, np.tile(CORNERS[:1], (4, 1)))
+    with pytest.raises(PoseError):
+        resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
+
+
+def test_describe_reads_like_table_12():
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera)
+    found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
+    text = describe(found)
+    lines = text.split("\n")
+    assert lines[0].startswith("targets CMY, CYM, MCY, MYC; residual RMS 0.0")
+    sigma = np.sqrt(np.diag(found.pose.covariance))
+    (row,) = [line for line in lines if line.startswith("sigma")]
+    values = [float(x) for x in row.replace("mm", " ").replace("°", " ").split()[1:]]
+    assert_allclose(values, [*1e3 * sigma[:3], *np.rad2deg(sigma[3:])], atol=6e-3)
+    correlation = found.pose.covariance / np.outer(sigma, sigma)
+    (row,) = [line for line in lines if line.startswith("rot Z")]
+    assert_allclose([float(x) for x in row.split()[2:]], correlation[5, :5], atol=6e-4)
+    assert lines[-1].split()[0] == "position"
+    assert "2350 mm" in lines[-1]

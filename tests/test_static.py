@@ -1,0 +1,172 @@
+"""What stands still while the ball turns is masked, what turns along is proven, and doubt masks nothing."""
+
+import numpy as np
+import pytest
+
+from spheremouse.camera import InteriorOrientation, Pose, project
+from spheremouse.detect.static import Lookalikes, StaticSettings, judge, mask, unmasked
+from spheremouse.rig import Ball, Rig, Targets, directions_at
+from spheremouse.rotation import exp
+
+CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+RIG = Rig(CAMERA, Ball(0.6), NO_TARGETS, 0.02)
+SETTINGS = StaticSettings()
+DT = 1.0 / 30.0
+AXIS_Z = np.array([0.0, 0.0, 1.0])  # towards the camera
+
+
+def to_image(direction):
+    return project(POSE.to_cam(RIG.ball.radius * np.asarray(direction)), CAMERA)[0]
+
+
+def unit(*rows):
+    d = np.array(rows, dtype=float)
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+DISCS = unit([0.5, 0.1, 1.0], [-0.4, 0.4, 1.0], [0.1, -0.6, 1.0], [-0.5, -0.3, 1.0])
+BOLT = np.array([[400.0, 300.0]])
+
+
+def look(state, uv, attitude, stamp):
+    """One frame: drop what is masked, judge the rest. Verdicts are of all of `uv`."""
+    free, state = unmasked(state, uv, stamp, SETTINGS)
+    d, index = directions_at(uv[free], RIG, POSE)
+    assert len(index) == np.count_nonzero(free)
+    p, s, state = judge(state, uv[free], d, attitude, stamp, RIG, POSE, SETTINGS)
+    proven, still = np.zeros(len(uv), dtype=bool), np.zeros(len(uv), dtype=bool)
+    proven[free], still[free] = p, s
+    return proven, still, free, state
+
+
+def film(attitudes, *, extra=BOLT, discs=DISCS, noise=0.05, believed=None, state=None):
+    """Verdicts frame by frame on discs (first) and `extra` pixels; `believed` is what the filter takes for truth."""
+    rng = np.random.default_rng(0)
+    state = state or Lookalikes()
+    out = []
+    for k, R in enumerate(attitudes):
+        uv = np.concatenate([to_image(discs @ R.T), extra])
+        uv = uv + noise * rng.normal(size=uv.shape)
+        *verdict, state = look(state, uv, R if believed is None else believed[k], k * DT)
+        out.append((*verdict, state))
+    return out
+
+
+def turn(axis, rate, n):
+    return [exp(np.asarray(axis) * rate * k * DT) for k in range(n)]
+
+
+def test_a_bolt_is_masked_as_soon_as_the_ball_has_turned_by_two_pixels_there():
+    """Not before: the path of the ball's surface under the bolt says when."""
+    rate = 0.2
+    attitudes = turn([0.0, 1.0, 0.0], rate, 40)
+    out = film(attitudes)
+    first = next(k for k, (_, still, _, _) in enumerate(out) if still[-1])
+    d = directions_at(BOLT, RIG, POSE)[0]
+    path = [np.linalg.norm(to_image(d @ R.T) - BOLT) for R in attitudes]
+    crossing = next(k for k, p in enumerate(path) if p > SETTINGS.moved)
+    assert crossing <= first <= crossing + 1
+    assert not any(still[:-1].any() for _, still, _, _ in out)  # no disc, ever
+    proven, _, free, state = out[-1]
+    assert np.all(proven[:-1])
+    assert not free[-1]
+    assert len(state.masks) == 1
+    assert np.linalg.norm(state.masks[0] - BOLT) < 0.3
+
+
+def test_a_still_ball_proves_nothing_and_masks_nothing():
+    out = film([np.eye(3)] * 60)
+    assert not any(p.any() or s.any() for p, s, _, _ in out)
+    assert len(out[-1][3].masks) == 0
+
+
+def test_a_disc_at_the_pole_of_the_rotation_is_no_look_alike():
+    """It stands still because the ball moves nowhere there; nor is it proven by that."""
+    discs = np.vstack([DISCS, AXIS_Z])
+    out = film(turn(AXIS_Z, 0.5, 90), discs=discs)
+    pole = len(DISCS)
+    assert not any(still[pole] or proven[pole] for proven, still, _, _ in out)
+    assert any(still[-1] for _, still, _, _ in out)  # the bolt, though
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize("rate", [0.05, 0.5, 3.0])
+def test_noise_and_pace_change_no_verdict(noise, rate):
+    n = 8 if rate > 1 else 50 if rate < 0.1 else 36
+    out = film(turn([0.3, 1.0, 0.2], rate, n), noise=noise)
+    assert not any(still[:-1].any() for _, still, _, _ in out)
+    if rate > 0.1:
+        assert not out[-1][2][-1]  # masked
+
+
+@pytest.mark.parametrize("jump_deg", [1.0, 3.0, 15.0])
+def test_discs_at_rest_are_not_masked_when_the_filter_runs_on(jump_deg):
+    """A hand hid the ball and stopped it, the prediction still turns: what is seen contradicts it and is not judged."""
+    axis = np.array([0.0, 1.0, 0.0])
+    rolling = turn(axis, 0.8, 12)
+    stopped = exp(axis * np.deg2rad(jump_deg)) @ rolling[-1]
+    truth = rolling + [stopped] * 9
+    believed = rolling + [exp(axis * 0.8 * DT * k) @ stopped for k in range(10)][1:]
+    out = film(truth, believed=believed)
+    assert not any(still[:-1].any() for _, still, _, _ in out)
+    assert not out[-1][0].any()  # nor may they found discs at a wrong attitude
+    assert len(out[-1][3].masks) <= 1  # the bolt
+
+
+def test_candidates_that_cannot_be_seen_again_are_forgotten():
+    state = film(turn([0.0, 1.0, 0.0], 0.1, 3))[-1][3]
+    assert len(state.place) == len(DISCS) + 1
+    nothing = np.zeros((0, 2))
+    *_, state = look(state, nothing, np.eye(3), 0.1)
+    assert len(state.place) == len(DISCS) + 1
+    *_, state = look(state, nothing, np.eye(3), SETTINGS.forget + 0.2)
+    assert len(state.place) == 0
+
+
+# --- masks -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_mask_hides_what_is_within_its_radius_only():
+    state = mask(Lookalikes(), np.array([[100.0, 100.0]]), 0.0)
+    r = SETTINGS.mask_radius
+    uv = np.array([[100.0, 100.0], [100.0, 100.0 + 0.9 * r], [100.0 + 1.1 * r, 100.0]])
+    free, _ = unmasked(state, uv, 0.0, SETTINGS)
+    assert free.tolist() == [False, False, True]
+
+
+def test_a_mask_lives_as_long_as_it_is_needed():
+    place = np.array([[100.0, 100.0]])
+    elsewhere = np.array([[300.0, 100.0]])
+    life = SETTINGS.mask_life
+    state = mask(Lookalikes(), place, 0.0)
+    _, state = unmasked(state, place, 0.9 * life, SETTINGS)  # renewed
+    _, state = unmasked(state, elsewhere, 1.8 * life, SETTINGS)
+    assert len(state.masks) == 1
+    _, state = unmasked(state, elsewhere, 2.0 * life, SETTINGS)
+    assert len(state.masks) == 0
+    free, _ = unmasked(state, place, 2.0 * life, SETTINGS)
+    assert free.all()
+
+
+def test_empty_sets_pass_through():
+    nothing = np.zeros((0, 2))
+    state = Lookalikes()
+    free, state = unmasked(state, nothing, 0.0, SETTINGS)
+    assert len(free) == 0
+    proven, still, state = judge(state, nothing, np.zeros((0, 3)), np.eye(3), 0.0, RIG, POSE, SETTINGS)
+    assert len(proven) == len(still) == len(state.place) == 0
+
+
+def test_two_detections_of_one_candidate_are_one():
+    uv = np.repeat(to_image(DISCS), 2, axis=0)
+    uv[1::2] += 1.0
+    state = Lookalikes()
+    for k, R in enumerate(turn([0.0, 1.0, 0.0], 0.3, 30)):
+        uv = np.repeat(to_image(DISCS @ R.T), 2, axis=0)
+        uv[1::2] += 1.0
+        proven, still, _, state = look(state, uv, R, k * DT)
+        assert not still.any()
+    assert len(state.place) == len(uv)
+    assert proven[::2].all()

@@ -1,0 +1,343 @@
+"""The whole use phase after detection: a ball seen as disc centres, from a still start to lens caps and bad clocks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from spheremouse.camera import InteriorOrientation, Pose, project
+from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.errors import SourceError
+from spheremouse.frame import Frame
+from spheremouse.motion import Motion
+from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rotation import exp, log
+from spheremouse.track import Phase, Settings, TrackState, advance, begin, build, step
+
+CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+DT = 1.0 / 30.0
+SIGMA = 0.05  # px
+BOLTS = np.array([[300.0, 100.0], [250.0, 380.0], [420.0, 250.0], [200.0, 200.0]])
+SO3 = Settings()
+ROLL = np.array([0.5, 0.15, 0.35])  # rad/s; phi stays away from 90 deg for the Euler filters
+trackers = pytest.mark.parametrize("name", ["so3", "ekf1", "ekf2"])
+
+
+def directions(n, seed, least=0.2):
+    """Unit vectors of which no two are nearer than `least` rad."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < n:
+        d = rng.normal(size=3)
+        d /= np.linalg.norm(d)
+        if all(d @ other < np.cos(least) for other in found):
+            found.append(d)
+    return np.array(found)
+
+
+DISCS = directions(26, 0)
+
+
+def detections(uv, rng):
+    uv = uv + SIGMA * rng.normal(size=uv.shape)
+    return Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
+
+
+def photo(R, rng, extra=None, discs=DISCS):
+    """Discs well on the near side at attitude R, and extra pixels, with noise."""
+    p = discs @ R.T
+    uv = project(POSE.to_cam(RIG.ball.radius * p[p[:, 2] > 0.35]), CAMERA)[0]
+    return detections(uv if extra is None else np.concatenate([uv, extra]), rng)
+
+
+@dataclass
+class Film:
+    """What came of it, frame by frame."""
+
+    states: list[TrackState]
+    motions: list[Motion]
+    attitudes: list[np.ndarray]
+
+    @property
+    def error(self):
+        """Angle in rad between estimate and truth, relative to the first frame."""
+        return np.array(
+            [np.linalg.norm(log(s.filter.attitude @ R.T)) for s, R in zip(self.states, self.attitudes, strict=True)]
+        )
+
+    @property
+    def events(self):
+        return [s.event for s in self.states if s.event]
+
+    @property
+    def counts(self):
+        return np.array([m.counts for m in self.motions])
+
+    @property
+    def rotation(self):
+        return np.array([m.rotation for m in self.motions])
+
+
+def film(attitude, stamps, *, settings=SO3, extra=None, hidden=(), seed=0, discs=DISCS):
+    """Track a ball of attitude(t); `hidden` holds (from, to) pairs of times when nothing is seen."""
+    rng = np.random.default_rng(seed)
+    tracker = build(RIG, POSE, settings)
+    state = begin(tracker, stamps[0])
+    out = Film([], [], [])
+    for t in stamps:
+        R = attitude(t)
+        seen = photo(R, rng, extra, discs)
+        if any(a <= t < b for a, b in hidden):
+            seen = no_detections()
+        state, motion = advance(state, t, seen, tracker)
+        assert np.all(np.isfinite(motion.rotation))
+        assert np.all(np.isfinite(motion.rate))
+        assert np.all(np.isfinite(state.filter.covariance))
+        out.states.append(state)
+        out.motions.append(motion)
+        out.attitudes.append(R)
+    return out
+
+
+def seconds(t):
+    return np.arange(round(t / DT)) * DT
+
+
+def start(t, wait=0.0, rate=ROLL):
+    """At rest, then gathering speed within a second."""
+    t = max(t - wait, 0.0)
+    return exp(rate * (t * t / 2.0 if t < 1.0 else t - 0.5))
+
+
+# --- ordinary use ----------------------------------------------------------------------------------------------------
+
+
+@trackers
+def test_a_still_ball_gives_no_counts(name):
+    out = film(
+        lambda _: np.eye(3), seconds(8.0 if name == "so3" else 1.5), settings=Settings(tracker=name), extra=BOLTS
+    )
+    assert not np.any(out.counts)
+    assert out.states[-1].phase is Phase.TRACKING
+    assert not out.states[-1].moved
+    assert len(out.states[-1].lookalikes.masks) == 0
+
+
+@trackers
+def test_a_turning_ball_among_bolts(name):
+    out = film(lambda t: start(t, 0.5), seconds(3.0), settings=Settings(tracker=name), extra=BOLTS, seed=1)
+    assert out.error.max() < (2e-3 if name == "so3" else 2e-2)
+    masks = out.states[-1].lookalikes.masks
+    assert len(masks) == len(BOLTS)
+    assert np.linalg.norm(masks[:, None] - BOLTS, axis=2).min(axis=0).max() < 0.5
+    assert_allclose(out.motions[-1].rate, ROLL, atol=0.01 if name == "so3" else 0.1)
+    last = out.states[-1]
+    used = last.detections.centre[last.points.index[last.filter.used]]  # indices go all the way back to the image
+    assert len(used) >= 4
+    assert np.linalg.norm(used[:, None] - BOLTS, axis=2).min() > 2.0
+
+
+@trackers
+def test_the_sum_of_counts_is_the_integral_of_the_motion(name):
+    settings = Settings(tracker=name)
+    out = film(lambda t: start(t, 0.2), seconds(2.5), settings=settings, extra=BOLTS)
+    matrix = settings.motion.matrix(RIG.ball.radius)
+    assert np.abs(out.counts.sum(axis=0) - matrix @ out.rotation.sum(axis=0)).max() <= 0.5 + 1e-9
+    sent = np.eye(3)
+    for m in out.motions:
+        sent = exp(m.rotation) @ sent
+    assert_allclose(sent, out.states[-1].filter.attitude, atol=1e-9)  # nothing of the attitude is left unsent
+    truth = matrix @ (ROLL * (2.3 - DT - 0.5))
+    assert np.abs(out.counts.sum(axis=0) - truth).max() < (3.0 if name == "so3" else 20.0)
+
+
+@pytest.mark.parametrize("rate", [[0.3, 0.5, 0.2], [2.0, 1.0, 1.0], [3.0, 0.0, 0.0]])
+def test_a_ball_that_rolls_already_when_the_program_starts(rate):
+    out = film(lambda t: exp(np.array(rate) * t), seconds(1.5), extra=BOLTS, seed=2)
+    assert out.error.max() < 5e-3
+    assert len(out.states[-1].lookalikes.masks) == len(BOLTS)
+
+
+@pytest.mark.parametrize("rest", [20.0, 600.0])
+def test_a_long_rest_before_the_first_motion(rest):
+    """What is filtered again once the ball turns spans the rest: its length must not matter."""
+    rng = np.random.default_rng(3)
+    stamps = np.concatenate([np.linspace(0.0, rest, 40), rest + DT + seconds(2.0)])
+    tracker = build(RIG, POSE, SO3)
+    state = begin(tracker, 0.0)
+    for t in stamps:
+        R = start(t, rest)
+        seen = photo(R, rng)
+        seen = seen.take(rng.random(len(seen)) > 0.15)  # now one flickers, now another
+        state, _ = advance(state, t, seen, tracker)
+        assert np.linalg.norm(log(state.filter.attitude @ R.T)) < 3e-3
+    assert state.moved
+
+
+def test_dropped_frames_lose_no_motion():
+    t = np.delete(seconds(4.0), [40, 41, 60, 75, 76, 77, 90])
+    out = film(lambda t: start(t, 0.2), t, extra=BOLTS)
+    assert out.error.max() < 2e-3
+    matrix = SO3.motion.matrix(RIG.ball.radius)
+    assert np.abs(out.counts.sum(axis=0) - matrix @ (ROLL * (3.8 - DT - 0.5))).max() < 3.0
+
+
+# --- loss and recovery -----------------------------------------------------------------------------------------------
+
+
+def test_lens_cap_lost_then_attitude_kept_and_no_jump():
+    out = film(start, seconds(5.0), hidden=[(2.0, 2.7)], extra=BOLTS)
+    assert any(e.startswith("lost") for e in out.events)
+    assert any("attitude kept" in e for e in out.events)
+    assert out.states[-1].phase is Phase.TRACKING
+    assert out.error[-1] < 2e-3  # through the map: turned by 25 degrees unseen
+    t = seconds(5.0)
+    capped = (t >= 2.0) & (t < 2.7)
+    assert not np.any(out.counts[capped])
+    per_frame = SO3.motion.matrix(RIG.ball.radius) @ ROLL * DT
+    assert np.abs(out.counts).max() < 1.5 * np.abs(per_frame).max()  # unseen motion is not sent in one leap
+    for state in out.states:
+        assert max(state.filter.used, default=-1) < len(state.points)
+
+
+@trackers
+def test_every_tracker_tracks_again_after_the_cap(name):
+    out = film(start, seconds(3.0), hidden=[(1.5, 2.0)], extra=BOLTS, settings=Settings(tracker=name))
+    assert out.states[-1].phase is Phase.TRACKING
+    assert any("attitude kept" in e or "reset" in e for e in out.events)
+    assert_allclose(out.motions[-1].rate, ROLL, atol=0.2)
+    per_frame = SO3.motion.matrix(RIG.ball.radius) @ ROLL * DT
+    assert np.abs(out.counts).max() < 2.0 * np.abs(per_frame).max()
+
+
+def test_another_ball_after_the_cap_is_a_stated_reset():
+    """No map matches: the attitude is the last one known, nothing unseen is counted, and a new map begins."""
+    rng = np.random.default_rng(4)
+    other = directions(26, 77)
+    tracker = build(RIG, POSE, SO3)
+    state = begin(tracker, 0.0)
+    events, counts = [], []
+    for t in seconds(7.0):
+        seen = no_detections() if 2.0 <= t < 3.0 else photo(start(t), rng, discs=DISCS if t < 2.0 else other)
+        state, motion = advance(state, t, seen, tracker)
+        counts.append(motion.counts)
+        events += [state.event] if state.event else []
+    assert any("reset" in e for e in events)
+    assert not any("kept" in e for e in events)
+    assert state.phase is Phase.TRACKING
+    assert_allclose(motion.rate, ROLL, atol=0.02)
+    per_frame = SO3.motion.matrix(RIG.ball.radius) @ ROLL * DT
+    assert np.abs(counts).max() < 1.5 * np.abs(per_frame).max()
+
+
+@pytest.mark.parametrize("hidden", [0.1, 0.25])
+@pytest.mark.parametrize("rate", [0.5, 1.0, 3.0])
+def test_a_hand_that_hides_the_ball_and_stops_it(rate, hidden):
+    """The prediction runs on while the discs stand still: they must not be taken for look-alikes."""
+    w = rate * np.array([0.3, 1.0, 0.2])
+    stop = 1.5
+    out = film(lambda t: start(min(t, stop), rate=w), seconds(3.5), hidden=[(stop - 0.05, stop - 0.05 + hidden)])
+    assert len(out.states[-1].lookalikes.masks) == 0
+    assert out.states[-1].phase is Phase.TRACKING
+    assert out.error[-1] < 2e-3
+    assert len(out.states[-1].filter.discs) <= len(DISCS)
+
+
+# remove both marks once `advance` looks at the clock: a gap longer than lost_after is a loss, a step back holds nothing
+gap_ignored = pytest.mark.xfail(strict=False, reason="after a long gap the prediction is followed as if it were known")
+clock_ignored = pytest.mark.xfail(
+    strict=True, reason="`held` lies in the future after a clock restart: motion is made up"
+)
+
+
+@pytest.mark.parametrize("unseen", [[0.9, 0.2, 0.4], [-0.5, 0.3, 0.0], [0.0, 0.0, 1.5]])
+@pytest.mark.parametrize("gap", [0.15, *(pytest.param(g, marks=gap_ignored) for g in (0.5, 2.0, 10.0, 100.0))])
+def test_a_stall_of_the_source_while_the_ball_turns_on(gap, unseen):
+    """No frame for a while (a busy machine, suspend): the prediction over a long gap is a guess, not a measurement."""
+    t = np.concatenate([seconds(2.5), 2.5 + gap + seconds(2.0)])
+    unseen = np.array(unseen) * min(gap, 1.0)
+
+    def attitude(t):
+        return start(t) if t <= 2.5 else exp(unseen) @ start(2.5)
+
+    out = film(attitude, t)
+    assert out.states[-1].phase is Phase.TRACKING
+    assert out.error[-1] < 2e-3
+    assert len(out.states[-1].lookalikes.masks) == 0
+    if gap > SO3.loss.lost_after:
+        assert any("attitude kept" in e for e in out.events)
+        per_frame = SO3.motion.matrix(RIG.ball.radius) @ ROLL * DT
+        assert np.abs(out.counts).max() < 1.5 * np.abs(per_frame).max()
+
+
+# --- bad input -------------------------------------------------------------------------------------------------------
+
+
+@trackers
+def test_stamps_that_repeat_or_step_back(name):
+    """Finite and no crash with any tracker (asserted in film); the default filter keeps its attitude, too."""
+    rng = np.random.default_rng(5)
+    tracker = build(RIG, POSE, Settings(tracker=name))
+    state = begin(tracker, 0.0)
+    for k in range(150 if name != "ekf2" else 60):
+        stamp = (k - (k % 17 == 3) - 3 * (k % 29 == 5)) * DT
+        R = start(k * DT, 1.0)
+        state, motion = advance(state, stamp, photo(R, rng), tracker)
+        assert np.all(np.isfinite(motion.rotation))
+        assert np.all(np.isfinite(motion.rate))
+    if name == "so3":
+        assert np.linalg.norm(log(state.filter.attitude @ R.T)) < 1e-2  # a wrong stamp is a wrong rate for a while
+
+
+@clock_ignored
+@trackers
+def test_a_clock_that_starts_again_does_not_make_motion_up(name):
+    """A source that was plugged in again counts from 0: without discs nothing is sent, and the ball is lost in time."""
+    rng = np.random.default_rng(6)
+    tracker = build(RIG, POSE, Settings(tracker=name))
+    state = begin(tracker, 100.0)
+    for t in seconds(2.0):
+        state, motion = advance(state, 100.0 + t, photo(start(t), rng), tracker)
+    counts = []
+    for t in seconds(1.0):
+        state, motion = advance(state, t, no_detections(), tracker)
+        counts.append(motion.counts)
+    assert not np.any(counts)
+    assert state.phase is Phase.LOST
+
+
+def test_frames_of_another_size_are_refused_in_one_line():
+    tracker = build(RIG, POSE, SO3)
+    frame = Frame(np.zeros((720, 1280, 3), np.uint8), 0.0, 7)
+    with pytest.raises(SourceError, match="frame 7 is 1280x720, the camera was calibrated at 640x480") as e:
+        step(begin(tracker, 0.0), frame, tracker)
+    assert "\n" not in str(e.value)
+
+
+@pytest.mark.parametrize("detector", ["default", "blobs"])
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_pictures_of_nothing(detector, level):
+    tracker = build(RIG, POSE, Settings(detector=detector))
+    state = begin(tracker, 0.0)
+    for k in range(3):
+        state, motion = step(state, Frame(np.full((480, 640, 3), level, np.uint8), k * DT, k), tracker)
+        assert motion.counts == (0, 0, 0)
+    assert state.phase is Phase.SEARCHING
+    assert len(state.detections) == 0
+
+
+@trackers
+@pytest.mark.parametrize("n", [1, 2])
+def test_one_or_two_candidates_make_no_motion(name, n):
+    """Two fix the attitude, badly about the axis through them: noise, but nothing that goes anywhere."""
+    out = film(lambda _: np.eye(3), seconds(1.0), settings=Settings(tracker=name), discs=DISCS[:0], extra=BOLTS[:n])
+    assert np.abs(np.cumsum(out.counts, axis=0)).max() <= 2
+
+
+def test_bolts_alone_never_turn():
+    out = film(lambda _: np.eye(3), seconds(3.0), discs=DISCS[:0], extra=BOLTS)
+    assert not np.any(out.counts)
+    assert not out.states[-1].moved
