@@ -187,7 +187,9 @@ def advance(state: TrackState, stamp: float, detections: Detections, tracker: Tr
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
     points = intersect(detections.take(free), tracker.rig, tracker.pose)
     points = replace(points, index=np.flatnonzero(free)[points.index])
-    state = replace(state, event="", lookalikes=lookalikes, detections=detections, points=points)
+    held = min(state.held, stamp)  # a clock that starts again: nothing is held by a time to come
+    state = replace(state, event="", lookalikes=lookalikes, detections=detections, points=points, held=held)
+    state = _lost_in_a_gap(state, stamp, tracker)
     if state.phase is Phase.LOST:
         state = _recover(state, stamp, tracker)
     elif not state.moved:
@@ -196,6 +198,20 @@ def advance(state: TrackState, stamp: float, detections: Detections, tracker: Tr
         state = _follow(state, stamp, tracker)
     state = _judge_phase(state, stamp, tracker)
     return _motion(state, stamp, tracker)
+
+
+def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+    """No frame came for so long that the prediction is a guess: the map says where the ball is, or nothing does."""
+    gap = stamp - state.filter.stamp
+    if state.phase is not Phase.TRACKING or not state.moved or gap <= tracker.settings.loss.lost_after:
+        return state
+    return replace(
+        state, phase=Phase.LOST, found=None, filter=_unused(state.filter), event=f"lost: no frame for {gap:.1f} s"
+    )
+
+
+def _unused(filter_state: Any) -> Any:
+    return replace(filter_state, used=np.zeros(0, dtype=np.intp))
 
 
 def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
@@ -350,14 +366,18 @@ def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackStat
         seen = len(state.points)
         why = f"{seen} discs in view, none where it should be" if seen else "no disc in view"
         return replace(
-            state, phase=Phase.LOST, found=None, event=f"lost: {why} for {tracker.settings.loss.lost_after:.1f} s"
+            state,
+            phase=Phase.LOST,
+            found=None,
+            filter=_unused(state.filter),
+            event=f"lost: {why} for {tracker.settings.loss.lost_after:.1f} s",
         )
     return state
 
 
 def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
     """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
-    if state.phase is not Phase.TRACKING or state.held < stamp:
+    if state.phase is not Phase.TRACKING or len(state.filter.used) < 2:
         return state, Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
     attitude = state.filter.attitude
     rotation = rotation_between(state.sent, attitude)

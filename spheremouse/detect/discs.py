@@ -7,7 +7,7 @@ covariance. Pixels that fit neither (a strut, a highlight) are weighted down (Tu
 its rim is none.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -25,7 +25,11 @@ from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _SURROUND = 4.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
-_ITERATIONS = 4
+_UNEVEN = 0.02  # of the contrast: unevenness of print and ball that a good fit leaves
+_BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
+_SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
+_SIZE = 0.02  # discs cut from one sheet differ by this part of their size
+_SLOPE = 0.02  # 1/px: slope of the ball's shade, cos falls so fast 60 degrees off the light at 100 px radius
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 
 
@@ -50,7 +54,7 @@ class DiscSettings:
         lt=1,
     )
     rim: float = param(
-        0.45, "-", "least part of a disc's rim that must fit: half a rim and the known size fix a centre", gt=0, le=1
+        0.7, "-", "least part of a disc's rim that must fit: with a fifth hidden, a cut still passes for a rim", gt=0, le=1
     )
     min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", gt=0)
     sigma: float = param(0.05, "px", "floor of a centre's standard deviation: sampling, shading, print", gt=0)
@@ -124,71 +128,42 @@ class DiscDetector:
         at = np.rint(where).astype(int)
         return where, np.array(sizes, dtype=float), background[at[:, 1], at[:, 0]].astype(float)
 
-    def _fit(
-        self, grey: Image, noise: float, start: Array, background: Array, seen: Appearance
-    ) -> Detections:
-        """Fit I = b0 + b1 x + b2 y - a e(x - c; s) by Gauss-Newton with Tukey weights.
+    def _fit(self, grey: Image, noise: float, start: Array, background: Array, seen: Appearance) -> Detections:
+        """Fit the expected image around each start, (n, 2) px in the window; keep what is a disc.
 
-        e is the blurred ellipse; unknown are the background b (3), the contrast a, the centre c (2) and the size s.
-        All pixels of all discs lie in one row, disc after disc: what is done to a pixel is done to all at once.
+        First with the size free, which tells discs from other things and the size all discs share; then with that size
+        held, so that a disc cut by a strut is seen as cut, not as smaller.
         """
-        n = len(start)
-        if n == 0:
-            return no_detections()
-        pixels = _Pixels.around(start, seen.shape, self.mask, self.diameter)
-        disc = pixels.disc
-        image = grey[pixels.row, pixels.column].astype(float)
-        inverse = np.asarray(np.linalg.inv(seen.shape), dtype=float)
-        blur = float(np.sqrt(self.settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2))
         at = np.rint(start).astype(int)
         contrast = background - grey[at[:, 1], at[:, 0]]
-        scale = np.maximum(noise, 0.02 * np.abs(contrast))  # shading and print: two percent of the contrast
-        prior = (scale / (0.4 * self.settings.size_tolerance)) ** 2
-        # unknowns: b0, b1, b2, a, cx, cy, s; the origin of each disc's coordinates is its start
-        x = np.zeros((n, 7))
-        x[:, 0], x[:, 3], x[:, 6] = background, contrast, 1.0
-        step = np.zeros((n, 7))
-        N = np.zeros((n, 7, 7))
-        weight = np.ones_like(image)
-        residual = image
-        e, de = _blurred_ellipse(pixels, x, inverse, blur)
-        for iteration in range(_ITERATIONS):
-            p = x[disc]
-            residual = image - (p[:, 0] + p[:, 1] * pixels.x + p[:, 2] * pixels.y - p[:, 3] * e)
-            if iteration:  # the first step brings the model near: no pixel is an outlier before that
-                spread = 1.4826 * np.array([_median(np.abs(residual[k])) for k in pixels.of])
-                limit = 4.685 * np.maximum(spread, scale)
-                weight = np.maximum(0.0, 1.0 - (residual / limit[disc]) ** 2) ** 2
-            A = np.stack([np.ones_like(e), pixels.x, pixels.y, -e, *(-p[:, 3] * de)], axis=1)
-            Aw = A * weight[:, None]
-            N = np.array([Aw[k].T @ A[k] for k in pixels.of]) + 1e-6 * np.eye(7)
-            gradient = np.array([residual[k] @ Aw[k] for k in pixels.of])
-            N[:, 6, 6] += prior  # a sliver cannot tell size from contrast: there the known size decides
-            gradient[:, 6] -= prior * (x[:, 6] - 1.0)
-            step = np.linalg.solve(N, gradient[:, :, None])[:, :, 0]
-            step[:, 4:6] = np.clip(step[:, 4:6], -1.0, 1.0)
-            step[:, 6] = np.clip(step[:, 6], -0.2, 0.2)
-            x += step
-            x[:, 6] = np.clip(x[:, 6], 0.3, 2.5)
-            e, de = _blurred_ellipse(pixels, x, inverse, blur)
-        rim = np.hypot(de[0], de[1])
-        whole = 2.0 * np.pi * np.sqrt(np.trace(seen.shape, axis1=1, axis2=2) / 2.0)  # px, the rim integrated across
-        rim_seen = np.array([rim[k] @ weight[k] for k in pixels.of]) / whole
-        freedom = np.array([weight[k].sum() for k in pixels.of]) - 7.0
-        misfit = np.array([weight[k] @ residual[k] ** 2 for k in pixels.of]) / np.maximum(freedom, 1.0)
-        variance = np.maximum(misfit, noise**2)
-        covariance = np.linalg.inv(N)[:, 4:6, 4:6] * variance[:, None, None] + self.settings.sigma**2 * np.eye(2)
-        b0, b1, b2, a, cx, cy, size = x.T
+        fit = _Fit.begin(grey, self.mask, start, seen.shape, background, contrast, noise, self._blur, self.diameter)
+        if len(start) == 0:
+            return no_detections()
+        for limit in (np.inf, 0.5):
+            fit = fit.step(1.0, 0.4 * self.settings.size_tolerance, limit)
         sliver = np.sqrt(np.linalg.eigvalsh(seen.shape)[:, 0])  # semi-minor axis, px
-        ok = (
-            (a > np.maximum(self.settings.contrast * (b0 + b1 * cx + b2 * cy), 4.0 * noise))
-            & (np.abs(size - 1.0) < np.maximum(self.settings.size_tolerance, _RIM_OFF / sliver))
-            & (rim_seen > self.settings.rim)
-            & (np.abs(step[:, 4:6]).max(axis=1) < 0.1)
-        )
-        centre = x[:, 4:6] + start + self.origin - (seen.centroid - seen.centre)
-        best = np.flatnonzero(ok)[np.argsort(-rim_seen[ok], kind="stable")]
+        off = np.abs(fit.size - 1.0)
+        keep = fit.deep(self.settings.contrast) & (off < np.maximum(self.settings.size_tolerance, _RIM_OFF / sliver))
+        if not np.any(keep):
+            return no_detections()
+        fit, seen, sliver = fit.take(keep), seen.take(keep), sliver[keep]
+        common = _common_size(fit.size, sliver)
+        for limit in (0.5, 0.35, 0.25, 0.25):
+            fit = fit.step(common, _SIZE + _RIM_OFF / 3.0 / sliver, limit)
+        whole = 2.0 * np.pi * np.sqrt(np.trace(seen.shape, axis1=1, axis2=2) / 2.0)  # px, the rim integrated across
+        rim = fit.rim() / whole
+        # the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
+        least = np.where(sliver < _SLIVER, min(0.45, self.settings.rim), self.settings.rim)
+        ok = fit.deep(self.settings.contrast) & (rim > least) & fit.settled()
+        centre = fit.centre + self.origin - (seen.centroid - seen.centre)
+        covariance = fit.covariance() + self.settings.sigma**2 * np.eye(2)
+        best = np.flatnonzero(ok)[np.argsort(-rim[ok], kind="stable")]
         return Detections(centre, covariance, seen.area).take(best[_first_of_each(centre[best], 0.3 * self.diameter)])
+
+    @property
+    def _blur(self) -> float:
+        """Standard deviation of a rim's blur, px: pixels, lens, and our own smoothing."""
+        return float(np.sqrt(self.settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2))
 
     def _inside(self, seen: Appearance) -> NDArray[np.bool_]:
         """Whose whole ellipse lies in the window."""
@@ -249,6 +224,14 @@ class _Pixels:
     y: Array  # (k,)
     of: list[slice]  # n slices into them
 
+    def take(self, discs: NDArray[np.bool_], pixels: NDArray[np.bool_]) -> "_Pixels":
+        """The pixels of some of the discs, (n,) mask, which are those of `pixels`, (k,)."""
+        number = np.cumsum(discs) - 1
+        disc = number[self.disc[pixels]]
+        return _Pixels(
+            disc, self.row[pixels], self.column[pixels], self.x[pixels], self.y[pixels], _runs(disc, int(discs.sum()))
+        )
+
     @staticmethod
     def around(start: Array, shape: Array, mask: Image, diameter: float) -> "_Pixels":
         """Those within _SURROUND px of the expected rim and on the ball (`mask`)."""
@@ -265,9 +248,163 @@ class _Pixels:
         near = (q < 1.0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
         near[near] = mask[row[near], column[near]] > 0
         disc = np.nonzero(near)[0]
-        edge = np.searchsorted(disc, np.arange(len(start) + 1))
-        of = [slice(int(a), int(b)) for a, b in pairwise(edge)]
-        return _Pixels(disc, row[near], column[near], x[near], y[near], of)
+        return _Pixels(disc, row[near], column[near], x[near], y[near], _runs(disc, len(start)))
+
+
+def _runs(disc: NDArray[np.intp], n: int) -> list[slice]:
+    """Where each of n discs has its pixels; `disc` is sorted."""
+    return [slice(int(a), int(b)) for a, b in pairwise(np.searchsorted(disc, np.arange(n + 1)))]
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """I = b0 + b1 x + b2 y - a e(x - c; s) around n places, by Gauss-Newton with Tukey weights.
+
+    e is the blurred ellipse; unknown are the background b (3), the contrast a, the centre c (2) and the size s, each
+    counted from the disc's start. All pixels of all discs lie in one row: what is done to one is done to all at once.
+    """
+
+    pixels: _Pixels
+    image: Array  # (k,) grey values
+    start: Array  # (n, 2) px
+    inverse: Array  # (n, 2, 2) of the expected shapes
+    scale: Array  # (n,) grey values, least deviation of a good pixel
+    noise: float  # grey values
+    blur: float  # px
+    x: Array  # (n, 7) b0, b1, b2, a, cx, cy, s
+    e: Array  # (k,)
+    de: Array  # (3, k)
+    weight: Array  # (k,)
+    normal: Array  # (n, 7, 7)
+    last: Array  # (n, 7) the last step
+
+    @staticmethod
+    def begin(  # noqa: PLR0917
+        grey: Image,
+        mask: Image,
+        start: Array,
+        shape: Array,
+        background: Array,
+        contrast: Array,
+        noise: float,
+        blur: float,
+        diameter: float,
+    ) -> "_Fit":
+        """The model as expected; pixels beside the disc that are not the ball's (a strut) have no weight."""
+        n = len(start)
+        pixels = _Pixels.around(start, shape, mask, diameter)
+        image = np.asarray(grey[pixels.row, pixels.column], dtype=float)
+        inverse = np.asarray(np.linalg.inv(shape), dtype=float)
+        contrast = np.maximum(contrast, 1.0)
+        x = np.zeros((n, 7))
+        x[:, 0], x[:, 3], x[:, 6] = background, contrast, 1.0
+        e, de = _blurred_ellipse(pixels, x, inverse, blur)
+        foreign = np.abs(image - background[pixels.disc]) > (_BESIDE * contrast + 4.0 * noise)[pixels.disc]
+        return _Fit(
+            pixels,
+            image,
+            start,
+            inverse,
+            np.maximum(noise, _UNEVEN * contrast),
+            noise,
+            blur,
+            x,
+            e,
+            de,
+            np.where(foreign & (e < 0.02), 0.0, 1.0),
+            np.zeros((n, 7, 7)),
+            np.zeros((n, 7)),
+        )
+
+    def step(self, size: Array | float, size_sigma: Array | float, limit: float) -> "_Fit":
+        """One Gauss-Newton step; s is drawn to `size` with `size_sigma`, and residuals beyond `limit` of the contrast
+        lose their pixels' weight (infinite: the weights stay as they are).
+        """
+        disc, x = self.pixels.disc, self.x.copy()
+        p = x[disc]
+        residual = self.image - (p[:, 0] + p[:, 1] * self.pixels.x + p[:, 2] * self.pixels.y - p[:, 3] * self.e)
+        weight = self.weight
+        if np.isfinite(limit):
+            floor = 4.685 * self.scale
+            bound = np.maximum(limit * x[:, 3], floor)[disc]
+            beside = np.maximum(_BESIDE * x[:, 3], floor)[disc]  # no rim to settle there: what differs is foreign
+            bound = np.where(self.e < 0.02, np.minimum(bound, beside), bound)
+            weight = np.maximum(0.0, 1.0 - (residual / bound) ** 2) ** 2
+        A = np.stack([np.ones_like(self.e), self.pixels.x, self.pixels.y, -self.e, *(-p[:, 3] * self.de)], axis=1)
+        Aw = A * weight[:, None]
+        N = np.array([Aw[k].T @ A[k] for k in self.pixels.of]) + 1e-6 * np.eye(7)
+        gradient = np.array([residual[k] @ Aw[k] for k in self.pixels.of])
+        level = (self.scale / (_SLOPE * np.maximum(x[:, 0], 1.0))) ** 2
+        N[:, [1, 2], [1, 2]] += level[:, None]  # a ball's shade slopes little: what does more is a strut
+        gradient[:, 1:3] -= level[:, None] * x[:, 1:3]
+        hold = (self.scale / size_sigma) ** 2
+        N[:, 6, 6] += hold
+        gradient[:, 6] -= hold * (x[:, 6] - size)
+        step = np.linalg.solve(N, gradient[:, :, None])[:, :, 0]
+        step[:, 4:6] = np.clip(step[:, 4:6], -1.0, 1.0)
+        step[:, 6] = np.clip(step[:, 6], -0.2, 0.2)
+        x += step
+        x[:, 6] = np.clip(x[:, 6], 0.3, 2.5)
+        e, de = _blurred_ellipse(self.pixels, x, self.inverse, self.blur)
+        return replace(self, x=x, e=e, de=de, weight=weight, normal=N, last=step)
+
+    def take(self, keep: NDArray[np.bool_]) -> "_Fit":
+        """The fits of a mask, (n,)."""
+        pixels = keep[self.pixels.disc]
+        return replace(
+            self,
+            pixels=self.pixels.take(keep, pixels),
+            image=self.image[pixels],
+            start=self.start[keep],
+            inverse=self.inverse[keep],
+            scale=self.scale[keep],
+            x=self.x[keep],
+            e=self.e[pixels],
+            de=self.de[:, pixels],
+            weight=self.weight[pixels],
+            normal=self.normal[keep],
+            last=self.last[keep],
+        )
+
+    @property
+    def centre(self) -> Array:
+        """(n, 2) px in the window."""
+        return self.start + self.x[:, 4:6]
+
+    @property
+    def size(self) -> Array:
+        """(n,) fitted over expected."""
+        return self.x[:, 6]
+
+    def deep(self, contrast: float) -> NDArray[np.bool_]:
+        """(n,) whose contrast is more than this part of the background, and than noise."""
+        b0, b1, b2, a, cx, cy, _ = self.x.T
+        return a > np.maximum(contrast * (b0 + b1 * cx + b2 * cy), 4.0 * self.noise)
+
+    def settled(self) -> NDArray[np.bool_]:
+        """(n,) whose centre moved by less than a tenth of a pixel in the last step."""
+        return np.abs(self.last[:, 4:6]).max(axis=1) < 0.1
+
+    def rim(self) -> Array:
+        """(n,) px, length of the rim that fits."""
+        rim = np.hypot(self.de[0], self.de[1])
+        return np.array([rim[k] @ self.weight[k] for k in self.pixels.of])
+
+    def covariance(self) -> Array:
+        """(n, 2, 2) px² of the centres, from the residuals' own variance, or the noise where that is more."""
+        p = self.x[self.pixels.disc]
+        model = p[:, 0] + p[:, 1] * self.pixels.x + p[:, 2] * self.pixels.y - p[:, 3] * self.e
+        squares = self.weight * (self.image - model) ** 2
+        freedom = np.array([self.weight[k].sum() for k in self.pixels.of]) - 7.0
+        misfit = np.array([squares[k].sum() for k in self.pixels.of]) / np.maximum(freedom, 1.0)
+        variance = np.maximum(misfit, self.noise**2)
+        return np.linalg.inv(self.normal)[:, 4:6, 4:6] * variance[:, None, None]
+
+
+def _common_size(size: Array, sliver: Array) -> float:
+    """The size all discs share, from those large enough to tell; 1 where fewer than three do."""
+    large = size[sliver > 3.0]
+    return float(np.median(large)) if len(large) >= 3 else 1.0
 
 
 def _grown(shape: Array, margin: float) -> Array:
