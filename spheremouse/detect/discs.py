@@ -54,7 +54,11 @@ class DiscSettings:
         lt=1,
     )
     rim: float = param(
-        0.7, "-", "least part of a disc's rim that must fit: with a fifth hidden, a cut still passes for a rim", gt=0, le=1
+        0.7,
+        "-",
+        "least part of a disc's rim that must fit: with a fifth hidden, a cut still passes for a rim",
+        gt=0,
+        le=1,
     )
     min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", gt=0)
     sigma: float = param(0.05, "px", "floor of a centre's standard deviation: sampling, shading, print", gt=0)

@@ -36,8 +36,11 @@ class So3Settings:
     )
     gate: float = param(13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", gt=0)
     levels: tuple[float, ...] = param(
-        (1.0, 10.0, 100.0), "-", "factors on the density, tried in turn until the discs fit: roll, push, flick"
+        (1.0, 4.0, 16.0, 64.0),
+        "-",
+        "factors on the density that the player may be at: roll, turn, push, flick (20 rad/s² for 0.03 s)",
     )
+    dwell: float = param(0.3, "s", "mean time the player stays at a level: a push takes a few tenths of a second", gt=0)
     keep_share: float = param(
         0.6, "-", "part of the discs that must fit before the next level is not tried", gt=0, le=1
     )
@@ -62,9 +65,10 @@ class So3State:
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
-    level: float = 1.0  # factor on the density that the last update needed
+    weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: all alike
+    process: Array = field(default_factory=lambda: np.zeros((6, 6)))  # noise of the last prediction, at level 1
+    level: float = 1.0  # factor on the density that the last update took, root mean square over the levels
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
-    before: "So3State | None" = None  # posterior the prediction came from, for a prediction at another level
 
     @property
     def covariance(self) -> Array:
@@ -96,54 +100,62 @@ class So3Filter:
         return So3State(stamp, attitude, np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def predict(self, state: So3State, stamp: float) -> So3State:
-        """Constant angular velocity to `stamp`; a longer step is a larger one (up to 10 s), never an error."""
-        return self._predict(state, stamp, 1.0)
+        """Constant angular velocity to `stamp`; a longer step is a larger one (up to 10 s), never an error.
 
-    def _predict(self, state: So3State, stamp: float, level: float) -> So3State:
+        The covariance is that of the quiet level; `process` and `weights` say what a more lively player adds.
+        """
         dt = min(max(stamp - state.stamp, 0.0), _LONGEST)
         turn = state.rate * dt
         R = exp(turn)
         F = np.eye(6)
         F[:3, :3] = R
         F[:3, 3:] = left_jacobian(turn) * dt
-        q = (level * self.settings.acceleration_density) ** 2
         P = state.joint.copy()
         P[:6] = F @ P[:6]
         P[:, :6] = P[:, :6] @ F.T
         # an acceleration x dt before the end has turned the ball by x dt Jl(x turn) since: integrated over the step
         J = left_jacobian(_NODES[:, None] * turn)
-        cross = q * dt**2 * np.einsum("k,k,kij->ij", _WEIGHTS, _NODES, J)
-        P[:3, :3] += q * dt**3 * np.einsum("k,k,kij,klj->il", _WEIGHTS, _NODES**2, J, J)
-        P[:3, 3:6] += cross
-        P[3:6, :3] += cross.T
-        P[3:6, 3:6] += q * dt * np.eye(3)
+        Q = np.empty((6, 6))
+        Q[:3, :3] = dt**3 * np.einsum("k,k,kij,klj->il", _WEIGHTS, _NODES**2, J, J)
+        Q[:3, 3:] = dt**2 * np.einsum("k,k,kij->ij", _WEIGHTS, _NODES, J)
+        Q[3:, :3] = Q[:3, 3:].T
+        Q[3:, 3:] = dt * np.eye(3)
+        Q *= self.settings.acceleration_density**2
+        P[:6, :6] += Q
+        count = len(self.settings.levels)
+        weights = state.weights if len(state.weights) == count else np.full(count, 1.0 / count)
+        stay = np.exp(-dt / self.settings.dwell)
         return replace(
             state,
             stamp=stamp,
             attitude=R @ state.attitude,
             joint=P,
+            weights=stay * weights + (1.0 - stay) / count,
+            process=Q,
             used=np.zeros(0, dtype=np.intp),
-            level=level,
-            before=replace(state, before=None),
         )
 
     def update(self, state: So3State, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> So3State:
-        """Associate, correct, and keep the map: `fresh` points (n,) may found a new disc (None: all)."""
-        pairing = self._pair(state, points)
-        best_state, best = state, pairing
-        if state.before is not None and not pairing.complete:
-            for level in self.settings.levels[1:]:
-                wider = self._predict(state.before, state.stamp, level)
-                pairing = self._pair(wider, points)
-                more = len(pairing.rows) - len(best.rows)
-                if more > 0 or (more == 0 and pairing.fits and not best.fits):
-                    best_state, best = wider, pairing
-                if pairing.complete:
-                    break
-        updated = self._correct(best_state, points, best)
-        return self._keep_map(updated, points, best, fresh)
+        """Associate, correct, and keep the map: `fresh` points (n,) may found a new disc (None: all).
 
-    def _pair(self, state: So3State, points: SpherePoints) -> _Pairing:
+        How lively the player is, the innovations say: the levels of process noise are hypotheses of a Markov chain,
+        each weighed by the likelihood of all pairs together, and the update takes their mean (Bar-Shalom, Li,
+        Kirubarajan 2001, section 11.6, with one filter for all of them).
+        """
+        squares = np.square(np.asarray(self.settings.levels))
+        expected = self._expected(state)
+        best = self._pair(state, points, expected)
+        for square in squares[squares > expected]:
+            if best.complete or not np.any(state.process):
+                break
+            pairing = self._pair(state, points, float(square))
+            more = len(pairing.rows) - len(best.rows)
+            if more > 0 or (more == 0 and pairing.fits and not best.fits):
+                best = pairing
+        return self._keep_map(self._correct(state, points, best), points, best, fresh)
+
+    def _pair(self, state: So3State, points: SpherePoints, square: float) -> _Pairing:
+        """Pairs within the gate when the density is that of the level whose square is given."""
         none = np.zeros(0, dtype=np.intp)
         if len(points) == 0 or len(state.discs) == 0:
             return _Pairing(none, none, True, True)
@@ -151,19 +163,31 @@ class So3Filter:
         visible = np.flatnonzero(p @ self.towards_camera > self.horizon)
         if len(visible) == 0:
             return _Pairing(none, none, True, True)
-        E, S_disc = self._predicted(state, visible, p)
+        lively = replace(state, joint=self._livelier(state, square))
+        E, S_disc = self._predicted(lively, visible, p)
         z = np.einsum("mij,ni->nmj", E, points.direction)
-        S = S_disc[None] + self._noise(points, E) + self._curvature(state) * np.eye(2)
+        S = S_disc[None] + self._noise(points, E) + self._curvature(lively) * np.eye(2)
         inverse = np.linalg.inv(S)
         distance = np.einsum("nmi,nmij,nmj->nm", z, inverse, z)
         distance[points.direction @ p[visible].T < 0.0] = np.inf
         rows, columns = assign(distance, self.settings.gate)
-        keep = self._agreeing(state, points, rows, visible[columns])
+        keep = self._agreeing(lively, points, rows, visible[columns])
         rows, columns = rows[keep], columns[keep]
         fits = float(distance[rows, columns].sum()) < 4.0 * max(len(rows), 1) + 10.0
         expected = min(len(points), len(visible))
         complete = len(rows) >= self.settings.keep_share * expected and fits
         return _Pairing(rows, visible[columns], complete, fits)
+
+    def _expected(self, state: So3State) -> float:
+        """Mean square of the level, before the innovations are seen."""
+        return float(state.weights @ np.square(self.settings.levels)) if len(state.weights) else 1.0
+
+    @staticmethod
+    def _livelier(state: So3State, square: float) -> Array:
+        """The predicted covariance at another level than the quiet one."""
+        joint = state.joint.copy()
+        joint[:6, :6] += (square - 1.0) * state.process
+        return joint
 
     def _agreeing(
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], columns: NDArray[np.intp]
@@ -174,11 +198,14 @@ class So3Filter:
         Baarda 1968, for pairs of coordinates): a look-alike beside the place of a hidden disc, above all after a gap.
         """
         keep = np.arange(len(rows))
+        if len(rows) < 2:
+            return keep
+        _, _, z, S = self._innovation(state, points, rows, columns)
         while len(keep) > 1:
-            _, z, S = self._innovation(state, points, rows[keep], columns[keep])
-            inverse = np.linalg.inv(S)
+            at = (2 * keep[:, None] + np.arange(2)).ravel()
+            inverse = np.linalg.inv(S[np.ix_(at, at)])
             i = np.arange(len(keep))
-            v = (inverse @ z).reshape(-1, 2)
+            v = (inverse @ z[at]).reshape(-1, 2)
             own = inverse.reshape(len(keep), 2, len(keep), 2)[i, :, i]
             contradiction = np.einsum("ki,kij,kj->k", v, np.linalg.inv(own), v)
             worst = int(np.argmax(contradiction))
@@ -186,6 +213,20 @@ class So3Filter:
                 break
             keep = np.delete(keep, worst)
         return keep
+
+    def _weigh(self, state: So3State, z: Array, H: Array) -> Array:
+        """Probabilities of the levels, (l,), after innovations z, (2k,), and their Jacobian H, (2k, 3), whitened.
+
+        Another level adds D = (level² - 1) Q to the attitude's covariance: by the matrix inversion lemma its likelihood
+        needs nothing larger than 3x3.
+        """
+        A, v = H.T @ H, H.T @ z
+        D = (np.square(self.settings.levels) - 1.0)[:, None, None] * state.process[:3, :3]
+        M = np.eye(3) + A @ D
+        gain = np.einsum("i,lij,lj->l", v, D, np.linalg.solve(M, np.broadcast_to(v[:, None], (len(D), 3, 1)))[:, :, 0])
+        log = 0.5 * (gain - np.linalg.slogdet(M)[1]) + np.log(np.maximum(state.weights, 1e-12))
+        weights = np.exp(log - log.max())
+        return weights / weights.sum()
 
     def _predicted(self, state: So3State, which: NDArray[np.intp], p: Array) -> tuple[Array, Array]:
         """Tangent axes in obj, (k, 3, 2), and covariance of the predicted place without image noise, (k, 2, 2)."""
@@ -210,36 +251,53 @@ class So3Filter:
 
     def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
         rows, columns = pairing.rows, pairing.columns
-        k = len(rows)
-        if k == 0:
-            return replace(state, used=rows, nis=0.0, before=None)
-        HP, z, S = self._innovation(state, points, rows, columns)
+        weights, square = state.weights, self._expected(state)
+        none = np.zeros((6, 6))
+        if len(rows) == 0:
+            joint = self._livelier(state, square)
+            return replace(state, joint=joint, process=none, level=float(np.sqrt(square)), used=rows, nis=0.0)
+        HP, H, z, S = self._innovation(state, points, rows, columns)
+        if np.any(state.process):
+            L = np.linalg.cholesky(S)
+            white = np.linalg.solve(L, np.column_stack([z, H]))
+            weights = self._weigh(state, white[:, 0], white[:, 1:])
+            square = float(weights @ np.square(self.settings.levels))
+            more = (square - 1.0) * state.process
+            HP[:, :6] += H @ more[:3]
+            S = S + H @ more[:3, :3] @ H.T
         L = np.linalg.cholesky(S)
-        W = np.linalg.solve(L, HP)
-        y = np.linalg.solve(L, z)
-        dx = W.T @ y
-        joint = state.joint - W.T @ W
-        return _inject(replace(state, joint=joint, used=rows, nis=float(y @ y), before=None), dx)
+        white = np.linalg.solve(L, np.column_stack([z, HP]))
+        y, W = white[:, 0], white[:, 1:]
+        updated = replace(
+            state,
+            joint=self._livelier(state, square) - W.T @ W,
+            weights=weights,
+            process=none,
+            level=float(np.sqrt(square)),
+            used=rows,
+            nis=float(y @ y),
+        )
+        return _inject(updated, W.T @ y)
 
     def _innovation(
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> tuple[Array, Array, Array]:
-        """H @ joint, (2k, 6 + 2m), innovation z, (2k,) rad, and its covariance S, (2k, 2k), of k pairs."""
+    ) -> tuple[Array, Array, Array, Array]:
+        """Of k pairs H @ joint, (2k, 6 + 2m), H's part for the attitude, (2k, 3), innovation, (2k,) rad, covariance."""
         k = len(rows)
         p = state.discs[columns] @ state.attitude.T
         E = state.attitude @ state.basis[columns]
         b = points.direction[rows]
         z = np.einsum("kij,ki->kj", E, b).ravel()
         P = state.joint
-        H_attitude = self._attitude_jacobian(E, p).reshape(2 * k, 3)
+        H = self._attitude_jacobian(E, p).reshape(2 * k, 3)
         at = (6 + 2 * columns[:, None] + np.arange(2)).ravel()
-        HP = H_attitude @ P[:3] + P[at]  # each disc moves its own place one to one
-        S = HP[:, :3] @ H_attitude.T + HP[:, at]
+        HP = H @ P[:3] + P[at]  # each disc moves its own place one to one
+        S = HP[:, :3] @ H.T + HP[:, at]
         radius2 = float(np.mean(np.sum(points.position[rows] ** 2, axis=1)))
         noise = E.transpose(0, 2, 1) @ (points.image_covariance[rows] / radius2) @ E
         for i in range(k):
             S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += noise[i]
-        return HP, z, 0.5 * (S + S.T) + self._curvature(state) * np.eye(2 * k)
+        return HP, H, z, 0.5 * (S + S.T) + self._curvature(state) * np.eye(2 * k)
 
     @staticmethod
     def _curvature(state: So3State) -> float:
@@ -351,4 +409,12 @@ def relocate(state: So3State, attitude: Array, sigma: float, settings: So3Settin
     joint[:, :6] = 0.0
     joint[:3, :3] = sigma**2 * np.eye(3)
     joint[3:6, 3:6] = (2.5 * settings.start_rate_sigma) ** 2 * np.eye(3)
-    return replace(state, stamp=stamp, attitude=attitude, rate=np.zeros(3), joint=joint, before=None)
+    return replace(
+        state,
+        stamp=stamp,
+        attitude=attitude,
+        rate=np.zeros(3),
+        joint=joint,
+        weights=np.zeros(0),
+        process=np.zeros((6, 6)),
+    )
