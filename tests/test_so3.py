@@ -114,11 +114,11 @@ def test_the_innovation_depends_on_the_state_as_its_jacobian_says():
     columns = np.flatnonzero(p[:, 2] > HORIZON)[:4]
     points = points_at(p[columns], rng=np.random.default_rng(1))
     rows = np.arange(len(columns))
-    H, _, _ = FILTER._innovation(state, points, rows, columns)
+    H, _, _, _ = FILTER._innovation(state, points, rows, columns)
     h = 1e-6
     for i in range(len(state.joint)):
         e = h * np.eye(len(state.joint))[i]
-        z = [FILTER._innovation(_inject(state, s * e), points, rows, columns)[1] for s in (1, -1)]
+        z = [FILTER._innovation(_inject(state, s * e), points, rows, columns)[2] for s in (1, -1)]
         assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, i], atol=2e-3)  # the axes turn with the state: second order
 
 
@@ -183,7 +183,7 @@ def test_update_is_the_batch_solution():
     discs[:, 2] = np.abs(discs[:, 2]) + 0.5
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     sigma, dt, q = 1e-5, 0.1, 2e-4
-    f = replace(FILTER, settings=replace(SETTINGS, acceleration_density=q, start_rate_sigma=1e-3))
+    f = replace(FILTER, settings=replace(SETTINGS, acceleration_density=q, start_rate_sigma=1e-3, levels=(1.0,)))
     w = np.array([4e-4, -3e-4, 5e-4])
     frames = [points_at(discs @ exp(w * k * dt).T, sigma, rng) for k in range(3)]
     state = f.initial(0.0, np.eye(3))
@@ -220,18 +220,19 @@ def test_update_is_the_batch_solution():
 def test_nees_of_runs_drawn_from_the_own_model():
     """50 runs with rates, accelerations and noise as the filter assumes, the map unknown: chi-square, 95 % band."""
     rng = np.random.default_rng(12)
+    own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
     runs, frames, checks = 50, 40, (10, 39)
     nees = {k: [] for k in checks}
     nis = dof = 0.0
     for _ in range(runs):
         R, w = np.eye(3), SETTINGS.start_rate_sigma * rng.normal(size=3)
-        state = FILTER.initial(0.0, R)
+        state = own.initial(0.0, R)
         for k in range(frames):
             if k:
                 a = rng.normal(size=3) * SETTINGS.acceleration_density * np.sqrt(DT)
                 b = rng.normal(size=3) * SETTINGS.acceleration_density * np.sqrt(DT**3 / 12.0)
                 R, w = exp(w * DT + 0.5 * a * DT + b) @ R, w + a
-            state = FILTER.update(FILTER.predict(state, k * DT), points_at(seen(R), rng=rng))
+            state = own.update(own.predict(state, k * DT), points_at(seen(R), rng=rng))
             if k >= 3:  # before, the rate is all but unknown, and the allowance for that makes it smaller
                 nis, dof = nis + state.nis, dof + 2 * len(state.used)
             if k in checks:
@@ -384,9 +385,9 @@ def test_a_flick_takes_a_wider_level_and_then_the_quiet_one_again():
     attitudes = exp(angle[:, None] * np.array([0.0, 0.0, 1.0]))
     states = film(FILTER, attitudes, t, rng)
     level = np.array([s.level for s in states])
-    assert np.all(level[:14] == 1.0)
-    assert level.max() > 1.0
-    assert np.all(level[20:] == 1.0)
+    assert np.all(level[5:14] < 1.5)
+    assert level.max() > 10.0
+    assert np.all(level[28:] < 1.5)
     error = [np.linalg.norm(log(s.attitude @ R.T)) for s, R in zip(states, attitudes, strict=True)]
     assert max(error) < 2e-3
     assert_allclose(states[-1].rate, [0.0, 0.0, 2.2], atol=0.05)
@@ -404,7 +405,7 @@ def test_spurious_points_do_not_raise_the_level():
         ghosts = ghosts[np.max(ghosts @ (DISCS @ R.T).T, axis=1) < np.cos(0.15)]
         points = points_at(np.vstack([p[:3], ghosts]), rng=rng)
         state = FILTER.update(FILTER.predict(state, state.stamp + DT), points, np.zeros(len(points), dtype=bool))
-        assert state.level == 1.0
+        assert state.level < 1.5
         assert set(state.used) == {0, 1, 2}
 
 
@@ -412,8 +413,8 @@ def test_a_look_alike_beside_a_hidden_disc_is_left_out_after_a_gap():
     """Each pair alone passes a wide gate; together they contradict each other."""
     rng = np.random.default_rng(15)
     state, R = settled(rate=(0.1, 0.0, 0.0))
-    state = FILTER.predict(state, state.stamp + 1.0)
-    R = exp(np.array([0.1, 0.0, 0.0])) @ R
+    state = FILTER.predict(state, state.stamp + 0.3)  # the longest gap that is followed by prediction
+    R = exp(np.array([0.03, 0.0, 0.0])) @ R
     p = seen(R)
     p[0] = exp(np.array([0.0, 0.02, 0.01])) @ p[0]  # 1.3 deg beside its place
     points = points_at(p, rng=rng)
@@ -453,9 +454,12 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     predicted = FILTER.predict(state, state.stamp + DT)
     blind = FILTER.update(predicted, points_at(np.zeros((0, 3))))
     assert_allclose(blind.attitude, predicted.attitude)
-    assert_allclose(blind.joint, predicted.joint)
+    assert_allclose(blind.joint[6:, 6:], predicted.joint[6:, 6:])
+    assert np.linalg.eigvalsh(blind.joint - predicted.joint)[0] > -1e-15  # the player may be at a livelier level
     assert len(blind.used) == 0
-    one = FILTER.update(predicted, points_at(seen(exp(np.array([0.2 * DT, 0, 0])) @ R)[:1]))
+    own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
+    predicted = own.predict(replace(state, weights=np.ones(1)), state.stamp + DT)
+    one = own.update(predicted, points_at(seen(exp(np.array([0.2 * DT, 0, 0])) @ R)[:1]))
     assert len(one.used) == 1
     p = seen(exp(np.array([0.2 * DT, 0, 0])) @ R)[0]
     across = np.cross(p, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(p, [0.0, 0.0, 1.0]))

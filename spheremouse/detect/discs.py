@@ -24,8 +24,9 @@ from spheremouse.rotation import Array
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
-_SURROUND = 4.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
+_SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
 _UNEVEN = 0.02  # of the contrast: unevenness of print and ball that a good fit leaves
+_CLEAR = 0.02  # part of a disc's darkness below which a pixel lies beside it
 _BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
 _SIZE = 0.02  # discs cut from one sheet differ by this part of their size
@@ -224,8 +225,8 @@ class _Pixels:
     disc: NDArray[np.intp]  # (k,) whose
     row: NDArray[np.intp]  # (k,) in the window
     column: NDArray[np.intp]  # (k,)
-    x: Array  # (k,) px from the disc's start
-    y: Array  # (k,)
+    x: Image  # (k,) px from the disc's start, float32 as all that is done per pixel
+    y: Image  # (k,)
     of: list[slice]  # n slices into them
 
     def take(self, discs: NDArray[np.bool_], pixels: NDArray[np.bool_]) -> "_Pixels":
@@ -252,7 +253,8 @@ class _Pixels:
         near = (q < 1.0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
         near[near] = mask[row[near], column[near]] > 0
         disc = np.nonzero(near)[0]
-        return _Pixels(disc, row[near], column[near], x[near], y[near], _runs(disc, len(start)))
+        x, y = x[near].astype(np.float32), y[near].astype(np.float32)
+        return _Pixels(disc, row[near], column[near], x, y, _runs(disc, len(start)))
 
 
 def _runs(disc: NDArray[np.intp], n: int) -> list[slice]:
@@ -269,16 +271,16 @@ class _Fit:
     """
 
     pixels: _Pixels
-    image: Array  # (k,) grey values
+    image: Image  # (k,) grey values
     start: Array  # (n, 2) px
-    inverse: Array  # (n, 2, 2) of the expected shapes
+    inverse: Image  # (k, 3) xx, xy, yy of the expected shape's inverse
     scale: Array  # (n,) grey values, least deviation of a good pixel
     noise: float  # grey values
     blur: float  # px
     x: Array  # (n, 7) b0, b1, b2, a, cx, cy, s
-    e: Array  # (k,)
-    de: Array  # (3, k)
-    weight: Array  # (k,)
+    e: Image  # (k,)
+    de: Image  # (3, k)
+    weight: Image  # (k,)
     normal: Array  # (n, 7, 7)
     last: Array  # (n, 7) the last step
 
@@ -297,27 +299,17 @@ class _Fit:
         """The model as expected; pixels beside the disc that are not the ball's (a strut) have no weight."""
         n = len(start)
         pixels = _Pixels.around(start, shape, mask, diameter)
-        image = np.asarray(grey[pixels.row, pixels.column], dtype=float)
-        inverse = np.asarray(np.linalg.inv(shape), dtype=float)
+        image = grey[pixels.row, pixels.column]
         contrast = np.maximum(contrast, 1.0)
+        inverse = np.linalg.inv(shape).reshape(n, 4)[:, [0, 1, 3]].astype(np.float32)[pixels.disc]
         x = np.zeros((n, 7))
         x[:, 0], x[:, 3], x[:, 6] = background, contrast, 1.0
         e, de = _blurred_ellipse(pixels, x, inverse, blur)
         foreign = np.abs(image - background[pixels.disc]) > (_BESIDE * contrast + 4.0 * noise)[pixels.disc]
+        weight = np.where(foreign & (e < _CLEAR), 0.0, 1.0).astype(np.float32)
+        scale = np.maximum(noise, _UNEVEN * contrast)
         return _Fit(
-            pixels,
-            image,
-            start,
-            inverse,
-            np.maximum(noise, _UNEVEN * contrast),
-            noise,
-            blur,
-            x,
-            e,
-            de,
-            np.where(foreign & (e < 0.02), 0.0, 1.0),
-            np.zeros((n, 7, 7)),
-            np.zeros((n, 7)),
+            pixels, image, start, inverse, scale, noise, blur, x, e, de, weight, np.zeros((n, 7, 7)), np.zeros((n, 7))
         )
 
     def step(self, size: Array | float, size_sigma: Array | float, limit: float) -> "_Fit":
@@ -325,19 +317,25 @@ class _Fit:
         lose their pixels' weight (infinite: the weights stay as they are).
         """
         disc, x = self.pixels.disc, self.x.copy()
-        p = x[disc]
-        residual = self.image - (p[:, 0] + p[:, 1] * self.pixels.x + p[:, 2] * self.pixels.y - p[:, 3] * self.e)
+        p = x.astype(np.float32)[disc]
+        A = np.empty((8, len(disc)), np.float32)  # columns b0 b1 b2 a cx cy s of the Jacobian, then the residual
+        A[0], A[1], A[2] = 1.0, self.pixels.x, self.pixels.y
+        np.negative(self.e, out=A[3])
+        np.multiply(self.de, -p[:, 3], out=A[4:7])
+        residual = A[7]
+        np.subtract(self.image, np.einsum("ik,ki->k", A[:4], p[:, :4]), out=residual)
         weight = self.weight
         if np.isfinite(limit):
             floor = 4.685 * self.scale
-            bound = np.maximum(limit * x[:, 3], floor)[disc]
-            beside = np.maximum(_BESIDE * x[:, 3], floor)[disc]  # no rim to settle there: what differs is foreign
-            bound = np.where(self.e < 0.02, np.minimum(bound, beside), bound)
-            weight = np.maximum(0.0, 1.0 - (residual / bound) ** 2) ** 2
-        A = np.stack([np.ones_like(self.e), self.pixels.x, self.pixels.y, -self.e, *(-p[:, 3] * self.de)], axis=1)
-        Aw = A * weight[:, None]
-        N = np.array([Aw[k].T @ A[k] for k in self.pixels.of]) + 1e-6 * np.eye(7)
-        gradient = np.array([residual[k] @ Aw[k] for k in self.pixels.of])
+            bound = np.maximum(limit * x[:, 3], floor).astype(np.float32)[disc]
+            beside = np.maximum(_BESIDE * x[:, 3], floor).astype(np.float32)[
+                disc
+            ]  # no rim there: what differs is foreign
+            bound = np.where(self.e < _CLEAR, np.minimum(bound, beside), bound)
+            weight = np.square(np.maximum(0.0, 1.0 - np.square(residual / bound)))
+        Aw = A[:7] * weight
+        products = np.array([Aw[:, k] @ A[:, k].T for k in self.pixels.of], dtype=float)
+        N, gradient = products[:, :, :7] + 1e-6 * np.eye(7), products[:, :, 7]
         level = (self.scale / (_SLOPE * np.maximum(x[:, 0], 1.0))) ** 2
         N[:, [1, 2], [1, 2]] += level[:, None]  # a ball's shade slopes little: what does more is a strut
         gradient[:, 1:3] -= level[:, None] * x[:, 1:3]
@@ -360,7 +358,7 @@ class _Fit:
             pixels=self.pixels.take(keep, pixels),
             image=self.image[pixels],
             start=self.start[keep],
-            inverse=self.inverse[keep],
+            inverse=self.inverse[pixels],
             scale=self.scale[keep],
             x=self.x[keep],
             e=self.e[pixels],
@@ -418,22 +416,27 @@ def _grown(shape: Array, margin: float) -> Array:
     return (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
 
 
-def _blurred_ellipse(pixels: _Pixels, x: Array, inverse: Array, blur: float) -> tuple[Array, Array]:
+def _blurred_ellipse(pixels: _Pixels, x: Array, inverse: Image, blur: float) -> tuple[Image, Image]:
     """e, (k,), of every pixel and its derivatives by centre x, y and size, (3, k).
 
     With rho^2 = (x - c)^T S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
     a strip of that width, blurred, is e = L(ahead) + L(behind) - 1. L is the logistic function of the Gaussian's
     width: within 1 % of it, and its own derivative.
     """
-    M = inverse[pixels.disc]
-    dx, dy = pixels.x - x[pixels.disc, 4], pixels.y - x[pixels.disc, 5]
-    size = x[pixels.disc, 6]
-    gx = M[:, 0, 0] * dx + M[:, 0, 1] * dy
-    gy = M[:, 0, 1] * dx + M[:, 1, 1] * dy
+    c = x[:, 4:7].astype(np.float32)[pixels.disc]
+    dx, dy, size = pixels.x - c[:, 0], pixels.y - c[:, 1], c[:, 2]
+    gx = inverse[:, 0] * dx + inverse[:, 1] * dy
+    gy = inverse[:, 1] * dx + inverse[:, 2] * dy
     rho = np.sqrt(np.maximum(gx * dx + gy * dy, 1e-9))
-    slope = np.maximum(np.hypot(gx, gy), 1e-9)  # times rho
-    steep = 1.702 / blur * rho / slope
-    ahead, behind = expit((size - rho) * steep), expit((size + rho) * steep)
+    slope = np.sqrt(np.maximum(gx * gx + gy * gy, 1e-12))  # times rho
+    steep = rho / slope
+    steep *= 1.702 / blur
+    near, far = size * steep, rho * steep
+    ahead, behind = expit(near - far), expit(near + far)
     bell_ahead, bell_behind = steep * ahead * (1.0 - ahead), steep * behind * (1.0 - behind)
     by_rho = (bell_ahead - bell_behind) / rho  # minus de/drho; rho falls by g / rho along dc
-    return ahead + behind - 1.0, np.stack([by_rho * gx, by_rho * gy, bell_ahead + bell_behind])
+    de = np.empty((3, len(rho)), np.float32)
+    np.multiply(by_rho, gx, out=de[0])
+    np.multiply(by_rho, gy, out=de[1])
+    np.add(bell_ahead, bell_behind, out=de[2])
+    return ahead + behind - 1.0, de

@@ -38,7 +38,7 @@ class So3Settings:
     levels: tuple[float, ...] = param(
         (1.0, 4.0, 16.0, 64.0),
         "-",
-        "factors on the density that the player may be at: roll, turn, push, flick (20 rad/s² for 0.03 s)",
+        "factors on the density that the player may be at, each as rare as it is large: roll, turn, push, flick",
     )
     dwell: float = param(0.3, "s", "mean time the player stays at a level: a push takes a few tenths of a second", gt=0)
     keep_share: float = param(
@@ -65,7 +65,7 @@ class So3State:
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
-    weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: all alike
+    weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
     process: Array = field(default_factory=lambda: np.zeros((6, 6)))  # noise of the last prediction, at level 1
     level: float = 1.0  # factor on the density that the last update took, root mean square over the levels
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
@@ -122,15 +122,16 @@ class So3Filter:
         Q[3:, 3:] = dt * np.eye(3)
         Q *= self.settings.acceleration_density**2
         P[:6, :6] += Q
-        count = len(self.settings.levels)
-        weights = state.weights if len(state.weights) == count else np.full(count, 1.0 / count)
+        usual = 1.0 / np.asarray(self.settings.levels)  # the livelier the rarer
+        usual /= usual.sum()
+        weights = state.weights if len(state.weights) == len(usual) else usual
         stay = np.exp(-dt / self.settings.dwell)
         return replace(
             state,
             stamp=stamp,
             attitude=R @ state.attitude,
             joint=P,
-            weights=stay * weights + (1.0 - stay) / count,
+            weights=stay * weights + (1.0 - stay) * usual,
             process=Q,
             used=np.zeros(0, dtype=np.intp),
         )
