@@ -7,7 +7,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from spheremouse import __version__, cli_config, cli_run, cli_simulate, demo
+from spheremouse import __version__, cli_bench, cli_config, cli_run, cli_simulate, demo
 from spheremouse.cli_evaluate import evaluate
 from spheremouse.errors import SpheremouseError
 
@@ -25,6 +25,7 @@ app.command(epilog=cli_run.EXAMPLE)(cli_run.run)
 app.command(epilog=demo.EXAMPLE)(demo.demo)
 app.command(epilog=cli_simulate.EXAMPLE)(cli_simulate.simulate)
 app.command(epilog="Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json")(evaluate)
+app.command(epilog=cli_bench.EXAMPLE)(cli_bench.bench)
 app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")
 
 _debug = False

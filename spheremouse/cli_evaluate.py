@@ -21,8 +21,7 @@ from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.recording import Recording, open_dataset, read_frames
 from spheremouse.rig import Rig
 from spheremouse.rig_file import load_camera, load_rig, with_camera
-from spheremouse.rotation import Array
-from spheremouse.session import Epoch, initialise, track
+from spheremouse.session import History, initialise, track
 from spheremouse.track import Settings, build
 from spheremouse.yaml_file import write_atomically
 
@@ -167,11 +166,11 @@ def _run(  # noqa: PLR0917
         start = initialise(frames, rig, settings, report=passed_over.append)
         for text in passed_over:
             err.print(f"{_about(recording, text)} (first frames passed over)", markup=False, highlight=False)
-        epochs: list[_Seen] = []
+        history = History()
         for epoch in track(start.frames, build(rig, start.pose, settings)):
-            epochs.append(_seen(epoch))
+            history.add(epoch)
             progress.update(task, completed=epoch.frame.sequence + 1)
-    return _collected(epochs), None if start.resection is None else start.pose
+    return history.run(), None if start.resection is None else start.pose
 
 
 def degraded(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
@@ -185,35 +184,6 @@ def degraded(frames: Iterator[Frame], noise: float, brightness: float) -> Iterat
         if noise:
             values += np.float32(noise) * rng.standard_normal(values.shape, dtype=np.float32)
         yield replace(frame, image=np.clip(np.rint(values), 0, 255).astype(np.uint8))
-
-
-_Seen = tuple[Epoch, Array]  # without its image; used centres, (k, 2) px
-
-
-def _seen(epoch: Epoch) -> _Seen:
-    """What is kept of an epoch: all but the picture."""
-    state = epoch.state
-    used = np.zeros((0, 2))
-    if state.filter.stamp == epoch.frame.stamp:  # else the filter was not asked in this frame
-        used = state.detections.centre[state.points.index[state.filter.used]]
-    return replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))), used
-
-
-def _collected(seen: list[_Seen]) -> Run:
-    epochs = [epoch for epoch, _ in seen]
-    states = [epoch.state for epoch in epochs]
-    n = len(epochs)
-    return Run(
-        frame=np.array([epoch.frame.sequence for epoch in epochs], dtype=np.intp),
-        stamp=np.array([epoch.frame.stamp for epoch in epochs], dtype=float),
-        phase=tuple(state.phase for state in states),
-        attitude=np.array([state.filter.attitude for state in states]).reshape(n, 3, 3),
-        rate=np.array([state.filter.rate for state in states]).reshape(n, 3),
-        covariance=np.array([state.filter.covariance for state in states]).reshape(n, 6, 6),
-        detected=tuple(state.detections.centre for state in states),
-        used=tuple(used for _, used in seen),
-        seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
-    )
 
 
 def _plot(run: Run, recording: Recording, path: Path) -> None:

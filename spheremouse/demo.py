@@ -22,12 +22,11 @@ from spheremouse.frame import Frame
 from spheremouse.live import Board, Tally
 from spheremouse.motion import rotation_between
 from spheremouse.output import open_output
-from spheremouse.overlay import Image, Overlay, OverlayFile, target_marks, used_points, write_picture
+from spheremouse.overlay import Image, Overlay, OverlayFile, target_marks, write_picture
 from spheremouse.plot import plot_run
 from spheremouse.resect import describe
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
-from spheremouse.session import Epoch, Start, initialise, track
+from spheremouse.session import Epoch, History, Start, initialise, track
 from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.stopping import Stopping
@@ -68,9 +67,9 @@ def demo(
             start = _started(frames, rig, stopping)
         tracker = build(rig, start.pose, Settings())
         seen = _watch(replace(start, frames=stopping.frames(start.frames)), tracker, out, simulation.fps, console)
-    if not seen.epochs:
+    if not seen.history.epochs:
         raise typer.Exit(130)
-    run, truth = seen.run(), film.truth()
+    run, truth = seen.history.run(), film.truth()
     result = report(
         run, film.reference(), rig, dataset="demo", tracker="so3", frames=len(film.filmed), found=start.pose
     )
@@ -124,30 +123,12 @@ class _Seen:
     """What the tracker said, frame by frame."""
 
     tally: Tally = field(default_factory=Tally)
-    epochs: list[Epoch] = field(default_factory=list)  # without their images
-    used: list[Array] = field(default_factory=list)  # (k, 2) px each
+    history: History = field(default_factory=History)
 
     def add(self, epoch: Epoch) -> None:
         """One more."""
-        state = epoch.state
         self.tally.add(epoch)
-        self.epochs.append(replace(epoch, frame=_without_image(epoch.frame)))
-        self.used.append(state.detections.centre[state.points.index[used_points(epoch)]])
-
-    def run(self) -> Run:
-        """As the metrics take it."""
-        states = [e.state for e in self.epochs]
-        return Run(
-            frame=np.array([e.frame.sequence for e in self.epochs]),
-            stamp=np.array([e.frame.stamp for e in self.epochs]),
-            phase=tuple(s.phase for s in states),
-            attitude=np.array([s.filter.attitude for s in states]),
-            rate=np.array([s.filter.rate for s in states]),
-            covariance=np.array([s.filter.covariance for s in states]),
-            detected=tuple(s.detections.centre for s in states),
-            used=tuple(self.used),
-            seconds={name: np.array([e.seconds[name] for e in self.epochs]) for name in self.epochs[0].seconds},
-        )
+        self.history.add(epoch)
 
 
 def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Console) -> _Seen:
@@ -183,7 +164,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
 def _fineness(epoch: Epoch) -> float:
     """How much there is to see: discs in use, and long traces."""
     speed = float(np.linalg.norm(epoch.state.filter.rate))  # rad/s
-    return 0.0 if epoch.state.phase is not Phase.TRACKING else len(used_points(epoch)) * (0.3 + min(speed, 1.2))
+    return 0.0 if epoch.state.phase is not Phase.TRACKING else len(epoch.used) * (0.3 + min(speed, 1.2))
 
 
 def _draw_plot(run: Run, truth: Truth, path: Path, console: Console) -> None:
@@ -236,7 +217,7 @@ def _summary(result: dict[str, Any], seen: _Seen, truth: Truth, tracker: Tracker
 
 def _exact_counts(seen: _Seen, truth: Truth, tracker: Tracker) -> tuple[int, int, int]:
     """The integral of the true motion over the frames tracked, in counts."""
-    at = [e.frame.sequence for e in seen.epochs]
+    at = [e.frame.sequence for e in seen.history.epochs]
     total = np.zeros(3)
     for a, b in pairwise(at):
         total += tracker.counts @ rotation_between(truth.attitude[a], truth.attitude[b])
@@ -253,7 +234,7 @@ def _lost(episodes: int) -> str:
 
 
 def _met(seen: _Seen) -> str:
-    state = seen.epochs[-1].state
+    state = seen.history.epochs[-1].state
     masked = len(state.lookalikes.masks)
     met = f"{len(state.filter.discs)} met so far"
     return f"{met}, {masked} look-alike{'s' if masked > 1 else ''} masked" if masked else met

@@ -18,7 +18,6 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.overlay import used_points
 from spheremouse.rotation import Array, to_euler
 from spheremouse.session import Epoch
 from spheremouse.timing import FrameTimes
@@ -176,7 +175,7 @@ def curve(stamps: Array, values: Array, now: float) -> str:
 def _discs(epoch: Epoch) -> str:
     state = epoch.state
     masked = len(state.lookalikes.masks)
-    text = f"{len(used_points(epoch))} used, {len(state.points)} seen, {len(state.filter.discs)} known"
+    text = f"{len(epoch.used)} used, {len(state.points)} seen, {len(state.filter.discs)} known"
     return f"{text}; {masked} masked" if masked else text
 
 

@@ -57,13 +57,6 @@ def target_marks(rig: Rig, pose: Pose, seen: Resection | None) -> tuple[Mark, ..
     return tuple(Mark(c, p, s) for c, p, s in zip(codes, centres, shape, strict=True) if np.all(np.isfinite(p)))
 
 
-def used_points(epoch: Epoch) -> NDArray[np.intp]:
-    """Indices into `state.points` of those that took part in this epoch's update; none while lost."""
-    state = epoch.state
-    # a filter that was not asked in this frame still holds the indices of an earlier one
-    return state.filter.used if state.filter.stamp == epoch.frame.stamp else np.zeros(0, dtype=np.intp)
-
-
 class Overlay:
     """Draws epochs, and remembers the last few for their traces."""
 
@@ -89,7 +82,7 @@ class Overlay:
         pen.outline(self._outline)
         pen.trace(list(self._trace))
         used = np.zeros(len(state.points), dtype=bool)
-        used[used_points(epoch)] = True
+        used[epoch.state.filter.used] = True
         _draw_detections(pen, state, self._tracker, used)
         for mark in self._targets:
             pen.target(mark)
@@ -305,7 +298,7 @@ def _caption(canvas: Image, width: int, epoch: Epoch, counts: tuple[int, int, in
         f"{epoch.frame.stamp:.2f} s  {state.phase}",
         f"{rate} deg/s",
         f"counts {counts[0]:+d} {counts[1]:+d} {counts[2]:+d}",
-        f"discs {len(used_points(epoch))} of {len(state.filter.discs)}",
+        f"discs {len(epoch.state.filter.used)} of {len(state.filter.discs)}",
     )
     # fixed places, so that the numbers do not dance from frame to frame
     for text, place in zip(cells, (0.012, 0.2, 0.55, 0.86), strict=True):

@@ -5,7 +5,7 @@ The shell's part of the use phase: it takes frames as they come and measures tim
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 
 import numpy as np
@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from spheremouse.camera import Pose
 from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import PoseError, SourceError
+from spheremouse.evaluate.metrics import Run
 from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.resect import Resection, gather, resect
 from spheremouse.rig import Rig
+from spheremouse.rotation import Array
 from spheremouse.track import Settings, Tracker, TrackState, advance, begin, check_size
 
 
@@ -38,6 +40,39 @@ class Epoch:
     state: TrackState
     motion: Motion
     seconds: dict[str, float]  # wall time per stage: detect, filter
+
+    @property
+    def used(self) -> Array:
+        """(k, 2) px, centres of the discs that took part in the filter's update."""
+        return self.state.detections.centre[self.state.points.index[self.state.filter.used]]
+
+
+@dataclass(slots=True)
+class History:
+    """What a run said, frame by frame, without the pictures: what `evaluate` looks at."""
+
+    epochs: list[Epoch] = field(default_factory=list)
+
+    def add(self, epoch: Epoch) -> None:
+        """One more."""
+        self.epochs.append(replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))))
+
+    def run(self) -> Run:
+        """As the metrics take it."""
+        epochs, n = self.epochs, len(self.epochs)
+        states = [e.state for e in epochs]
+        return Run(
+            frame=np.array([e.frame.sequence for e in epochs], dtype=np.intp),
+            stamp=np.array([e.frame.stamp for e in epochs], dtype=float),
+            phase=tuple(s.phase for s in states),
+            attitude=np.array([s.filter.attitude for s in states]).reshape(n, 3, 3),
+            rate=np.array([s.filter.rate for s in states]).reshape(n, 3),
+            rotation=np.array([e.motion.rotation for e in epochs]).reshape(n, 3),
+            covariance=np.array([s.filter.covariance for s in states]).reshape(n, 6, 6),
+            detected=tuple(s.detections.centre for s in states),
+            used=tuple(e.used for e in epochs),
+            seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
+        )
 
 
 def initialise(

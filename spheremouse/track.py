@@ -15,11 +15,12 @@ from spheremouse.associate import common_rotation, identify
 from spheremouse.camera import Pose, project
 from spheremouse.detect import static
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.detect.cap import ball_mask
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings
 from spheremouse.detect.static import Lookalikes, StaticSettings
-from spheremouse.errors import SourceError
+from spheremouse.errors import PoseError, SourceError
 from spheremouse.filters import Filter, FilterState
 from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
 from spheremouse.filters.so3 import So3Filter, So3Settings, So3State, relocate
@@ -39,7 +40,13 @@ class LossSettings:
     """When the ball is lost, and how it is found again."""
 
     lost_after: float = param(
-        0.3, "s", "without two discs for so long the prediction is a guess: hand passes are shorter, rolls change", gt=0
+        0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", gt=0
+    )
+    known_sigma: float = param(
+        0.02,
+        "rad",
+        "one disc alone holds the attitude while none of its axes is less certain: half a disc's width",
+        gt=0,
     )
     reset_after: float = param(
         1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", gt=0
@@ -126,9 +133,21 @@ class TrackState:
 
 
 def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
-    """Put the stages together for a device and a camera that stands still."""
+    """Put the stages together for a device and a camera that stands still.
+
+    Raises PoseError where the camera cannot see the ball: from within, from in front, or out of its picture.
+    """
     towards = pose.position - rig.ball.centre
     distance = float(np.linalg.norm(towards))
+    if (
+        distance <= rig.ball.radius
+        or pose.to_cam(rig.ball.centre)[2] <= rig.ball.radius
+        or not ball_mask(rig, pose).any()
+    ):
+        raise PoseError(
+            f"from the camera, {distance:.2f} m from the ball's centre, the ball (radius {rig.ball.radius:g} m) "
+            "is not in the picture: turn the camera towards it, or check the rig's positions and lengths"
+        )
     stage: Filter[Any]
     if settings.tracker == "so3":
         stage = So3Filter(
@@ -216,21 +235,25 @@ def _unused(filter_state: Any) -> Any:
 
 def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """Filter the points; candidates that have moved with the ball may found discs."""
-    predicted = tracker.filter.predict(state.filter, stamp)
     points, centre = state.points, state.detections.centre[state.points.index]
-    proven, still, lookalikes = static.judge(
-        state.lookalikes,
-        centre,
-        points.direction,
-        predicted.attitude,
-        stamp,
-        tracker.rig,
-        tracker.pose,
-        tracker.settings.static,
+    rig, pose, settings = tracker.rig, tracker.pose, tracker.settings.static
+    predicted = tracker.filter.predict(state.filter, stamp)
+    proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
+    posterior = tracker.filter.update(predicted, points, proven)
+    state = replace(state, filter=posterior)
+    if not _holds(posterior, tracker.settings.loss):
+        return state
+    _, _, lookalikes = static.judge(
+        state.lookalikes, centre, points.direction, posterior.attitude, stamp, rig, pose, settings
     )
-    points = points.take(~still)
-    posterior = tracker.filter.update(predicted, points, proven[~still])
-    return replace(state, filter=posterior, lookalikes=lookalikes, points=points)
+    return replace(state, lookalikes=lookalikes)
+
+
+def _holds(filter_state: FilterState, settings: LossSettings) -> bool:
+    """Does the last frame hold the attitude? Two discs do; one does while it adds to what is known well."""
+    if len(filter_state.used) != 1:
+        return len(filter_state.used) > 1
+    return bool(np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1] < settings.known_sigma**2)
 
 
 def _first_motion(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
@@ -257,9 +280,9 @@ def _first_motion(state: TrackState, stamp: float, tracker: Tracker) -> TrackSta
     for sight in recent:
         free, _ = static.unmasked(lookalikes, sight.centre, sight.stamp, tracker.settings.static)
         points = sight.points.take(free)
-        if len(points):
-            filtered = tracker.filter.update(tracker.filter.predict(filtered, sight.stamp), points)
-    event = f"the ball turns; {len(still)} look-alikes masked" if len(still) else "the ball turns"
+        filtered = tracker.filter.update(tracker.filter.predict(filtered, sight.stamp), points)
+    masked = f"{len(still)} look-alike{'s' if len(still) > 1 else ''} masked"
+    event = f"the ball turns; {masked}" if len(still) else "the ball turns"
     return replace(state, filter=filtered, lookalikes=lookalikes, points=points, moved=True, recent=(), event=event)
 
 
@@ -354,7 +377,7 @@ def _forget(lookalikes: Lookalikes) -> Lookalikes:
 
 def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """Is the attitude held by at least two discs?"""
-    if len(state.filter.used) >= 2:
+    if _holds(state.filter, tracker.settings.loss):
         state = replace(state, held=stamp)
     if state.phase is Phase.SEARCHING:
         if len(state.filter.discs) >= 2:
@@ -377,7 +400,7 @@ def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackStat
 
 def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
     """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
-    if state.phase is not Phase.TRACKING or len(state.filter.used) < 2:
+    if state.phase is not Phase.TRACKING or not _holds(state.filter, tracker.settings.loss):
         return state, Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
     attitude = state.filter.attitude
     rotation = rotation_between(state.sent, attitude)

@@ -31,7 +31,7 @@ from spheremouse.evaluate.metrics import (
     per_axis,
     pose_error,
     report,
-    surface_speed,
+    surface_speeds,
 )
 from spheremouse.frame import Frame
 from spheremouse.motion import MotionSettings, rotation_between
@@ -60,6 +60,12 @@ def random_motion(n, seed=0):
     return Truth(np.arange(n) / 30.0, np.array(attitude), rate)
 
 
+def truth_turns(truth):
+    """Rotation vectors from frame to frame, by SciPy."""
+    R = Rotation.from_matrix(truth.attitude)
+    return (R[1:] * R[:-1].inv()).as_rotvec()
+
+
 def perfect_run(truth, detected=None, used=None):
     n = len(truth)
     none = tuple(np.zeros((0, 2)) for _ in range(n))
@@ -69,6 +75,7 @@ def perfect_run(truth, detected=None, used=None):
         phase=(T,) * n,
         attitude=truth.attitude.copy(),
         rate=truth.rate.copy(),
+        rotation=np.concatenate([np.zeros((1, 3)), truth_turns(truth)]),
         covariance=np.broadcast_to(np.eye(6), (n, 6, 6)).copy(),
         detected=none if detected is None else detected,
         used=none if used is None else used,
@@ -114,13 +121,18 @@ def test_rms_per_axis_and_combined():
 
 
 def test_surface_speed_is_what_the_mouse_does_per_second():
-    """Constant rate over a frame: counts at 1 per mm, over the time they take."""
+    """Sent and true motion as counts at 1 per mm, over the time they take; frames after a gap have no time."""
     truth = random_motion(30)
     matrix = MotionSettings(counts_per_mm=1.0).matrix(0.6)
-    travel = [
-        matrix @ rotation_between(a, b) * 30.0 for a, b in zip(truth.attitude[:-1], truth.attitude[1:], strict=True)
-    ]
-    assert_allclose(surface_speed(truth.rate, 0.6)[:-1], np.array(travel)[:, :2], rtol=1e-9, atol=1e-9)
+    travel = np.array(
+        [matrix @ rotation_between(a, b) * 30.0 for a, b in zip(truth.attitude[:-1], truth.attitude[1:], strict=True)]
+    )
+    run = perfect_run(truth)
+    run = replace(run, rotation=run.rotation * 1.01, phase=(*(T,) * 10, Phase.LOST, *(T,) * 19))
+    sent, true = surface_speeds(run, truth, 0.6)
+    kept = [k for k in range(1, 30) if k not in {10, 11}]
+    assert_allclose(true, travel[:, :2][np.array(kept) - 1], rtol=1e-9, atol=1e-9)
+    assert_allclose(sent, 1.01 * true, rtol=1e-9, atol=1e-9)
 
 
 def test_pearson():
@@ -262,8 +274,7 @@ def test_report_has_the_keys_of_the_format_and_known_errors():
     expected = {"x": 0.1 * share, "y": 0.2 * share, "z": 0.2 * share, "combined": 0.3 * share}
     assert result["attitude_rmse_deg"] == pytest.approx(expected)
     assert result["rate_rmse_deg_s"] == pytest.approx({"x": 3.0, "y": 0.0, "z": 4.0, "combined": 5.0})
-    mm = 600.0 * math.pi / 180.0
-    assert result["surface_speed_rmse_mm_s"] == pytest.approx({"x": 4 * mm, "y": 3 * mm, "combined": 5 * mm})
+    assert result["surface_speed_rmse_mm_s"] == pytest.approx({"x": 0.0, "y": 0.0, "combined": 0.0}, abs=1e-9)
     assert result["surface_speed_r"]["x"] == pytest.approx(1.0)
     assert result["nees"] == pytest.approx({"attitude": error @ error, "rate": np.deg2rad(5.0) ** 2})
     assert result["mean_discs"] == 1.0

@@ -13,7 +13,7 @@ from spheremouse.detect.cap import ball_outline
 from spheremouse.errors import OutputError
 from spheremouse.filters.so3 import So3State
 from spheremouse.frame import Frame
-from spheremouse.overlay import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks, used_points
+from spheremouse.overlay import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks
 from spheremouse.rotation import tangent_basis
 from spheremouse.session import Epoch
 from spheremouse.simulate import default_scene
@@ -68,7 +68,7 @@ def test_each_mark_is_where_the_geometry_says(size):
     assert len(epoch.state.filter.discs) >= 3
     # the strip with numbers hides what lies in it, and the picture's edge the rest
     inside = lambda p: p[np.all((p > 5) & (p < np.array(size) - [5, 5 + 30 * size[1] / 480]), axis=1)]  # noqa: E731
-    seen = inside(epoch.state.detections.centre[epoch.state.points.index[used_points(epoch)]])
+    seen = inside(epoch.state.detections.centre[epoch.state.points.index[epoch.state.filter.used]])
     assert len(seen) >= 3
     width = max(1, round(size[1] / 480))
     assert close_to(is_near(drawn, RED), seen, width).all()  # a still ball: predicted where detected
@@ -90,7 +90,7 @@ def test_contours_are_drawn_as_the_detector_found_them():
     assert len(epoch.state.detections.contours) == len(epoch.state.detections)
     drawn = Overlay(tracker).draw(epoch, (0, 0, 0))
     white = is_near(drawn, WHITE, 50)
-    for index in epoch.state.points.index[used_points(epoch)]:
+    for index in epoch.state.points.index[epoch.state.filter.used]:
         contour = epoch.state.detections.contours[index].reshape(-1, 2).astype(float)
         if contour[:, 1].max() < 440:
             assert close_to(white, contour, 1.5).all()

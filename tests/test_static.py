@@ -101,20 +101,6 @@ def test_noise_and_pace_change_no_verdict(noise, rate):
         assert not out[-1][2][-1]  # masked
 
 
-@pytest.mark.parametrize("jump_deg", [1.0, 3.0, 15.0])
-def test_discs_at_rest_are_not_masked_when_the_filter_runs_on(jump_deg):
-    """A hand hid the ball and stopped it, the prediction still turns: what is seen contradicts it and is not judged."""
-    axis = np.array([0.0, 1.0, 0.0])
-    rolling = turn(axis, 0.8, 12)
-    stopped = exp(axis * np.deg2rad(jump_deg)) @ rolling[-1]
-    truth = rolling + [stopped] * 9
-    believed = rolling + [exp(axis * 0.8 * DT * k) @ stopped for k in range(10)][1:]
-    out = film(truth, believed=believed)
-    assert not any(still[:-1].any() for _, still, _, _ in out)
-    assert not out[-1][0].any()  # nor may they found discs at a wrong attitude
-    assert len(out[-1][3].masks) <= 1  # the bolt
-
-
 def test_candidates_that_cannot_be_seen_again_are_forgotten():
     state = film(turn([0.0, 1.0, 0.0], 0.1, 3))[-1][3]
     assert len(state.place) == len(DISCS) + 1

@@ -27,6 +27,10 @@ class BlobSettings:
     convexity: float = param(0.95, "-", "q_min, least area over area of the convex hull", gt=0, le=1)
     sigma: float = param(0.1, "px", "sigma_b, standard deviation of a centre per axis (section 4.5)", gt=0)
 
+    def __post_init__(self) -> None:
+        if self.median % 2 == 0:
+            raise ValueError("median: the width of a median filter is odd")
+
 
 @dataclass(frozen=True, slots=True)
 class BlobDetector:

@@ -400,7 +400,7 @@ class _Fit:
         freedom = np.array([self.weight[k].sum() for k in self.pixels.of]) - 7.0
         misfit = np.array([squares[k].sum() for k in self.pixels.of]) / np.maximum(freedom, 1.0)
         variance = np.maximum(misfit, self.noise**2)
-        return np.linalg.inv(self.normal)[:, 4:6, 4:6] * variance[:, None, None]
+        return np.asarray(np.linalg.inv(self.normal)[:, 4:6, 4:6] * variance[:, None, None], dtype=float)
 
 
 def _common_size(size: Array, sliver: Array) -> float:

@@ -38,6 +38,10 @@ class RingSettings:
         1.5, "-", "radii may differ from the rig's proportions by this factor: a mask loses the mixed pixels", gt=1
     )
 
+    def __post_init__(self) -> None:
+        if self.median % 2 == 0:
+            raise ValueError("median: the width of a median filter is odd")
+
 
 @dataclass(frozen=True, slots=True)
 class TargetDetections:

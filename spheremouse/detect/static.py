@@ -3,8 +3,8 @@
 Bolts, their shadows, a player's buttons pass every test of shape. Each candidate's place is followed from where it was
 first seen; the ball's rotation says where a disc would be by now. Only what moved with the ball may found a disc, and
 what stayed is remembered as a mask in the image, for as long as the camera stands.
-All this holds while the ball's attitude is right. Where the candidates that turned with it so far say otherwise (a hand
-stopped the ball while it hid the discs), nothing is judged: else the discs themselves would be masked.
+All this holds while the ball's attitude is right: judge by an attitude that the frame itself confirms, never by a
+prediction (a hand may have stopped the ball meanwhile): else the discs themselves would be masked.
 """
 
 from dataclasses import dataclass, field, replace
@@ -82,40 +82,33 @@ def judge(  # noqa: PLR0917
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], Lookalikes]:
     """Follow the candidates of one frame: `centre` (n, 2) px, `direction` (n, 3) unit in obj, none of them masked.
 
-    `attitude` is R_obj_ball, (3, 3). Returns which are proven to turn with the ball, (n,), which have just shown that
-    they stand still, (n,), and the state with the latter masked. Nothing is judged nor begun in a frame whose attitude
-    the proven candidates contradict.
+    `attitude` is R_obj_ball, (3, 3), as this frame's discs have confirmed it. Returns which are proven to turn with the
+    ball, (n,), which have just shown that they stand still, (n,), and the state with the latter masked.
     """
     n = len(centre)
-    turned_to = state.anchor_ball @ attitude.T
-    turned = project(pose.to_cam(rig.ball.centre + rig.ball.radius * turned_to), rig.camera)[0]
-    expected = np.where(np.isfinite(turned), turned, state.place)
-    to_turned = np.linalg.norm(centre[:, None] - expected[None], axis=2)
-    to_place = np.linalg.norm(centre[:, None] - state.place[None], axis=2)
-    track = _nearest(np.minimum(to_turned, to_place), settings.search)
+    expected = _expected(state, attitude, rig, pose)
+    track = _found(state, expected, centre, settings)
     known = track >= 0
     which = track[known]
 
     path = np.linalg.norm(expected[which] - state.anchor[which], axis=1)
     off = np.linalg.norm(centre[known] - expected[which], axis=1)
     stayed = np.linalg.norm(centre[known] - state.anchor[which], axis=1)
-    due = state.proven & (turned_to @ (pose.position - rig.ball.centre) > 1.2 * rig.ball.radius)  # not near the limb
-    trusted = _trusted(due, which, off, 0.5 * settings.moved)
-    tell = (path > settings.moved) & trusted
+    tell = path > settings.moved
     turns = tell & (off < 0.3 * path)
     stands = tell & (stayed < settings.still) & (off > 0.5 * path)
 
     proven, still = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    proven[known] = (state.proven[which] & trusted) | turns
+    proven[known] = state.proven[which] | turns
     still[known] = stands
     proven &= ~still
 
     place, seen, known_proven = state.place.copy(), state.seen.copy(), state.proven.copy()
     place[which], seen[which] = centre[known], stamp
-    known_proven[which] |= proven[known]
+    known_proven[which] = proven[known]
     keep = stamp - seen < settings.forget
     keep[which[stands]] = False
-    new = ~known & trusted
+    new = ~known
     updated = replace(
         state,
         place=np.concatenate([place[keep], centre[new]]),
@@ -127,12 +120,27 @@ def judge(  # noqa: PLR0917
     return proven, still, mask(updated, centre[still], stamp)
 
 
-def _trusted(due: NDArray[np.bool_], which: NDArray[np.intp], off: Array, limit: float) -> bool:
-    """Is the attitude that of the ball? Two of the proven candidates that are `due` in view say so, and half of those
-    seen, within `limit` px; the only one where no more are due. Where none is, nothing contradicts it.
-    """
-    agree = off[due[which]] < limit
-    return bool(np.count_nonzero(agree) >= max(min(2, np.count_nonzero(due)), 0.5 * len(agree)))
+def proven_before(  # noqa: PLR0917
+    state: Lookalikes, centre: Array, attitude: Array, rig: Rig, pose: Pose, settings: StaticSettings
+) -> NDArray[np.bool_]:
+    """Which of `centre`, (n, 2) px, are candidates that earlier frames have proven, at a predicted attitude, (n,)."""
+    track = _found(state, _expected(state, attitude, rig, pose), centre, settings)
+    proven = np.zeros(len(centre), dtype=bool)
+    proven[track >= 0] = state.proven[track[track >= 0]]
+    return proven
+
+
+def _expected(state: Lookalikes, attitude: Array, rig: Rig, pose: Pose) -> Array:
+    """Where the candidates would be by now, were they discs, (t, 2) px."""
+    turned = project(pose.to_cam(rig.ball.centre + rig.ball.radius * state.anchor_ball @ attitude.T), rig.camera)[0]
+    return np.where(np.isfinite(turned), turned, state.place)
+
+
+def _found(state: Lookalikes, expected: Array, centre: Array, settings: StaticSettings) -> NDArray[np.intp]:
+    """For each of `centre`, (n, 2) px, the candidate that stayed or turned there, (n,); -1 where there is none."""
+    to_turned = np.linalg.norm(centre[:, None] - expected[None], axis=2)
+    to_place = np.linalg.norm(centre[:, None] - state.place[None], axis=2)
+    return _nearest(np.minimum(to_turned, to_place), settings.search)
 
 
 def _nearest(distance: Array, limit: float) -> NDArray[np.intp]:

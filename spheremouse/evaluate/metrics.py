@@ -36,6 +36,7 @@ class Run:
     phase: tuple[Phase, ...]  # (n,)
     attitude: Array  # (n, 3, 3) R_obj_ball
     rate: Array  # (n, 3) rad/s, w_obj
+    rotation: Array  # (n, 3) rad, rotation vector in obj that was sent as motion with this frame
     covariance: Array  # (n, 6, 6) of rotation error (rad, obj) and rate (rad/s)
     detected: tuple[Array, ...]  # (n,) of (k, 2) px: all candidates of the detector
     used: tuple[Array, ...]  # (n,) of (k, 2) px: those that took part in the filter's update
@@ -71,8 +72,7 @@ def report(
         true = motion.attitude[run.frame[kept]], motion.rate[run.frame[kept]]
         attitude = attitude_error(run.attitude[kept], true[0])
         rate = run.rate[kept] - true[1]
-        speed = surface_speed(run.rate[kept], rig.ball.radius)
-        true_speed = surface_speed(true[1], rig.ball.radius)
+        speed, true_speed = surface_speeds(run, motion, rig.ball.radius)
         slip = speed - true_speed
     detection = None if reference.discs is None else detection_quality(run, reference.discs)
     bound = None
@@ -120,13 +120,27 @@ def attitude_error(estimate: Array, truth: Array) -> Array:
     return log(estimate @ (truth @ M).transpose(0, 2, 1))
 
 
-def surface_speed(rate: Array, radius: float) -> Array:
-    """Mouse motion per second, (n, 2) mm/s of ball surface, of a rate w_obj (n, 3) rad/s; `radius` m.
+def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]:
+    """Mouse motion per second, sent and true, (k, 2) mm/s of ball surface each; `radius` m.
 
-    The touching point C = (0, -R, 0) moves with v = w x C = (R w_z, 0, -R w_x); the pointer goes by (v_x, -v_z), as in
-    `motion` (Wittich 2017, eq. 172-174, per unit of time).
+    Of frames that follow a tracked one and are tracked: the rotation sent since, and that which the ball really made,
+    over the time between (Wittich 2017, section 4.1.1: motion over the time it took).
     """
-    return 1000.0 * radius * rate[:, [2, 0]]
+    k = run.tracked
+    k = k[np.isin(k - 1, k)]
+    dt = (run.stamp[k] - run.stamp[k - 1])[:, None]
+    R = truth.attitude
+    made = log(R[run.frame[k]] @ R[run.frame[k - 1]].transpose(0, 2, 1))
+    return surface_travel(run.rotation[k], radius) / dt, surface_travel(made, radius) / dt
+
+
+def surface_travel(rotation: Array, radius: float) -> Array:
+    """Travel of the pointer in mm of ball surface, (n, 2), for rotation vectors, (n, 3) rad in obj; `radius` m.
+
+    The touching point C = (0, -R, 0) travels rho x C = (R rho_z, 0, -R rho_x), the pointer goes by (d_x, -d_z), as in
+    `motion` (Wittich 2017, eq. 172-174, along the arc).
+    """
+    return 1000.0 * radius * rotation[:, [2, 0]]
 
 
 def per_axis(error: Array | None, axes: str) -> dict[str, float | None]:

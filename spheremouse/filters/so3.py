@@ -260,7 +260,7 @@ class So3Filter:
         HP, H, z, S = self._innovation(state, points, rows, columns)
         if np.any(state.process):
             L = np.linalg.cholesky(S)
-            white = np.linalg.solve(L, np.column_stack([z, H]))
+            white = np.asarray(np.linalg.solve(L, np.column_stack([z, H])), dtype=np.float64)
             weights = self._weigh(state, white[:, 0], white[:, 1:])
             square = float(weights @ np.square(self.settings.levels))
             more = (square - 1.0) * state.process
