@@ -15,7 +15,8 @@ from spheremouse.cli import app
 from spheremouse.recording import open_dataset, read_frames
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
-PIXELS = "496a5706d0b4a9948d538f8f1765bc9bfb67333c238568031b6c19b4358850d8"  # SHA-256 of the frames as OpenCV gave them for the recording itself
+# SHA-256 of the frames as OpenCV gave them for the recording itself
+PIXELS = "496a5706d0b4a9948d538f8f1765bc9bfb67333c238568031b6c19b4358850d8"
 
 
 @pytest.fixture(scope="module", params=["so3", "ekf1", "ekf2"])
@@ -39,11 +40,10 @@ def test_the_clip_is_decoded_bit_for_bit():
 
 
 def test_the_clip_is_the_beginning_of_the_recording(far26):
-    clip, whole = open_dataset(CLIP), open_dataset(far26)
-    assert pixels(far26, clip.frames) == PIXELS
-    np.testing.assert_array_equal(clip.truth.attitude, whole.truth.attitude[: clip.frames])
-    np.testing.assert_array_equal(clip.truth.rate, whole.truth.rate[: clip.frames])
-    np.testing.assert_array_equal(clip.discs.centre, whole.discs.centre[whole.discs.frame < clip.frames])
+    assert pixels(far26, 50) == PIXELS
+    for name in ("truth.csv", "discs.csv"):
+        ours, theirs = ([line.split(",") for line in (d / name).read_text().splitlines()] for d in (CLIP, far26))
+        assert ours == [row[: len(ours[0])] for row in theirs if row[0] == "frame" or int(row[0]) < 50]
 
 
 def test_every_frame_is_tracked(figures):
@@ -52,8 +52,8 @@ def test_every_frame_is_tracked(figures):
 
 
 def test_attitude_and_rate(figures):
-    """Bounds of issue and thesis are for 300 frames; over these 50 so3 has 0.02 deg and 0.4 deg/s, the others 0.03, 0.9."""
-    attitude, rate = (0.05, 0.8) if figures["tracker"] == "so3" else (0.1, 1.4)
+    """Twice what was measured: so3 had 0.017 deg and 0.42 deg/s, the others 0.031 deg and 0.92 deg/s."""
+    attitude, rate = (0.035, 0.85) if figures["tracker"] == "so3" else (0.065, 1.9)
     assert figures["attitude_rmse_deg"]["combined"] < attitude
     assert figures["rate_rmse_deg_s"]["combined"] < rate
     assert figures["surface_speed_r"]["combined"] > 0.998

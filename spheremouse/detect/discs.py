@@ -7,30 +7,25 @@ covariance. Pixels that fit neither (a strut, a highlight) are weighted down (Tu
 its rim is none.
 """
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from spheremouse.camera import Pose
 from spheremouse.detect.cap import Appearance, appearance, ball_mask, largest_disc
 from spheremouse.detect.detections import Detections, Image, no_detections
+from spheremouse.detect.fit import DiscFit
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
-_SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
-_UNEVEN = 0.02  # of the contrast: unevenness of print and ball that a good fit leaves
-_CLEAR = 0.02  # part of a disc's darkness below which a pixel lies beside it
-_BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
+_SLIVER_BIAS = 0.15  # px at a semi-minor axis of one pixel
 _SIZE = 0.02  # discs cut from one sheet differ by this part of their size
-_SLOPE = 0.02  # 1/px: slope of the ball's shade, cos falls so fast 60 degrees off the light at 100 px radius
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 
 
@@ -62,7 +57,9 @@ class DiscSettings:
         le=1,
     )
     min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", gt=0)
-    sigma: float = param(0.05, "px", "floor of a centre's standard deviation: sampling, shading, print", gt=0)
+    sigma: float = param(
+        0.03, "px", "floor of a centre's standard deviation: sampling, unevenness of light, print", gt=0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +138,7 @@ class DiscDetector:
         """
         at = np.rint(start).astype(int)
         contrast = background - grey[at[:, 1], at[:, 0]]
-        fit = _Fit.begin(grey, self.mask, start, seen.shape, background, contrast, noise, self._blur, self.diameter)
+        fit = DiscFit.begin(grey, self.mask, start, seen.shape, background, contrast, noise, self._blur, self.diameter)
         if len(start) == 0:
             return no_detections()
         for limit in (np.inf, 0.5):
@@ -161,7 +158,9 @@ class DiscDetector:
         least = np.where(sliver < _SLIVER, min(0.45, self.settings.rim), self.settings.rim)
         ok = fit.deep(self.settings.contrast) & (rim > least) & fit.settled()
         centre = fit.centre + self.origin - (seen.centroid - seen.centre)
-        covariance = fit.covariance() + self.settings.sigma**2 * np.eye(2)
+        # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
+        floor = self.settings.sigma**2 + (_SLIVER_BIAS / sliver**2) ** 2
+        covariance = fit.covariance() + floor[:, None, None] * np.eye(2)
         best = np.flatnonzero(ok)[np.argsort(-rim[ok], kind="stable")]
         return Detections(centre, covariance, seen.area).take(best[_first_of_each(centre[best], 0.3 * self.diameter)])
 
@@ -204,12 +203,6 @@ def _noise(grey: Image) -> float:
     return max(float(np.median(np.abs(difference))) * 1.4826 / np.sqrt(1.5), 0.29)
 
 
-def _median(values: Array) -> float:
-    """Upper median, without what np.median adds to it: this runs a hundred times a frame."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle]) if len(values) else 0.0
-
-
 def _centroid(contour: Image) -> tuple[float, float]:
     m = cv2.moments(contour)
     if m["m00"] > 0:
@@ -218,225 +211,7 @@ def _centroid(contour: Image) -> tuple[float, float]:
     return float(x), float(y)
 
 
-@dataclass(frozen=True, slots=True)
-class _Pixels:
-    """The pixels around n discs, disc after disc."""
-
-    disc: NDArray[np.intp]  # (k,) whose
-    row: NDArray[np.intp]  # (k,) in the window
-    column: NDArray[np.intp]  # (k,)
-    x: Image  # (k,) px from the disc's start, float32 as all that is done per pixel
-    y: Image  # (k,)
-    of: list[slice]  # n slices into them
-
-    def take(self, discs: NDArray[np.bool_], pixels: NDArray[np.bool_]) -> "_Pixels":
-        """The pixels of some of the discs, (n,) mask, which are those of `pixels`, (k,)."""
-        number = np.cumsum(discs) - 1
-        disc = number[self.disc[pixels]]
-        return _Pixels(
-            disc, self.row[pixels], self.column[pixels], self.x[pixels], self.y[pixels], _runs(disc, int(discs.sum()))
-        )
-
-    @staticmethod
-    def around(start: Array, shape: Array, mask: Image, diameter: float) -> "_Pixels":
-        """Those within _SURROUND px of the expected rim and on the ball (`mask`)."""
-        reach = int(np.ceil(diameter / 2 + _SURROUND))
-        span = np.arange(-reach, reach + 1)
-        base = np.rint(start).astype(int)
-        row = np.broadcast_to(base[:, 1, None, None] + span[:, None], (len(start), len(span), len(span)))
-        column = np.broadcast_to(base[:, 0, None, None] + span[None, :], row.shape)
-        x, y = column - start[:, 0, None, None], row - start[:, 1, None, None]
-        inverse = np.linalg.inv(_grown(shape, _SURROUND))
-        q = inverse[:, 0, 0, None, None] * x * x + inverse[:, 1, 1, None, None] * y * y
-        q += 2.0 * inverse[:, 0, 1, None, None] * x * y
-        height, width = mask.shape
-        near = (q < 1.0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        near[near] = mask[row[near], column[near]] > 0
-        disc = np.nonzero(near)[0]
-        x, y = x[near].astype(np.float32), y[near].astype(np.float32)
-        return _Pixels(disc, row[near], column[near], x, y, _runs(disc, len(start)))
-
-
-def _runs(disc: NDArray[np.intp], n: int) -> list[slice]:
-    """Where each of n discs has its pixels; `disc` is sorted."""
-    return [slice(int(a), int(b)) for a, b in pairwise(np.searchsorted(disc, np.arange(n + 1)))]
-
-
-@dataclass(frozen=True, slots=True)
-class _Fit:
-    """I = b0 + b1 x + b2 y - a e(x - c; s) around n places, by Gauss-Newton with Tukey weights.
-
-    e is the blurred ellipse; unknown are the background b (3), the contrast a, the centre c (2) and the size s, each
-    counted from the disc's start. All pixels of all discs lie in one row: what is done to one is done to all at once.
-    """
-
-    pixels: _Pixels
-    image: Image  # (k,) grey values
-    start: Array  # (n, 2) px
-    inverse: Image  # (k, 3) xx, xy, yy of the expected shape's inverse
-    scale: Array  # (n,) grey values, least deviation of a good pixel
-    noise: float  # grey values
-    blur: float  # px
-    x: Array  # (n, 7) b0, b1, b2, a, cx, cy, s
-    e: Image  # (k,)
-    de: Image  # (3, k)
-    weight: Image  # (k,)
-    normal: Array  # (n, 7, 7)
-    last: Array  # (n, 7) the last step
-
-    @staticmethod
-    def begin(  # noqa: PLR0917
-        grey: Image,
-        mask: Image,
-        start: Array,
-        shape: Array,
-        background: Array,
-        contrast: Array,
-        noise: float,
-        blur: float,
-        diameter: float,
-    ) -> "_Fit":
-        """The model as expected; pixels beside the disc that are not the ball's (a strut) have no weight."""
-        n = len(start)
-        pixels = _Pixels.around(start, shape, mask, diameter)
-        image = grey[pixels.row, pixels.column]
-        contrast = np.maximum(contrast, 1.0)
-        inverse = np.linalg.inv(shape).reshape(n, 4)[:, [0, 1, 3]].astype(np.float32)[pixels.disc]
-        x = np.zeros((n, 7))
-        x[:, 0], x[:, 3], x[:, 6] = background, contrast, 1.0
-        e, de = _blurred_ellipse(pixels, x, inverse, blur)
-        foreign = np.abs(image - background[pixels.disc]) > (_BESIDE * contrast + 4.0 * noise)[pixels.disc]
-        weight = np.where(foreign & (e < _CLEAR), 0.0, 1.0).astype(np.float32)
-        scale = np.maximum(noise, _UNEVEN * contrast)
-        return _Fit(
-            pixels, image, start, inverse, scale, noise, blur, x, e, de, weight, np.zeros((n, 7, 7)), np.zeros((n, 7))
-        )
-
-    def step(self, size: Array | float, size_sigma: Array | float, limit: float) -> "_Fit":
-        """One Gauss-Newton step; s is drawn to `size` with `size_sigma`, and residuals beyond `limit` of the contrast
-        lose their pixels' weight (infinite: the weights stay as they are).
-        """
-        disc, x = self.pixels.disc, self.x.copy()
-        p = x.astype(np.float32)[disc]
-        A = np.empty((8, len(disc)), np.float32)  # columns b0 b1 b2 a cx cy s of the Jacobian, then the residual
-        A[0], A[1], A[2] = 1.0, self.pixels.x, self.pixels.y
-        np.negative(self.e, out=A[3])
-        np.multiply(self.de, -p[:, 3], out=A[4:7])
-        residual = A[7]
-        np.subtract(self.image, np.einsum("ik,ki->k", A[:4], p[:, :4]), out=residual)
-        weight = self.weight
-        if np.isfinite(limit):
-            floor = 4.685 * self.scale
-            bound = np.maximum(limit * x[:, 3], floor).astype(np.float32)[disc]
-            beside = np.maximum(_BESIDE * x[:, 3], floor).astype(np.float32)[
-                disc
-            ]  # no rim there: what differs is foreign
-            bound = np.where(self.e < _CLEAR, np.minimum(bound, beside), bound)
-            weight = np.square(np.maximum(0.0, 1.0 - np.square(residual / bound)))
-        Aw = A[:7] * weight
-        products = np.array([Aw[:, k] @ A[:, k].T for k in self.pixels.of], dtype=float)
-        N, gradient = products[:, :, :7] + 1e-6 * np.eye(7), products[:, :, 7]
-        level = (self.scale / (_SLOPE * np.maximum(x[:, 0], 1.0))) ** 2
-        N[:, [1, 2], [1, 2]] += level[:, None]  # a ball's shade slopes little: what does more is a strut
-        gradient[:, 1:3] -= level[:, None] * x[:, 1:3]
-        hold = (self.scale / size_sigma) ** 2
-        N[:, 6, 6] += hold
-        gradient[:, 6] -= hold * (x[:, 6] - size)
-        step = np.linalg.solve(N, gradient[:, :, None])[:, :, 0]
-        step[:, 4:6] = np.clip(step[:, 4:6], -1.0, 1.0)
-        step[:, 6] = np.clip(step[:, 6], -0.2, 0.2)
-        x += step
-        x[:, 6] = np.clip(x[:, 6], 0.3, 2.5)
-        e, de = _blurred_ellipse(self.pixels, x, self.inverse, self.blur)
-        return replace(self, x=x, e=e, de=de, weight=weight, normal=N, last=step)
-
-    def take(self, keep: NDArray[np.bool_]) -> "_Fit":
-        """The fits of a mask, (n,)."""
-        pixels = keep[self.pixels.disc]
-        return replace(
-            self,
-            pixels=self.pixels.take(keep, pixels),
-            image=self.image[pixels],
-            start=self.start[keep],
-            inverse=self.inverse[pixels],
-            scale=self.scale[keep],
-            x=self.x[keep],
-            e=self.e[pixels],
-            de=self.de[:, pixels],
-            weight=self.weight[pixels],
-            normal=self.normal[keep],
-            last=self.last[keep],
-        )
-
-    @property
-    def centre(self) -> Array:
-        """(n, 2) px in the window."""
-        return self.start + self.x[:, 4:6]
-
-    @property
-    def size(self) -> Array:
-        """(n,) fitted over expected."""
-        return self.x[:, 6]
-
-    def deep(self, contrast: float) -> NDArray[np.bool_]:
-        """(n,) whose contrast is more than this part of the background, and than noise."""
-        b0, b1, b2, a, cx, cy, _ = self.x.T
-        return a > np.maximum(contrast * (b0 + b1 * cx + b2 * cy), 4.0 * self.noise)
-
-    def settled(self) -> NDArray[np.bool_]:
-        """(n,) whose centre moved by less than a tenth of a pixel in the last step."""
-        return np.abs(self.last[:, 4:6]).max(axis=1) < 0.1
-
-    def rim(self) -> Array:
-        """(n,) px, length of the rim that fits."""
-        rim = np.hypot(self.de[0], self.de[1])
-        return np.array([rim[k] @ self.weight[k] for k in self.pixels.of])
-
-    def covariance(self) -> Array:
-        """(n, 2, 2) px² of the centres, from the residuals' own variance, or the noise where that is more."""
-        p = self.x[self.pixels.disc]
-        model = p[:, 0] + p[:, 1] * self.pixels.x + p[:, 2] * self.pixels.y - p[:, 3] * self.e
-        squares = self.weight * (self.image - model) ** 2
-        freedom = np.array([self.weight[k].sum() for k in self.pixels.of]) - 7.0
-        misfit = np.array([squares[k].sum() for k in self.pixels.of]) / np.maximum(freedom, 1.0)
-        variance = np.maximum(misfit, self.noise**2)
-        return np.asarray(np.linalg.inv(self.normal)[:, 4:6, 4:6] * variance[:, None, None], dtype=float)
-
-
 def _common_size(size: Array, sliver: Array) -> float:
     """The size all discs share, from those large enough to tell; 1 where fewer than three do."""
     large = size[sliver > 3.0]
     return float(np.median(large)) if len(large) >= 3 else 1.0
-
-
-def _grown(shape: Array, margin: float) -> Array:
-    """Ellipses, (n, 2, 2), whose axes are longer by `margin` px."""
-    values, vectors = np.linalg.eigh(shape)
-    values = (np.sqrt(np.maximum(values, 0.0)) + margin) ** 2
-    return (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
-
-
-def _blurred_ellipse(pixels: _Pixels, x: Array, inverse: Image, blur: float) -> tuple[Image, Image]:
-    """e, (k,), of every pixel and its derivatives by centre x, y and size, (3, k).
-
-    With rho^2 = (x - c)^T S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
-    a strip of that width, blurred, is e = L(ahead) + L(behind) - 1. L is the logistic function of the Gaussian's
-    width: within 1 % of it, and its own derivative.
-    """
-    c = x[:, 4:7].astype(np.float32)[pixels.disc]
-    dx, dy, size = pixels.x - c[:, 0], pixels.y - c[:, 1], c[:, 2]
-    gx = inverse[:, 0] * dx + inverse[:, 1] * dy
-    gy = inverse[:, 1] * dx + inverse[:, 2] * dy
-    rho = np.sqrt(np.maximum(gx * dx + gy * dy, 1e-9))
-    slope = np.sqrt(np.maximum(gx * gx + gy * gy, 1e-12))  # times rho
-    steep = rho / slope
-    steep *= 1.702 / blur
-    near, far = size * steep, rho * steep
-    ahead, behind = expit(near - far), expit(near + far)
-    bell_ahead, bell_behind = steep * ahead * (1.0 - ahead), steep * behind * (1.0 - behind)
-    by_rho = (bell_ahead - bell_behind) / rho  # minus de/drho; rho falls by g / rho along dc
-    de = np.empty((3, len(rho)), np.float32)
-    np.multiply(by_rho, gx, out=de[0])
-    np.multiply(by_rho, gy, out=de[1])
-    np.add(bell_ahead, bell_behind, out=de[2])
-    return ahead + behind - 1.0, de
