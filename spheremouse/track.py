@@ -241,7 +241,7 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
     posterior = tracker.filter.update(predicted, points, proven)
     state = replace(state, filter=posterior)
-    if not _holds(posterior, tracker.settings.loss):
+    if not _holds(state, tracker.settings.loss):
         return state
     _, _, lookalikes = static.judge(
         state.lookalikes, centre, points.direction, posterior.attitude, stamp, rig, pose, settings
@@ -249,11 +249,16 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     return replace(state, lookalikes=lookalikes)
 
 
-def _holds(filter_state: FilterState, settings: LossSettings) -> bool:
-    """Does the last frame hold the attitude? Two discs do; one does while it adds to what is known well."""
-    if len(filter_state.used) != 1:
-        return len(filter_state.used) > 1
-    return bool(np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1] < settings.known_sigma**2)
+def _holds(state: TrackState, settings: LossSettings) -> bool:
+    """Does the last frame hold the attitude?
+
+    Two discs do, or one while it adds to what is known well; but only if they are at least half of what is seen: of
+    many false candidates a few always fit by chance.
+    """
+    used = len(state.filter.used)
+    if used == 0 or 2 * used < len(state.points):
+        return False
+    return used > 1 or bool(np.linalg.eigvalsh(state.filter.covariance[:3, :3])[-1] < settings.known_sigma**2)
 
 
 def _first_motion(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
@@ -329,7 +334,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     points, s = state.points, tracker.settings.loss
     if len(points) < 2:
         return replace(state, found=None)
-    found = stamp if state.found is None else state.found
+    found = stamp if state.found is None else min(state.found, stamp)  # a clock that starts again
     state = replace(state, found=found)
     if isinstance(state.filter, So3State) and isinstance(tracker.filter, So3Filter):
         known = identify(
@@ -349,6 +354,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
                 sent=filtered.attitude,
                 held=stamp,
                 found=None,
+                recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
                 lookalikes=_forget(state.lookalikes),
                 event=f"tracking again: attitude kept, recognised by {len(known.pairs)} discs",
             )
@@ -376,8 +382,8 @@ def _forget(lookalikes: Lookalikes) -> Lookalikes:
 
 
 def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
-    """Is the attitude held by at least two discs?"""
-    if _holds(state.filter, tracker.settings.loss):
+    """Is the ball tracked, lost, or still looked for?"""
+    if _holds(state, tracker.settings.loss):
         state = replace(state, held=stamp)
     if state.phase is Phase.SEARCHING:
         if len(state.filter.discs) >= 2:
@@ -400,7 +406,7 @@ def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackStat
 
 def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
     """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
-    if state.phase is not Phase.TRACKING or not _holds(state.filter, tracker.settings.loss):
+    if state.phase is not Phase.TRACKING or not _holds(state, tracker.settings.loss):
         return state, Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
     attitude = state.filter.attitude
     rotation = rotation_between(state.sent, attitude)

@@ -52,11 +52,8 @@ class Document:
     def error(self, problems: Sequence[Problem]) -> ConfigurationError:
         """All problems as one error, a line each, in the order of the file."""
         ordered = sorted(problems, key=lambda p: self.line(p.key))
-        return ConfigurationError(
-            "\n".join(
-                f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in ordered
-            )
-        )
+        lines = [f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in ordered]
+        return ConfigurationError("\n".join(" ".join(line.splitlines()) for line in lines))
 
 
 def dotted(key: Key) -> str:
@@ -183,7 +180,7 @@ def _compose(text: str, name: str) -> Node | None:
     for event in _yaml().parse(text):
         at = f"{name}:{event.start_mark.line + 1}"
         if isinstance(event, AliasEvent):
-            raise ConfigurationError(f"{at}: aliases (*{event.anchor}) are not read; write the value out")
+            raise ConfigurationError(f"{at}: aliases (*{one_line(event.anchor)}) are not read; write the value out")
         if isinstance(event, NodeEvent) and (tag := getattr(event, "tag", None)):
             raise ConfigurationError(f"{at}: tags ({one_line(str(tag))}) are not read; write a plain value")
         documents += isinstance(event, DocumentStartEvent)

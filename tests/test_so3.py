@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -77,9 +78,9 @@ def settled(rate=(0.3, -0.2, 0.4), n=30, seed=0):
 
 
 def difference(a, b):
-    """Error vector of state a against state b with the same discs, (6 + 2m,)."""
+    """Error vector of state a against state b with the same discs, (9 + 2m,)."""
     d = np.einsum("mij,mi->mj", b.basis, a.discs - b.discs).ravel()
-    return np.concatenate([log(a.attitude @ b.attitude.T), a.rate - b.rate, d])
+    return np.concatenate([log(a.attitude @ b.attitude.T), a.rate - b.rate, a.acceleration - b.acceleration, d])
 
 
 def draw(joint, rng, n):
@@ -88,12 +89,21 @@ def draw(joint, rng, n):
     return rng.normal(size=(n, len(w))) @ (V * np.sqrt(np.maximum(w, 0.0))).T
 
 
+def singer(dt, sigma, tau):
+    """F and Q of angle, rate and acceleration over a step, (3, 3), for one axis, by Van Loan's method."""
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / tau]])
+    G = np.diag([0.0, 0.0, 2.0 * sigma**2 / tau])
+    E = expm(np.block([[-A, G], [np.zeros((3, 3)), A.T]]) * dt)
+    F = E[3:, 3:].T
+    return F, F @ E[:3, 3:]
+
+
 # --- derivatives -----------------------------------------------------------------------------------------------------
 
 
 def test_prediction_moves_an_error_as_its_covariance_says():
     """F of the prediction, read from its covariance without process noise, equals central differences."""
-    quiet = replace(FILTER, settings=replace(SETTINGS, acceleration_density=1e-30))
+    quiet = replace(FILTER, settings=replace(SETTINGS, acceleration_sigma=1e-30))
     state, _ = settled(rate=(1.5, -2.0, 1.0))
     dt, h = 0.4, 1e-6
     k = len(state.joint)
@@ -151,26 +161,25 @@ def test_a_new_disc_is_as_uncertain_as_sampling_says():
 @pytest.mark.parametrize("dt", [DT, 0.5])
 def test_predicted_covariance_is_the_scatter_of_samples(dt):
     rng = np.random.default_rng(3)
-    density = 0.2
-    noisy = replace(FILTER, settings=replace(SETTINGS, acceleration_density=density))
-    P0 = np.diag([1e-4, 4e-4, 2e-4, 1e-3, 3e-3, 2e-3])
+    noisy = replace(FILTER, settings=replace(SETTINGS, acceleration_sigma=2.0))
+    P0 = np.diag([1e-4, 4e-4, 2e-4, 1e-3, 3e-3, 2e-3, 0.5, 0.2, 0.4])
     P0[0, 4] = P0[4, 0] = 3e-4
-    w = np.array([0.8, -1.2, 2.0])
-    start = replace(noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4]))), rate=w, joint=P0)
+    w, a0 = np.array([0.8, -1.2, 2.0]), np.array([-0.5, 0.3, 1.0])
+    start = replace(noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4]))), rate=w, acceleration=a0, joint=P0)
     predicted = noisy.predict(start, dt)
     n, steps = 6000, 8
     e = draw(P0, rng, n)
-    R, rate = exp(e[:, :3]) @ start.attitude, w + e[:, 3:]
-    h = dt / steps
-    for _ in range(steps):  # white acceleration, integrated in small steps: exact law of (angle, rate) over each
-        a = rng.normal(size=(n, 3)) * density * np.sqrt(h)
-        b = rng.normal(size=(n, 3)) * density * np.sqrt(h**3 / 12.0)
-        R = exp(rate * h + 0.5 * a * h + b) @ R
-        rate = rate + a
+    R, rate, a = exp(e[:, :3]) @ start.attitude, w + e[:, 3:6], a0 + e[:, 6:]
+    F, Q = singer(dt / steps, 2.0, SETTINGS.persistence)
+    jerk = np.linalg.cholesky(Q)
+    for _ in range(steps):  # jerk integrated in small steps: the exact law of (angle, rate, acceleration) over each
+        now = np.einsum("ij,jnk->ink", F, np.stack([np.zeros((n, 3)), rate, a]))
+        now += np.einsum("ij,jnk->ink", jerk, rng.normal(size=(3, n, 3)))
+        R, rate, a = exp(now[0]) @ R, now[1], now[2]
     error = np.concatenate([log(R @ predicted.attitude.T), rate - predicted.rate], axis=1)
     scatter = np.cov(error.T)
     scale = np.sqrt(np.outer(np.diag(predicted.covariance), np.diag(predicted.covariance)))
-    assert_allclose(scatter / scale, predicted.covariance / scale, atol=0.07)
+    assert_allclose(scatter / scale, predicted.covariance / scale, atol=0.07 if dt < 0.1 else 0.09)  # large turns bend
 
 
 def test_update_is_the_batch_solution():
@@ -182,8 +191,9 @@ def test_update_is_the_batch_solution():
     discs = directions(4, 6, 0.5)
     discs[:, 2] = np.abs(discs[:, 2]) + 0.5
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
-    sigma, dt, q = 1e-5, 0.1, 2e-4
-    f = replace(FILTER, settings=replace(SETTINGS, acceleration_density=q, start_rate_sigma=1e-3, levels=(1.0,)))
+    sigma, dt, jolt = 1e-5, 0.1, 1e-3
+    own = replace(SETTINGS, acceleration_sigma=jolt, start_rate_sigma=1e-3, levels=(1.0,))
+    f = replace(FILTER, settings=own)
     w = np.array([4e-4, -3e-4, 5e-4])
     frames = [points_at(discs @ exp(w * k * dt).T, sigma, rng) for k in range(3)]
     state = f.initial(0.0, np.eye(3))
@@ -191,29 +201,29 @@ def test_update_is_the_batch_solution():
         state = f.update(f.predict(state, k * dt), points)
     assert len(state.used) == 4
 
-    Q = q**2 * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(3))
-    Wq = np.linalg.cholesky(np.linalg.inv(Q)).T
+    F, Q = singer(dt, jolt, own.persistence)
+    Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
     base = state.discs
 
     def residuals(x):
-        rate0, x1, x2 = x[:3], x[3:9], x[9:15]
-        d = base + np.einsum("mij,mj->mi", state.basis, x[15:].reshape(-1, 2))
-        out = [rate0 / 1e-3]
-        before = np.concatenate([np.zeros(3), rate0])
-        for now in (x1, x2):
-            turn = log(exp(now[:3]) @ exp(before[:3]).T @ exp(before[3:] * dt).T)
-            out.append(Wq @ np.concatenate([turn, now[3:] - before[3:]]))
+        start, x1, x2 = x[:6], x[6:15], x[15:24]
+        d = base + np.einsum("mij,mj->mi", state.basis, x[24:].reshape(-1, 2))
+        out = [start[:3] / 1e-3, start[3:] / jolt]
+        before = np.concatenate([np.zeros(3), start])
+        for now in (x1, x2):  # the turns are tiny: they add
+            out.append(Wq @ (now - (F @ before.reshape(3, 3)).ravel()))
             before = now
         for turn, points in zip((np.zeros(3), x1[:3], x2[:3]), frames, strict=True):
             p = d @ exp(turn).T
             out.append(np.cross(points.direction, p).ravel() / sigma)
         return np.concatenate(out)
 
-    fit = least_squares(residuals, np.zeros(15 + 8), x_scale=1e-4, xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    C = np.linalg.inv(fit.jac.T @ fit.jac)[9:, 9:]
+    fit = least_squares(residuals, np.zeros(24 + 8), x_scale=1e-4, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    C = np.linalg.inv(fit.jac.T @ fit.jac)[15:, 15:]
     sd = np.sqrt(np.diag(C))
-    assert_allclose(log(state.attitude), fit.x[9:12], atol=0.02 * sd[:3].max())
-    assert_allclose(state.rate, fit.x[12:15], atol=0.02 * sd[3:6].max())
+    assert_allclose(log(state.attitude), fit.x[15:18], atol=0.02 * sd[:3].max())
+    assert_allclose(state.rate, fit.x[18:21], atol=0.02 * sd[3:6].max())
+    assert_allclose(state.acceleration, fit.x[21:24], atol=0.02 * sd[6:9].max())
     assert_allclose(state.joint / np.outer(sd, sd), C / np.outer(sd, sd), atol=0.02)
 
 
@@ -221,17 +231,19 @@ def test_nees_of_runs_drawn_from_the_own_model():
     """50 runs with rates, accelerations and noise as the filter assumes, the map unknown: chi-square, 95 % band."""
     rng = np.random.default_rng(12)
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
+    F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    jerk = np.linalg.cholesky(Q)
     runs, frames, checks = 50, 40, (10, 39)
     nees = {k: [] for k in checks}
     nis = dof = 0.0
     for _ in range(runs):
         R, w = np.eye(3), SETTINGS.start_rate_sigma * rng.normal(size=3)
+        a = SETTINGS.acceleration_sigma * rng.normal(size=3)
         state = own.initial(0.0, R)
         for k in range(frames):
             if k:
-                a = rng.normal(size=3) * SETTINGS.acceleration_density * np.sqrt(DT)
-                b = rng.normal(size=3) * SETTINGS.acceleration_density * np.sqrt(DT**3 / 12.0)
-                R, w = exp(w * DT + 0.5 * a * DT + b) @ R, w + a
+                now = F @ np.stack([np.zeros(3), w, a]) + jerk @ rng.normal(size=(3, 3))
+                R, w, a = exp(now[0]) @ R, now[1], now[2]
             state = own.update(own.predict(state, k * DT), points_at(seen(R), rng=rng))
             if k >= 3:  # before, the rate is all but unknown, and the allowance for that makes it smaller
                 nis, dof = nis + state.nis, dof + 2 * len(state.used)
@@ -283,7 +295,7 @@ def test_axes_of_a_disc_go_along_when_it_crosses_z_0():
     z0 = np.array([np.sqrt(1.0 - 1e-12), 0.0, 1e-6])
     state = _augment(state, points_at(z0 @ state.attitude.T), np.array([0]))
     m = len(state.discs)
-    dx = np.zeros(6 + 2 * m)
+    dx = np.zeros(9 + 2 * m)
     down = state.basis[-1].T @ [0.0, 0.0, -1e-4]
     dx[-2:] = down
     moved = _inject(state, dx)
@@ -349,7 +361,7 @@ def test_a_disc_on_trial_goes_and_a_kept_one_stays():
             points = with_ghost if k < sightings else points_at(real)
             state = FILTER.update(FILTER.predict(state, t[k]), points)
         assert bool(np.any(state.discs @ ghost > 0.999)) == stays
-        assert len(state.joint) == 6 + 2 * len(state.discs)
+        assert len(state.joint) == 9 + 2 * len(state.discs)
 
 
 def test_a_disc_that_never_comes_again_is_dropped_in_the_end():
@@ -379,18 +391,18 @@ def test_the_map_is_bounded():
 
 def test_a_flick_takes_a_wider_level_and_then_the_quiet_one_again():
     rng = np.random.default_rng(13)
-    t = np.arange(45) * DT
-    speed = np.where(t < 0.5, 0.2, 2.2)  # 2 rad/s gained within one frame: 60 rad/s²
-    angle = np.concatenate([[0.0], np.cumsum(speed[:-1] * DT)])
+    t = np.arange(75) * DT
+    speed = np.interp(t, [0.5, 0.65, 0.9, 1.0], [0.2, 7.0, 7.0, 0.0])  # 400 deg/s by 45 rad/s², then a hand stops it
+    angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * DT)])
     attitudes = exp(angle[:, None] * np.array([0.0, 0.0, 1.0]))
     states = film(FILTER, attitudes, t, rng)
     level = np.array([s.level for s in states])
-    assert np.all(level[5:14] < 1.5)
-    assert level.max() > 10.0
-    assert np.all(level[28:] < 1.5)
+    assert np.all(level[8:14] < 5.0)
+    assert level.max() > 50.0
+    assert np.all(level[60:] < 10.0)
     error = [np.linalg.norm(log(s.attitude @ R.T)) for s, R in zip(states, attitudes, strict=True)]
     assert max(error) < 2e-3
-    assert_allclose(states[-1].rate, [0.0, 0.0, 2.2], atol=0.05)
+    assert_allclose(states[-1].rate, 0.0, atol=0.02)
     assert all(len(s.discs) <= 26 for s in states)
 
 
@@ -405,7 +417,7 @@ def test_spurious_points_do_not_raise_the_level():
         ghosts = ghosts[np.max(ghosts @ (DISCS @ R.T).T, axis=1) < np.cos(0.15)]
         points = points_at(np.vstack([p[:3], ghosts]), rng=rng)
         state = FILTER.update(FILTER.predict(state, state.stamp + DT), points, np.zeros(len(points), dtype=bool))
-        assert state.level < 1.5
+        assert state.level < 5.0
         assert set(state.used) == {0, 1, 2}
 
 
@@ -454,7 +466,7 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     predicted = FILTER.predict(state, state.stamp + DT)
     blind = FILTER.update(predicted, points_at(np.zeros((0, 3))))
     assert_allclose(blind.attitude, predicted.attitude)
-    assert_allclose(blind.joint[6:, 6:], predicted.joint[6:, 6:])
+    assert_allclose(blind.joint[9:, 9:], predicted.joint[9:, 9:])
     assert np.linalg.eigvalsh(blind.joint - predicted.joint)[0] > -1e-15  # the player may be at a livelier level
     assert len(blind.used) == 0
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
@@ -464,7 +476,7 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     p = seen(exp(np.array([0.2 * DT, 0, 0])) @ R)[0]
     across = np.cross(p, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(p, [0.0, 0.0, 1.0]))
     left = {n: v @ one.joint[:3, :3] @ v / (v @ predicted.joint[:3, :3] @ v) for n, v in (("p", p), ("a", across))}
-    assert left["a"] < 0.97 < left["p"] <= 1.0  # it says nothing of a turn about itself
+    assert left["a"] < 0.9 < left["p"] <= 1.0  # it says nothing of a turn about itself
 
 
 def test_a_long_rest_keeps_the_covariance_sound():
@@ -485,8 +497,8 @@ def test_relocation_keeps_the_map_and_forgets_the_rest():
     placed = relocate(state, found, 0.003, SETTINGS, 99.0)
     assert placed.stamp == 99.0
     assert_allclose(placed.attitude, found)
-    assert_allclose(placed.joint[6:, 6:], state.joint[6:, 6:])
-    assert_allclose(placed.joint[:6, 6:], 0.0)
+    assert_allclose(placed.joint[9:, 9:], state.joint[9:, 9:])
+    assert_allclose(placed.joint[:9, 9:], 0.0)
     after = FILTER.update(placed, points_at(seen(found), rng=np.random.default_rng(19)))
     assert len(after.used) >= 3
     assert np.linalg.norm(log(after.attitude @ found.T)) < 2e-3

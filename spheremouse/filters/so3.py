@@ -1,8 +1,9 @@
-"""The default filter: attitude on SO(3), angular velocity in `obj`, and the map of discs in one state.
+"""The default filter: attitude on SO(3), angular velocity and acceleration in `obj`, and the map of discs in one state.
 
 An error-state extended Kalman filter (Sola 2017, "Quaternion kinematics for the error-state Kalman filter", left
-errors in `obj`) with white angular acceleration, and discs as landmarks with their full correlations (Smith, Self,
-Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view stays known and closes the loop.
+errors in `obj`) with an angular acceleration that lasts for a while (Singer 1970), and discs as landmarks with their
+full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view
+stays known and closes the loop.
 """
 
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,7 @@ from spheremouse.settings import param
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])  # Gauss-Legendre on [0, 1]
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+_CORE = 9  # rotation error, rate, acceleration: before the discs in the state
 _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense; the allowance for it grows no more
 
 
@@ -25,20 +27,33 @@ _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense
 class So3Settings:
     """Motion model, gates and map."""
 
-    acceleration_density: float = param(
-        0.05,
-        "rad/s²/√Hz",
-        "white angular acceleration of the quiet level: 0.3 rad/s² (a hand's, Wittich 2017, fig. 30), held for 0.03 s",
+    acceleration_sigma: float = param(
+        0.1,
+        "rad/s²",
+        "standard deviation of the angular acceleration per axis at the quiet level: a ball left to roll",
         gt=0,
+        le=100,
+    )
+    persistence: float = param(
+        0.2,
+        "s",
+        "time over which an acceleration lasts: a hand's push takes a tenth to a few tenths of a second",
+        ge=0.01,
+        le=10,
     )
     start_rate_sigma: float = param(
-        2.0, "rad/s", "standard deviation of the rate at the start, about zero: the ball may be rolling by then", gt=0
+        2.0,
+        "rad/s",
+        "standard deviation of the rate at the start, about zero: the ball may be rolling by then",
+        gt=0,
+        le=100,
     )
     gate: float = param(13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", gt=0)
     levels: tuple[float, ...] = param(
-        (1.0, 4.0, 16.0, 64.0),
+        (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0),
         "-",
-        "factors on the density that the player may be at, each as rare as it is large: roll, turn, push, flick",
+        "factors on that acceleration that the player may be at, each as rare as it is large: roll, turn, push, flick, "
+        "and a stop by hand (100 rad/s²)",
     )
     dwell: float = param(0.3, "s", "mean time the player stays at a level: a push takes a few tenths of a second", gt=0)
     keep_share: float = param(
@@ -51,6 +66,14 @@ class So3Settings:
     )
     most_discs: int = param(120, "discs", "the map grows no larger: the time per frame stays bounded", ge=4)
 
+    def __post_init__(self) -> None:
+        if (
+            not self.levels
+            or list(self.levels) != sorted(self.levels)
+            or not 1.0 <= self.levels[0] <= self.levels[-1] <= 1e4
+        ):
+            raise ValueError("levels: factors from 1 to 10000 in rising order")
+
 
 @dataclass(frozen=True, slots=True)
 class So3State:
@@ -59,14 +82,15 @@ class So3State:
     stamp: float  # s
     attitude: Array  # (3, 3) R_obj_ball
     rate: Array  # (3,) rad/s, w_obj
+    acceleration: Array  # (3,) rad/s², angular, obj
     discs: Array  # (m, 3) unit vectors, ball
     basis: Array  # (m, 3, 2) tangent vectors of the discs: axes of their errors, ball
-    joint: Array  # (6 + 2m, 6 + 2m): rotation error rad (obj), rate rad/s, disc errors rad
+    joint: Array  # (9 + 2m, 9 + 2m): rotation error rad (obj), rate rad/s, acceleration rad/s², discs rad
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(default_factory=lambda: np.zeros((6, 6)))  # noise of the last prediction, at level 1
+    process: Array = field(default_factory=lambda: np.zeros((_CORE, _CORE)))  # noise of the last prediction, at level 1
     level: float = 1.0  # factor on the density that the last update took, root mean square over the levels
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
 
@@ -95,33 +119,35 @@ class So3Filter:
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
         """At rest at `attitude`, (3, 3), which is the reference: without error. No disc is known."""
-        joint = np.zeros((6, 6))
-        joint[3:, 3:] = self.settings.start_rate_sigma**2 * np.eye(3)
-        return So3State(stamp, attitude, np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
+        joint = np.zeros((_CORE, _CORE))
+        joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
+        joint[6:, 6:] = usual_acceleration(self.settings) ** 2 * np.eye(3)
+        return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def predict(self, state: So3State, stamp: float) -> So3State:
-        """Constant angular velocity to `stamp`; a longer step is a larger one (up to 10 s), never an error.
+        """Carried on with an acceleration that fades, to `stamp`; a longer step is a larger one, up to 10 s.
 
         The covariance is that of the quiet level; `process` and `weights` say what a more lively player adds.
         """
         dt = min(max(stamp - state.stamp, 0.0), _LONGEST)
-        turn = state.rate * dt
+        tau = self.settings.persistence
+        fade = np.exp(-dt / tau)
+        turn = state.rate * dt + tau * (dt - tau * (1.0 - fade)) * state.acceleration
         R = exp(turn)
-        F = np.eye(6)
+        J = left_jacobian(turn)
+        F = np.zeros((_CORE, _CORE))
+        i = np.arange(3)
         F[:3, :3] = R
-        F[:3, 3:] = left_jacobian(turn) * dt
+        F[:3, 3:6] = J * dt
+        F[:3, 6:] = J * (tau * (dt - tau * (1.0 - fade)))
+        F[i + 3, i + 3] = 1.0
+        F[i + 3, i + 6] = tau * (1.0 - fade)
+        F[i + 6, i + 6] = fade
         P = state.joint.copy()
-        P[:6] = F @ P[:6]
-        P[:, :6] = P[:, :6] @ F.T
-        # an acceleration x dt before the end has turned the ball by x dt Jl(x turn) since: integrated over the step
-        J = left_jacobian(_NODES[:, None] * turn)
-        Q = np.empty((6, 6))
-        Q[:3, :3] = dt**3 * np.einsum("k,k,kij,klj->il", _WEIGHTS, _NODES**2, J, J)
-        Q[:3, 3:] = dt**2 * np.einsum("k,k,kij->ij", _WEIGHTS, _NODES, J)
-        Q[3:, :3] = Q[:3, 3:].T
-        Q[3:, 3:] = dt * np.eye(3)
-        Q *= self.settings.acceleration_density**2
-        P[:6, :6] += Q
+        P[:_CORE] = F @ P[:_CORE]
+        P[:, :_CORE] = P[:, :_CORE] @ F.T
+        Q = self._process(dt, turn)
+        P[:_CORE, :_CORE] += Q
         usual = 1.0 / np.asarray(self.settings.levels)  # the livelier the rarer
         usual /= usual.sum()
         weights = state.weights if len(state.weights) == len(usual) else usual
@@ -130,11 +156,30 @@ class So3Filter:
             state,
             stamp=stamp,
             attitude=R @ state.attitude,
+            rate=state.rate + tau * (1.0 - fade) * state.acceleration,
+            acceleration=fade * state.acceleration,
             joint=P,
             weights=stay * weights + (1.0 - stay) * usual,
             process=Q,
             used=np.zeros(0, dtype=np.intp),
         )
+
+    def _process(self, dt: float, turn: Array) -> Array:
+        """Covariance, (9, 9), of what white jerk adds over a step, at level 1: integrated over the step.
+
+        Jerk s before the end has faded to g_a by then, made a rate g_w of it, and turned the ball by Jl(turn s/dt) g_t.
+        """
+        tau = self.settings.persistence
+        s = _NODES * dt
+        g_a = np.exp(-s / tau)
+        g_w = tau * (1.0 - g_a)
+        g_t = tau * (s - g_w)
+        J = left_jacobian(_NODES[:, None] * turn)
+        G = np.concatenate(
+            [g_t[:, None, None] * J, g_w[:, None, None] * np.eye(3), g_a[:, None, None] * np.eye(3)], axis=1
+        )
+        q = 2.0 * self.settings.acceleration_sigma**2 / tau
+        return q * dt * np.einsum("k,kij,klj->il", _WEIGHTS, G, G)
 
     def update(self, state: So3State, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> So3State:
         """Associate, correct, and keep the map: `fresh` points (n,) may found a new disc (None: all).
@@ -187,7 +232,7 @@ class So3Filter:
     def _livelier(state: So3State, square: float) -> Array:
         """The predicted covariance at another level than the quiet one."""
         joint = state.joint.copy()
-        joint[:6, :6] += (square - 1.0) * state.process
+        joint[:_CORE, :_CORE] += (square - 1.0) * state.process
         return joint
 
     def _agreeing(
@@ -234,7 +279,7 @@ class So3Filter:
         E = state.attitude @ state.basis[which]
         H = self._attitude_jacobian(E, p[which])
         P = state.joint
-        at = 6 + 2 * which[:, None] + np.arange(2)
+        at = _CORE + 2 * which[:, None] + np.arange(2)
         cross = H @ P[:3][:, at].transpose(1, 0, 2)
         own = P[at[:, :, None], at[:, None, :]]
         return E, H @ P[:3, :3] @ H.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1) + own
@@ -253,7 +298,7 @@ class So3Filter:
     def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
         rows, columns = pairing.rows, pairing.columns
         weights, square = state.weights, self._expected(state)
-        none = np.zeros((6, 6))
+        none = np.zeros((_CORE, _CORE))
         if len(rows) == 0:
             joint = self._livelier(state, square)
             return replace(state, joint=joint, process=none, level=float(np.sqrt(square)), used=rows, nis=0.0)
@@ -264,7 +309,7 @@ class So3Filter:
             weights = self._weigh(state, white[:, 0], white[:, 1:])
             square = float(weights @ np.square(self.settings.levels))
             more = (square - 1.0) * state.process
-            HP[:, :6] += H @ more[:3]
+            HP[:, :_CORE] += H @ more[:3]
             S = S + H @ more[:3, :3] @ H.T
         L = np.linalg.cholesky(S)
         white = np.linalg.solve(L, np.column_stack([z, HP]))
@@ -283,7 +328,7 @@ class So3Filter:
     def _innovation(
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> tuple[Array, Array, Array, Array]:
-        """Of k pairs H @ joint, (2k, 6 + 2m), H's part for the attitude, (2k, 3), innovation, (2k,) rad, covariance."""
+        """Of k pairs H @ joint, (2k, 9 + 2m), H's part for the attitude, (2k, 3), innovation, (2k,) rad, covariance."""
         k = len(rows)
         p = state.discs[columns] @ state.attitude.T
         E = state.attitude @ state.basis[columns]
@@ -291,7 +336,7 @@ class So3Filter:
         z = np.einsum("kij,ki->kj", E, b).ravel()
         P = state.joint
         H = self._attitude_jacobian(E, p).reshape(2 * k, 3)
-        at = (6 + 2 * columns[:, None] + np.arange(2)).ravel()
+        at = (_CORE + 2 * columns[:, None] + np.arange(2)).ravel()
         HP = H @ P[:3] + P[at]  # each disc moves its own place one to one
         S = HP[:, :3] @ H.T + HP[:, at]
         radius2 = float(np.mean(np.sum(points.position[rows] ** 2, axis=1)))
@@ -337,10 +382,16 @@ class So3Filter:
         return _augment(state, points, index) if len(index) else state
 
 
+def usual_acceleration(settings: So3Settings) -> float:
+    """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
+    usual = 1.0 / np.asarray(settings.levels)
+    return settings.acceleration_sigma * float(np.sqrt(np.square(settings.levels) @ usual / usual.sum()))
+
+
 def _inject(state: So3State, dx: Array) -> So3State:
-    """Move the state by an error vector, (6 + 2m,)."""
+    """Move the state by an error vector, (9 + 2m,)."""
     attitude = exp(dx[:3]) @ state.attitude
-    discs = state.discs + np.einsum("mij,mj->mi", state.basis, dx[6:].reshape(-1, 2))
+    discs = state.discs + np.einsum("mij,mj->mi", state.basis, dx[_CORE:].reshape(-1, 2))
     discs = discs / np.linalg.norm(discs, axis=1, keepdims=True)
     # carry the axes along: their part along the new direction goes, then they are made orthonormal again
     basis = state.basis - discs[:, :, None] * np.einsum("mi,mij->mj", discs, state.basis)[:, None, :]
@@ -348,14 +399,19 @@ def _inject(state: So3State, dx: Array) -> So3State:
     second = np.cross(discs, first)
     second *= np.sign(np.sum(second * basis[:, :, 1], axis=1))[:, None]
     return replace(
-        state, attitude=attitude, rate=state.rate + dx[3:6], discs=discs, basis=np.stack([first, second], axis=2)
+        state,
+        attitude=attitude,
+        rate=state.rate + dx[3:6],
+        acceleration=state.acceleration + dx[6:9],
+        discs=discs,
+        basis=np.stack([first, second], axis=2),
     )
 
 
 def _drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     if np.all(keep):
         return state
-    rows = np.concatenate([np.ones(6, dtype=bool), np.repeat(keep, 2)])
+    rows = np.concatenate([np.ones(_CORE, dtype=bool), np.repeat(keep, 2)])
     return replace(
         state,
         discs=state.discs[keep],
@@ -406,10 +462,11 @@ def relocate(state: So3State, attitude: Array, sigma: float, settings: So3Settin
     Attitude and map lose their correlation: what was found knows nothing of how the map came to be.
     """
     joint = state.joint.copy()
-    joint[:6] = 0.0
-    joint[:, :6] = 0.0
+    joint[:_CORE] = 0.0
+    joint[:, :_CORE] = 0.0
     joint[:3, :3] = sigma**2 * np.eye(3)
     joint[3:6, 3:6] = (2.5 * settings.start_rate_sigma) ** 2 * np.eye(3)
+    joint[6:_CORE, 6:_CORE] = usual_acceleration(settings) ** 2 * np.eye(3)
     return replace(
         state,
         stamp=stamp,
@@ -417,5 +474,5 @@ def relocate(state: So3State, attitude: Array, sigma: float, settings: So3Settin
         rate=np.zeros(3),
         joint=joint,
         weights=np.zeros(0),
-        process=np.zeros((6, 6)),
+        process=np.zeros((_CORE, _CORE)),
     )
