@@ -241,8 +241,11 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
     posterior = tracker.filter.update(predicted, points, proven)
     state = replace(state, filter=posterior)
-    if not _holds(state, tracker.settings.loss):
-        return state
+    if not _holds(state, tracker.settings.loss):  # then no point has a place on the ball: none founds a disc
+        found = _recognised(state, stamp, tracker)
+        if found is not None:
+            return replace(state, filter=found[0])
+        return replace(state, filter=tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool)))
     _, _, lookalikes = static.judge(
         state.lookalikes, centre, points.direction, posterior.attitude, stamp, rig, pose, settings
     )
@@ -336,17 +339,10 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         return replace(state, found=None)
     found = stamp if state.found is None else min(state.found, stamp)  # a clock that starts again
     state = replace(state, found=found)
-    if isinstance(state.filter, So3State) and isinstance(tracker.filter, So3Filter):
-        known = identify(
-            points.direction,
-            state.filter.discs,
-            sigma=s.identify_sigma,
-            view_axis=tracker.filter.towards_camera,
-            horizon=tracker.filter.horizon,
-        )
-        if known is not None:
-            placed = relocate(state.filter, known.rotation, s.identify_sigma, tracker.settings.so3, stamp)
-            filtered = tracker.filter.update(placed, points, np.zeros(len(points), dtype=bool))
+    if isinstance(state.filter, So3State):
+        recognised = _recognised(state, stamp, tracker)
+        if recognised is not None:
+            filtered, pairs = recognised
             return replace(
                 state,
                 filter=filtered,
@@ -356,7 +352,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
                 found=None,
                 recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
                 lookalikes=_forget(state.lookalikes),
-                event=f"tracking again: attitude kept, recognised by {len(known.pairs)} discs",
+                event=f"tracking again: attitude kept, recognised by {pairs} discs",
             )
         if stamp - found < s.reset_after:
             return state
@@ -374,6 +370,31 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         lookalikes=_forget(state.lookalikes),
         event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
     )
+
+
+def _recognised(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, int] | None:
+    """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
+
+    After a short gap the rate is that from the last attitude held; after a long one it is unknown.
+    """
+    points, s = state.points, tracker.settings.loss
+    if not isinstance(state.filter, So3State) or not isinstance(tracker.filter, So3Filter):
+        return None
+    known = identify(
+        points.direction,
+        state.filter.discs,
+        sigma=s.identify_sigma,
+        view_axis=tracker.filter.towards_camera,
+        horizon=tracker.filter.horizon,
+    )
+    if known is None or 2 * len(known.pairs) < len(points):
+        return None
+    gap = stamp - state.held
+    rate = None
+    if state.phase is Phase.TRACKING and 0.0 < gap <= s.lost_after:
+        rate = rotation_between(state.sent, known.rotation) / gap
+    placed = relocate(state.filter, known.rotation, s.identify_sigma, tracker.settings.so3, stamp, rate)
+    return tracker.filter.update(placed, points, np.zeros(len(points), dtype=bool)), len(known.pairs)
 
 
 def _forget(lookalikes: Lookalikes) -> Lookalikes:

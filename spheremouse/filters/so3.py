@@ -456,22 +456,27 @@ def _augment(state: So3State, points: SpherePoints, index: NDArray[np.intp]) -> 
     )
 
 
-def relocate(state: So3State, attitude: Array, sigma: float, settings: So3Settings, stamp: float) -> So3State:
-    """The map as it is, the attitude found anew with `sigma` rad per axis, the rate unknown: at `stamp`, for an update.
+def relocate(  # noqa: PLR0917
+    state: So3State, attitude: Array, sigma: float, settings: So3Settings, stamp: float, rate: Array | None = None
+) -> So3State:
+    """The map as it is, the attitude found anew with `sigma` rad per axis, at `stamp`, for an update.
 
+    `rate` (3,) rad/s is what the ball is thought to turn at, to within what a hand changes at once; None: unknown.
     Attitude and map lose their correlation: what was found knows nothing of how the map came to be.
     """
     joint = state.joint.copy()
     joint[:_CORE] = 0.0
     joint[:, :_CORE] = 0.0
     joint[:3, :3] = sigma**2 * np.eye(3)
-    joint[3:6, 3:6] = (2.5 * settings.start_rate_sigma) ** 2 * np.eye(3)
+    spread = settings.start_rate_sigma if rate is None else 0.4 * settings.start_rate_sigma
+    joint[3:6, 3:6] = (2.5 * spread) ** 2 * np.eye(3)
     joint[6:_CORE, 6:_CORE] = usual_acceleration(settings) ** 2 * np.eye(3)
     return replace(
         state,
         stamp=stamp,
         attitude=attitude,
-        rate=np.zeros(3),
+        rate=np.zeros(3) if rate is None else rate,
+        acceleration=np.zeros(3),
         joint=joint,
         weights=np.zeros(0),
         process=np.zeros((_CORE, _CORE)),
