@@ -23,7 +23,8 @@ from spheremouse.detect.static import Lookalikes, StaticSettings
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.filters import Filter, FilterState
 from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
-from spheremouse.filters.so3 import So3Filter, So3Settings, So3State, relocate
+from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.filters.so3_state import So3State
 from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts

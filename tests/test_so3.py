@@ -10,7 +10,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.filters.so3 import So3Filter, So3Settings, _augment, _inject, relocate
+from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.filters.so3_state import augment, inject
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import exp, log
 
@@ -111,7 +112,7 @@ def test_prediction_moves_an_error_as_its_covariance_says():
     F = np.empty((k, k))
     for i in range(k):
         e = h * np.eye(k)[i]
-        ends = [quiet.predict(_inject(state, s * e), state.stamp + dt) for s in (1, -1)]
+        ends = [quiet.predict(inject(state, s * e), state.stamp + dt) for s in (1, -1)]
         F[:, i] = (difference(ends[0], base) - difference(ends[1], base)) / (2 * h)
     assert_allclose(base.joint, F @ state.joint @ F.T, atol=1e-6 * np.abs(base.joint).max())
 
@@ -128,7 +129,7 @@ def test_the_innovation_depends_on_the_state_as_its_jacobian_says():
     h = 1e-6
     for i in range(len(state.joint)):
         e = h * np.eye(len(state.joint))[i]
-        z = [FILTER._innovation(_inject(state, s * e), points, rows, columns)[2] for s in (1, -1)]
+        z = [FILTER._innovation(inject(state, s * e), points, rows, columns)[2] for s in (1, -1)]
         assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, i], atol=2e-3)  # the axes turn with the state: second order
 
 
@@ -141,11 +142,11 @@ def test_a_new_disc_is_as_uncertain_as_sampling_says():
     state = replace(state, joint=P)
     place = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
     sigma = 5e-3
-    founded = _augment(state, points_at(place, sigma), np.array([0]))
+    founded = augment(state, points_at(place, sigma), np.array([0]))
     errors = draw(state.joint, rng, 4000)
     samples = []
     for e in errors:
-        truth = _inject(state, -e)  # estimate = truth + e
+        truth = inject(state, -e)  # estimate = truth + e
         d = (points_at(place, sigma, rng).direction @ truth.attitude)[0]
         samples.append(np.concatenate([e, founded.basis[-1].T @ (founded.discs[-1] - d)]))
     scatter = np.cov(np.array(samples).T)
@@ -293,12 +294,12 @@ def test_axes_of_a_disc_go_along_when_it_crosses_z_0():
     """tangent_basis jumps at z = 0; the filter's axes must not: the covariance is written in them."""
     state, _ = settled()
     z0 = np.array([np.sqrt(1.0 - 1e-12), 0.0, 1e-6])
-    state = _augment(state, points_at(z0 @ state.attitude.T), np.array([0]))
+    state = augment(state, points_at(z0 @ state.attitude.T), np.array([0]))
     m = len(state.discs)
     dx = np.zeros(9 + 2 * m)
     down = state.basis[-1].T @ [0.0, 0.0, -1e-4]
     dx[-2:] = down
-    moved = _inject(state, dx)
+    moved = inject(state, dx)
     assert state.discs[-1, 2] > 0.0 > moved.discs[-1, 2]
     assert_allclose(moved.basis[-1], state.basis[-1], atol=2e-4)
     for axes, d in zip(moved.basis, moved.discs, strict=True):

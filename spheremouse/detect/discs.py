@@ -141,8 +141,12 @@ class DiscDetector:
         fit = DiscFit.begin(grey, self.mask, start, seen.shape, background, contrast, noise, self._blur, self.diameter)
         if len(start) == 0:
             return no_detections()
-        for limit in (np.inf, 0.5):
-            fit = fit.step(1.0, 0.4 * self.settings.size_tolerance, limit)
+        fit = fit.step(1.0, 0.4 * self.settings.size_tolerance, np.inf)
+        keep = fit.deep(0.5 * self.settings.contrast) & (np.abs(fit.size - 1.0) < 2.0 * self.settings.size_tolerance)
+        if not np.any(keep):
+            return no_detections()
+        fit, seen = fit.take(keep), seen.take(keep)  # what is hopeless costs no more than one step
+        fit = fit.step(1.0, 0.4 * self.settings.size_tolerance, 0.5)
         sliver = np.sqrt(np.linalg.eigvalsh(seen.shape)[:, 0])  # semi-minor axis, px
         off = np.abs(fit.size - 1.0)
         keep = fit.deep(self.settings.contrast) & (off < np.maximum(self.settings.size_tolerance, _RIM_OFF / sliver))

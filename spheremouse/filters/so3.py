@@ -6,20 +6,20 @@ full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so no
 stays known and closes the loop.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
+from spheremouse.filters.so3_state import CORE, So3State, augment, drop, inject
 from spheremouse.intersect import SpherePoints
-from spheremouse.rotation import Array, exp, hat, left_jacobian, tangent_basis
+from spheremouse.rotation import Array, exp, hat, left_jacobian
 from spheremouse.settings import param
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])  # Gauss-Legendre on [0, 1]
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
-_CORE = 9  # rotation error, rate, acceleration: before the discs in the state
 _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense; the allowance for it grows no more
 
 
@@ -76,31 +76,6 @@ class So3Settings:
 
 
 @dataclass(frozen=True, slots=True)
-class So3State:
-    """Attitude, rate and map with their joint covariance."""
-
-    stamp: float  # s
-    attitude: Array  # (3, 3) R_obj_ball
-    rate: Array  # (3,) rad/s, w_obj
-    acceleration: Array  # (3,) rad/s², angular, obj
-    discs: Array  # (m, 3) unit vectors, ball
-    basis: Array  # (m, 3, 2) tangent vectors of the discs: axes of their errors, ball
-    joint: Array  # (9 + 2m, 9 + 2m): rotation error rad (obj), rate rad/s, acceleration rad/s², discs rad
-    hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
-    missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
-    used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
-    weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(default_factory=lambda: np.zeros((_CORE, _CORE)))  # noise of the last prediction, at level 1
-    level: float = 1.0  # factor on the density that the last update took, root mean square over the levels
-    nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
-
-    @property
-    def covariance(self) -> Array:
-        """(6, 6) of rotation error and rate."""
-        return self.joint[:6, :6]
-
-
-@dataclass(frozen=True, slots=True)
 class _Pairing:
     rows: NDArray[np.intp]  # into the points
     columns: NDArray[np.intp]  # into the discs
@@ -119,7 +94,7 @@ class So3Filter:
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
         """At rest at `attitude`, (3, 3), which is the reference: without error. No disc is known."""
-        joint = np.zeros((_CORE, _CORE))
+        joint = np.zeros((CORE, CORE))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:, 6:] = usual_acceleration(self.settings) ** 2 * np.eye(3)
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
@@ -135,7 +110,7 @@ class So3Filter:
         turn = state.rate * dt + tau * (dt - tau * (1.0 - fade)) * state.acceleration
         R = exp(turn)
         J = left_jacobian(turn)
-        F = np.zeros((_CORE, _CORE))
+        F = np.zeros((CORE, CORE))
         i = np.arange(3)
         F[:3, :3] = R
         F[:3, 3:6] = J * dt
@@ -144,10 +119,10 @@ class So3Filter:
         F[i + 3, i + 6] = tau * (1.0 - fade)
         F[i + 6, i + 6] = fade
         P = state.joint.copy()
-        P[:_CORE] = F @ P[:_CORE]
-        P[:, :_CORE] = P[:, :_CORE] @ F.T
+        P[:CORE] = F @ P[:CORE]
+        P[:, :CORE] = P[:, :CORE] @ F.T
         Q = self._process(dt, turn)
-        P[:_CORE, :_CORE] += Q
+        P[:CORE, :CORE] += Q
         usual = 1.0 / np.asarray(self.settings.levels)  # the livelier the rarer
         usual /= usual.sum()
         weights = state.weights if len(state.weights) == len(usual) else usual
@@ -232,7 +207,7 @@ class So3Filter:
     def _livelier(state: So3State, square: float) -> Array:
         """The predicted covariance at another level than the quiet one."""
         joint = state.joint.copy()
-        joint[:_CORE, :_CORE] += (square - 1.0) * state.process
+        joint[:CORE, :CORE] += (square - 1.0) * state.process
         return joint
 
     def _agreeing(
@@ -279,7 +254,7 @@ class So3Filter:
         E = state.attitude @ state.basis[which]
         H = self._attitude_jacobian(E, p[which])
         P = state.joint
-        at = _CORE + 2 * which[:, None] + np.arange(2)
+        at = CORE + 2 * which[:, None] + np.arange(2)
         cross = H @ P[:3][:, at].transpose(1, 0, 2)
         own = P[at[:, :, None], at[:, None, :]]
         return E, H @ P[:3, :3] @ H.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1) + own
@@ -298,7 +273,7 @@ class So3Filter:
     def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
         rows, columns = pairing.rows, pairing.columns
         weights, square = state.weights, self._expected(state)
-        none = np.zeros((_CORE, _CORE))
+        none = np.zeros((CORE, CORE))
         if len(rows) == 0:
             joint = self._livelier(state, square)
             return replace(state, joint=joint, process=none, level=float(np.sqrt(square)), used=rows, nis=0.0)
@@ -309,7 +284,7 @@ class So3Filter:
             weights = self._weigh(state, white[:, 0], white[:, 1:])
             square = float(weights @ np.square(self.settings.levels))
             more = (square - 1.0) * state.process
-            HP[:, :_CORE] += H @ more[:3]
+            HP[:, :CORE] += H @ more[:3]
             S = S + H @ more[:3, :3] @ H.T
         L = np.linalg.cholesky(S)
         white = np.linalg.solve(L, np.column_stack([z, HP]))
@@ -323,7 +298,7 @@ class So3Filter:
             used=rows,
             nis=float(y @ y),
         )
-        return _inject(updated, W.T @ y)
+        return inject(updated, W.T @ y)
 
     def _innovation(
         self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], columns: NDArray[np.intp]
@@ -336,7 +311,7 @@ class So3Filter:
         z = np.einsum("kij,ki->kj", E, b).ravel()
         P = state.joint
         H = self._attitude_jacobian(E, p).reshape(2 * k, 3)
-        at = (_CORE + 2 * columns[:, None] + np.arange(2)).ravel()
+        at = (CORE + 2 * columns[:, None] + np.arange(2)).ravel()
         HP = H @ P[:3] + P[at]  # each disc moves its own place one to one
         S = HP[:, :3] @ H.T + HP[:, at]
         radius2 = float(np.mean(np.sum(points.position[rows] ** 2, axis=1)))
@@ -376,84 +351,16 @@ class So3Filter:
         found = np.flatnonzero(new)
         overlap = points.direction[found] @ points.direction[found].T >= np.cos(2.0 * self.disc_angle)
         found = found[~np.tril(overlap, -1).any(axis=1)]  # nor do two new ones: the first counts
-        state = _drop(replace(state, hits=hits, missed=missed), keep)
+        state = drop(replace(state, hits=hits, missed=missed), keep)
         room = self.settings.most_discs - len(state.discs)
         index = found[: max(room, 0)]
-        return _augment(state, points, index) if len(index) else state
+        return augment(state, points, index) if len(index) else state
 
 
 def usual_acceleration(settings: So3Settings) -> float:
     """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
     usual = 1.0 / np.asarray(settings.levels)
     return settings.acceleration_sigma * float(np.sqrt(np.square(settings.levels) @ usual / usual.sum()))
-
-
-def _inject(state: So3State, dx: Array) -> So3State:
-    """Move the state by an error vector, (9 + 2m,)."""
-    attitude = exp(dx[:3]) @ state.attitude
-    discs = state.discs + np.einsum("mij,mj->mi", state.basis, dx[_CORE:].reshape(-1, 2))
-    discs = discs / np.linalg.norm(discs, axis=1, keepdims=True)
-    # carry the axes along: their part along the new direction goes, then they are made orthonormal again
-    basis = state.basis - discs[:, :, None] * np.einsum("mi,mij->mj", discs, state.basis)[:, None, :]
-    first = basis[:, :, 0] / np.linalg.norm(basis[:, :, 0], axis=1, keepdims=True)
-    second = np.cross(discs, first)
-    second *= np.sign(np.sum(second * basis[:, :, 1], axis=1))[:, None]
-    return replace(
-        state,
-        attitude=attitude,
-        rate=state.rate + dx[3:6],
-        acceleration=state.acceleration + dx[6:9],
-        discs=discs,
-        basis=np.stack([first, second], axis=2),
-    )
-
-
-def _drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
-    if np.all(keep):
-        return state
-    rows = np.concatenate([np.ones(_CORE, dtype=bool), np.repeat(keep, 2)])
-    return replace(
-        state,
-        discs=state.discs[keep],
-        basis=state.basis[keep],
-        joint=state.joint[np.ix_(rows, rows)],
-        hits=state.hits[keep],
-        missed=state.missed[keep],
-    )
-
-
-def _augment(state: So3State, points: SpherePoints, index: NDArray[np.intp]) -> So3State:
-    """Take up new discs with their covariance and their correlation with the attitude.
-
-    d = R^T b; a rotation error e turns it by R^T (b x e): the inverse observation of EKF-SLAM, which Wittich 2017,
-    eq. 171 leaves out.
-    """
-    b = points.direction[index]
-    R = state.attitude
-    discs = b @ R
-    basis = tangent_basis(discs)
-    G = (basis.transpose(0, 2, 1) @ (R.T @ hat(b))).reshape(-1, 3)
-    radius2 = np.sum(points.position[index] ** 2, axis=1)[:, None, None]
-    E = R @ basis
-    noise = E.transpose(0, 2, 1) @ (points.image_covariance[index] / radius2) @ E
-    P, k, n = state.joint, len(index), len(state.joint)
-    joint = np.zeros((n + 2 * k, n + 2 * k))
-    joint[:n, :n] = P
-    joint[n:, :n] = G @ P[:3]
-    joint[:n, n:] = joint[n:, :n].T
-    joint[n:, n:] = G @ P[:3, :3] @ G.T
-    for i in range(k):
-        at = n + 2 * i
-        joint[at : at + 2, at : at + 2] += noise[i]
-    none = np.zeros(k, dtype=np.intp)
-    return replace(
-        state,
-        discs=np.concatenate([state.discs, discs]),
-        basis=np.concatenate([state.basis, basis]),
-        joint=joint,
-        hits=np.concatenate([state.hits, none + 1]),
-        missed=np.concatenate([state.missed, none]),
-    )
 
 
 def relocate(  # noqa: PLR0917
@@ -465,12 +372,12 @@ def relocate(  # noqa: PLR0917
     Attitude and map lose their correlation: what was found knows nothing of how the map came to be.
     """
     joint = state.joint.copy()
-    joint[:_CORE] = 0.0
-    joint[:, :_CORE] = 0.0
+    joint[:CORE] = 0.0
+    joint[:, :CORE] = 0.0
     joint[:3, :3] = sigma**2 * np.eye(3)
     spread = settings.start_rate_sigma if rate is None else 0.4 * settings.start_rate_sigma
     joint[3:6, 3:6] = (2.5 * spread) ** 2 * np.eye(3)
-    joint[6:_CORE, 6:_CORE] = usual_acceleration(settings) ** 2 * np.eye(3)
+    joint[6:CORE, 6:CORE] = usual_acceleration(settings) ** 2 * np.eye(3)
     return replace(
         state,
         stamp=stamp,
@@ -479,5 +386,5 @@ def relocate(  # noqa: PLR0917
         acceleration=np.zeros(3),
         joint=joint,
         weights=np.zeros(0),
-        process=np.zeros((_CORE, _CORE)),
+        process=np.zeros((CORE, CORE)),
     )
