@@ -35,7 +35,7 @@ demo: $(STAMP)
 
 picture: demo
 	mkdir -p docs/images
-	cp demo/overlay.png docs/images/overlay.png
+	$(BIN)/python -c "import cv2; cv2.imwrite('docs/images/overlay.jpg', cv2.imread('demo/overlay.png'), [1, 88])"
 
 test: $(STAMP)
 	$(BIN)/python -m pytest $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
