@@ -51,6 +51,7 @@ def spheremouse(
 
 def main() -> NoReturn:
     """The entry point: runs a command and turns what it raises into a message and an exit code."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what FFmpeg has to say of a file, our own errors say
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # unwinds, so that nothing is left half
     try:
         app(prog_name="spheremouse")
