@@ -52,7 +52,8 @@ def spheremouse(
 def main() -> NoReturn:
     """The entry point: runs a command and turns what it raises into a message and an exit code."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what FFmpeg has to say of a file, our own errors say
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # unwinds, so that nothing is left half
+    for number in (signal.SIGTERM, signal.SIGHUP) if hasattr(signal, "SIGHUP") else (signal.SIGTERM,):
+        signal.signal(number, lambda n, _: sys.exit(128 + n))  # unwinds, so that nothing is left half
     try:
         app(prog_name="spheremouse")
     except SpheremouseError as e:

@@ -52,6 +52,12 @@ class LossSettings:
     reset_after: float = param(
         1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", gt=0
     )
+    fastest: float = param(
+        20.0,
+        "rad/s",
+        "no hand turns the ball faster (1150 °/s): what says so is a wrong pairing, or a bumped camera",
+        gt=0,
+    )
     identify_sigma: float = param(0.003, "rad", "standard deviation of a direction when the map is searched", gt=0)
 
 
@@ -257,10 +263,10 @@ def _holds(state: TrackState, settings: LossSettings) -> bool:
     """Does the last frame hold the attitude?
 
     Two discs do, or one while it adds to what is known well; but only if they are at least half of what is seen: of
-    many false candidates a few always fit by chance.
+    many false candidates a few always fit by chance. And only at a rate that a hand can give.
     """
     used = len(state.filter.used)
-    if used == 0 or 2 * used < len(state.points):
+    if used == 0 or 2 * used < len(state.points) or np.linalg.norm(state.filter.rate) > settings.fastest:
         return False
     return used > 1 or bool(np.linalg.eigvalsh(state.filter.covariance[:3, :3])[-1] < settings.known_sigma**2)
 
