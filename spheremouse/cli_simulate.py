@@ -103,6 +103,10 @@ def _size(text: str) -> tuple[int, int]:
 def _distortion(text: str) -> tuple[float, float, float, float, float]:
     try:
         k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
+        if not all(abs(k) <= 2.0 for k in (k1, k2, p1, p2, k3)):  # nan, too: no lens bends more
+            raise ValueError(text)
     except ValueError:
-        raise ConfigurationError(f"--dist {text}: write five numbers k1,k2,p1,p2,k3, as in -0.1,0,0,0,0") from None
+        raise ConfigurationError(
+            f"--dist {text}: write five numbers k1,k2,p1,p2,k3 from -2 to 2, as in -0.1,0,0,0,0"
+        ) from None
     return k1, k2, p1, p2, k3
