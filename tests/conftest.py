@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 
@@ -18,3 +19,15 @@ def datasets_dir() -> Path:
 def far26() -> Path:
     """The reference recording far26, or a skip."""
     return datasets_dir() / "far26"
+
+
+def directions(n: int, seed: int, least: float = 0.2) -> np.ndarray:
+    """Unit vectors, (n, 3), of which no two are nearer than `least` rad."""
+    rng = np.random.default_rng(seed)
+    found: list[np.ndarray] = []
+    while len(found) < n:
+        d = rng.normal(size=3)
+        d /= np.linalg.norm(d)
+        if all(d @ other < np.cos(least) for other in found):
+            found.append(d)
+    return np.array(found)

@@ -4,6 +4,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pytest
+from conftest import directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -17,18 +18,6 @@ CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25
 SIGMA = np.deg2rad(0.1)
 NONE_SEEN = np.zeros((0, 3))
-
-
-def directions(n, seed, least=0.2):
-    """Unit vectors of which no two are nearer than `least` rad."""
-    rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < n:
-        d = rng.normal(size=3)
-        d /= np.linalg.norm(d)
-        if all(d @ other < np.cos(least) for other in found):
-            found.append(d)
-    return np.array(found)
 
 
 def anywhere(n, rng):

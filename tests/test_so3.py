@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import directions
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 from scipy.optimize import least_squares
@@ -23,19 +24,7 @@ SETTINGS = So3Settings()
 FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS)
 
 
-def directions(n, seed, least=0.3):
-    """Unit vectors of which no two are nearer than `least` rad."""
-    rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < n:
-        d = rng.normal(size=3)
-        d /= np.linalg.norm(d)
-        if all(d @ other < np.cos(least) for other in found):
-            found.append(d)
-    return np.array(found)
-
-
-DISCS = directions(26, 4)
+DISCS = directions(26, 4, 0.3)
 
 
 def points_at(direction, sigma=SIGMA, rng=None):
@@ -413,7 +402,7 @@ def test_spurious_points_do_not_raise_the_level():
     state, R = settled(rate=(0.0, 0.0, 0.0))
     for k in range(1, 20):
         p = seen(R)
-        ghosts = directions(6, 100 + k)
+        ghosts = directions(6, 100 + k, 0.3)
         ghosts[:, 2] = np.abs(ghosts[:, 2])
         ghosts = ghosts[np.max(ghosts @ (DISCS @ R.T).T, axis=1) < np.cos(0.15)]
         points = points_at(np.vstack([p[:3], ghosts]), rng=rng)

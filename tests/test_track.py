@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from conftest import directions
 from numpy.testing import assert_allclose
 
 from spheremouse.camera import InteriorOrientation, Pose, project
@@ -24,18 +25,6 @@ BOLTS = np.array([[300.0, 100.0], [250.0, 380.0], [420.0, 250.0], [200.0, 200.0]
 SO3 = Settings()
 ROLL = np.array([0.5, 0.15, 0.35])  # rad/s; phi stays away from 90 deg for the Euler filters
 trackers = pytest.mark.parametrize("name", ["so3", "ekf1", "ekf2"])
-
-
-def directions(n, seed, least=0.2):
-    """Unit vectors of which no two are nearer than `least` rad."""
-    rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < n:
-        d = rng.normal(size=3)
-        d /= np.linalg.norm(d)
-        if all(d @ other < np.cos(least) for other in found):
-            found.append(d)
-    return np.array(found)
 
 
 DISCS = directions(26, 0)

@@ -136,11 +136,11 @@ class DiscDetector:
         First with the size free, which tells discs from other things and the size all discs share; then with that size
         held, so that a disc cut by a strut is seen as cut, not as smaller.
         """
+        if len(start) == 0:
+            return no_detections()
         at = np.rint(start).astype(int)
         contrast = background - grey[at[:, 1], at[:, 0]]
         fit = DiscFit.begin(grey, self.mask, start, seen.shape, background, contrast, noise, self._blur, self.diameter)
-        if len(start) == 0:
-            return no_detections()
         fit = fit.step(1.0, 0.4 * self.settings.size_tolerance, np.inf)
         keep = fit.deep(0.5 * self.settings.contrast) & (np.abs(fit.size - 1.0) < 2.0 * self.settings.size_tolerance)
         if not np.any(keep):
