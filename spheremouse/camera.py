@@ -5,8 +5,10 @@ top-left pixel. Model: Wittich 2017, eq. 69-76 (with the errata of docs/conventi
 """
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
+from numba import njit
 
 from spheremouse.rotation import Array
 
@@ -27,6 +29,27 @@ class InteriorOrientation:
     def matrix(self) -> Array:
         """Camera matrix, (3, 3)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def intrinsic(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy in px."""
+        return self.fx, self.fy, self.cx, self.cy
+
+    @property
+    def fold_r2(self) -> float:
+        """Squared reduced radius at which the radial distortion stops growing, inf if it never does.
+
+        Beyond it pixels are met a second time, and some lens models grow once more: a solution there is not the ray.
+        """
+        k1, k2, _, _, k3 = self.distortion
+        return _fold_r2(float(k1), float(k2), float(k3))
+
+
+@cache
+def _fold_r2(k1: float, k2: float, k3: float) -> float:
+    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # d/dr of r (1 + k1 r² + k2 r⁴ + k3 r⁶), in r²
+    r2 = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
+    return float(np.min(r2, initial=np.inf))
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,25 +81,62 @@ def pose_from_matrix(T: Array, covariance: Array | None = None) -> Pose:
     return Pose(u @ vt, np.array(T, dtype=float)[:3, 3], np.zeros((6, 6)) if covariance is None else covariance)
 
 
-def distort(xy: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
-    """Ideal reduced coordinates x/z, y/z, (n, 2), to distorted ones, (n, 2), and their Jacobian, (n, 2, 2)."""
-    k1, k2, p1, p2, k3 = camera.distortion
-    x, y = xy[:, 0], xy[:, 1]
+@njit(cache=True, error_model="numpy")
+def distorted(x, y, k):
+    """Of ideal reduced coordinates x, y: the distorted ones, and the Jacobian xx, xy, yy (it is symmetric).
+
+    `k` (5,) is k1, k2, p1, p2, k3.
+    """
+    k1, k2, p1, p2, k3 = k[0], k[1], k[2], k[3], k[4]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3))  # d radial / d x = slope x
-    out = np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=1,
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y,
+        radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
     )
-    J = np.empty((len(xy), 2, 2))
-    J[:, 0, 0] = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-    J[:, 0, 1] = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-    J[:, 1, 0] = J[:, 0, 1]
-    J[:, 1, 1] = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+
+
+@njit(cache=True, error_model="numpy")
+def undistorted(u, v, k, fold):
+    """Of distorted reduced coordinates u, v: the ideal ones, and the Jacobian xx, xy, yy of `distorted` there.
+
+    Newton's method, in place of the fixed point of Wittich 2017, eq. 81-83. nan where no ray maps to that place: where
+    it does not converge, or beyond the squared radius `fold`.
+    """
+    x, y = u, v
+    step = np.inf
+    for _ in range(30):
+        a, b, xx, xy, yy = distorted(x, y, k)
+        det = xx * yy - xy * xy
+        if not abs(det) > 1e-9:
+            break
+        dx, dy = (yy * (u - a) - xy * (v - b)) / det, (xx * (v - b) - xy * (u - a)) / det
+        step = np.hypot(dx, dy)
+        short = min(1.0, 0.3 / max(step, 1e-300))  # a step limit keeps Newton on the near branch
+        x, y = x + short * dx, y + short * dy
+        if not step > 1e-13:
+            break
+    _, _, xx, xy, yy = distorted(x, y, k)
+    if not step < 1e-9 or xx * yy - xy * xy <= 0.0 or x * x + y * y >= fold:
+        return np.nan, np.nan, 1.0, 0.0, 1.0
+    return x, y, xx, xy, yy
+
+
+@njit(cache=True, error_model="numpy")
+def _distort(xy, k, out, J):
+    for i in range(len(xy)):
+        out[i, 0], out[i, 1], J[i, 0, 0], J[i, 0, 1], J[i, 1, 1] = distorted(xy[i, 0], xy[i, 1], k)
+        J[i, 1, 0] = J[i, 0, 1]
+
+
+def distort(xy: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
+    """Ideal reduced coordinates x/z, y/z, (n, 2), to distorted ones, (n, 2), and their Jacobian, (n, 2, 2)."""
+    out, J = np.empty((len(xy), 2)), np.empty((len(xy), 2, 2))
+    _distort(np.asarray(xy, dtype=np.float64), camera.distortion, out, J)
     return out, J
 
 
@@ -101,50 +161,26 @@ def project(points: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     return uv, duv_dxy @ dxy
 
 
+@njit(cache=True, error_model="numpy")
+def unprojected(uv, intrinsic, k, fold, xy, J):
+    """`unproject` into xy, (n, 2), and J, (n, 2, 2); `intrinsic` is fx, fy, cx, cy."""
+    fx, fy, cx, cy = intrinsic
+    for i in range(len(uv)):
+        x, y, xx, yx, yy = undistorted((uv[i, 0] - cx) / fx, (uv[i, 1] - cy) / fy, k, fold)
+        det = xx * yy - yx * yx
+        xy[i, 0], xy[i, 1] = x, y
+        J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = yy / det / fx, -yx / det / fy, -yx / det / fx, xx / det / fy
+
+
 def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     """Pixels, (n, 2), to ideal reduced coordinates x/z, y/z, (n, 2), and dxy_duv, (n, 2, 2).
 
-    Newton's method on the distortion, in place of the fixed point of Wittich 2017, eq. 81-83. Where the lens model
-    folds back (no ray maps to that pixel) the result is nan: a miss, not a guess.
+    Where the lens model folds back (no ray maps to that pixel) the result is nan: a miss, not a guess.
     """
-    f = np.array([camera.fx, camera.fy])
-    target = (np.asarray(uv, dtype=float).reshape(-1, 2) - (camera.cx, camera.cy)) / f
-    if not np.any(camera.distortion):
-        return target, np.broadcast_to(np.diag(1.0 / f), (len(target), 2, 2)).copy()
-    xy = target.copy()
-    J = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
-    step = np.full(len(xy), np.inf)
-    for _ in range(30):
-        d, J = distort(xy, camera)
-        det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
-        e = target - d
-        safe = np.where(np.abs(det) > 1e-9, det, np.nan)
-        dx = np.stack(
-            [J[:, 1, 1] * e[:, 0] - J[:, 0, 1] * e[:, 1], J[:, 0, 0] * e[:, 1] - J[:, 1, 0] * e[:, 0]], axis=1
-        )
-        dx /= safe[:, None]
-        length = np.linalg.norm(dx, axis=1, keepdims=True)
-        dx *= np.minimum(1.0, 0.3 / np.maximum(length, 1e-300))  # a step limit keeps Newton on the near branch
-        xy = xy + dx
-        step = np.linalg.norm(dx, axis=1)
-        if not np.any(step > 1e-13):
-            break
-    _, J = distort(xy, camera)
-    folded = ~(step < 1e-9) | (np.linalg.det(np.nan_to_num(J)) <= 0.0) | (np.sum(xy * xy, axis=1) >= _fold_r2(camera))
-    xy = np.where(folded[:, None], np.nan, xy)
-    J = np.where(folded[:, None, None], np.eye(2), J)
-    return xy, np.linalg.inv(J) / f  # columns: d/du, d/dv
-
-
-def _fold_r2(camera: InteriorOrientation) -> float:
-    """Squared reduced radius at which the radial distortion stops growing, inf if it never does.
-
-    Beyond it pixels are met a second time, and some lens models grow once more: a solution there is not the ray.
-    """
-    k1, k2, _, _, k3 = camera.distortion
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])  # d/dr of r (1 + k1 r² + k2 r⁴ + k3 r⁶), in r²
-    r2 = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
-    return float(np.min(r2, initial=np.inf))
+    uv = np.asarray(uv, dtype=float).reshape(-1, 2)
+    xy, J = np.empty((len(uv), 2)), np.empty((len(uv), 2, 2))
+    unprojected(uv, camera.intrinsic, camera.distortion, camera.fold_r2, xy, J)
+    return xy, J
 
 
 def project_circle(centre: Array, normal: Array, radius: Array | float) -> tuple[Array, Array]:

@@ -4,15 +4,16 @@ Wittich 2017, section 3.8 (eq. 110-120), by implicit differentiation in closed f
 adjustment per disc; both give the same covariance (tests/test_intersect.py).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose
+from spheremouse.camera import Pose, unprojected
 from spheremouse.detect.detections import Detections
-from spheremouse.rig import Rig, first_hits
-from spheremouse.rotation import Array, hat
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,13 +26,14 @@ class SpherePoints:
     image_covariance: Array  # (n, 3, 3) m², obj: the part that is new in every frame (image noise alone)
     dposition_dpose: Array  # (n, 3, 6) of the pose's error model: m, rad
     dposition_dball: Array  # (n, 3, 4) of centre and radius
+    delay: Array  # (n,) s from the frame's stamp to the exposure of the point's row (rolling shutter)
     index: NDArray[np.intp]  # (n,) into the detections
 
     def __len__(self) -> int:
         return len(self.position)
 
-    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> "SpherePoints":
-        """Those of a mask or of indices."""
+    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "SpherePoints":
+        """Those of a mask, of indices or of a slice."""
         return SpherePoints(
             self.position[keep],
             self.covariance[keep],
@@ -39,6 +41,7 @@ class SpherePoints:
             self.image_covariance[keep],
             self.dposition_dpose[keep],
             self.dposition_dball[keep],
+            self.delay[keep],
             self.index[keep],
         )
 
@@ -50,24 +53,88 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
-    hits = first_hits(detections.centre, rig, pose)
-    ray, s, index = hits.ray, hits.scale, hits.index
-    position = pose.position + s[:, None] * ray
-    normal = (position - rig.ball.centre) / rig.ball.radius
-    along = np.sum(normal * ray, axis=1)  # negative: the near side faces the camera
-    to_surface = ray / along[:, None]
-    slide = np.eye(3) - to_surface[:, :, None] * normal[:, None, :]
+    n, camera = len(detections), rig.camera
+    xy, dxy_duv = np.empty((n, 2)), np.empty((n, 2, 2))
+    unprojected(detections.centre, camera.intrinsic, camera.distortion, camera.fold_r2, xy, dxy_duv)
+    points = SpherePoints(
+        np.empty((n, 3)),
+        np.empty((n, 3, 3)),
+        np.empty((n, 3)),
+        np.empty((n, 3, 3)),
+        np.empty((n, 3, 6)),
+        np.empty((n, 3, 4)),
+        rig.readout_s * ((detections.centre[:, 1] + 0.5) / camera.height - 0.5),
+        np.empty(n, dtype=np.intp),
+    )
+    met = _intersect(
+        xy,
+        dxy_duv,
+        np.ascontiguousarray(detections.covariance),
+        np.ascontiguousarray(pose.rotation),
+        pose.position,
+        pose.covariance,
+        rig.ball.centre,
+        rig.ball.radius,
+        rig.ball.covariance,
+        points.position,
+        points.covariance,
+        points.direction,
+        points.image_covariance,
+        points.dposition_dpose,
+        points.dposition_dball,
+        points.index,
+    )
+    return points if met == n else replace(points.take(slice(met)), delay=points.delay[points.index[:met]])
 
-    dray_duv = pose.rotation[:, :2] @ hits.dxy_duv
-    J_image = slide @ (s[:, None, None] * dray_duv)
-    J_pose = np.concatenate([slide, slide @ (-s[:, None, None] * hat(ray))], axis=2)
-    J_ball = np.concatenate(
-        [to_surface[:, :, None] * normal[:, None, :], to_surface[:, :, None] * np.ones((1, 1, 1))], axis=2
-    )
-    image = J_image @ detections.covariance[index] @ J_image.transpose(0, 2, 1)
-    covariance = (
-        image
-        + J_pose @ pose.covariance @ J_pose.transpose(0, 2, 1)
-        + J_ball @ rig.ball.covariance @ J_ball.transpose(0, 2, 1)
-    )
-    return SpherePoints(position, covariance, normal, image, J_pose, J_ball, index)
+
+@njit(cache=True, error_model="numpy")
+def _intersect(
+    xy, dxy_duv, noise, rotation, P, pose_covariance, K, R, ball_covariance,
+    position, covariance, direction, image_covariance, J_pose, J_ball, index,
+):  # fmt: skip
+    """Fill the rows of what is met, the first of each array; returns how many. nan meets nothing."""
+    met = 0
+    to_centre = K - P
+    far = to_centre @ to_centre - R * R
+    ray, normal, J_image = np.empty(3), np.empty(3), np.empty((3, 2))
+    slide = np.empty((3, 3))
+    for i in range(len(xy)):
+        for j in range(3):
+            ray[j] = rotation[j, 0] * xy[i, 0] + rotation[j, 1] * xy[i, 1] + rotation[j, 2]
+        a, b = ray @ ray, ray @ to_centre
+        root = b * b - a * far
+        if not (root > 0.0 and b > 0.0):
+            continue
+        s = (b - np.sqrt(root)) / a
+        along = 0.0
+        for j in range(3):
+            position[met, j] = P[j] + s * ray[j]
+            normal[j] = (position[met, j] - K[j]) / R
+            direction[met, j] = normal[j]
+            along += normal[j] * ray[j]  # negative: the near side faces the camera
+        for j in range(3):
+            for k in range(3):
+                slide[j, k] = (1.0 if j == k else 0.0) - ray[j] / along * normal[k]
+                J_pose[met, j, k] = slide[j, k]
+                J_ball[met, j, k] = ray[j] / along * normal[k]
+            J_ball[met, j, 3] = ray[j] / along
+        for j in range(3):
+            # -s hat(ray), turned into the surface
+            J_pose[met, j, 3] = -s * (slide[j, 1] * ray[2] - slide[j, 2] * ray[1])
+            J_pose[met, j, 4] = -s * (slide[j, 2] * ray[0] - slide[j, 0] * ray[2])
+            J_pose[met, j, 5] = -s * (slide[j, 0] * ray[1] - slide[j, 1] * ray[0])
+            for k in range(2):
+                total = 0.0
+                for m in range(3):
+                    dray = rotation[m, 0] * dxy_duv[i, 0, k] + rotation[m, 1] * dxy_duv[i, 1, k]
+                    total += slide[j, m] * s * dray
+                J_image[j, k] = total
+        image_covariance[met] = J_image @ noise[i] @ J_image.T
+        covariance[met] = (
+            image_covariance[met]
+            + J_pose[met] @ pose_covariance @ J_pose[met].T
+            + J_ball[met] @ ball_covariance @ J_ball[met].T
+        )
+        index[met] = i
+        met += 1
+    return met

@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from spheremouse.associate import common_rotation, identify
 from spheremouse.camera import Pose, project
@@ -158,7 +159,12 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
     stage: Filter[Any]
     if settings.tracker == "so3":
         stage = So3Filter(
-            settings.so3, towards / distance, rig.ball.radius / distance, rig.disc_radius / rig.ball.radius
+            settings.so3,
+            towards / distance,
+            rig.ball.radius / distance,
+            rig.disc_radius / rig.ball.radius,
+            rig.ball.radius,
+            block_diag(pose.covariance, rig.ball.covariance),
         )
     elif settings.tracker == "ekf2":
         stage = StateDiscsFilter(settings.euler)

@@ -14,6 +14,7 @@ TOP = ("errors", "settings", "rotation")
 CORE = (
     *TOP,
     "camera",
+    "disc_map",
     "rig",
     "frame",
     "detect",

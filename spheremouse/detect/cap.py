@@ -8,19 +8,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import (
-    Pose,
-    ellipse_to_pixel,
-    project,
-    project_circle,
-    project_sphere,
-    reduced_to_pixel,
-)
+from spheremouse.camera import Pose, distorted, project_sphere, reduced_to_pixel
 from spheremouse.detect.detections import Image
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
+
+_CORNERS = 24  # of the polygon that stands for a distorted outline
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,26 +35,103 @@ class Appearance:
 
 
 def appearance(directions: Array, rig: Rig, pose: Pose) -> Appearance:
-    """Images of the discs at `directions`, (n, 3) unit vectors in `obj`. Values are nan where not `whole`."""
-    alpha = rig.disc_radius / rig.ball.radius
-    towards = pose.position - rig.ball.centre
-    distance = np.linalg.norm(towards)
-    # the horizon lies where the cosine to the camera's direction is R / distance; the rim is alpha further out
-    horizon = np.arccos(rig.ball.radius / distance)
-    whole = np.arccos(np.clip(directions @ (towards / distance), -1.0, 1.0)) < horizon - alpha
-    u = directions[whole]
+    """Images of the discs at `directions`, (n, 3) unit vectors in `obj`. Values are nan where not `whole`.
+
+    The lens bends an ellipse; its centroid is taken of the bent outline, its shape from the Jacobian at the centre.
+    """
     n = len(directions)
-    centre, centroid = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
-    shape, area = np.full((n, 2, 2), np.nan), np.full(n, np.nan)
-    if len(u):
-        R = rig.ball.radius
-        rim = pose.to_cam(rig.ball.centre + R * np.cos(alpha) * u)
-        c, S = project_circle(rim, u @ pose.rotation, R * np.sin(alpha))
-        centroid[whole], shape[whole] = ellipse_to_pixel(c, S, rig.camera)
-        centre[whole] = project(pose.to_cam(rig.ball.centre + R * u), rig.camera)[0]
-        S = shape[whole]
-        area[whole] = np.pi * np.sqrt(S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2)
-    return Appearance(centre, centroid, shape, area, whole)
+    seen = Appearance(np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n, dtype=np.bool_))
+    camera = rig.camera
+    _appearance(
+        np.ascontiguousarray(directions, dtype=np.float64),
+        rig.ball.centre,
+        rig.ball.radius,
+        rig.disc_radius / rig.ball.radius,
+        np.ascontiguousarray(pose.rotation),
+        pose.position,
+        camera.intrinsic,
+        camera.distortion,
+        seen.centre,
+        seen.centroid,
+        seen.shape,
+        seen.area,
+        seen.whole,
+    )
+    return seen
+
+
+@njit(cache=True, error_model="numpy")
+def _appearance(
+    directions, K, R, alpha, rotation, P, intrinsic, k, centre, centroid, shape, area, whole
+):  # fmt: skip
+    fx, fy, cx, cy = intrinsic
+    bent = np.any(k != 0.0)
+    tx, ty, tz = P[0] - K[0], P[1] - K[1], P[2] - K[2]
+    distance = np.sqrt(tx * tx + ty * ty + tz * tz)
+    # the horizon lies where the cosine to the camera's direction is R / distance; the rim is alpha further out
+    least = np.cos(np.arccos(R / distance) - alpha)
+    depth, r = R * np.cos(alpha), R * np.sin(alpha)
+    n, c, w = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(len(directions)):
+        u = directions[i]
+        whole[i] = u[0] * tx + u[1] * ty + u[2] * tz > least * distance
+        if not whole[i]:
+            centre[i], centroid[i], shape[i], area[i] = np.nan, np.nan, np.nan, np.nan
+            continue
+        for j in range(3):
+            n[j], c[j], w[j] = 0.0, 0.0, 0.0
+            for m in range(3):
+                a = rotation[m, j]
+                n[j] += a * u[m]
+                c[j] += a * (K[m] + depth * u[m] - P[m])
+                w[j] += a * (K[m] + R * u[m] - P[m])
+        a, b, _, _, _ = distorted(w[0] / w[2], w[1] / w[2], k)
+        centre[i, 0], centre[i, 1] = fx * a + cx, fy * b + cy
+        # dual conic C C' - r² (I - n n'): its middle and shape
+        zz = c[2] * c[2] - r * r * (1.0 - n[2] * n[2])
+        x, y = (c[0] * c[2] + r * r * n[0] * n[2]) / zz, (c[1] * c[2] + r * r * n[1] * n[2]) / zz
+        sxx = x * x - (c[0] * c[0] - r * r * (1.0 - n[0] * n[0])) / zz
+        sxy = x * y - (c[0] * c[1] + r * r * n[0] * n[1]) / zz
+        syy = y * y - (c[1] * c[1] - r * r * (1.0 - n[1] * n[1])) / zz
+        a, b, jxx, jxy, jyy = distorted(x, y, k)
+        # fx, fy and the lens' Jacobian on both sides of the shape
+        pxx, pxy = jxx * sxx + jxy * sxy, jxx * sxy + jxy * syy
+        pyx, pyy = jxy * sxx + jyy * sxy, jxy * sxy + jyy * syy
+        shape[i, 0, 0] = fx * fx * (pxx * jxx + pxy * jxy)
+        shape[i, 0, 1] = fx * fy * (pxx * jxy + pxy * jyy)
+        shape[i, 1, 0] = shape[i, 0, 1]
+        shape[i, 1, 1] = fy * fy * (pyx * jxy + pyy * jyy)
+        area[i] = np.pi * np.sqrt(shape[i, 0, 0] * shape[i, 1, 1] - shape[i, 0, 1] ** 2)
+        da, db = 0.0, 0.0
+        if bent:
+            da, db = _bent_centroid(x, y, sxx, sxy, syy, a, b, k)
+        centroid[i, 0], centroid[i, 1] = fx * (a + da) + cx, fy * (b + db) + cy
+
+
+@njit(cache=True, error_model="numpy")
+def _bent_centroid(x, y, sxx, sxy, syy, a, b, k):
+    """Centroid of an ellipse's distorted outline, from a, b: the distorted place of its centre."""
+    l11 = np.sqrt(sxx)
+    l21 = sxy / l11
+    l22 = np.sqrt(max(syy - l21 * l21, 0.0))
+    total, da, db = 0.0, 0.0, 0.0
+    first_p, first_q, p, q = 0.0, 0.0, 0.0, 0.0
+    for i in range(_CORNERS + 1):
+        if i < _CORNERS:
+            cos, sin = np.cos(2.0 * np.pi * i / _CORNERS), np.sin(2.0 * np.pi * i / _CORNERS)
+            u, v, _, _, _ = distorted(x + l11 * cos, y + l21 * cos + l22 * sin, k)
+            u, v = u - a, v - b
+        else:
+            u, v = first_p, first_q
+        if i == 0:
+            first_p, first_q = u, v
+        else:
+            cross = p * v - u * q
+            total += cross
+            da += (p + u) * cross
+            db += (q + v) * cross
+        p, q = u, v
+    return da / (3.0 * total), db / (3.0 * total)
 
 
 def ball_outline(rig: Rig, pose: Pose, points: int = 180) -> Array:

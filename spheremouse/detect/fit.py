@@ -1,16 +1,20 @@
-"""A disc's image fitted to pixels: expected ellipses in, centres, sizes and covariances out.
+"""Discs measured: the picture and the expected ellipses in, centres with their covariance and what tells a disc out.
 
-The measuring half of the default detector. Around each place the image is modelled by a sloped background minus a
-blurred ellipse of the shape that the geometry gives; pixels that fit neither (a strut, a highlight) are weighted down
-(Tukey's biweight). The covariance is that of the adjustment (Wittich 2017, chapter 5, names it as the next step).
+Around each place the picture is modelled by a sloped background minus a blurred ellipse whose shape the geometry gives:
+
+    I = b0 + b1 x + b2 y - (a0 + a1 x + a2 y) e(x - c; s)
+
+with the background b, the contrast a (gloss lightens print on one side), the centre c and the size s, by Gauss-Newton.
+Pixels that fit neither (a strut, a highlight) are weighted down (Tukey's biweight). The covariance is that of the
+adjustment (Wittich 2017, chapter 5, names it as the next step). Compiled: all per-pixel work is in the functions below.
 """
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
+import math
+from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from spheremouse.detect.detections import Image
 from spheremouse.rotation import Array
@@ -21,252 +25,505 @@ _CLEAR = 0.02  # part of a disc's darkness below which a pixel lies beside it
 _BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
 _SLOPE = 0.02  # 1/px: slope of the ball's shade, cos falls so fast 60 degrees off the light at 100 px radius
 _GLOSS = 0.3  # of the contrast, from a disc's centre to its rim: gloss lightens print on the side of the light
-_HELD = np.array([1, 2, 4, 5, 8])  # unknowns about which something is known beforehand
+_SIZE = 0.02  # discs cut from one sheet differ by this part of their size
+_RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
+_SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
+_LARGE = 3.0  # px, semi-minor axis from which a disc tells the size of all
+_LIMITS = np.array([0.35, 0.25, 0.25, 0.25, 0.25], dtype=np.float32)  # of the contrast: residuals beyond weigh nothing
+_STILL = 0.01  # px: a step this short is the last
+_UNKNOWNS = 9
+_EDGE = 3  # px around a patch that the smoothing needs
 
 
 @dataclass(frozen=True, slots=True)
-class Pixels:
-    """The pixels around n discs, disc after disc."""
+class Fits:
+    """What became of n places; numbers of a fit that came to nothing are meaningless."""
 
-    disc: NDArray[np.intp]  # (k,) whose
-    row: NDArray[np.intp]  # (k,) in the window
-    column: NDArray[np.intp]  # (k,)
-    x: Image  # (k,) px from the disc's start, float32 as all that is done per pixel
-    y: Image  # (k,)
-    of: list[slice]  # n slices into them
-
-    def take(self, discs: NDArray[np.bool_], pixels: NDArray[np.bool_]) -> "Pixels":
-        """The pixels of some of the discs, (n,) mask, which are those of `pixels`, (k,)."""
-        number = np.cumsum(discs) - 1
-        disc = number[self.disc[pixels]]
-        return Pixels(
-            disc, self.row[pixels], self.column[pixels], self.x[pixels], self.y[pixels], _runs(disc, int(discs.sum()))
-        )
-
-    @staticmethod
-    def around(start: Array, shape: Array, mask: Image, diameter: float) -> "Pixels":
-        """Those within _SURROUND px of the expected rim and on the ball (`mask`)."""
-        reach = int(np.ceil(diameter / 2 + _SURROUND))
-        span = np.arange(-reach, reach + 1)
-        base = np.rint(start).astype(int)
-        row = np.broadcast_to(base[:, 1, None, None] + span[:, None], (len(start), len(span), len(span)))
-        column = np.broadcast_to(base[:, 0, None, None] + span[None, :], row.shape)
-        x, y = column - start[:, 0, None, None], row - start[:, 1, None, None]
-        inverse = np.linalg.inv(_grown(shape, _SURROUND))
-        q = inverse[:, 0, 0, None, None] * x * x + inverse[:, 1, 1, None, None] * y * y
-        q += 2.0 * inverse[:, 0, 1, None, None] * x * y
-        height, width = mask.shape
-        near = (q < 1.0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
-        near[near] = mask[row[near], column[near]] > 0
-        disc = np.nonzero(near)[0]
-        x, y = x[near].astype(np.float32), y[near].astype(np.float32)
-        return Pixels(disc, row[near], column[near], x, y, _runs(disc, len(start)))
-
-
-def _runs(disc: NDArray[np.intp], n: int) -> list[slice]:
-    """Where each of n discs has its pixels; `disc` is sorted."""
-    return [slice(int(a), int(b)) for a, b in pairwise(np.searchsorted(disc, np.arange(n + 1)))]
+    ok: NDArray[np.bool_]  # (n,) a disc
+    centroid: Array  # (n, 2) px, of the disc's image
+    covariance: Array  # (n, 2, 2) px², from the pixels alone
+    rim: Array  # (n,) part of the rim on the ball that fits
 
 
 @dataclass(frozen=True, slots=True)
-class DiscFit:
-    """I = b0 + b1 x + b2 y - (a0 + a1 x + a2 y) e(x - c; s) around n places, by Gauss-Newton with Tukey weights.
+class FitSettings:
+    """What the fit needs to know of discs and camera, in pixels of the picture reduced `reduction` times."""
 
-    e is the blurred ellipse; unknown are the background b (3), the contrast a (3: gloss lightens print on one side),
-    the centre c (2) and the size s, each counted from the disc's start. All pixels of all discs lie in one row: what is
-    done to one is done to all at once.
+    reduction: int  # so many pixels squared are averaged to one before all else
+    light: bool  # discs lighter than the ball
+    kernel: Array  # (2 _EDGE + 1,) float32, the smoothing
+    blur: float  # px, standard deviation of a rim's blur: pixels, lens and smoothing
+    contrast: float  # least contrast over the background
+    size_tolerance: float
+    rim: float  # least part of the rim that fits
+
+
+def measure(
+    image: Image,
+    mask: Image,
+    place: Array,
+    shape: Array,
+    noise: float,
+    settings: FitSettings,
+    share: float = 1.0,
+    size: float = 0.0,
+) -> Fits:
+    """Fit n discs expected at `place`, (n, 2) px, with `shape`, (n, 2, 2) px², in an image (h, w, c) of uint8.
+
+    `mask` (h, w) is not 0 on the ball, `noise` is that of one pixel. First the size is free, which tells discs from
+    other things and the size all discs share; then it is held at that, so that a disc cut by a strut is seen as cut,
+    not as smaller. Where fewer than three tell it, `size` (fitted over expected) is taken, or 1 if that is 0. Of the
+    contrast that is asked for, `share` is enough.
     """
-
-    pixels: Pixels
-    image: Image  # (k,) grey values
-    start: Array  # (n, 2) px
-    inverse: Image  # (k, 3) xx, xy, yy of the expected shape's inverse
-    scale: Array  # (n,) grey values, least deviation of a good pixel
-    noise: float  # grey values
-    blur: float  # px
-    gloss: Array  # (n,) 1/px, standard deviation of the contrast's slope over the contrast
-    x: Array  # (n, 9) b0, b1, b2, a0, a1, a2, cx, cy, s
-    e: Image  # (k,)
-    de: Image  # (3, k)
-    weight: Image  # (k,)
-    normal: Array  # (n, 9, 9)
-    last: Array  # (n, 9) the last step
-
-    @staticmethod
-    def begin(  # noqa: PLR0917
-        grey: Image,
-        mask: Image,
-        start: Array,
-        shape: Array,
-        background: Array,
-        contrast: Array,
-        noise: float,
-        blur: float,
-        diameter: float,
-    ) -> "DiscFit":
-        """The model as expected; pixels beside the disc that are not the ball's (a strut) have no weight."""
-        n = len(start)
-        pixels = Pixels.around(start, shape, mask, diameter)
-        image = grey[pixels.row, pixels.column]
-        contrast = np.maximum(contrast, 1.0)
-        inverse = np.linalg.inv(shape).reshape(n, 4)[:, [0, 1, 3]].astype(np.float32)[pixels.disc]
-        x = np.zeros((n, 9))
-        x[:, 0], x[:, 3], x[:, 8] = background, contrast, 1.0
-        e, de = _blurred_ellipse(pixels, x, inverse, blur)
-        foreign = np.abs(image - background[pixels.disc]) > (_BESIDE * contrast + 4.0 * noise)[pixels.disc]
-        weight = np.where(foreign & (e < _CLEAR), 0.0, 1.0).astype(np.float32)
-        scale = np.maximum(noise, _UNEVEN * contrast)
-        minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(shape), 0.0)).T
-        # across a sliver a slope of the contrast and a shift of the centre look alike: there it is taken for even
-        gloss = _GLOSS / major * np.clip((minor - blur) / 1.5, 0.01, 1.0)
-        return DiscFit(
-            pixels,
+    n = len(place)
+    f = settings.reduction
+    ok, centroid, covariance, rim = np.zeros(n, dtype=np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)), np.zeros(n)
+    if n:
+        _measure(
             image,
-            start,
-            inverse,
-            scale,
-            noise,
-            blur,
-            gloss,
-            x,
-            e,
-            de,
-            weight,
-            np.zeros((n, 9, 9)),
-            np.zeros((n, 9)),
+            mask,
+            place,
+            np.ascontiguousarray(shape),
+            np.float32(noise / f),
+            f,
+            settings.light,
+            settings.kernel,
+            settings.blur,
+            share * settings.contrast,
+            settings.size_tolerance,
+            settings.rim,
+            size,
+            ok,
+            centroid,
+            covariance,
+            rim,
         )
-
-    def step(self, size: Array | float, size_sigma: Array | float, limit: float) -> "DiscFit":
-        """One Gauss-Newton step; s is drawn to `size` with `size_sigma`, and residuals beyond `limit` of the contrast
-        lose their pixels' weight (infinite: the weights stay as they are).
-        """
-        disc, x = self.pixels.disc, self.x.copy()
-        p = x.astype(np.float32)[disc]
-        # columns b0 b1 b2 a0 a1 a2 cx cy s of the Jacobian, then the residual
-        A = np.empty((10, len(disc)), np.float32)
-        A[0], A[1], A[2] = 1.0, self.pixels.x, self.pixels.y
-        np.multiply(A[:3], -self.e, out=A[3:6])
-        contrast = np.einsum("ik,ki->k", A[:3], p[:, 3:6])
-        np.multiply(self.de, -contrast, out=A[6:9])
-        residual = A[9]
-        np.subtract(self.image, np.einsum("ik,ki->k", A[:6], p[:, :6]), out=residual)
-        weight = self.weight
-        if np.isfinite(limit):
-            floor = 4.685 * self.scale
-            bound = np.maximum(limit * x[:, 3], floor).astype(np.float32)[disc]
-            # beside the disc no rim has to settle: what differs there is foreign
-            beside = np.maximum(_BESIDE * x[:, 3], floor).astype(np.float32)[disc]
-            bound = np.where(self.e < _CLEAR, np.minimum(bound, beside), bound)
-            weight = np.square(np.maximum(0.0, 1.0 - np.square(residual / bound)))
-        Aw = A[:9] * weight
-        products = np.array([Aw[:, k] @ A[:, k].T for k in self.pixels.of], dtype=float)
-        N, gradient = products[:, :, :9] + 1e-6 * np.eye(9), products[:, :, 9]
-        # what is expected of the slopes and the size, as observations: a ball's shade slopes little, and what does more
-        # is a strut; gloss slopes the contrast; a sliver cannot tell size from contrast, there the known size decides
-        held = np.stack([x[:, 1], x[:, 2], x[:, 4], x[:, 5], x[:, 8] - size], axis=1)
-        shade = _SLOPE * np.maximum(x[:, 0], 1.0)
-        gloss = self.gloss * np.maximum(x[:, 3], 1.0)
-        sigma = np.stack(np.broadcast_arrays(shade, shade, gloss, gloss, size_sigma), axis=1)
-        hold = (self.scale[:, None] / sigma) ** 2
-        N[:, _HELD, _HELD] += hold
-        gradient[:, _HELD] -= hold * held
-        step = np.linalg.solve(N, gradient[:, :, None])[:, :, 0]
-        step[:, 6:8] = np.clip(step[:, 6:8], -1.0, 1.0)
-        step[:, 8] = np.clip(step[:, 8], -0.2, 0.2)
-        x += step
-        x[:, 8] = np.clip(x[:, 8], 0.3, 2.5)
-        e, de = _blurred_ellipse(self.pixels, x, self.inverse, self.blur)
-        return replace(self, x=x, e=e, de=de, weight=weight, normal=N, last=step)
-
-    def take(self, keep: NDArray[np.bool_]) -> "DiscFit":
-        """The fits of a mask, (n,)."""
-        pixels = keep[self.pixels.disc]
-        return replace(
-            self,
-            pixels=self.pixels.take(keep, pixels),
-            image=self.image[pixels],
-            start=self.start[keep],
-            inverse=self.inverse[pixels],
-            scale=self.scale[keep],
-            gloss=self.gloss[keep],
-            x=self.x[keep],
-            e=self.e[pixels],
-            de=self.de[:, pixels],
-            weight=self.weight[pixels],
-            normal=self.normal[keep],
-            last=self.last[keep],
-        )
-
-    @property
-    def centre(self) -> Array:
-        """(n, 2) px in the window."""
-        return self.start + self.x[:, 6:8]
-
-    @property
-    def size(self) -> Array:
-        """(n,) fitted over expected."""
-        return self.x[:, 8]
-
-    def deep(self, contrast: float) -> NDArray[np.bool_]:
-        """(n,) whose contrast is more than this part of the background, and than noise."""
-        b0, b1, b2, a, _, _, cx, cy, _ = self.x.T
-        return a > np.maximum(contrast * (b0 + b1 * cx + b2 * cy), 4.0 * self.noise)
-
-    def settled(self) -> NDArray[np.bool_]:
-        """(n,) whose centre moved by less than a tenth of a pixel in the last step."""
-        return np.abs(self.last[:, 6:8]).max(axis=1) < 0.1
-
-    def rim(self) -> Array:
-        """(n,) px, length of the rim that fits."""
-        rim = np.hypot(self.de[0], self.de[1])
-        return np.array([rim[k] @ self.weight[k] for k in self.pixels.of])
-
-    def covariance(self) -> Array:
-        """(n, 2, 2) px² of the centres, from the residuals' own variance, or the noise where that is more."""
-        p = self.x[self.pixels.disc]
-        base = np.stack([np.ones_like(self.e), self.pixels.x, self.pixels.y])
-        model = np.einsum("ik,ki->k", base, p[:, :3]) - self.e * np.einsum("ik,ki->k", base, p[:, 3:6])
-        squares = self.weight * (self.image - model) ** 2
-        freedom = np.array([self.weight[k].sum() for k in self.pixels.of]) - 9.0
-        misfit = np.array([squares[k].sum() for k in self.pixels.of]) / np.maximum(freedom, 1.0)
-        variance = np.maximum(misfit, self.noise**2)
-        return np.asarray(np.linalg.inv(self.normal)[:, 6:8, 6:8] * variance[:, None, None], dtype=float)
+    return Fits(ok, centroid, covariance, rim)
 
 
-def _grown(shape: Array, margin: float) -> Array:
-    """Ellipses, (n, 2, 2), whose axes are longer by `margin` px."""
-    values, vectors = np.linalg.eigh(shape)
-    values = (np.sqrt(np.maximum(values, 0.0)) + margin) ** 2
-    return (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1)
+def smoothing_kernel(sigma: float) -> Array:
+    """Gaussian, (7,) float32, of up to one pixel of standard deviation."""
+    x = np.arange(-_EDGE, _EDGE + 1)
+    g = np.exp(-0.5 * (x / max(sigma, 1e-3)) ** 2)
+    return np.asarray(g / g.sum(), dtype=np.float32)
 
 
-def _blurred_ellipse(pixels: Pixels, x: Array, inverse: Image, blur: float) -> tuple[Image, Image]:
-    """e, (k,), of every pixel and its derivatives by centre x, y and size, (3, k).
+@njit(cache=True, fastmath=True, error_model="numpy")
+def noise_of(image, top, bottom, left, right):
+    """Standard deviation of one pixel's grey value, from second differences along sixteen rows of a window.
 
-    With rho^2 = (x - c)^T S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
-    a strip of that width, blurred, is e = L(ahead) + L(behind) - 1. L is the logistic function of the Gaussian's
-    width: within 1 % of it, and its own derivative.
+    Their median: half of the pixels may be edges. Colour takes its green, which weighs most in grey.
     """
-    c = x[:, 6:9].astype(np.float32)[pixels.disc]
-    dx, dy, size = pixels.x - c[:, 0], pixels.y - c[:, 1], c[:, 2]
-    gx = inverse[:, 0] * dx + inverse[:, 1] * dy
-    gy = inverse[:, 1] * dx + inverse[:, 2] * dy
-    rho = np.sqrt(np.maximum(gx * dx + gy * dy, 1e-9))
-    slope = np.sqrt(np.maximum(gx * gx + gy * gy, 1e-12))  # times rho
-    steep = rho / slope
-    steep *= 1.702 / blur
-    near, far = size * steep, rho * steep
-    ahead, behind = expit(near - far), expit(near + far)
-    bell_ahead, bell_behind = steep * ahead * (1.0 - ahead), steep * behind * (1.0 - behind)
-    by_rho = (bell_ahead - bell_behind) / rho  # minus de/drho; rho falls by g / rho along dc
-    de = np.empty((3, len(rho)), np.float32)
-    np.multiply(by_rho, gx, out=de[0])
-    np.multiply(by_rho, gy, out=de[1])
-    np.add(bell_ahead, bell_behind, out=de[2])
-    return ahead + behind - 1.0, de
+    channel = 1 if image.shape[2] == 3 else 0
+    count = np.zeros(1024, dtype=np.int64)
+    total = 0
+    step = max((bottom - top) // 16, 1)
+    for i in range(top + step // 2, bottom, step):
+        for j in range(left + 1, right - 1):
+            d = 2 * int(image[i, j, channel]) - int(image[i, j - 1, channel]) - int(image[i, j + 1, channel])
+            count[abs(d)] += 1
+            total += 1
+    below = 0
+    for d in range(1024):
+        if 2 * (below + count[d]) >= total:
+            # of whole numbers the median lies within the step: interpolated
+            return max((d - 0.5 + (0.5 * total - below) / max(count[d], 1)) * 1.4826 / np.sqrt(6.0), 0.29)
+        below += count[d]
+    return 0.29
 
 
-def _median(values: Array) -> float:
-    """Upper median, without what np.median adds to it: this runs a hundred times a frame."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle]) if len(values) else 0.0
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _patch(image, light, f, top, left, kernel, raw, across, out):
+    """Smoothed grey of a window that begins at row `top` and column `left` of the reduced picture: into `out`.
+
+    Beyond the picture's edge its last row and column are repeated.
+    """
+    height, width, channels = image.shape
+    h, w = out.shape
+    scale = np.float32(1.0 / (f * f))
+    for i in range(h + 2 * _EDGE):
+        for j in range(w + 2 * _EDGE):
+            value = np.float32(0.0)
+            for di in range(f):
+                y = min(max((top + i - _EDGE) * f + di, 0), height - 1)
+                for dj in range(f):
+                    x = min(max((left + j - _EDGE) * f + dj, 0), width - 1)
+                    if channels == 3:
+                        value += (
+                            np.float32(0.114) * image[y, x, 0]
+                            + np.float32(0.587) * image[y, x, 1]
+                            + np.float32(0.299) * image[y, x, 2]
+                        )
+                    else:
+                        value += np.float32(image[y, x, 0])
+            value *= scale
+            raw[i, j] = np.float32(255.0) - value if light else value
+    for i in range(h + 2 * _EDGE):
+        for j in range(w):
+            across[i, j] = 0.0
+        for k in range(2 * _EDGE + 1):
+            for j in range(w):
+                across[i, j] += kernel[k] * raw[i, j + k]
+    for i in range(h):
+        for j in range(w):
+            out[i, j] = 0.0
+        for k in range(2 * _EDGE + 1):
+            for j in range(w):
+                out[i, j] += kernel[k] * across[i + k, j]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _phi(x):
+    """Gaussian distribution function of sqrt(2) x, x >= 0, less a half; and its derivative by x.
+
+    Abramowitz and Stegun 1964, 7.1.27: within 3e-4, the derivative that of the approximation.
+    """
+    one = np.float32(1.0)
+    p = one + x * (
+        np.float32(0.278393) + x * (np.float32(0.230389) + x * (np.float32(0.000972) + x * np.float32(0.078108)))
+    )
+    dp = np.float32(0.278393) + x * (np.float32(0.460778) + x * (np.float32(0.002916) + x * np.float32(0.312432)))
+    inverse = one / p
+    square = inverse * inverse
+    tail = np.float32(0.5) * square * square
+    return np.float32(0.5) - tail, np.float32(4.0) * tail * inverse * dp
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _ellipse(n, px, py, xx, xy, yy, cx, cy, size, blur, e, d):
+    """e of n pixels, and its derivatives by centre and size: rows of d, (3, n).
+
+    With rho² = (x - c)' S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
+    a strip of that width, blurred, is e = Phi(ahead) + Phi(behind) - 1.
+    """
+    per_blur = np.float32(0.70710678) / blur
+    by_x, by_y, by_size = d[0], d[1], d[2]
+    for i in range(n):
+        dx, dy = px[i] - cx, py[i] - cy
+        gx, gy = xx * dx + xy * dy, xy * dx + yy * dy
+        rho = np.sqrt(gx * dx + gy * dy + np.float32(1e-6))
+        steep = rho / np.sqrt(gx * gx + gy * gy + np.float32(1e-12)) * per_blur
+        z = (size - rho) * steep
+        ahead, bell_ahead = _phi(abs(z))
+        behind, bell_behind = _phi((size + rho) * steep)
+        by_rho = (bell_ahead - bell_behind) * steep / rho  # minus de/drho; rho falls by g / rho along dc
+        e[i] = math.copysign(ahead, z) + behind
+        by_x[i] = by_rho * gx
+        by_y[i] = by_rho * gy
+        by_size[i] = (bell_ahead + bell_behind) * steep
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
+    """Of n pixels: columns of the Jacobian into A, (9, n), weighted into Aw; N, (9, 9), and gradient g, (9,)."""
+    b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
+    a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
+    for i in range(n):
+        contrast = a0 + a1 * px[i] + a2 * py[i]
+        A[0, i] = 1.0
+        A[1, i] = px[i]
+        A[2, i] = py[i]
+        A[3, i] = -e[i]
+        A[4, i] = -e[i] * px[i]
+        A[5, i] = -e[i] * py[i]
+        A[6, i] = -contrast * d[0, i]
+        A[7, i] = -contrast * d[1, i]
+        A[8, i] = -contrast * d[2, i]
+        A[9, i] = grey[i] - (b0 + b1 * px[i] + b2 * py[i] - contrast * e[i])
+    for j in range(_UNKNOWNS):
+        for i in range(n):
+            Aw[i] = A[j, i] * weight[i]
+        for k in range(j, _UNKNOWNS + 1):
+            total = np.float32(0.0)
+            for i in range(n):
+                total += Aw[i] * A[k, i]
+            if k < _UNKNOWNS:
+                N[j, k] = total
+                N[k, j] = total
+            else:
+                g[j] = total
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _biweight(n, px, py, grey, e, x, limit, scale, weight):
+    """Tukey's weights of n residuals: beyond `limit` of the contrast none, beside the disc sooner."""
+    b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
+    a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
+    floor = np.float32(4.685) * scale
+    bound = max(limit * a0, floor)
+    beside = min(max(np.float32(_BESIDE) * a0, floor), bound)
+    # beside the disc no rim has to settle: what differs there is foreign
+    near, far = np.float32(1.0) / (bound * bound), np.float32(1.0) / (beside * beside)
+    for i in range(n):
+        r = grey[i] - (b0 + b1 * px[i] + b2 * py[i] - (a0 + a1 * px[i] + a2 * py[i]) * e[i])
+        u = max(np.float32(1.0) - r * r * (far if e[i] < np.float32(_CLEAR) else near), np.float32(0.0))
+        weight[i] = u * u
+
+
+@njit(cache=True, error_model="numpy")
+def _cholesky(N, n):
+    """Lower factor of N, in place."""
+    for j in range(n):
+        for k in range(j):
+            N[j, j] -= N[j, k] * N[j, k]
+        N[j, j] = np.sqrt(max(N[j, j], 1e-12))
+        for i in range(j + 1, n):
+            for k in range(j):
+                N[i, j] -= N[i, k] * N[j, k]
+            N[i, j] /= N[j, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(L, b, n):
+    """b of L L' x = b becomes x."""
+    for i in range(n):
+        for k in range(i):
+            b[i] -= L[i, k] * b[k]
+        b[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            b[i] -= L[k, i] * b[k]
+        b[i] /= L[i, i]
+
+
+@njit(cache=True, error_model="numpy")
+def _step(N, g, x, scale, gloss, size, size_sigma, damping):
+    """One Gauss-Newton step of x, (9,), times `damping` (weights that come and go let a full step swing).
+
+    N becomes its factor. Returns the length of the centre's full step, px.
+
+    What is expected of the slopes and the size comes in as observations: a ball's shade slopes little, and what does
+    more is a strut; gloss slopes the contrast; a sliver cannot tell size from contrast, there the known size decides.
+    """
+    shade = (scale / (_SLOPE * max(x[0], 1.0))) ** 2
+    gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
+    hold = (scale / size_sigma) ** 2
+    for k in range(1, 3):
+        N[k, k] += shade
+        g[k] -= shade * x[k]
+        N[k + 3, k + 3] += gleam
+        g[k + 3] -= gleam * x[k + 3]
+    N[8, 8] += hold
+    g[8] -= hold * (x[8] - size)
+    for k in range(_UNKNOWNS):
+        N[k, k] += 1e-6
+    _cholesky(N, _UNKNOWNS)
+    _solve(N, g, _UNKNOWNS)
+    g[6] = min(max(g[6], -1.0), 1.0)
+    g[7] = min(max(g[7], -1.0), 1.0)
+    g[8] = min(max(g[8], -0.2), 0.2)
+    for k in range(_UNKNOWNS):
+        x[k] += damping * g[k]
+    x[8] = min(max(x[8], 0.3), 2.5)
+    return max(abs(g[6]), abs(g[7]))
+
+
+@njit(cache=True, error_model="numpy")
+def _semi_axes(sxx, sxy, syy):
+    """Minor and major semi-axis of an ellipse."""
+    mean, half = 0.5 * (sxx + syy), np.hypot(0.5 * (sxx - syy), sxy)
+    return np.sqrt(max(mean - half, 1e-6)), np.sqrt(max(mean + half, 1e-6))
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _plane(n, px, py, grey, weight, x):
+    """Level and slopes of weighted grey values: into x[:3]."""
+    sw, sx, sy, sg, sxx, sxy, syy, sxg, syg = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        w = weight[i]
+        sw += w
+        sx += w * px[i]
+        sy += w * py[i]
+        sg += w * grey[i]
+        sxx += w * px[i] * px[i]
+        sxy += w * px[i] * py[i]
+        syy += w * py[i] * py[i]
+        sxg += w * px[i] * grey[i]
+        syg += w * py[i] * grey[i]
+    if sw < 3.0:
+        return
+    mx, my, mg = sx / sw, sy / sw, sg / sw
+    cxx, cxy, cyy = sxx - sw * mx * mx + 1e-3, sxy - sw * mx * my, syy - sw * my * my + 1e-3
+    cxg, cyg = sxg - sw * mx * mg, syg - sw * my * mg
+    det = cxx * cyy - cxy * cxy
+    x[1] = (cyy * cxg - cxy * cyg) / det
+    x[2] = (cxx * cyg - cxy * cxg) / det
+    x[0] = mg - x[1] * mx - x[2] * my
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _keep_near(n, px, py, grey, e, x, noise, weight):
+    """Weight 1 for what is beside the disc and within 1.5 mean deviations of the plane x[:3], else 0."""
+    b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
+    total, count = np.float32(0.0), np.float32(1e-3)
+    for i in range(n):
+        total += weight[i] * abs(grey[i] - b0 - b1 * px[i] - b2 * py[i])
+        count += weight[i]
+    off = max(np.float32(1.5) * total / count, np.float32(2.0) * noise)
+    for i in range(n):
+        near = abs(grey[i] - b0 - b1 * px[i] - b2 * py[i]) < off and e[i] < np.float32(_CLEAR)
+        weight[i] = np.float32(1.0) if near else np.float32(0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _measure(
+    image, mask, place, shape, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, size_known,
+    ok, centroid, covariance, rim,
+):  # fmt: skip
+    n = len(place)
+    widest = 0.0
+    for k in range(n):
+        widest = max(widest, shape[k, 0, 0], shape[k, 1, 1])
+    reach = int(np.ceil(np.sqrt(widest) / f + _SURROUND)) + 1
+    side = 2 * reach + 1
+    most = side * side
+    raw = np.empty((side + 2 * _EDGE, side + 2 * _EDGE), dtype=np.float32)
+    across = np.empty((side + 2 * _EDGE, side), dtype=np.float32)
+    patch = np.empty((side, side), dtype=np.float32)
+    px, py = np.empty((n, most), dtype=np.float32), np.empty((n, most), dtype=np.float32)
+    grey, weight = np.empty((n, most), dtype=np.float32), np.empty((n, most), dtype=np.float32)
+    e = np.empty((n, most), dtype=np.float32)
+    d = np.empty((n, 3, most), dtype=np.float32)
+    A, Aw = np.empty((10, most), dtype=np.float32), np.empty(most, dtype=np.float32)
+    count = np.zeros(n, dtype=np.int64)
+    x = np.zeros((n, _UNKNOWNS))
+    N, g = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+    inverse = np.zeros((n, 3), dtype=np.float32)
+    scale, gloss, minor = np.zeros(n), np.zeros(n), np.zeros(n)
+    sizes, tell = np.zeros(n), 0
+    b = np.float32(blur)
+    for k in range(n):
+        sxx, sxy, syy = shape[k, 0, 0] / f**2, shape[k, 0, 1] / f**2, shape[k, 1, 1] / f**2
+        det = sxx * syy - sxy * sxy
+        if not (det > 1e-3 and np.isfinite(place[k, 0] + place[k, 1])):
+            continue
+        minor[k], major = _semi_axes(sxx, sxy, syy)
+        inverse[k, 0], inverse[k, 1], inverse[k, 2] = syy / det, -sxy / det, sxx / det
+        # the ellipse whose axes are longer by the surround: same axes, so a combination of S and I
+        lo, hi = minor[k] ** 2, major**2
+        glo, ghi = (minor[k] + _SURROUND) ** 2, (major + _SURROUND) ** 2
+        slope = (ghi - glo) / (hi - lo) if hi - lo > 1e-9 * hi else 1.0
+        gxx, gxy, gyy = glo + slope * (sxx - lo), slope * sxy, glo + slope * (syy - lo)
+        gdet = gxx * gyy - gxy * gxy
+        half_w, half_h = int(np.ceil(np.sqrt(gxx))), int(np.ceil(np.sqrt(gyy)))
+        u0, v0 = (place[k, 0] - 0.5 * (f - 1)) / f, (place[k, 1] - 0.5 * (f - 1)) / f  # px of the reduced picture
+        left, top = int(np.rint(u0)) - half_w, int(np.rint(v0)) - half_h
+        h, w = 2 * half_h + 1, 2 * half_w + 1
+        if h > side or w > side:
+            continue
+        _patch(image, light, f, top, left, kernel, raw, across, patch[:h, :w])
+        m = 0
+        for i in range(h):
+            y = top + i
+            v = y * f + f // 2
+            if v < 0 or v >= mask.shape[0] or y * f + f > image.shape[0] or y < 0:
+                continue
+            dy = np.float32(y - v0)
+            for j in range(w):
+                z = left + j
+                u = z * f + f // 2
+                if u < 0 or u >= mask.shape[1] or z * f + f > image.shape[1] or z < 0 or mask[v, u] == 0:
+                    continue
+                dx = np.float32(z - u0)
+                if gyy * dx * dx - 2.0 * gxy * dx * dy + gxx * dy * dy < gdet:
+                    px[k, m], py[k, m], grey[k, m] = dx, dy, patch[i, j]
+                    m += 1
+        if m < 2 * _UNKNOWNS:
+            continue
+        q = inverse[k]
+        _ellipse(m, px[k], py[k], q[0], q[1], q[2], np.float32(0.0), np.float32(0.0), np.float32(1.0), b, e[k], d[k])
+        # the ball's shade beside the disc to begin with: a plane, twice, the second time without what lies off it
+        beside = 0
+        for i in range(m):
+            weight[k, i] = 1.0 if e[k, i] < _CLEAR else 0.0
+            beside += e[k, i] < _CLEAR
+        if beside < _UNKNOWNS:
+            continue
+        for _ in range(2):
+            _plane(m, px[k], py[k], grey[k], weight[k], x[k])
+            _keep_near(m, px[k], py[k], grey[k], e[k], x[k], np.float32(noise), weight[k])
+        _plane(m, px[k], py[k], grey[k], weight[k], x[k])
+        above, sum_e = 0.0, 0.0
+        for i in range(m):
+            if e[k, i] > 0.3:
+                above += e[k, i] * (x[k, 0] + x[k, 1] * px[k, i] + x[k, 2] * py[k, i] - grey[k, i])
+                sum_e += e[k, i] * e[k, i]
+        a = above / max(sum_e, 1e-3)
+        if a < max(0.3 * contrast * x[k, 0], 2.0 * noise):
+            continue
+        x[k, 3], x[k, 8] = a, 1.0
+        scale[k] = max(noise, _UNEVEN * a)
+        # across a sliver a slope of the contrast and a shift of the centre look alike: there it is taken for even
+        gloss[k] = _GLOSS / major * min(max((minor[k] - blur) / 1.5, 0.01), 1.0)
+        foreign = _BESIDE * a + 4.0 * noise
+        for i in range(m):
+            r = grey[k, i] - x[k, 0] - x[k, 1] * px[k, i] - x[k, 2] * py[k, i]
+            weight[k, i] = 0.0 if e[k, i] < _CLEAR and abs(r) > foreign else 1.0
+        for turn in range(2):
+            if turn > 0:
+                _biweight(m, px[k], py[k], grey[k], e[k], x[k], np.float32(0.5), np.float32(scale[k]), weight[k])
+            _normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
+            _step(N, g, x[k], scale[k], gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
+            _ellipse(
+                m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
+                e[k], d[k],
+            )  # fmt: skip
+            if turn == 0 and (not _deep(x[k], 0.5 * contrast, noise) or abs(x[k, 8] - 1.0) > 2.0 * size_tolerance):
+                break
+            if turn == 1 and _deep(x[k], contrast, noise):
+                if abs(x[k, 8] - 1.0) < max(size_tolerance, _RIM_OFF / minor[k]):
+                    count[k] = m
+                    if minor[k] > _LARGE:
+                        sizes[tell] = x[k, 8]
+                        tell += 1
+    size = size_known if size_known > 0.0 else 1.0
+    if tell >= 3:
+        part = np.sort(sizes[:tell])
+        size = 0.5 * (part[(tell - 1) // 2] + part[tell // 2])
+    for k in range(n):
+        m = count[k]
+        if m == 0:
+            continue
+        q = inverse[k]
+        size_sigma = _SIZE + _RIM_OFF / 3.0 / minor[k]
+        moved = 1.0
+        for turn in range(len(_LIMITS)):
+            _biweight(m, px[k], py[k], grey[k], e[k], x[k], _LIMITS[turn], np.float32(scale[k]), weight[k])
+            _normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
+            moved = _step(N, g, x[k], scale[k], gloss[k], size, size_sigma, 1.0 if turn < 2 else 0.5)
+            _ellipse(
+                m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
+                e[k], d[k],
+            )  # fmt: skip
+            if turn > 0 and moved < _STILL:
+                break
+        fits, whole, inside = 0.0, 1e-9, 0.0
+        squares, freedom = 0.0, -float(_UNKNOWNS)
+        for i in range(m):
+            slope = np.sqrt(d[k, 0, i] ** 2 + d[k, 1, i] ** 2)
+            fits += weight[k, i] * slope
+            whole += slope
+            inside += e[k, i]
+            contrast_i = x[k, 3] + x[k, 4] * px[k, i] + x[k, 5] * py[k, i]
+            r = grey[k, i] - (x[k, 0] + x[k, 1] * px[k, i] + x[k, 2] * py[k, i] - contrast_i * e[k, i])
+            squares += weight[k, i] * r * r
+            freedom += weight[k, i]
+        rim[k] = fits / whole
+        # the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
+        least = min(0.45, rim_least) if minor[k] < _SLIVER else rim_least
+        area = np.pi * f**-2.0 * np.sqrt(shape[k, 0, 0] * shape[k, 1, 1] - shape[k, 0, 1] ** 2) * size**2
+        ok[k] = _deep(x[k], contrast, noise) and rim[k] > least and inside > 0.4 * area and moved < 0.1
+        centroid[k, 0], centroid[k, 1] = place[k, 0] + f * x[k, 6], place[k, 1] + f * x[k, 7]
+        variance = max(squares / max(freedom, 1.0), noise**2) * f**2
+        for j in range(2):
+            g[:] = 0.0
+            g[6 + j] = 1.0
+            _solve(N, g, _UNKNOWNS)
+            covariance[k, j, 0] = variance * g[6]
+            covariance[k, j, 1] = variance * g[7]
+
+
+@njit(cache=True, error_model="numpy")
+def _deep(x, contrast, noise):
+    """Is the contrast more than this part of the background, and than noise?"""
+    return x[3] > max(contrast * (x[0] + x[1] * x[6] + x[2] * x[7]), 4.0 * noise)

@@ -70,7 +70,7 @@ def mask(state: Lookalikes, centre: Array, stamp: float) -> Lookalikes:
     )
 
 
-def judge(  # noqa: PLR0917
+def judge(
     state: Lookalikes,
     centre: Array,
     direction: Array,
@@ -120,7 +120,7 @@ def judge(  # noqa: PLR0917
     return proven, still, mask(updated, centre[still], stamp)
 
 
-def proven_before(  # noqa: PLR0917
+def proven_before(
     state: Lookalikes, centre: Array, attitude: Array, rig: Rig, pose: Pose, settings: StaticSettings
 ) -> NDArray[np.bool_]:
     """Which of `centre`, (n, 2) px, are candidates that earlier frames have proven, at a predicted attitude, (n,)."""

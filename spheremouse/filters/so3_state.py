@@ -8,10 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.disc_map import DiscMap
+from spheremouse.filters import so3_kernel as kernel
+from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import Array, exp, hat, tangent_basis
-
-CORE = 9  # rotation error, rate, acceleration: before the discs in the state
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class So3State:
     acceleration: Array  # (3,) rad/s², angular, obj
     discs: Array  # (m, 3) unit vectors, ball
     basis: Array  # (m, 3, 2) tangent vectors of the discs: axes of their errors, ball
-    joint: Array  # (9 + 2m, 9 + 2m): rotation error rad (obj), rate rad/s, acceleration rad/s², discs rad
+    joint: Array  # (19 + 2m, 19 + 2m): rotation error rad (obj), rate, acceleration, pose and ball (m, rad), discs rad
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
@@ -40,29 +41,24 @@ class So3State:
 
 
 def inject(state: So3State, dx: Array) -> So3State:
-    """Move the state by an error vector, (9 + 2m,)."""
-    attitude = exp(dx[:3]) @ state.attitude
-    discs = state.discs + np.einsum("mij,mj->mi", state.basis, dx[CORE:].reshape(-1, 2))
-    discs = discs / np.linalg.norm(discs, axis=1, keepdims=True)
-    # carry the axes along: their part along the new direction goes, then they are made orthonormal again
-    basis = state.basis - discs[:, :, None] * np.einsum("mi,mij->mj", discs, state.basis)[:, None, :]
-    first = basis[:, :, 0] / np.linalg.norm(basis[:, :, 0], axis=1, keepdims=True)
-    second = np.cross(discs, first)
-    second *= np.sign(np.sum(second * basis[:, :, 1], axis=1))[:, None]
+    """Move the state by an error vector, (19 + 2m,)."""
+    attitude, discs, basis = np.empty((3, 3)), np.empty_like(state.discs), np.empty_like(state.basis)
+    kernel.move(state.attitude, state.discs, state.basis, dx, attitude, discs, basis)
     return replace(
         state,
         attitude=attitude,
         rate=state.rate + dx[3:6],
-        acceleration=state.acceleration + dx[6:9],
+        acceleration=state.acceleration + dx[6:CORE],
         discs=discs,
-        basis=np.stack([first, second], axis=2),
+        basis=basis,
     )
 
 
 def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
+    """Forget the discs that are not in a mask, (m,)."""
     if np.all(keep):
         return state
-    rows = np.concatenate([np.ones(CORE, dtype=bool), np.repeat(keep, 2)])
+    rows = np.concatenate([np.ones(FIRST, dtype=bool), np.repeat(keep, 2)])
     return replace(
         state,
         discs=state.discs[keep],
@@ -73,26 +69,31 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     )
 
 
-def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp]) -> So3State:
-    """Take up new discs with their covariance and their correlation with the attitude.
+def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radius: float) -> So3State:
+    """Take up new discs with their covariance and their correlation with all else.
 
-    d = R^T b; a rotation error e turns it by R^T (b x e): the inverse observation of EKF-SLAM, which Wittich 2017,
-    eq. 171 leaves out.
+    d = R^T b; a rotation error e turns it by R^T (b x e), an error of pose or ball by R^T db: the inverse observation
+    of EKF-SLAM, which Wittich 2017, eq. 171 leaves out.
     """
-    b = points.direction[index]
-    R = state.attitude
-    discs = b @ R
+    points = points.take(index)
+    b, k, n = points.direction, len(index), len(state.joint)
+    R = exp(points.delay[:, None] * state.rate) @ state.attitude
+    discs = np.einsum("kij,ki->kj", R, b)
     basis = tangent_basis(discs)
-    G = (basis.transpose(0, 2, 1) @ (R.T @ hat(b))).reshape(-1, 3)
-    radius2 = np.sum(points.position[index] ** 2, axis=1)[:, None, None]
     E = R @ basis
-    noise = E.transpose(0, 2, 1) @ (points.image_covariance[index] / radius2) @ E
-    P, k, n = state.joint, len(index), len(state.joint)
+    turning = E.transpose(0, 2, 1) @ hat(b)
+    delay = points.delay[:, None, None]
+    G = np.concatenate(
+        [turning, delay * turning, 0.5 * delay**2 * turning, E.transpose(0, 2, 1) @ direction_jacobian(points, radius)],
+        axis=2,
+    ).reshape(-1, FIRST)
+    noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
+    P = state.joint
     joint = np.zeros((n + 2 * k, n + 2 * k))
     joint[:n, :n] = P
-    joint[n:, :n] = G @ P[:3]
+    joint[n:, :n] = G @ P[:FIRST]
     joint[:n, n:] = joint[n:, :n].T
-    joint[n:, n:] = G @ P[:3, :3] @ G.T
+    joint[n:, n:] = G @ P[:FIRST, :FIRST] @ G.T
     for i in range(k):
         at = n + 2 * i
         joint[at : at + 2, at : at + 2] += noise[i]
@@ -105,3 +106,50 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp]) -> S
         hits=np.concatenate([state.hits, none + 1]),
         missed=np.concatenate([state.missed, none]),
     )
+
+
+def direction_jacobian(points: SpherePoints, radius: float) -> Array:
+    """d direction / d (pose 6, ball's centre 3, radius), (n, 3, 10), along the surface."""
+    by_ball = points.dposition_dball.copy()
+    by_ball[:, :, :3] -= np.eye(3)  # the direction counts from the centre
+    return np.concatenate([points.dposition_dpose, by_ball], axis=2) / radius
+
+
+def to_map(state: So3State, least: int) -> DiscMap | None:
+    """The discs seen at least so often, as they are kept from run to run; None where those are fewer than four."""
+    keep = state.hits >= least
+    if np.count_nonzero(keep) < 4:
+        return None
+    kept = drop(state, keep)
+    basis = tangent_basis(kept.discs)
+    T = basis.transpose(0, 2, 1) @ kept.basis
+    m = len(kept.discs)
+    P = kept.joint[FIRST:, FIRST:].reshape(m, 2, m, 2)
+    P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
+    return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
+
+
+def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
+    """The state with its discs replaced by those of a saved map: kept for good, so that it takes long to forget one."""
+    m = len(known)
+    joint = np.zeros((FIRST + 2 * m, FIRST + 2 * m))
+    joint[:FIRST, :FIRST] = state.joint[:FIRST, :FIRST]
+    joint[FIRST:, FIRST:] = known.covariance
+    return replace(
+        state,
+        discs=known.directions.copy(),
+        basis=tangent_basis(known.directions),
+        joint=joint,
+        hits=np.minimum(known.sightings, most),
+        missed=np.zeros(m, dtype=np.intp),
+    )
+
+
+def consider(joint: Array, covariance: Array) -> None:
+    """Set what is only considered, (10, 10), without correlation to the rest: in place."""
+    joint[CORE:FIRST] = 0.0
+    joint[:, CORE:FIRST] = 0.0
+    joint[CORE:FIRST, CORE:FIRST] = covariance
+
+
+__all__ = ["CONSIDER", "CORE", "FIRST", "So3State", "augment", "consider", "drop", "inject", "to_map", "with_map"]

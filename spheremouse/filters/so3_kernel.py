@@ -1,0 +1,473 @@
+"""The arithmetic of the default filter, compiled: what is done for every disc and every entry of the covariance.
+
+Errors are ordered: rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²), then what is only considered
+(pose of the camera 6, ball's centre and radius 4), then two for each disc in its own tangent axes (rad). Functions
+with an upper-case P work on the joint covariance in place.
+"""
+
+import numpy as np
+from numba import njit
+
+CORE = 9  # rotation, rate, acceleration
+CONSIDER = 10  # pose and ball
+FIRST = CORE + CONSIDER  # of the discs' errors
+
+
+@njit(cache=True, error_model="numpy")
+def carry(P, F, Q):
+    """P = F P F' + Q, where F and Q, (9, 9), concern the core alone."""
+    n = len(P)
+    top = np.zeros((CORE, n))
+    for i in range(CORE):
+        for k in range(CORE):
+            f = F[i, k]
+            if f != 0.0:
+                for j in range(n):
+                    top[i, j] += f * P[k, j]
+    for i in range(CORE):
+        for j in range(i + 1):
+            value = Q[i, j]
+            for k in range(CORE):
+                value += top[i, k] * F[j, k]
+            P[i, j] = value
+            P[j, i] = value
+        for j in range(CORE, n):
+            P[i, j] = top[i, j]
+            P[j, i] = top[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def rodrigues(v, R):
+    """Rotation matrix of a rotation vector, (3,) rad, into R, (3, 3)."""
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    angle = np.sqrt(square)
+    a = np.sin(angle) / angle if angle > 1e-6 else 1.0 - square / 6.0
+    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > 1e-6 else 0.5 - square / 24.0
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = b * v[i] * v[j]
+        R[i, i] += 1.0 - b * square
+    R[0, 1] -= a * v[2]
+    R[1, 0] += a * v[2]
+    R[0, 2] += a * v[1]
+    R[2, 0] -= a * v[1]
+    R[1, 2] -= a * v[0]
+    R[2, 1] += a * v[0]
+
+
+@njit(cache=True, error_model="numpy")
+def left_jacobian(v, J):
+    """d exp / d vector on the left, into J, (3, 3) (Sola, Deray, Atchuthan 2018, eq. 145)."""
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    angle = np.sqrt(square)
+    a = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > 1e-4 else 0.5 - square / 24.0
+    b = (angle - np.sin(angle)) / (angle * square) if angle > 1e-4 else 1.0 / 6.0 - square / 120.0
+    for i in range(3):
+        for j in range(3):
+            J[i, j] = b * v[i] * v[j]
+        J[i, i] += 1.0 - b * square
+    J[0, 1] -= a * v[2]
+    J[1, 0] += a * v[2]
+    J[0, 2] += a * v[1]
+    J[2, 0] -= a * v[1]
+    J[1, 2] -= a * v[0]
+    J[2, 1] += a * v[0]
+
+
+@njit(cache=True, error_model="numpy")
+def transition(rate, acceleration, dt, tau, q, F, Q, turn):
+    """Of a step dt under an acceleration that fades with `tau`: F and Q, (9, 9), and the turn, (3,) rad.
+
+    Q is what white jerk of density q adds (three nodes of Gauss-Legendre): jerk s before the end has faded to g_a by
+    then, made a rate g_w of it, and turned the ball by Jl(turn s/dt) g_t.
+    """
+    fade = np.exp(-dt / tau)
+    gain = tau * (1.0 - fade)
+    reach = tau * (dt - gain)
+    R, J = np.empty((3, 3)), np.empty((3, 3))
+    part = np.empty(3)
+    for i in range(3):
+        turn[i] = rate[i] * dt + reach * acceleration[i]
+    rodrigues(turn, R)
+    left_jacobian(turn, J)
+    F[:] = 0.0
+    Q[:] = 0.0
+    for i in range(3):
+        for j in range(3):
+            F[i, j] = R[i, j]
+            F[i, 3 + j] = J[i, j] * dt
+            F[i, 6 + j] = J[i, j] * reach
+        F[3 + i, 3 + i] = 1.0
+        F[3 + i, 6 + i] = gain
+        F[6 + i, 6 + i] = fade
+    for node in range(3):
+        at = 0.5 + np.sqrt(0.15) * (node - 1)
+        weight = q * dt * (8.0 if node == 1 else 5.0) / 18.0
+        s = at * dt
+        g_a = np.exp(-s / tau)
+        g_w = tau * (1.0 - g_a)
+        g_t = tau * (s - g_w)
+        for i in range(3):
+            part[i] = at * turn[i]
+        left_jacobian(part, J)
+        for i in range(3):
+            for j in range(3):
+                tt = 0.0
+                for k in range(3):
+                    tt += J[i, k] * J[j, k]
+                Q[i, j] += weight * g_t * g_t * tt
+                Q[i, 3 + j] += weight * g_t * g_w * J[i, j]
+                Q[i, 6 + j] += weight * g_t * g_a * J[i, j]
+            Q[3 + i, 3 + i] += weight * g_w * g_w
+            Q[3 + i, 6 + i] += weight * g_w * g_a
+            Q[6 + i, 6 + i] += weight * g_a * g_a
+    for i in range(CORE):
+        for j in range(i):
+            Q[i, j] = Q[j, i]
+
+
+@njit(cache=True, error_model="numpy")
+def _axes(attitude, rate, delay, basis, disc, R, p, E):
+    """Place p, (3,), and axes E, (3, 2), in obj of a disc as the camera sees it `delay` after the stamp."""
+    if delay != 0.0:
+        turn, more = np.empty(3), np.empty((3, 3))
+        for i in range(3):
+            turn[i] = rate[i] * delay
+        rodrigues(turn, more)
+        R[:] = more @ attitude
+    else:
+        R[:] = attitude
+    for i in range(3):
+        p[i] = R[i, 0] * disc[0] + R[i, 1] * disc[1] + R[i, 2] * disc[2]
+        for a in range(2):
+            E[i, a] = R[i, 0] * basis[0, a] + R[i, 1] * basis[1, a] + R[i, 2] * basis[2, a]
+
+
+@njit(cache=True, error_model="numpy")
+def _turning(E, p, H):
+    """H, (2, 3) = d z / d rotation error: a turn e moves p by e x p."""
+    for a in range(2):
+        H[a, 0] = E[2, a] * p[1] - E[1, a] * p[2]
+        H[a, 1] = E[0, a] * p[2] - E[2, a] * p[0]
+        H[a, 2] = E[1, a] * p[0] - E[0, a] * p[1]
+
+
+@njit(cache=True, error_model="numpy")
+def places(attitude, discs, basis, P, which, more, centre_sigma):
+    """Root of the larger variance, rad, of where each disc of `which` is predicted; `more` (3, 3) adds to rotation."""
+    H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
+    zero = np.zeros(3)
+    for i in range(len(which)):
+        m = which[i]
+        _axes(attitude, zero, 0.0, basis[m], discs[m], R, p, E)
+        _turning(E, p, H)
+        S = _disc_covariance(P, H, FIRST + 2 * m, more)
+        mean, half = 0.5 * (S[0, 0] + S[1, 1]), np.hypot(0.5 * (S[0, 0] - S[1, 1]), S[0, 1])
+        centre_sigma[i] = np.sqrt(max(mean + half, 0.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _disc_covariance(P, H, at, more):
+    """(2, 2) of a disc's predicted place without image noise; `more` (3, 3) adds to the rotation's covariance."""
+    S = np.empty((2, 2))
+    for a in range(2):
+        for b in range(2):
+            value = P[at + a, at + b]
+            for i in range(3):
+                value += H[a, i] * P[i, at + b] + H[b, i] * P[i, at + a]
+                for j in range(3):
+                    value += H[a, i] * (P[i, j] + more[i, j]) * H[b, j]
+            S[a, b] = value
+    return S
+
+
+@njit(cache=True, error_model="numpy")
+def distances(attitude, rate, discs, basis, P, which, more, curvature, seen, noise, delay, out):
+    """Squared Mahalanobis distances of n seen directions to the discs `which`, into out (n, m).
+
+    `noise` (n, 3, 3) rad² in obj. Returns whether no row and no column has two entries below `out`'s limit given in
+    out[0, 0] at the call: then the pairs are plain.
+    """
+    H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
+    gate = out[0, 0]
+    plain = True
+    taken = np.zeros(len(seen), dtype=np.bool_)
+    for m in range(len(which)):
+        k = which[m]
+        hits = 0
+        before = np.nan
+        S = np.empty((2, 2))
+        for i in range(len(seen)):
+            if delay[i] != before:
+                before = delay[i]
+                _axes(attitude, rate, before, basis[k], discs[k], R, p, E)
+                _turning(E, p, H)
+                S = _disc_covariance(P, H, FIRST + 2 * k, more)
+            b = seen[i]
+            if p[0] * b[0] + p[1] * b[1] + p[2] * b[2] < 0.0:
+                out[i, m] = np.inf
+                continue
+            z0 = E[0, 0] * b[0] + E[1, 0] * b[1] + E[2, 0] * b[2]
+            z1 = E[0, 1] * b[0] + E[1, 1] * b[1] + E[2, 1] * b[2]
+            a00, a01, a11 = S[0, 0] + curvature, S[0, 1], S[1, 1] + curvature
+            # cheap bound first: most pairs are far apart
+            if (z0 * z0 + z1 * z1) > 4.0 * gate * (a00 + a11 + noise[i, 0, 0] + noise[i, 1, 1] + noise[i, 2, 2]):
+                out[i, m] = np.inf
+                continue
+            for c in range(3):
+                for d in range(3):
+                    a00 += E[c, 0] * noise[i, c, d] * E[d, 0]
+                    a01 += E[c, 0] * noise[i, c, d] * E[d, 1]
+                    a11 += E[c, 1] * noise[i, c, d] * E[d, 1]
+            det = a00 * a11 - a01 * a01
+            value = (a11 * z0 * z0 - 2.0 * a01 * z0 * z1 + a00 * z1 * z1) / det
+            out[i, m] = value
+            if value < gate:
+                hits += 1
+                if taken[i]:
+                    plain = False
+                taken[i] = True
+        if hits > 1:
+            plain = False
+    return plain
+
+
+@njit(cache=True, error_model="numpy")
+def innovation(
+    attitude, rate, discs, basis, P, columns, curvature, seen, noise, delay, by_pose, by_ball, radius, H, HP, z, S
+):
+    """Of k pairs: H, (2k, 9), H P, (2k, n), z, (2k,) rad, and its covariance S, (2k, 2k).
+
+    `by_pose` (k, 3, 6) and `by_ball` (k, 3, 4) m are the Jacobians of the points on the ball: what is considered.
+    """
+    k, n = len(columns), len(P)
+    R, p, E, turning = np.empty((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((2, 3))
+    axes = np.empty((k, 3, 2))
+    considered = np.zeros((2 * k, CONSIDER))
+    any_considered = False
+    for i in range(CORE, FIRST):
+        any_considered = any_considered or P[i, i] > 0.0
+    for i in range(k):
+        _axes(attitude, rate, delay[i], basis[columns[i]], discs[columns[i]], R, p, E)
+        axes[i] = E
+        _turning(E, p, turning)
+        t = delay[i]
+        for a in range(2):
+            row = 2 * i + a
+            z[row] = E[0, a] * seen[i, 0] + E[1, a] * seen[i, 1] + E[2, a] * seen[i, 2]
+            for c in range(3):
+                H[row, c] = turning[a, c]
+                H[row, 3 + c] = turning[a, c] * t
+                H[row, 6 + c] = 0.5 * turning[a, c] * t * t
+            if any_considered:
+                for c in range(CONSIDER):
+                    value = 0.0
+                    for d in range(3):
+                        if c < 6:
+                            value -= E[d, a] * by_pose[i, d, c]
+                        else:
+                            value -= E[d, a] * by_ball[i, d, c - 6]
+                    if 6 <= c < FIRST - CORE - 1:
+                        value += E[c - 6, a]  # the direction counts from the centre
+                    considered[row, c] = value / radius
+            at = FIRST + 2 * columns[i] + a
+            for j in range(n):
+                HP[row, j] = P[at, j] + turning[a, 0] * P[0, j] + turning[a, 1] * P[1, j] + turning[a, 2] * P[2, j]
+            if t != 0.0:
+                for c in range(3, CORE):
+                    for j in range(n):
+                        HP[row, j] += H[row, c] * P[c, j]
+            if any_considered:
+                for c in range(CONSIDER):
+                    for j in range(n):
+                        HP[row, j] += considered[row, c] * P[CORE + c, j]
+    for i in range(2 * k):
+        for m in range(k):
+            for a in range(2):
+                j = 2 * m + a
+                value = HP[i, FIRST + 2 * columns[m] + a]
+                for c in range(CORE if delay[m] != 0.0 else 3):
+                    value += HP[i, c] * H[j, c]
+                if any_considered:
+                    for c in range(CONSIDER):
+                        value += HP[i, CORE + c] * considered[j, c]
+                S[i, j] = value
+    for i in range(k):
+        for a in range(2):
+            for b in range(2):
+                value = 0.0
+                for c in range(3):
+                    for d in range(3):
+                        value += axes[i, c, a] * noise[i, c, d] * axes[i, d, b]
+                S[2 * i + a, 2 * i + b] += value
+            S[2 * i + a, 2 * i + a] += curvature
+    for i in range(2 * k):
+        for j in range(i):
+            mean = 0.5 * (S[i, j] + S[j, i])
+            S[i, j] = mean
+            S[j, i] = mean
+
+
+@njit(cache=True, error_model="numpy")
+def agreeing(z, S, limit):
+    """Which of k pairs agree with one another, (k,): each by itself may pass the gate, not all together.
+
+    The pair that contradicts the others and the prediction most is left out until none does (data snooping, Baarda
+    1968, for pairs of coordinates): a look-alike beside the place of a hidden disc, above all after a gap.
+    """
+    k = len(z) // 2
+    keep = np.ones(k, dtype=np.bool_)
+    left = k
+    while left > 1:
+        at = np.empty(2 * left, dtype=np.int64)
+        count = 0
+        for i in range(k):
+            if keep[i]:
+                at[count] = 2 * i
+                at[count + 1] = 2 * i + 1
+                count += 2
+        sub, part = np.empty((count, count)), np.empty(count)
+        for i in range(count):
+            part[i] = z[at[i]]
+            for j in range(count):
+                sub[i, j] = S[at[i], at[j]]
+        inverse = np.linalg.inv(sub)
+        worst, most = -1, limit
+        for i in range(left):
+            v0, v1 = 0.0, 0.0
+            for j in range(count):
+                v0 += inverse[2 * i, j] * part[j]
+                v1 += inverse[2 * i + 1, j] * part[j]
+            a, b, c = inverse[2 * i, 2 * i], inverse[2 * i, 2 * i + 1], inverse[2 * i + 1, 2 * i + 1]
+            contradiction = (c * v0 * v0 - 2.0 * b * v0 * v1 + a * v1 * v1) / (a * c - b * b)
+            if contradiction >= most:
+                worst, most = i, contradiction
+        if worst < 0:
+            break
+        keep[at[2 * worst] // 2] = False
+        left -= 1
+    return keep
+
+
+@njit(cache=True, error_model="numpy")
+def weigh(z, S, H, process, squares, weights):
+    """Probabilities of the levels after innovations z with covariance S at level 1: into `weights`, (l,).
+
+    Another level adds D = (square - 1) Q to the attitude's covariance: by the matrix inversion lemma its likelihood
+    needs nothing larger than 3x3.
+    """
+    n = len(z)
+    L = np.linalg.cholesky(S)
+    white = np.empty((n, 4))
+    for i in range(n):
+        for c in range(4):
+            value = z[i] if c == 3 else H[i, c]
+            for k in range(i):
+                value -= L[i, k] * white[k, c]
+            white[i, c] = value / L[i, i]
+    A, v = np.zeros((3, 3)), np.zeros(3)
+    for i in range(n):
+        for a in range(3):
+            v[a] += white[i, a] * white[i, 3]
+            for b in range(3):
+                A[a, b] += white[i, a] * white[i, b]
+    log = np.empty(len(squares))
+    for level in range(len(squares)):
+        D = (squares[level] - 1.0) * process[:3, :3]
+        M = np.eye(3) + A @ D
+        gain = v @ (D @ np.linalg.solve(M, v))
+        log[level] = 0.5 * (gain - np.log(max(np.linalg.det(M), 1e-300))) + np.log(max(weights[level], 1e-12))
+    most = np.max(log)
+    total = 0.0
+    for level in range(len(squares)):
+        weights[level] = np.exp(log[level] - most)
+        total += weights[level]
+    for level in range(len(squares)):
+        weights[level] /= total
+
+
+@njit(cache=True, error_model="numpy")
+def correct(P, HP, S, z, dx):
+    """P and the correction dx, (n,), after innovations z; returns z' S^-1 z.
+
+    What is only considered gets no gain (Schmidt 1966). The covariance is Joseph's form multiplied out, which holds for
+    any gain: P - K H P - (K H P)' + K S K' (Bierman 1977, section V).
+    """
+    k, n = len(z), len(P)
+    L = np.linalg.cholesky(S)
+    K = np.empty((k, n))  # S^-1 H P: transposed gain
+    nis = 0.0
+    white = np.empty(k)
+    for i in range(k):
+        value = z[i]
+        for m in range(i):
+            value -= L[i, m] * white[m]
+        white[i] = value / L[i, i]
+        nis += white[i] * white[i]
+    for i in range(k):
+        for j in range(n):
+            K[i, j] = HP[i, j]
+        for m in range(i):
+            f = L[i, m]
+            for j in range(n):
+                K[i, j] -= f * K[m, j]
+        f = 1.0 / L[i, i]
+        for j in range(n):
+            K[i, j] *= f
+    for i in range(k - 1, -1, -1):
+        for m in range(i + 1, k):
+            f = L[m, i]
+            for j in range(n):
+                K[i, j] -= f * K[m, j]
+        f = 1.0 / L[i, i]
+        for j in range(n):
+            K[i, j] *= f
+    for i in range(k):
+        for j in range(CORE, FIRST):
+            K[i, j] = 0.0
+    U = HP - 0.5 * (S @ K)
+    KU = K.T @ U
+    for i in range(n):
+        for j in range(i + 1):
+            value = P[i, j] - KU[i, j] - KU[j, i]
+            P[i, j] = value
+            P[j, i] = value
+    for j in range(n):
+        value = 0.0
+        for i in range(k):
+            value += K[i, j] * z[i]
+        dx[j] = value
+    return nis
+
+
+@njit(cache=True, error_model="numpy")
+def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
+    """Attitude, discs and their axes moved by an error vector, (n,)."""
+    R = np.empty((3, 3))
+    rodrigues(dx[:3], R)
+    new_attitude[:] = R @ attitude
+    for m in range(len(discs)):
+        a, b = dx[FIRST + 2 * m], dx[FIRST + 2 * m + 1]
+        length = 0.0
+        for i in range(3):
+            new_discs[m, i] = discs[m, i] + basis[m, i, 0] * a + basis[m, i, 1] * b
+            length += new_discs[m, i] ** 2
+        length = np.sqrt(length)
+        along = 0.0
+        for i in range(3):
+            new_discs[m, i] /= length
+            along += new_discs[m, i] * basis[m, i, 0]
+        # carry the axes along: their part along the new direction goes, then they are made orthonormal again
+        length = 0.0
+        for i in range(3):
+            new_basis[m, i, 0] = basis[m, i, 0] - along * new_discs[m, i]
+            length += new_basis[m, i, 0] ** 2
+        length = np.sqrt(length)
+        for i in range(3):
+            new_basis[m, i, 0] /= length
+        d, e = new_discs[m], new_basis[m]
+        x = d[1] * e[2, 0] - d[2] * e[1, 0]
+        y = d[2] * e[0, 0] - d[0] * e[2, 0]
+        w = d[0] * e[1, 0] - d[1] * e[0, 0]
+        sign = 1.0 if x * basis[m, 0, 1] + y * basis[m, 1, 1] + w * basis[m, 2, 1] > 0.0 else -1.0
+        new_basis[m, 0, 1], new_basis[m, 1, 1], new_basis[m, 2, 1] = sign * x, sign * y, sign * w
