@@ -5,11 +5,14 @@ Closed forms: Sola, Deray, Atchuthan 2018, "A micro Lie theory", section VII; Eu
 """
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
 _SMALL = 1e-6  # rad: below, series truncated after the second term are exact to double precision
+
+# Functions whose name ends in _into are compiled and write into what the caller gives: for other compiled code.
 
 
 def hat(v: Array) -> Array:
@@ -25,15 +28,94 @@ def hat(v: Array) -> Array:
     return m
 
 
+@njit(cache=True, error_model="numpy")
+def exp_into(v, R):
+    """`exp` of one vector, (3,), into R, (3, 3)."""
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    angle = np.sqrt(square)
+    a = np.sin(angle) / angle if angle > _SMALL else 1.0 - square / 6.0
+    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > _SMALL else 0.5 - square / 24.0
+    _into(v, 1.0 - b * square, a, b, R)
+
+
+@njit(cache=True, error_model="numpy")
+def left_jacobian_into(v, J):
+    """`left_jacobian` of one vector, (3,), into J, (3, 3)."""
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    angle = np.sqrt(square)
+    small = angle < 1e-4  # the cubic coefficient cancels badly below; its series is exact there
+    a = 0.5 - square / 24.0 if small else 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+    b = 1.0 / 6.0 - square / 120.0 if small else (angle - np.sin(angle)) / (angle * square)
+    _into(v, 1.0 - b * square, a, b, J)
+
+
+@njit(cache=True, error_model="numpy")
+def _into(v, one, a, b, M):
+    """one I + a hat(v) + b v v' into M."""
+    for i in range(3):
+        for j in range(3):
+            M[i, j] = b * v[i] * v[j]
+        M[i, i] += one
+    M[0, 1] -= a * v[2]
+    M[1, 0] += a * v[2]
+    M[0, 2] += a * v[1]
+    M[2, 0] -= a * v[1]
+    M[1, 2] -= a * v[0]
+    M[2, 1] += a * v[0]
+
+
+@njit(cache=True, error_model="numpy")
+def log_into(R, v):
+    """`log` of one matrix, (3, 3), into v, (3,)."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    most, case = trace, 3
+    for i in range(3):
+        if R[i, i] > most:
+            most, case = R[i, i], i
+    if case == 3:
+        w = 1.0 + trace  # the quaternion, not yet of unit length
+        v[0], v[1], v[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    else:
+        i, j, k = case, (case + 1) % 3, (case + 2) % 3
+        w = R[k, j] - R[j, k]
+        v[i] = 1.0 + R[i, i] - R[j, j] - R[k, k]
+        v[j] = R[i, j] + R[j, i]
+        v[k] = R[i, k] + R[k, i]
+    length = np.sqrt(w * w + v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    sign = -1.0 if w < 0.0 else 1.0
+    w *= sign / length
+    for i in range(3):
+        v[i] *= sign / length
+    s = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    scale = 2.0 if s < _SMALL else 2.0 * np.arctan2(s, w) / s
+    for i in range(3):
+        v[i] *= scale
+
+
+@njit(cache=True, error_model="numpy")
+def _exp_all(v, R):
+    for i in range(len(v)):
+        exp_into(v[i], R[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _log_all(R, v):
+    for i in range(len(R)):
+        log_into(R[i], v[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _left_jacobian_all(v, J):
+    for i in range(len(v)):
+        left_jacobian_into(v[i], J[i])
+
+
 def exp(v: Array) -> Array:
     """Rotation matrix of a rotation vector, (..., 3) rad -> (..., 3, 3) (Rodrigues)."""
-    v = np.asarray(v, dtype=float)
-    angle = np.sqrt(np.sum(v * v, axis=-1))[..., None, None]
-    safe = np.where(angle < _SMALL, 1.0, angle)
-    a = np.where(angle < _SMALL, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
-    b = np.where(angle < _SMALL, 0.5 - angle**2 / 24.0, 2.0 * (np.sin(safe / 2.0) / safe) ** 2)
-    k = hat(v)
-    return np.eye(3) + a * k + b * (k @ k)
+    v = np.asarray(v, dtype=np.float64)
+    R = np.empty((*v.shape, 3))
+    _exp_all(v.reshape(-1, 3), R.reshape(-1, 3, 3))
+    return R
 
 
 def log(R: Array) -> Array:
@@ -41,43 +123,18 @@ def log(R: Array) -> Array:
 
     Goes through the unit quaternion (Shepperd 1978), which keeps full precision near pi.
     """
-    R = np.asarray(R, dtype=float)
-    m = R.reshape(-1, 3, 3)
-    trace = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
-    diagonal = np.stack([m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], trace], axis=1)
-    case = np.argmax(diagonal, axis=1)
-    q = np.empty((len(m), 4))  # w, x, y, z, not yet of unit length
-    skew = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], axis=1)
-    w = case == 3
-    q[w, 0] = 1.0 + trace[w]
-    q[w, 1:] = skew[w]
-    for i in range(3):
-        c = case == i
-        if not np.any(c):
-            continue
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[c, 0] = skew[c, i]
-        q[c, 1 + i] = 1.0 + m[c, i, i] - m[c, j, j] - m[c, k, k]
-        q[c, 1 + j] = m[c, i, j] + m[c, j, i]
-        q[c, 1 + k] = m[c, i, k] + m[c, k, i]
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    q *= np.where(q[:, :1] < 0.0, -1.0, 1.0)
-    s = np.linalg.norm(q[:, 1:], axis=1)
-    angle = 2.0 * np.arctan2(s, q[:, 0])
-    scale = np.where(s < _SMALL, 2.0, angle / np.where(s < _SMALL, 1.0, s))
-    return (q[:, 1:] * scale[:, None]).reshape(R.shape[:-1])
+    R = np.asarray(R, dtype=np.float64)
+    v = np.empty(R.shape[:-1])
+    _log_all(R.reshape(-1, 3, 3), v.reshape(-1, 3))
+    return v
 
 
 def left_jacobian(v: Array) -> Array:
     """Jl with exp(v + dv) = exp(Jl(v) dv) exp(v) to first order, (..., 3) -> (..., 3, 3)."""
-    v = np.asarray(v, dtype=float)
-    angle = np.sqrt(np.sum(v * v, axis=-1))[..., None, None]
-    small = angle < 1e-4  # the cubic coefficient cancels badly below; its series is exact there
-    safe = np.where(small, 1.0, angle)
-    b = np.where(small, 0.5 - angle**2 / 24.0, 2.0 * (np.sin(safe / 2.0) / safe) ** 2)
-    c = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    k = hat(v)
-    return np.eye(3) + b * k + c * (k @ k)
+    v = np.asarray(v, dtype=np.float64)
+    J = np.empty((*v.shape, 3))
+    _left_jacobian_all(v.reshape(-1, 3), J.reshape(-1, 3, 3))
+    return J
 
 
 def from_euler(angles: Array) -> Array:

@@ -18,8 +18,9 @@ from spheremouse.detect import static
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.detect.cap import ball_mask
 from spheremouse.detect.detections import Detections, Image, no_detections
-from spheremouse.detect.discs import DiscSettings, disc_detector
+from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings
+from spheremouse.detect.search import Hunt
 from spheremouse.detect.static import Lookalikes, StaticSettings
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.filters import Filter, FilterState
@@ -136,6 +137,7 @@ class TrackState:
     found: float | None  # s, since when discs are in view again while lost
     moved: bool  # the ball has been seen to turn: look-alikes are told from discs
     recent: tuple[Sight, ...]  # frames since the ball was seen, while not `moved`
+    hunt: Hunt  # for discs that are not on the map yet
     detections: Detections  # all of the last frame
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
 
@@ -192,6 +194,7 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None) -> Trac
         None,
         False,
         (),
+        Hunt(),
         no_detections(),
         _no_points(tracker),
     )
@@ -200,8 +203,36 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None) -> Trac
 def step(state: TrackState, frame: Frame, tracker: Tracker) -> tuple[TrackState, Motion]:
     """One frame. Raises SourceError when the frame has another size than the camera was calibrated for."""
     check_size(frame, tracker.rig)
-    detections = tracker.detector.detect(frame.image)
-    return advance(state, frame.stamp, detections, tracker)
+    predicted = tracker.filter.predict(state.filter, frame.stamp)
+    detections, hunt = look(state, frame, tracker, predicted)
+    return advance(replace(state, hunt=hunt), frame.stamp, detections, tracker, predicted)
+
+
+def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState) -> tuple[Detections, Hunt]:
+    """The disc candidates of a frame, and the state of the search.
+
+    While the ball is held, each disc of the map in a window of its own where it is predicted, and a part of the rest of
+    the ball; the whole picture when that does not show enough of what was seen before.
+    """
+    detector = tracker.detector
+    if not (
+        isinstance(detector, DiscDetector)
+        and isinstance(predicted, So3State)
+        and isinstance(tracker.filter, So3Filter)
+        and state.phase is Phase.TRACKING
+        and state.moved
+        and state.held == state.filter.stamp
+    ):
+        return detector.detect(frame.image), state.hunt
+    which = tracker.filter.visible(predicted)
+    known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
+    found, noise = detector.follow(frame.image, known @ predicted.attitude.T)
+    seen_before = np.count_nonzero(predicted.missed[which] == 0)
+    if 2 * len(found) < min(seen_before, len(state.filter.used)):
+        return detector.detect(frame.image), state.hunt
+    near = np.concatenate([found.centre, state.lookalikes.masks])
+    other, hunt = detector.hunt(frame.image, state.hunt, near, noise)
+    return found.joined(other), hunt
 
 
 def check_size(frame: Frame, rig: Rig) -> None:
@@ -214,8 +245,12 @@ def check_size(frame: Frame, rig: Rig) -> None:
         )
 
 
-def advance(state: TrackState, stamp: float, detections: Detections, tracker: Tracker) -> tuple[TrackState, Motion]:
-    """The stages after detection."""
+def advance(
+    state: TrackState, stamp: float, detections: Detections, tracker: Tracker, predicted: FilterState | None = None
+) -> tuple[TrackState, Motion]:
+    """The stages after detection; `predicted` is the filter carried on to `stamp`, where that was done before."""
+    if predicted is None:
+        predicted = tracker.filter.predict(state.filter, stamp)
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
     points = intersect(detections.take(free), tracker.rig, tracker.pose)
     points = replace(points, index=np.flatnonzero(free)[points.index])
@@ -225,9 +260,9 @@ def advance(state: TrackState, stamp: float, detections: Detections, tracker: Tr
     if state.phase is Phase.LOST:
         state = _recover(state, stamp, tracker)
     elif not state.moved:
-        state = _first_motion(state, stamp, tracker)
+        state = _first_motion(state, stamp, tracker, predicted)
     else:
-        state = _follow(state, stamp, tracker)
+        state = _follow(state, stamp, tracker, predicted)
     state = _judge_phase(state, stamp, tracker)
     return _motion(state, stamp, tracker)
 
@@ -246,11 +281,10 @@ def _unused(filter_state: Any) -> Any:
     return replace(filter_state, used=np.zeros(0, dtype=np.intp))
 
 
-def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
     """Filter the points; candidates that have moved with the ball may found discs."""
     points, centre = state.points, state.detections.centre[state.points.index]
     rig, pose, settings = tracker.rig, tracker.pose, tracker.settings.static
-    predicted = tracker.filter.predict(state.filter, stamp)
     proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
     posterior = tracker.filter.update(predicted, points, proven)
     state = replace(state, filter=posterior)
@@ -259,9 +293,13 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         if found is not None:
             return replace(state, filter=found[0])
         return replace(state, filter=tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool)))
+    other = np.ones(len(points), dtype=bool)
+    other[posterior.used] = False  # what belongs to a known disc needs no judgement
     _, _, lookalikes = static.judge(
-        state.lookalikes, centre, points.direction, posterior.attitude, stamp, rig, pose, settings
+        state.lookalikes, centre[other], points.direction[other], posterior.attitude, stamp, rig, pose, settings
     )
+    if len(posterior.discs) > len(predicted.discs):
+        lookalikes = static.founded(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
     return replace(state, lookalikes=lookalikes)
 
 
@@ -277,12 +315,11 @@ def _holds(state: TrackState, settings: LossSettings) -> bool:
     return used > 1 or bool(np.linalg.eigvalsh(state.filter.covariance[:3, :3])[-1] < settings.known_sigma**2)
 
 
-def _first_motion(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
     """Nothing has moved yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
     """
-    predicted = tracker.filter.predict(state.filter, stamp)
     naive = replace(state, filter=tracker.filter.update(predicted, state.points))
     if len(state.points) == 0 and not state.recent:
         return naive

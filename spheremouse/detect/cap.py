@@ -134,6 +134,37 @@ def _bent_centroid(x, y, sxx, sxy, syy, a, b, k):
     return da / (3.0 * total), db / (3.0 * total)
 
 
+def seen_at(directions: Array, rig: Rig, pose: Pose) -> Array:
+    """Pixels, (n, 2), of points of the ball at `directions`, (n, 3) unit vectors in `obj`, on the far side too.
+
+    nan for what is at or behind the projection centre.
+    """
+    uv = np.empty((len(directions), 2))
+    camera = rig.camera
+    _seen_at(
+        np.ascontiguousarray(directions),
+        rig.ball.centre - pose.position,
+        rig.ball.radius,
+        np.ascontiguousarray(pose.rotation),
+        camera.intrinsic,
+        camera.distortion,
+        uv,
+    )
+    return uv
+
+
+@njit(cache=True, error_model="numpy")
+def _seen_at(directions, to_centre, R, rotation, intrinsic, k, uv):
+    fx, fy, cx, cy = intrinsic
+    for i in range(len(directions)):
+        c = rotation.T @ (to_centre + R * directions[i])
+        if c[2] > 0.0:
+            u, v, _, _, _ = distorted(c[0] / c[2], c[1] / c[2], k)
+            uv[i, 0], uv[i, 1] = fx * u + cx, fy * v + cy
+        else:
+            uv[i, 0], uv[i, 1] = np.nan, np.nan
+
+
 def ball_outline(rig: Rig, pose: Pose, points: int = 180) -> Array:
     """The ball's outline in the image, (points, 2) px."""
     centre, shape = project_sphere(pose.to_cam(rig.ball.centre), rig.ball.radius)

@@ -29,6 +29,16 @@ class Detections:
         contours = tuple(self.contours[i] for i in index) if self.contours else ()
         return Detections(self.centre[index], self.covariance[index], self.area[index], contours)
 
+    def joined(self, other: "Detections") -> "Detections":
+        """Those of both; outlines are left out."""
+        if len(other) == 0:
+            return self
+        return Detections(
+            np.concatenate([self.centre, other.centre]),
+            np.concatenate([self.covariance, other.covariance]),
+            np.concatenate([self.area, other.area]),
+        )
+
 
 def no_detections() -> Detections:
     """An empty set."""

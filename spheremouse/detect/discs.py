@@ -12,18 +12,19 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 
 from spheremouse.camera import Pose
 from spheremouse.detect.cap import Appearance, appearance, ball_mask, largest_disc
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, measure, noise_of, smoothing_kernel
+from spheremouse.detect.search import Hunt, Lattice, hunt, lattice, went
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
-_SLIVER_BIAS = 0.15  # px at a semi-minor axis of one pixel
+_EXPECTED = 0.3  # of the contrast is enough where the map says that a disc must be: glare, deep shade
 _FINE = 14.0  # px, diameter of a disc that the fit needs no finer: larger pictures are reduced to about that
 
 
@@ -71,39 +72,59 @@ class DiscDetector:
     window: tuple[slice, slice]  # rows and columns of the ball's bounding box, whole pixels of the reduced picture
     diameter: float  # px, of the largest disc
     fit: FitSettings
+    lattice: Lattice
 
     def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included."""
-        places, size = self._dark_places(self._grey(image), self.noise(image))
+        noise = self.noise(image)
+        places, size = self._dark_places(self._grey(image), noise)
         directions, index = directions_at(places, self.rig, self.pose)
         seen = appearance(directions, self.rig, self.pose)
         share = size[index] / seen.area
         # half a disc to one with its shadow; of several regions in one place that which covers a disc best
-        plausible = (seen.area >= self.settings.min_area) & (share > 0.3) & (share < 2.5) & self._inside(seen)
-        best = np.flatnonzero(plausible)[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
-        best = best[_first_of_each(places[index][best], 0.3 * self.diameter)]
-        return self.measure(image, places[index][best], seen.take(best))
+        plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
+        best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
+        best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
+        return self._measured(image, places[index[best]], seen.take(best), noise, 1.0)
 
-    def measure(self, image: Image, place: Array, seen: Appearance, share: float = 1.0) -> Detections:
+    def follow(self, image: Image, directions: Array) -> tuple[Detections, float]:
+        """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image; its noise."""
+        seen = appearance(directions, self.rig, self.pose)
+        noise = self.noise(image)
+        return self._measured(image, seen.centroid, seen, noise, _EXPECTED), noise
+
+    def hunt(self, image: Image, state: Hunt, known: Array, noise: float) -> tuple[Detections, Hunt]:
+        """A share of the search for discs that are not at `known`, (m, 2) px."""
+        fit, radius = self.fit, 0.5 * self.diameter
+        colours = _with_channels(image)
+        places = hunt(
+            colours, self.mask, self.lattice, state, known, fit.reduction, radius, fit.contrast, noise, fit.light
+        )
+        if len(places) == 0:
+            return no_detections(), went(state, places, fit.reduction)
+        directions, index = directions_at(places, self.rig, self.pose)
+        found = self._measured(image, places[index], appearance(directions, self.rig, self.pose), noise, 1.0)
+        near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
+        return found, went(state, places[~near.any(axis=1)], fit.reduction)
+
+    def _measured(self, image: Image, place: Array, seen: Appearance, noise: float, share: float) -> Detections:
         """Those of n discs that are in an image, expected at centroids `place`, (n, 2) px, and to look like `seen`.
 
-        Of the least contrast that is asked for elsewhere, `share` is enough.
+        Of the contrast that is asked for, `share` is enough.
         """
-        colours = image if image.ndim == 3 else image[:, :, None]
-        fits = measure(colours, self.mask, place, seen.shape, self.noise(image), self.fit, share)
-        centre = fits.centroid - (seen.centroid - seen.centre)
-        minor = np.sqrt(np.linalg.eigvalsh(seen.shape)[:, 0]) if len(place) else np.zeros(0)
-        # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-        floor = self.settings.sigma**2 + (_SLIVER_BIAS / minor**2) ** 2
-        covariance = fits.covariance + floor[:, None, None] * np.eye(2)
-        best = np.flatnonzero(fits.ok)[np.argsort(-fits.rim[fits.ok], kind="stable")]
-        return Detections(centre, covariance, seen.area).take(best[_first_of_each(centre[best], 0.3 * self.diameter)])
+        worth = fitting(seen.centroid, seen.shape, seen.area, self.settings.min_area, *self.mask.shape)
+        seen = seen.take(worth)
+        fits = measure(_with_channels(image), self.mask, place[worth], seen.shape, noise, self.fit, share)
+        ok = np.flatnonzero(fits.ok)
+        ok = ok[np.argsort(-fits.rim[ok], kind="stable")]
+        centre = fits.centroid[ok] - (seen.centroid[ok] - seen.centre[ok])
+        one = first_of_each(centre, 0.3 * self.diameter)
+        return Detections(centre[one], fits.covariance[ok[one]], seen.area[ok[one]])
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""
         rows, columns = self.window
-        colours = image if image.ndim == 3 else image[:, :, None]
-        return noise_of(colours, rows.start, rows.stop, columns.start, columns.stop)
+        return noise_of(_with_channels(image), rows.start, rows.stop, columns.start, columns.stop)
 
     def _grey(self, image: Image) -> Image:
         """Smoothed grey of the window, reduced, dark discs."""
@@ -148,13 +169,6 @@ class DiscDetector:
         origin = (self.window[1].start, self.window[0].start)
         return np.array(places).reshape(-1, 2) * f + 0.5 * (f - 1) + origin, np.array(sizes) * f**2
 
-    def _inside(self, seen: Appearance) -> NDArray[np.bool_]:
-        """Whose whole ellipse lies in the picture."""
-        half = np.sqrt(np.stack([seen.shape[:, 0, 0], seen.shape[:, 1, 1]], axis=1))
-        p = seen.centroid
-        with np.errstate(invalid="ignore"):
-            return np.all((p - half > -0.5) & (p + half < np.array(self.mask.shape[::-1]) - 0.5), axis=1)
-
 
 def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
     """Prepare the detector for a camera that stands still."""
@@ -177,14 +191,44 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
         settings.contrast,
         settings.size_tolerance,
         settings.rim,
+        settings.sigma,
     )
-    return DiscDetector(settings, rig, pose, mask, window, diameter, fit)
+    return DiscDetector(settings, rig, pose, mask, window, diameter, fit, lattice(mask, diameter, f))
 
 
-def _first_of_each(points: Array, radius: float) -> NDArray[np.intp]:
+def _with_channels(image: Image) -> Image:
+    return image if image.ndim == 3 else image[:, :, None]
+
+
+@njit(cache=True, error_model="numpy")
+def fitting(centroid, shape, area, least, height, width):
+    """Indices of ellipses of at least an area, px², that lie in the picture as a whole; nan does not."""
+    index = np.empty(len(area), dtype=np.intp)
+    n = 0
+    for i in range(len(area)):
+        if not area[i] >= least:
+            continue
+        dx, dy = np.sqrt(shape[i, 0, 0]), np.sqrt(shape[i, 1, 1])
+        x, y = centroid[i, 0], centroid[i, 1]
+        if x - dx > -0.5 and x + dx < width - 0.5 and y - dy > -0.5 and y + dy < height - 0.5:
+            index[n] = i
+            n += 1
+    return index[:n]
+
+
+@njit(cache=True, error_model="numpy")
+def first_of_each(points, radius):
     """Indices of points, (n, 2), that have no earlier one within `radius`."""
-    near = np.linalg.norm(points[:, None] - points[None], axis=2) < radius
-    return np.flatnonzero(~np.tril(near, -1).any(axis=1))
+    index = np.empty(len(points), dtype=np.intp)
+    n = 0
+    for i in range(len(points)):
+        alone = True
+        for j in range(i):
+            alone = alone and np.hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]) >= radius
+        if alone:
+            index[n] = i
+            n += 1
+    return index[:n]
 
 
 def _centroid(contour: Image) -> tuple[float, float]:

@@ -28,6 +28,7 @@ _GLOSS = 0.3  # of the contrast, from a disc's centre to its rim: gloss lightens
 _SIZE = 0.02  # discs cut from one sheet differ by this part of their size
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
+_SLIVER_BIAS = 0.15  # px at a semi-minor axis of one pixel
 _LARGE = 3.0  # px, semi-minor axis from which a disc tells the size of all
 _LIMITS = np.array([0.35, 0.25, 0.25, 0.25, 0.25], dtype=np.float32)  # of the contrast: residuals beyond weigh nothing
 _STILL = 0.01  # px: a step this short is the last
@@ -41,7 +42,7 @@ class Fits:
 
     ok: NDArray[np.bool_]  # (n,) a disc
     centroid: Array  # (n, 2) px, of the disc's image
-    covariance: Array  # (n, 2, 2) px², from the pixels alone
+    covariance: Array  # (n, 2, 2) px²
     rim: Array  # (n,) part of the rim on the ball that fits
 
 
@@ -56,6 +57,7 @@ class FitSettings:
     contrast: float  # least contrast over the background
     size_tolerance: float
     rim: float  # least part of the rim that fits
+    sigma: float  # px of the whole picture, floor of a centre's standard deviation
 
 
 def measure(
@@ -92,6 +94,7 @@ def measure(
             share * settings.contrast,
             settings.size_tolerance,
             settings.rim,
+            settings.sigma,
             size,
             ok,
             centroid,
@@ -133,43 +136,55 @@ def noise_of(image, top, bottom, left, right):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _patch(image, light, f, top, left, kernel, raw, across, out):
-    """Smoothed grey of a window that begins at row `top` and column `left` of the reduced picture: into `out`.
+def _patch(image, light, f, top, left, h, w, kernel, raw, across, out):
+    """Smoothed grey of a window of h x w px from row `top` and column `left` of the reduced picture: into `out`.
 
     Beyond the picture's edge its last row and column are repeated.
     """
     height, width, channels = image.shape
-    h, w = out.shape
-    scale = np.float32(1.0 / (f * f))
-    for i in range(h + 2 * _EDGE):
-        for j in range(w + 2 * _EDGE):
-            value = np.float32(0.0)
-            for di in range(f):
-                y = min(max((top + i - _EDGE) * f + di, 0), height - 1)
-                for dj in range(f):
-                    x = min(max((left + j - _EDGE) * f + dj, 0), width - 1)
-                    if channels == 3:
-                        value += (
-                            np.float32(0.114) * image[y, x, 0]
-                            + np.float32(0.587) * image[y, x, 1]
-                            + np.float32(0.299) * image[y, x, 2]
-                        )
-                    else:
-                        value += np.float32(image[y, x, 0])
-            value *= scale
-            raw[i, j] = np.float32(255.0) - value if light else value
-    for i in range(h + 2 * _EDGE):
+    rows, columns = h + 2 * _EDGE, w + 2 * _EDGE
+    y0, x0 = (top - _EDGE) * f, (left - _EDGE) * f
+    scale, base = np.float32(1.0 / (f * f)), np.float32(0.0)
+    if light:
+        scale, base = -scale, np.float32(255.0)
+    if f == 1 and channels == 3 and y0 >= 0 and x0 >= 0 and y0 + rows <= height and x0 + columns <= width:
+        for i in range(rows):
+            line, to = image[np.uint64(y0 + i)], raw[i]
+            for j in range(columns):
+                at = np.uint64(x0 + j)
+                value = (
+                    np.float32(0.114) * np.float32(line[at, 0])
+                    + np.float32(0.587) * np.float32(line[at, 1])
+                    + np.float32(0.299) * np.float32(line[at, 2])
+                )
+                to[np.uint64(j)] = base + scale * value
+    else:
+        for i in range(rows):
+            for j in range(columns):
+                value = np.float32(0.0)
+                for di in range(f):
+                    y = min(max(y0 + i * f + di, 0), height - 1)
+                    for dj in range(f):
+                        x = min(max(x0 + j * f + dj, 0), width - 1)
+                        if channels == 3:
+                            value += (
+                                np.float32(0.114) * np.float32(image[y, x, 0])
+                                + np.float32(0.587) * np.float32(image[y, x, 1])
+                                + np.float32(0.299) * np.float32(image[y, x, 2])
+                            )
+                        else:
+                            value += np.float32(image[y, x, 0])
+                raw[i, j] = base + scale * value
+    k0, k1, k2, k3 = kernel[3], kernel[4], kernel[5], kernel[6]
+    for i in range(rows):
+        r, a = raw[i], across[i]
         for j in range(w):
-            across[i, j] = 0.0
-        for k in range(2 * _EDGE + 1):
-            for j in range(w):
-                across[i, j] += kernel[k] * raw[i, j + k]
+            a[j] = k0 * r[j + 3] + k1 * (r[j + 2] + r[j + 4]) + k2 * (r[j + 1] + r[j + 5]) + k3 * (r[j] + r[j + 6])
     for i in range(h):
+        a0, a1, a2, a3 = across[i], across[i + 1], across[i + 2], across[i + 3]
+        a4, a5, a6, o = across[i + 4], across[i + 5], across[i + 6], out[i]
         for j in range(w):
-            out[i, j] = 0.0
-        for k in range(2 * _EDGE + 1):
-            for j in range(w):
-                out[i, j] += kernel[k] * across[i + k, j]
+            o[j] = k0 * a3[j] + k1 * (a2[j] + a4[j]) + k2 * (a1[j] + a5[j]) + k3 * (a0[j] + a6[j])
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -367,7 +382,7 @@ def _keep_near(n, px, py, grey, e, x, noise, weight):
 
 @njit(cache=True, error_model="numpy")
 def _measure(
-    image, mask, place, shape, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, size_known,
+    image, mask, place, shape, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size_known,
     ok, centroid, covariance, rim,
 ):  # fmt: skip
     n = len(place)
@@ -411,7 +426,7 @@ def _measure(
         h, w = 2 * half_h + 1, 2 * half_w + 1
         if h > side or w > side:
             continue
-        _patch(image, light, f, top, left, kernel, raw, across, patch[:h, :w])
+        _patch(image, light, f, top, left, h, w, kernel, raw, across, patch)
         m = 0
         for i in range(h):
             y = top + i
@@ -470,12 +485,12 @@ def _measure(
             )  # fmt: skip
             if turn == 0 and (not _deep(x[k], 0.5 * contrast, noise) or abs(x[k, 8] - 1.0) > 2.0 * size_tolerance):
                 break
-            if turn == 1 and _deep(x[k], contrast, noise):
-                if abs(x[k, 8] - 1.0) < max(size_tolerance, _RIM_OFF / minor[k]):
-                    count[k] = m
-                    if minor[k] > _LARGE:
-                        sizes[tell] = x[k, 8]
-                        tell += 1
+            alike = abs(x[k, 8] - 1.0) < max(size_tolerance, _RIM_OFF / minor[k])
+            if turn == 1 and alike and _deep(x[k], contrast, noise):
+                count[k] = m
+                if minor[k] > _LARGE:
+                    sizes[tell] = x[k, 8]
+                    tell += 1
     size = size_known if size_known > 0.0 else 1.0
     if tell >= 3:
         part = np.sort(sizes[:tell])
@@ -521,6 +536,8 @@ def _measure(
             _solve(N, g, _UNKNOWNS)
             covariance[k, j, 0] = variance * g[6]
             covariance[k, j, 1] = variance * g[7]
+            # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
+            covariance[k, j, j] += sigma**2 + (_SLIVER_BIAS / minor[k] ** 2) ** 2 * f**2
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,9 +10,11 @@ prediction (a hand may have stopped the ball meanwhile): else the discs themselv
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, project
+from spheremouse.camera import Pose
+from spheremouse.detect.cap import seen_at
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -70,6 +72,23 @@ def mask(state: Lookalikes, centre: Array, stamp: float) -> Lookalikes:
     )
 
 
+def founded(state: Lookalikes, discs: Array, disc_angle: float) -> Lookalikes:
+    """Without the candidates that have become discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
+    return _followed(state, ~np.any(state.anchor_ball @ discs.T > np.cos(disc_angle), axis=1))
+
+
+def _followed(state: Lookalikes, keep: NDArray[np.bool_]) -> Lookalikes:
+    """With those candidates alone that are in a mask, (t,)."""
+    return replace(
+        state,
+        place=state.place[keep],
+        anchor=state.anchor[keep],
+        anchor_ball=state.anchor_ball[keep],
+        seen=state.seen[keep],
+        proven=state.proven[keep],
+    )
+
+
 def judge(
     state: Lookalikes,
     centre: Array,
@@ -86,6 +105,10 @@ def judge(
     ball, (n,), which have just shown that they stand still, (n,), and the state with the latter masked.
     """
     n = len(centre)
+    if n == 0:
+        none = np.zeros(0, dtype=bool)
+        alive = stamp - state.seen < settings.forget
+        return none, none, state if alive.all() else _followed(state, alive)
     expected = _expected(state, attitude, rig, pose)
     track = _found(state, expected, centre, settings)
     known = track >= 0
@@ -124,30 +147,39 @@ def proven_before(
     state: Lookalikes, centre: Array, attitude: Array, rig: Rig, pose: Pose, settings: StaticSettings
 ) -> NDArray[np.bool_]:
     """Which of `centre`, (n, 2) px, are candidates that earlier frames have proven, at a predicted attitude, (n,)."""
-    track = _found(state, _expected(state, attitude, rig, pose), centre, settings)
     proven = np.zeros(len(centre), dtype=bool)
+    if len(state.place) == 0:
+        return proven
+    track = _found(state, _expected(state, attitude, rig, pose), centre, settings)
     proven[track >= 0] = state.proven[track[track >= 0]]
     return proven
 
 
 def _expected(state: Lookalikes, attitude: Array, rig: Rig, pose: Pose) -> Array:
     """Where the candidates would be by now, were they discs, (t, 2) px."""
-    turned = project(pose.to_cam(rig.ball.centre + rig.ball.radius * state.anchor_ball @ attitude.T), rig.camera)[0]
+    turned = seen_at(state.anchor_ball @ attitude.T, rig, pose)
     return np.where(np.isfinite(turned), turned, state.place)
 
 
 def _found(state: Lookalikes, expected: Array, centre: Array, settings: StaticSettings) -> NDArray[np.intp]:
     """For each of `centre`, (n, 2) px, the candidate that stayed or turned there, (n,); -1 where there is none."""
-    to_turned = np.linalg.norm(centre[:, None] - expected[None], axis=2)
-    to_place = np.linalg.norm(centre[:, None] - state.place[None], axis=2)
-    return _nearest(np.minimum(to_turned, to_place), settings.search)
+    found = np.full(len(centre), -1, dtype=np.intp)
+    if len(centre) and len(expected):
+        _nearest(centre, expected, state.place, settings.search, found)
+    return found
 
 
-def _nearest(distance: Array, limit: float) -> NDArray[np.intp]:
-    """For each row the column that is its nearest and whose nearest it is, within `limit`; -1 where there is none."""
-    n, t = distance.shape
-    if n == 0 or t == 0:
-        return np.full(n, -1, dtype=np.intp)
-    column = distance.argmin(axis=1)
-    mutual = distance.argmin(axis=0)[column] == np.arange(n)
-    return np.where(mutual & (distance[np.arange(n), column] < limit), column, -1)
+@njit(cache=True, error_model="numpy")
+def _nearest(centre, expected, place, limit, found):
+    """For each centre the candidate that is its nearest and whose nearest it is, within `limit`."""
+    n, t = len(centre), len(place)
+    distance = np.empty((n, t))
+    for i in range(n):
+        for j in range(t):
+            turned = np.hypot(centre[i, 0] - expected[j, 0], centre[i, 1] - expected[j, 1])
+            stayed = np.hypot(centre[i, 0] - place[j, 0], centre[i, 1] - place[j, 1])
+            distance[i, j] = min(turned, stayed)
+    for i in range(n):
+        j = np.argmin(distance[i])
+        if distance[i, j] < limit and np.argmin(distance[:, j]) == i:
+            found[i] = j

@@ -7,15 +7,16 @@ stays known and closes the loop. Pose and ball, wrong in every frame alike, are 
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
 from spheremouse.filters import so3_kernel as kernel
-from spheremouse.filters.so3_state import CONSIDER, CORE, FIRST, So3State, augment, consider, drop, inject
+from spheremouse.filters.so3_state import CONSIDER, CORE, FIRST, So3State, augment, drop, inject
 from spheremouse.intersect import SpherePoints
-from spheremouse.rotation import Array, exp
+from spheremouse.rotation import Array
 from spheremouse.settings import param
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
@@ -83,6 +84,7 @@ class _Pairing:
     columns: NDArray[np.intp]  # into the discs
     complete: bool  # enough of what should pair does
     fits: bool  # and what pairs does so within its standard deviations
+    innovation: tuple[Array, Array, Array, Array] | None = None  # of _innovation, where it is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,20 +119,22 @@ class So3Filter:
         kernel.transition(state.rate, state.acceleration, dt, tau, density, F, Q, turn)
         P = state.joint.copy()
         kernel.carry(P, F, Q)
-        usual = 1.0 / np.asarray(self.settings.levels)  # the livelier the rarer
-        usual /= usual.sum()
-        weights = state.weights if len(state.weights) == len(usual) else usual
+        usual = _usual(self.settings.levels)
+        weights = state.weights if len(state.weights) else usual
         stay = np.exp(-dt / self.settings.dwell)
-        return replace(
-            state,
-            stamp=stamp,
-            attitude=F[:3, :3] @ state.attitude,
-            rate=state.rate + tau * (1.0 - fade) * state.acceleration,
-            acceleration=fade * state.acceleration,
-            joint=P,
-            weights=stay * weights + (1.0 - stay) * usual,
-            process=Q,
-            used=_NONE,
+        return So3State(
+            stamp,
+            F[:3, :3] @ state.attitude,
+            state.rate + tau * (1.0 - fade) * state.acceleration,
+            fade * state.acceleration,
+            state.discs,
+            state.basis,
+            P,
+            state.hits,
+            state.missed,
+            _NONE,
+            stay * weights + (1.0 - stay) * usual,
+            Q,
         )
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
@@ -151,10 +155,35 @@ class So3Filter:
         each weighed by the likelihood of all pairs together, and the update takes their mean (Bar-Shalom, Li,
         Kirubarajan 2001, section 11.6, with one filter for all of them).
         """
-        squares = np.square(np.asarray(self.settings.levels))
+        squares = _squares(self.settings.levels)
+        weights = (state.weights if len(state.weights) else _usual(self.settings.levels)).copy()
+        joint, s = state.joint.copy(), self.settings
+        ordinary, rows, columns, dx, square, nis = kernel.update(
+            state.attitude,
+            state.rate,
+            state.discs,
+            state.basis,
+            joint,
+            state.process,
+            squares,
+            weights,
+            self.visible(state),
+            s.gate,
+            s.keep_share,
+            _WIDE,
+            points.direction,
+            points.image_covariance,
+            points.delay,
+            points.dposition_dpose,
+            points.dposition_dball,
+            self.radius,
+        )
+        if ordinary and abs(dx[:3]).max() <= _LINEAR:
+            updated = inject(state, dx, joint, weights, square**0.5, rows, nis)
+            return self._keep_map(updated, points, _Pairing(rows, columns, True, True), fresh)
         expected = self._expected(state)
         best = self._pair(state, points, expected)
-        if not best.complete and np.any(state.process):
+        if not best.complete and state.process[3, 3] > 0.0:
             for square in squares[squares > expected]:
                 pairing = self._pair(state, points, float(square))
                 more = len(pairing.rows) - len(best.rows)
@@ -190,18 +219,21 @@ class So3Filter:
             rows, columns = np.nonzero(distance < self.settings.gate)
         else:
             rows, columns = assign(distance, self.settings.gate)
-        if len(rows) > 1:
-            H, _, z, S = self._innovation(state, points, rows, visible[columns], more)
+        innovation = None
+        if len(rows):
+            innovation = self._innovation(state, points, rows, visible[columns], more)
+            H, _, z, S = innovation
             keep = kernel.agreeing(z, S + H @ more @ H.T, 1.5 * self.settings.gate)
-            rows, columns = rows[keep], columns[keep]
+            if not keep.all():
+                rows, columns, innovation = rows[keep], columns[keep], None
         fits = float(distance[rows, columns].sum()) < 4.0 * max(len(rows), 1) + 10.0
         expected = min(len(points), len(visible))
         complete = len(rows) >= self.settings.keep_share * expected and fits
-        return _Pairing(rows, visible[columns], complete, fits)
+        return _Pairing(rows, visible[columns], complete, fits, innovation)
 
     def _expected(self, state: So3State) -> float:
         """Mean square of the level, before the innovations are seen."""
-        return float(state.weights @ np.square(self.settings.levels)) if len(state.weights) else 1.0
+        return float(state.weights @ _squares(self.settings.levels)) if len(state.weights) else 1.0
 
     def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
         rows, columns = pairing.rows, pairing.columns
@@ -211,12 +243,11 @@ class So3Filter:
             joint = state.joint.copy()
             joint[:CORE, :CORE] += (square - 1.0) * state.process
             return replace(state, joint=joint, process=_STILL, level=float(np.sqrt(square)), used=rows, nis=0.0)
-        none = np.zeros((CORE, CORE))
-        H, HP, z, S = self._innovation(state, points, rows, columns, none)
-        if np.any(state.process):
+        H, HP, z, S = pairing.innovation or self._innovation(state, points, rows, columns, _STILL)
+        if state.process[3, 3] > 0.0:
             weights = weights.copy()
-            kernel.weigh(z, S, H, state.process, np.square(self.settings.levels), weights)
-            square = float(weights @ np.square(self.settings.levels))
+            kernel.weigh(z, S, H, state.process, _squares(self.settings.levels), weights)
+            square = float(weights @ _squares(self.settings.levels))
         joint, more = state.joint.copy(), (square - 1.0) * state.process
         joint[:CORE, :CORE] += more
         HP[:, :CORE] += H @ more
@@ -226,10 +257,7 @@ class So3Filter:
         nis = kernel.correct(joint, HP, S, z, dx)
         if float(np.abs(dx[:3]).max()) > _LINEAR:
             joint, dx, nis = self._again(state, prior, dx, points, rows, columns)
-        updated = replace(
-            state, joint=joint, weights=weights, process=_STILL, level=float(np.sqrt(square)), used=rows, nis=nis
-        )
-        return inject(updated, dx)
+        return inject(state, dx, joint, weights, float(np.sqrt(square)), rows, nis)
 
     def _again(
         self,
@@ -242,10 +270,9 @@ class So3Filter:
     ) -> tuple[Array, Array, float]:
         """A large correction, made again about where it led (iterated Kalman filter, Bell and Cathey 1993)."""
         joint, nis = prior, 0.0
-        none = np.zeros((CORE, CORE))
         for _ in range(3):
-            there = replace(inject(state, dx), joint=prior)
-            H, HP, z, S = self._innovation(there, points, rows, columns, none)
+            there = inject(state, dx, prior, state.weights, state.level, rows, nis)
+            H, HP, z, S = self._innovation(there, points, rows, columns, _STILL)
             at = (FIRST + 2 * columns[:, None] + np.arange(2)).ravel()
             joint, step = prior.copy(), np.empty(len(dx))
             nis = kernel.correct(joint, HP, S, z + H @ dx[:CORE] + dx[at], step)
@@ -314,7 +341,6 @@ class So3Filter:
         missed[well] += 1
         missed[pairing.columns] = 0
         keep = missed < np.where(hits < self.settings.trial, self.settings.misses, self.settings.patience * hits)
-        state = replace(state, hits=hits, missed=missed)
         new = np.ones(len(points), dtype=bool) if fresh is None else fresh.copy()
         new[pairing.rows] = False
         found = np.flatnonzero(new)
@@ -326,15 +352,26 @@ class So3Filter:
                 found = found[np.max(points.direction[found] @ p.T, axis=1) < apart]
             overlap = points.direction[found] @ points.direction[found].T >= np.cos(2.0 * self.disc_angle)
             found = found[~np.tril(overlap, -1).any(axis=1)]  # nor do two new ones: the first counts
-        state = drop(state, keep)
+        state = drop(replace(state, hits=hits, missed=missed), keep)
         found = found[: max(self.settings.most_discs - len(state.discs), 0)]
         return augment(state, points, found, self.radius) if len(found) else state
 
 
+@cache
+def _squares(levels: tuple[float, ...]) -> Array:
+    return np.square(np.array(levels))
+
+
+@cache
+def _usual(levels: tuple[float, ...]) -> Array:
+    """Probabilities of the levels before anything is seen: the livelier the rarer."""
+    usual = 1.0 / np.array(levels)
+    return usual / usual.sum()
+
+
 def usual_acceleration(settings: So3Settings) -> float:
     """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
-    usual = 1.0 / np.asarray(settings.levels)
-    return settings.acceleration_sigma * float(np.sqrt(np.square(settings.levels) @ usual / usual.sum()))
+    return settings.acceleration_sigma * float(np.sqrt(_squares(settings.levels) @ _usual(settings.levels)))
 
 
 def relocate(

@@ -8,6 +8,8 @@ with an upper-case P work on the joint covariance in place.
 import numpy as np
 from numba import njit
 
+from spheremouse.rotation import exp_into, left_jacobian_into
+
 CORE = 9  # rotation, rate, acceleration
 CONSIDER = 10  # pose and ball
 FIRST = CORE + CONSIDER  # of the discs' errors
@@ -37,44 +39,6 @@ def carry(P, F, Q):
 
 
 @njit(cache=True, error_model="numpy")
-def rodrigues(v, R):
-    """Rotation matrix of a rotation vector, (3,) rad, into R, (3, 3)."""
-    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    angle = np.sqrt(square)
-    a = np.sin(angle) / angle if angle > 1e-6 else 1.0 - square / 6.0
-    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > 1e-6 else 0.5 - square / 24.0
-    for i in range(3):
-        for j in range(3):
-            R[i, j] = b * v[i] * v[j]
-        R[i, i] += 1.0 - b * square
-    R[0, 1] -= a * v[2]
-    R[1, 0] += a * v[2]
-    R[0, 2] += a * v[1]
-    R[2, 0] -= a * v[1]
-    R[1, 2] -= a * v[0]
-    R[2, 1] += a * v[0]
-
-
-@njit(cache=True, error_model="numpy")
-def left_jacobian(v, J):
-    """d exp / d vector on the left, into J, (3, 3) (Sola, Deray, Atchuthan 2018, eq. 145)."""
-    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    angle = np.sqrt(square)
-    a = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > 1e-4 else 0.5 - square / 24.0
-    b = (angle - np.sin(angle)) / (angle * square) if angle > 1e-4 else 1.0 / 6.0 - square / 120.0
-    for i in range(3):
-        for j in range(3):
-            J[i, j] = b * v[i] * v[j]
-        J[i, i] += 1.0 - b * square
-    J[0, 1] -= a * v[2]
-    J[1, 0] += a * v[2]
-    J[0, 2] += a * v[1]
-    J[2, 0] -= a * v[1]
-    J[1, 2] -= a * v[0]
-    J[2, 1] += a * v[0]
-
-
-@njit(cache=True, error_model="numpy")
 def transition(rate, acceleration, dt, tau, q, F, Q, turn):
     """Of a step dt under an acceleration that fades with `tau`: F and Q, (9, 9), and the turn, (3,) rad.
 
@@ -88,8 +52,8 @@ def transition(rate, acceleration, dt, tau, q, F, Q, turn):
     part = np.empty(3)
     for i in range(3):
         turn[i] = rate[i] * dt + reach * acceleration[i]
-    rodrigues(turn, R)
-    left_jacobian(turn, J)
+    exp_into(turn, R)
+    left_jacobian_into(turn, J)
     F[:] = 0.0
     Q[:] = 0.0
     for i in range(3):
@@ -109,7 +73,7 @@ def transition(rate, acceleration, dt, tau, q, F, Q, turn):
         g_t = tau * (s - g_w)
         for i in range(3):
             part[i] = at * turn[i]
-        left_jacobian(part, J)
+        left_jacobian_into(part, J)
         for i in range(3):
             for j in range(3):
                 tt = 0.0
@@ -133,7 +97,7 @@ def _axes(attitude, rate, delay, basis, disc, R, p, E):
         turn, more = np.empty(3), np.empty((3, 3))
         for i in range(3):
             turn[i] = rate[i] * delay
-        rodrigues(turn, more)
+        exp_into(turn, more)
         R[:] = more @ attitude
     else:
         R[:] = attitude
@@ -444,7 +408,7 @@ def correct(P, HP, S, z, dx):
 def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
     """Attitude, discs and their axes moved by an error vector, (n,)."""
     R = np.empty((3, 3))
-    rodrigues(dx[:3], R)
+    exp_into(dx[:3], R)
     new_attitude[:] = R @ attitude
     for m in range(len(discs)):
         a, b = dx[FIRST + 2 * m], dx[FIRST + 2 * m + 1]
@@ -471,3 +435,59 @@ def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
         w = d[0] * e[1, 0] - d[1] * e[0, 0]
         sign = 1.0 if x * basis[m, 0, 1] + y * basis[m, 1, 1] + w * basis[m, 2, 1] > 0.0 else -1.0
         new_basis[m, 0, 1], new_basis[m, 1, 1], new_basis[m, 2, 1] = sign * x, sign * y, sign * w
+
+
+@njit(cache=True, error_model="numpy")
+def update(
+    attitude, rate, discs, basis, P, process, squares, weights, visible, gate, keep_share, wide,
+    seen, image_covariance, delay, by_pose, by_ball, radius,
+):  # fmt: skip
+    """The whole of an ordinary update in one call: pairs, levels, correction. P and `weights` (l,) are changed.
+
+    Returns whether it was ordinary (all plain, complete, small), and rows, columns, the correction, the mean square of
+    the level and the normalised innovation squared. Where it was not, P may be spoilt, and it is done with more care.
+    """
+    nothing = np.zeros(0, dtype=np.intp)
+    empty = np.zeros(0)
+    n, m = len(seen), len(visible)
+    if n == 0 or m == 0:
+        return False, nothing, nothing, empty, 1.0, 0.0
+    square = weights @ squares
+    more = (square - 1.0) * process
+    spread = (P[0, 0] + P[1, 1] + P[2, 2] + more[0, 0] + more[1, 1] + more[2, 2]) / 3.0
+    curvature = min(spread, wide * wide) ** 2
+    noise = image_covariance / (radius * radius)
+    distance = np.empty((n, m))
+    distance[0, 0] = gate
+    if not distances(
+        attitude, rate, discs, basis, P, visible, more[:3, :3], curvature, seen, noise, delay, distance
+    ):
+        return False, nothing, nothing, empty, 1.0, 0.0
+    rows, columns = np.empty(n, dtype=np.intp), np.empty(n, dtype=np.intp)
+    k, total = 0, 0.0
+    for i in range(n):
+        for j in range(m):
+            if distance[i, j] < gate:
+                rows[k], columns[k] = i, visible[j]
+                total += distance[i, j]
+                k += 1
+    rows, columns = rows[:k], columns[:k]
+    if k < 2 or total > 4.0 * k + 10.0 or k < keep_share * min(n, m):
+        return False, nothing, nothing, empty, 1.0, 0.0
+    H, HP, z, S = np.empty((2 * k, CORE)), np.empty((2 * k, len(P))), np.empty(2 * k), np.empty((2 * k, 2 * k))
+    innovation(
+        attitude, rate, discs, basis, P, columns, curvature, seen[rows], noise[rows], delay[rows], by_pose[rows],
+        by_ball[rows], radius, H, HP, z, S,
+    )  # fmt: skip
+    if not np.all(agreeing(z, S + H @ more @ H.T, 1.5 * gate)):
+        return False, nothing, nothing, empty, 1.0, 0.0
+    if process[3, 3] > 0.0:
+        weigh(z, S, H, process, squares, weights)
+        square = weights @ squares
+        more = (square - 1.0) * process
+        P[:CORE, :CORE] += more
+        HP[:, :CORE] += H @ more
+        S += H @ more @ H.T
+    dx = np.empty(len(P))
+    nis = correct(P, HP, S, z, dx)
+    return True, rows, columns, dx, square, nis

@@ -14,6 +14,8 @@ from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import Array, exp, hat, tangent_basis
 
+_NO_PROCESS = np.zeros((CORE, CORE))
+
 
 @dataclass(frozen=True, slots=True)
 class So3State:
@@ -40,17 +42,33 @@ class So3State:
         return self.joint[:6, :6]
 
 
-def inject(state: So3State, dx: Array) -> So3State:
-    """Move the state by an error vector, (19 + 2m,)."""
+def inject(
+    state: So3State,
+    dx: Array,
+    joint: Array | None = None,
+    weights: Array | None = None,
+    level: float = 1.0,
+    used: NDArray[np.intp] | None = None,
+    nis: float = 0.0,
+) -> So3State:
+    """Move the state by an error vector, (19 + 2m,), after which its covariance is `joint`; no prediction is pending."""
     attitude, discs, basis = np.empty((3, 3)), np.empty_like(state.discs), np.empty_like(state.basis)
     kernel.move(state.attitude, state.discs, state.basis, dx, attitude, discs, basis)
-    return replace(
-        state,
-        attitude=attitude,
-        rate=state.rate + dx[3:6],
-        acceleration=state.acceleration + dx[6:CORE],
-        discs=discs,
-        basis=basis,
+    return So3State(
+        state.stamp,
+        attitude,
+        state.rate + dx[3:6],
+        state.acceleration + dx[6:CORE],
+        discs,
+        basis,
+        state.joint if joint is None else joint,
+        state.hits,
+        state.missed,
+        state.used if used is None else used,
+        state.weights if weights is None else weights,
+        _NO_PROCESS,
+        level,
+        nis,
     )
 
 

@@ -1,0 +1,223 @@
+"""Unknown discs looked for while the known ones are followed: a lattice of samples over the ball, a part in each frame.
+
+A sample is a candidate where it is darker than the ball around it, on nearly all sides at a little more than a disc's
+radius. Four frames, each with a shifted lattice, see every disc that is large enough; one of ordinary size is met in
+the first. Places that turned out to be none are left out for a while, so that struts cost nothing.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spheremouse.detect.detections import Image
+from spheremouse.rotation import Array
+
+_STRIDE = 4  # px of the reduced picture between samples of one frame: a disc of 4 px across is met
+_SHIFTS = ((0, 0), (2, 2), (2, 0), (0, 2))  # of the lattice, frame after frame
+_MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
+_MOST = 4  # candidates in one frame: more come in the next
+_DUD = 2.5  # px of the reduced picture, around a place that turned out to be no disc
+_WAIT = (8, 512)  # frames for which such a place is left out, at first and at most: doubled each time
+_DUDS = 256  # places remembered
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Where a detector looks for unknown discs; made once."""
+
+    places: tuple[NDArray[np.int32], ...]  # of each shift (n, 2): column and row, px, on the ball
+    sides: tuple[NDArray[np.uint8], ...]  # of each shift (n,): bits of the neighbours that lie on the ball
+    offsets: NDArray[np.int32]  # (8, 2) px to the neighbours, opposite ones follow each other
+
+
+@dataclass(frozen=True, slots=True)
+class Hunt:
+    """What one frame's search hands to the next."""
+
+    turn: int = 0
+    duds: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px, places that were no discs
+    until: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) turn: left out before
+    wait: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) for how long the last time
+
+
+def lattice(mask: Image, diameter: float, reduction: int) -> Lattice:
+    """Samples on the ball's `mask`, (h, w), for discs of up to `diameter` px."""
+    h, w = mask.shape
+    d = 0.5 * diameter + _MARGIN * reduction
+    angles = np.pi / 4 * np.array([0, 4, 2, 6, 1, 5, 3, 7])
+    offsets = np.rint(d * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.int32)
+    places, sides = [], []
+    for dx, dy in _SHIFTS:
+        rows = np.arange(dy * reduction, h, _STRIDE * reduction)
+        columns = np.arange(dx * reduction, w, _STRIDE * reduction)
+        y, x = np.meshgrid(rows, columns, indexing="ij")
+        on = mask[y, x] > 0
+        at = np.stack([x[on], y[on]], axis=1).astype(np.int32)
+        bits = np.zeros(len(at), dtype=np.uint8)
+        for k, (ox, oy) in enumerate(offsets):
+            u, v = at[:, 0] + ox, at[:, 1] + oy
+            inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
+            inside[inside] = mask[v[inside], u[inside]] > 0
+            bits |= (inside.astype(np.uint8) << k).astype(np.uint8)
+        places.append(at)
+        sides.append(bits)
+    return Lattice(tuple(places), tuple(sides), offsets)
+
+
+def hunt(
+    image: Image,
+    mask: Image,
+    where: Lattice,
+    state: Hunt,
+    known: Array,
+    reduction: int,
+    radius: float,
+    contrast: float,
+    noise: float,
+    light: bool,
+) -> Array:
+    """What is dark in an image (h, w, c), on the ball (`mask`, (h, w)), and not near one of `known`, (m, 2) px.
+
+    The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `contrast` as asked of a disc,
+    `noise` of a pixel, `light` for discs lighter than the ball.
+    """
+    shift = state.turn % len(_SHIFTS)
+    found = np.empty((_MOST, 2))
+    n = _hunt(
+        image.reshape(-1),
+        image,
+        mask,
+        where.places[shift],
+        where.sides[shift],
+        where.offsets,
+        state.turn,
+        known,
+        radius + 2.0 * reduction,
+        state.duds[state.until > state.turn],
+        _DUD * reduction,
+        0.5 * contrast,
+        2.5 * noise,
+        light,
+        radius,
+        reduction,
+        found,
+    )
+    return found[:n]
+
+
+def went(state: Hunt, duds: Array, reduction: int) -> Hunt:
+    """The search's state after a frame in which the places `duds`, (k, 2) px, turned out to be no discs."""
+    turn = state.turn + 1
+    if len(duds) == 0:
+        return Hunt(turn, state.duds, state.until, state.wait)
+    again = np.linalg.norm(state.duds[:, None] - duds[None], axis=2) < _DUD * reduction
+    old, new = again.any(axis=1), ~again.any(axis=0)
+    wait = np.where(old, np.minimum(2 * state.wait, _WAIT[1]), state.wait)
+    until = np.where(old, turn + wait, state.until)
+    keep = turn - until < wait  # what was not met again for as long as it was left out is gone
+    return Hunt(
+        turn,
+        np.concatenate([duds[new], state.duds[keep]])[:_DUDS],
+        np.concatenate([np.full(new.sum(), turn + _WAIT[0]), until[keep]])[:_DUDS],
+        np.concatenate([np.full(new.sum(), _WAIT[0]), wait[keep]])[:_DUDS],
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _grey(image, x, y, light):
+    if image.shape[2] == 3:
+        value = (29 * int(image[y, x, 0]) + 150 * int(image[y, x, 1]) + 77 * int(image[y, x, 2])) >> 8
+    else:
+        value = int(image[y, x, 0])
+    return 255 - value if light else value
+
+
+@njit(cache=True, error_model="numpy")
+def _near(x, y, places, radius):
+    for i in range(len(places)):
+        dx, dy = x - places[i, 0], y - places[i, 1]
+        if dx * dx + dy * dy < radius * radius:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def _settle(image, mask, light, radius, reduction, place):
+    """Two steps of the mean shift towards what is darker than halfway, on the ball, within a disc's radius and a bit."""
+    h, w = image.shape[0], image.shape[1]
+    reach = radius + reduction
+    for _ in range(2):
+        left, right = max(int(place[0] - reach), 0), min(int(place[0] + reach) + 1, w - 1)
+        top, bottom = max(int(place[1] - reach), 0), min(int(place[1] + reach) + 1, h - 1)
+        least, most = 255, 0
+        for y in range(top, bottom + 1, reduction):
+            for x in range(left, right + 1, reduction):
+                if mask[y, x] > 0:
+                    g = _grey(image, x, y, light)
+                    least, most = min(least, g), max(most, g)
+        level = 0.5 * (least + most)
+        total, sx, sy = 0.0, 0.0, 0.0
+        for y in range(top, bottom + 1, reduction):
+            for x in range(left, right + 1, reduction):
+                dx, dy = x - place[0], y - place[1]
+                g = _grey(image, x, y, light)
+                if g < level and mask[y, x] > 0 and dx * dx + dy * dy < reach * reach:
+                    total += level - g
+                    sx += (level - g) * x
+                    sy += (level - g) * y
+        if total <= 0.0:
+            return
+        place[0], place[1] = sx / total, sy / total
+
+
+@njit(cache=True, error_model="numpy")
+def _hunt(
+    flat, image, mask, places, sides, offsets, turn, known, known_radius, duds, dud_radius, contrast, least, light,
+    radius, reduction, found,
+):  # fmt: skip
+    """`flat` is the image, (h w c,); of colours the green one is looked at, which weighs most in grey."""
+    n = len(places)
+    count = 0
+    start = (turn * 997) % n if n else 0  # another one is the first each time: the limit falls on none for long
+    keep = np.float32(1.0 - contrast)
+    below = np.float32(least)
+    invert = np.uint8(255) if light else np.uint8(0)
+    width, channels = image.shape[1], image.shape[2]
+    steps = np.empty(8, dtype=np.int64)
+    for side in range(8):
+        steps[side] = (offsets[side, 1] * width + offsets[side, 0]) * channels
+    first = 1 if channels == 3 else 0
+    for k in range(n):
+        i = k + start
+        if i >= n:
+            i -= n
+        at = np.uint64((places[i, 1] * width + places[i, 0]) * channels + first)
+        bits = sides[i]
+        g = np.float32(flat[at] ^ invert)
+        # two neighbours part most of the ball from the rest
+        brighter, darker = 0, 0
+        for side in range(8):
+            if (bits >> side) & 1:
+                beside = np.float32(flat[np.uint64(at + steps[side])] ^ invert)
+                if g < keep * beside and g < beside - below:
+                    brighter += 1
+                else:
+                    darker += 1
+                    if darker > 1:
+                        break
+        if darker > 1 or brighter < 4:
+            continue
+        x, y = float(places[i, 0]), float(places[i, 1])
+        if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
+            continue
+        found[count, 0], found[count, 1] = x, y
+        _settle(image, mask, light, radius, reduction, found[count])
+        x, y = found[count, 0], found[count, 1]
+        if _near(x, y, known, known_radius) or _near(x, y, duds, dud_radius):
+            continue
+        count += 1
+        if count == len(found):
+            break
+    return count
