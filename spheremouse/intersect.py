@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spheremouse.camera import Pose, unprojected
 from spheremouse.detect.detections import Detections
-from spheremouse.rig import Rig
+from spheremouse.rig import Rig, row_delay
 from spheremouse.rotation import Array
 
 
@@ -63,7 +63,7 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
         np.empty((n, 3, 3)),
         np.empty((n, 3, 6)),
         np.empty((n, 3, 4)),
-        rig.readout_s * ((detections.centre[:, 1] + 0.5) / camera.height - 0.5),
+        row_delay(detections.centre[:, 1], rig),
         np.empty(n, dtype=np.intp),
     )
     met = _intersect(

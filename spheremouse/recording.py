@@ -172,6 +172,7 @@ def _rig(scene: _Scene) -> Rig:
         targets=targets,
         disc_radius=scene.disc_radius,
         readout_s=scene.readout_s,
+        exposure_s=scene.exposure_s,
         pose=None if scene.T_obj_cam is None else pose_from_matrix(np.array(scene.T_obj_cam)),
     )
 

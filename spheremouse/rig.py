@@ -41,6 +41,7 @@ class Rig:
     targets: Targets
     disc_radius: float  # m, along the ball's surface
     readout_s: float = 0.0  # s, time a rolling shutter takes over all rows
+    exposure_s: float = 0.0  # s, time the shutter is open; 0 where it is short or unknown
     pose: Pose | None = None  # camera pose where it is known beforehand: no targets are needed then
     disc_directions: Array | None = None  # (m, 3) unit vectors in ball, a disc map made earlier
 
@@ -72,3 +73,8 @@ def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.in
     """Directions from the ball's centre, (k, 3) unit vectors in obj, seen at pixels (n, 2), and the k indices."""
     hits = first_hits(uv, rig, pose)
     return (pose.position + hits.scale[:, None] * hits.ray - rig.ball.centre) / rig.ball.radius, hits.index
+
+
+def row_delay(v: Array, rig: Rig) -> Array:
+    """Time, s, from a frame's stamp to the exposure of rows v, px: the stamp is that of the middle row."""
+    return rig.readout_s * ((v + 0.5) / rig.camera.height - 0.5)

@@ -64,6 +64,9 @@ class _RigFile(_CameraFile):
     ball: _Ball = Field(description="radius of the ball, and what else is known of it")
     disc_radius: Positive = Field(description="radius of a disc in m, along the ball's surface")
     readout_s: float = Field(0.0, ge=0, lt=1, description="time a rolling shutter takes over all rows in s")
+    exposure_s: float = Field(
+        0.0, ge=0, lt=1, description="time the shutter is open in s, which tells the blur of a fast ball; 0: unknown"
+    )
     target_radii: tuple[Positive, Positive, Positive] | None = Field(
         None, description="[inner disc, middle ring, outer ring] in m"
     )
@@ -90,6 +93,7 @@ def load_rig(path: Path) -> Rig:
         ),
         disc_radius=file.disc_radius,
         readout_s=file.readout_s,
+        exposure_s=file.exposure_s,
         pose=_pose(file),
         disc_directions=_unit_rows(file.discs) if file.discs else None,
     )
@@ -130,6 +134,7 @@ def rig_text(rig: Rig) -> str:
         *_covariance_lines(rig.ball.covariance, "  covariance", "  # m², of centre x, y, z and radius"),
         f"disc_radius: {float(rig.disc_radius)!r}  # along the ball's surface",
         f"readout_s: {float(rig.readout_s)!r}  # time a rolling shutter takes over all rows",
+        f"exposure_s: {float(rig.exposure_s)!r}  # time the shutter is open; 0: unknown",
     ]
     if np.any(rig.targets.radii):
         lines.append(f"target_radii: {_flow(rig.targets.radii)}  # inner disc, middle ring, outer ring")

@@ -226,7 +226,7 @@ def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterSta
         return detector.detect(frame.image), state.hunt
     which = tracker.filter.visible(predicted)
     known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
-    found, noise = detector.follow(frame.image, known @ predicted.attitude.T)
+    found, noise = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
     if 2 * len(found) < min(seen_before, len(state.filter.used)):
         return detector.detect(frame.image), state.hunt

@@ -15,12 +15,12 @@ import numpy as np
 from numba import njit
 
 from spheremouse.camera import Pose
-from spheremouse.detect.cap import Appearance, appearance, ball_mask, largest_disc
+from spheremouse.detect.cap import Appearance, appearance, ball_mask, largest_disc, seen_at
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, measure, noise_of, smoothing_kernel
 from spheremouse.detect.search import Hunt, Lattice, hunt, lattice, went
-from spheremouse.rig import Rig, directions_at
-from spheremouse.rotation import Array
+from spheremouse.rig import Rig, directions_at, row_delay
+from spheremouse.rotation import Array, exp
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
@@ -87,11 +87,21 @@ class DiscDetector:
         best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
         return self._measured(image, places[index[best]], seen.take(best), noise, 1.0)
 
-    def follow(self, image: Image, directions: Array) -> tuple[Detections, float]:
-        """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image; its noise."""
-        seen = appearance(directions, self.rig, self.pose)
+    def follow(self, image: Image, directions: Array, rate: Array) -> tuple[Detections, float]:
+        """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image; its noise.
+
+        `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed, and smears them while it is.
+        """
+        rig, smear = self.rig, None
+        if rig.readout_s > 0.0:
+            delay = row_delay(seen_at(directions, rig, self.pose)[:, 1], rig)
+            directions = np.einsum("nij,nj->ni", exp(np.nan_to_num(delay)[:, None] * rate), directions)
+        seen = appearance(directions, rig, self.pose)
+        if rig.exposure_s > 0.0:
+            ahead = directions + 0.5 * rig.exposure_s * np.cross(rate, directions)
+            smear = 2.0 * (seen_at(ahead, rig, self.pose) - seen.centre)
         noise = self.noise(image)
-        return self._measured(image, seen.centroid, seen, noise, _EXPECTED), noise
+        return self._measured(image, seen.centroid, seen, noise, _EXPECTED, smear), noise
 
     def hunt(self, image: Image, state: Hunt, known: Array, noise: float) -> tuple[Detections, Hunt]:
         """A share of the search for discs that are not at `known`, (m, 2) px."""
@@ -107,14 +117,17 @@ class DiscDetector:
         near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
         return found, went(state, places[~near.any(axis=1)], fit.reduction)
 
-    def _measured(self, image: Image, place: Array, seen: Appearance, noise: float, share: float) -> Detections:
+    def _measured(
+        self, image: Image, place: Array, seen: Appearance, noise: float, share: float, smear: Array | None = None
+    ) -> Detections:
         """Those of n discs that are in an image, expected at centroids `place`, (n, 2) px, and to look like `seen`.
 
-        Of the contrast that is asked for, `share` is enough.
+        Of the contrast that is asked for, `share` is enough. `smear` (n, 2) px is their way while the shutter is open.
         """
         worth = fitting(seen.centroid, seen.shape, seen.area, self.settings.min_area, *self.mask.shape)
         seen = seen.take(worth)
-        fits = measure(_with_channels(image), self.mask, place[worth], seen.shape, noise, self.fit, share)
+        way = None if smear is None else smear[worth]
+        fits = measure(_with_channels(image), self.mask, place[worth], seen.shape, noise, self.fit, share, smear=way)
         ok = np.flatnonzero(fits.ok)
         ok = ok[np.argsort(-fits.rim[ok], kind="stable")]
         centre = fits.centroid[ok] - (seen.centroid[ok] - seen.centre[ok])

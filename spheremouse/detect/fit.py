@@ -29,6 +29,7 @@ _SIZE = 0.02  # discs cut from one sheet differ by this part of their size
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
 _SLIVER_BIAS = 0.15  # px at a semi-minor axis of one pixel
+_CUT = 1.5  # px², variance per part of the rim that something lies over: its edge passes for a rim here and there
 _LARGE = 3.0  # px, semi-minor axis from which a disc tells the size of all
 _LIMITS = np.array([0.35, 0.25, 0.25, 0.25, 0.25], dtype=np.float32)  # of the contrast: residuals beyond weigh nothing
 _STILL = 0.01  # px: a step this short is the last
@@ -44,6 +45,7 @@ class Fits:
     centroid: Array  # (n, 2) px, of the disc's image
     covariance: Array  # (n, 2, 2) px²
     rim: Array  # (n,) part of the rim on the ball that fits
+    cut: Array  # (n,) part of it that does not fit at all: something lies over it
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,23 +71,26 @@ def measure(
     settings: FitSettings,
     share: float = 1.0,
     size: float = 0.0,
+    smear: Array | None = None,
 ) -> Fits:
     """Fit n discs expected at `place`, (n, 2) px, with `shape`, (n, 2, 2) px², in an image (h, w, c) of uint8.
 
     `mask` (h, w) is not 0 on the ball, `noise` is that of one pixel. First the size is free, which tells discs from
     other things and the size all discs share; then it is held at that, so that a disc cut by a strut is seen as cut,
     not as smaller. Where fewer than three tell it, `size` (fitted over expected) is taken, or 1 if that is 0. Of the
-    contrast that is asked for, `share` is enough.
+    contrast that is asked for, `share` is enough. `smear` (n, 2) px is the way of each while the shutter is open.
     """
     n = len(place)
     f = settings.reduction
     ok, centroid, covariance, rim = np.zeros(n, dtype=np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)), np.zeros(n)
+    cut = np.zeros(n)
     if n:
         _measure(
             image,
             mask,
             place,
             np.ascontiguousarray(shape),
+            np.zeros((n, 2)) if smear is None else smear / f,
             np.float32(noise / f),
             f,
             settings.light,
@@ -100,8 +105,9 @@ def measure(
             centroid,
             covariance,
             rim,
+            cut,
         )
-    return Fits(ok, centroid, covariance, rim)
+    return Fits(ok, centroid, covariance, rim, cut)
 
 
 def smoothing_kernel(sigma: float) -> Array:
@@ -205,19 +211,22 @@ def _phi(x):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _ellipse(n, px, py, xx, xy, yy, cx, cy, size, blur, e, d):
+def _ellipse(n, px, py, xx, xy, yy, cx, cy, size, blur, smear, e, d):
     """e of n pixels, and its derivatives by centre and size: rows of d, (3, n).
 
     With rho² = (x - c)' S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
-    a strip of that width, blurred, is e = Phi(ahead) + Phi(behind) - 1.
+    a strip of that width, blurred, is e = Phi(ahead) + Phi(behind) - 1. A disc that travels by `smear`, (2,) px, while
+    the shutter is open is blurred by that too, across its rim: the variance of a box is a twelfth of its square.
     """
-    per_blur = np.float32(0.70710678) / blur
+    square = blur * blur
+    lx, ly = np.float32(0.28867513) * np.float32(smear[0]), np.float32(0.28867513) * np.float32(smear[1])
     by_x, by_y, by_size = d[0], d[1], d[2]
     for i in range(n):
         dx, dy = px[i] - cx, py[i] - cy
         gx, gy = xx * dx + xy * dy, xy * dx + yy * dy
         rho = np.sqrt(gx * dx + gy * dy + np.float32(1e-6))
-        steep = rho / np.sqrt(gx * gx + gy * gy + np.float32(1e-12)) * per_blur
+        along = gx * lx + gy * ly
+        steep = np.float32(0.70710678) * rho / np.sqrt((gx * gx + gy * gy) * square + along * along + np.float32(1e-12))
         z = (size - rho) * steep
         ahead, bell_ahead = _phi(abs(z))
         behind, bell_behind = _phi((size + rho) * steep)
@@ -382,14 +391,15 @@ def _keep_near(n, px, py, grey, e, x, noise, weight):
 
 @njit(cache=True, error_model="numpy")
 def _measure(
-    image, mask, place, shape, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size_known,
-    ok, centroid, covariance, rim,
+    image, mask, place, shape, smear, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size_known,
+    ok, centroid, covariance, rim, cut,
 ):  # fmt: skip
     n = len(place)
     widest = 0.0
     for k in range(n):
-        widest = max(widest, shape[k, 0, 0], shape[k, 1, 1])
-    reach = int(np.ceil(np.sqrt(widest) / f + _SURROUND)) + 1
+        half_way = 0.5 * np.hypot(smear[k, 0], smear[k, 1])
+        widest = max(widest, np.sqrt(max(shape[k, 0, 0], shape[k, 1, 1])) / f + half_way)
+    reach = int(np.ceil(widest + _SURROUND)) + 1
     side = 2 * reach + 1
     most = side * side
     raw = np.empty((side + 2 * _EDGE, side + 2 * _EDGE), dtype=np.float32)
@@ -416,7 +426,8 @@ def _measure(
         inverse[k, 0], inverse[k, 1], inverse[k, 2] = syy / det, -sxy / det, sxx / det
         # the ellipse whose axes are longer by the surround: same axes, so a combination of S and I
         lo, hi = minor[k] ** 2, major**2
-        glo, ghi = (minor[k] + _SURROUND) ** 2, (major + _SURROUND) ** 2
+        margin = _SURROUND + 0.5 * np.hypot(smear[k, 0], smear[k, 1])
+        glo, ghi = (minor[k] + margin) ** 2, (major + margin) ** 2
         slope = (ghi - glo) / (hi - lo) if hi - lo > 1e-9 * hi else 1.0
         gxx, gxy, gyy = glo + slope * (sxx - lo), slope * sxy, glo + slope * (syy - lo)
         gdet = gxx * gyy - gxy * gxy
@@ -446,7 +457,7 @@ def _measure(
         if m < 2 * _UNKNOWNS:
             continue
         q = inverse[k]
-        _ellipse(m, px[k], py[k], q[0], q[1], q[2], np.float32(0.0), np.float32(0.0), np.float32(1.0), b, e[k], d[k])
+        _ellipse(m, px[k], py[k], q[0], q[1], q[2], np.float32(0.0), np.float32(0.0), np.float32(1.0), b, smear[k], e[k], d[k])
         # the ball's shade beside the disc to begin with: a plane, twice, the second time without what lies off it
         beside = 0
         for i in range(m):
@@ -481,7 +492,7 @@ def _measure(
             _step(N, g, x[k], scale[k], gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
             _ellipse(
                 m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
-                e[k], d[k],
+                smear[k], e[k], d[k],
             )  # fmt: skip
             if turn == 0 and (not _deep(x[k], 0.5 * contrast, noise) or abs(x[k, 8] - 1.0) > 2.0 * size_tolerance):
                 break
@@ -508,22 +519,25 @@ def _measure(
             moved = _step(N, g, x[k], scale[k], gloss[k], size, size_sigma, 1.0 if turn < 2 else 0.5)
             _ellipse(
                 m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
-                e[k], d[k],
+                smear[k], e[k], d[k],
             )  # fmt: skip
             if turn > 0 and moved < _STILL:
                 break
-        fits, whole, inside = 0.0, 1e-9, 0.0
+        fits, whole, inside, lost = 0.0, 1e-9, 0.0, 0.0
         squares, freedom = 0.0, -float(_UNKNOWNS)
         for i in range(m):
             slope = np.sqrt(d[k, 0, i] ** 2 + d[k, 1, i] ** 2)
             fits += weight[k, i] * slope
             whole += slope
+            if weight[k, i] < 0.3:
+                lost += slope
             inside += e[k, i]
             contrast_i = x[k, 3] + x[k, 4] * px[k, i] + x[k, 5] * py[k, i]
             r = grey[k, i] - (x[k, 0] + x[k, 1] * px[k, i] + x[k, 2] * py[k, i] - contrast_i * e[k, i])
             squares += weight[k, i] * r * r
             freedom += weight[k, i]
         rim[k] = fits / whole
+        cut[k] = lost / whole
         # the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
         least = min(0.45, rim_least) if minor[k] < _SLIVER else rim_least
         area = np.pi * f**-2.0 * np.sqrt(shape[k, 0, 0] * shape[k, 1, 1] - shape[k, 0, 1] ** 2) * size**2
@@ -537,7 +551,7 @@ def _measure(
             covariance[k, j, 0] = variance * g[6]
             covariance[k, j, 1] = variance * g[7]
             # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-            covariance[k, j, j] += sigma**2 + (_SLIVER_BIAS / minor[k] ** 2) ** 2 * f**2
+            covariance[k, j, j] += sigma**2 + ((_SLIVER_BIAS / minor[k] ** 2) ** 2 + _CUT * cut[k]) * f**2
 
 
 @njit(cache=True, error_model="numpy")
