@@ -11,6 +11,8 @@ import numpy as np
 from spheremouse.rotation import Array, log
 from spheremouse.settings import param
 
+_DUE = 1.0 - 1e-9  # counts; less than one by rounding alone
+
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
@@ -57,7 +59,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """Fractions of counts not sent yet, each in [-1/2, 1/2]."""
+    """Fractions of counts not sent yet, each in (-1, 1), and in [-1/2, 1/2] after a report on that axis."""
 
     value: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -70,10 +72,12 @@ def rotation_between(before: Array, after: Array) -> Array:
 def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tuple[int, int, int], Remainder]:
     """Whole counts of a rotation vector (3,) rad, and what is left of them.
 
-    The sum of all counts stays within 1/2 of the integral of the motion.
+    The sum of all counts stays within one of the integral of the motion. An axis is silent until a whole count is due,
+    and then sends the nearest number: half a count of play, so that noise about a boundary does not make a ball at rest
+    send counts back and forth.
     """
     exact = matrix @ rotation + remainder.value
-    whole = np.rint(exact)
+    whole = np.where(np.abs(exact) >= _DUE, np.rint(exact), 0.0)
     x, y, z = (int(n) for n in whole)
     left = exact - whole
     return (x, y, z), Remainder((float(left[0]), float(left[1]), float(left[2])))

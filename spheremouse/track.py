@@ -22,11 +22,12 @@ from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings
 from spheremouse.detect.search import Hunt
 from spheremouse.detect.static import Lookalikes, StaticSettings
+from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.filters import Filter, FilterState
 from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
-from spheremouse.filters.so3_state import So3State
+from spheremouse.filters.so3_state import So3State, to_map, with_map
 from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
@@ -35,6 +36,9 @@ from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 
+_POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
+_SURE = 10  # sightings from which a disc is worth keeping
+_REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
 
@@ -138,6 +142,9 @@ class TrackState:
     moved: bool  # the ball has been seen to turn: look-alikes are told from discs
     recent: tuple[Sight, ...]  # frames since the ball was seen, while not `moved`
     hunt: Hunt  # for discs that are not on the map yet
+    holds: bool  # the last frame's discs hold the attitude
+    saved: bool  # a map made earlier is to be recognised first
+    absolute: bool  # the attitude is that of a map made earlier
     detections: Detections  # all of the last frame
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
 
@@ -180,13 +187,21 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
     return Tracker(settings, rig, pose, detector, stage, settings.motion.matrix(rig.ball.radius))
 
 
-def begin(tracker: Tracker, stamp: float, attitude: Array | None = None) -> TrackState:
-    """State before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`."""
+def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:
+    """State before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`.
+
+    With the map of an earlier run (`so3` alone can use it) the discs are recognised first, and the attitude is that of
+    the map: absolute.
+    """
     R = np.eye(3) if attitude is None else attitude
+    start: Any = tracker.filter.initial(stamp, R)
+    saved = known is not None and len(known) >= 3 and isinstance(start, So3State)
+    if saved and known is not None:
+        start = with_map(start, known, _REMEMBERED)
     return TrackState(
         Phase.SEARCHING,
         "",
-        tracker.filter.initial(stamp, R),
+        start,
         Lookalikes(),
         Remainder(),
         R,
@@ -195,6 +210,9 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None) -> Trac
         False,
         (),
         Hunt(),
+        False,
+        saved,
+        False,
         no_detections(),
         _no_points(tracker),
     )
@@ -235,6 +253,11 @@ def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterSta
     return found.joined(other), hunt
 
 
+def disc_map(state: TrackState) -> DiscMap | None:
+    """What is worth keeping of the discs on the ball; None while fewer than four are sure, or for another tracker."""
+    return to_map(state.filter, _SURE) if isinstance(state.filter, So3State) and not state.saved else None
+
+
 def check_size(frame: Frame, rig: Rig) -> None:
     """Raise SourceError when a frame has another size than the camera was calibrated for."""
     h, w = frame.image.shape[:2]
@@ -255,10 +278,14 @@ def advance(
     points = intersect(detections.take(free), tracker.rig, tracker.pose)
     points = replace(points, index=np.flatnonzero(free)[points.index])
     held = min(state.held, stamp)  # a clock that starts again: nothing is held by a time to come
-    state = replace(state, event="", lookalikes=lookalikes, detections=detections, points=points, held=held)
+    state = replace(
+        state, event="", lookalikes=lookalikes, detections=detections, points=points, held=held, holds=False
+    )
     state = _lost_in_a_gap(state, stamp, tracker)
     if state.phase is Phase.LOST:
         state = _recover(state, stamp, tracker)
+    elif state.saved:
+        state = _recognise_saved(state, stamp, tracker)
     elif not state.moved:
         state = _first_motion(state, stamp, tracker, predicted)
     else:
@@ -288,11 +315,13 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: Filter
     proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
     posterior = tracker.filter.update(predicted, points, proven)
     state = replace(state, filter=posterior)
-    if not _holds(state, tracker.settings.loss):  # then no point has a place on the ball: none founds a disc
+    held = _holds(state, predicted, tracker)
+    if not held:  # then no point has a place on the ball: none founds a disc
         found = _recognised(state, stamp, tracker)
         if found is not None:
-            return replace(state, filter=found[0])
-        return replace(state, filter=tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool)))
+            return replace(state, filter=found[0], holds=True)
+        blind = tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool))
+        return replace(state, filter=blind, holds=False)
     other = np.ones(len(points), dtype=bool)
     other[posterior.used] = False  # what belongs to a known disc needs no judgement
     _, _, lookalikes = static.judge(
@@ -300,19 +329,45 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: Filter
     )
     if len(posterior.discs) > len(predicted.discs):
         lookalikes = static.founded(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
-    return replace(state, lookalikes=lookalikes)
+    return replace(state, lookalikes=lookalikes, holds=True)
 
 
-def _holds(state: TrackState, settings: LossSettings) -> bool:
+def _holds(state: TrackState, predicted: FilterState, tracker: Tracker) -> bool:
     """Does the last frame hold the attitude?
 
-    Two discs do, or one while it adds to what is known well; but only if they are at least half of what is seen: of
-    many false candidates a few always fit by chance. And only at a rate that a hand can give.
+    Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many
+    false candidates a few always fit; and only at a rate that a hand can give.
     """
-    used = len(state.filter.used)
-    if used == 0 or 2 * used < len(state.points) or np.linalg.norm(state.filter.rate) > settings.fastest:
+    settings, used = tracker.settings.loss, len(state.filter.used)
+    rate = state.filter.rate
+    if used == 0 or float(rate @ rate) > settings.fastest**2:
+        return False
+    if 2 * used < len(state.points) and not _significant(used, len(state.points), predicted, tracker):
         return False
     return used > 1 or bool(np.linalg.eigvalsh(state.filter.covariance[:3, :3])[-1] < settings.known_sigma**2)
+
+
+def _significant(used: int, points: int, predicted: FilterState, tracker: Tracker) -> bool:
+    """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
+
+    Each point lies in each disc's gate by chance with that gate's share of what the camera sees of the ball.
+    """
+    if not isinstance(predicted, So3State) or not isinstance(tracker.filter, So3Filter):
+        return False  # the published filters gate by a length: half of the points must fit
+    f = tracker.filter
+    which = f.visible(predicted)
+    areas = f.settings.gate * np.pi * (f.place_sigma(predicted, which) ** 2 + _POINT_SIGMA**2)
+    chance = points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - f.horizon))  # pairs to be expected
+    return bool(_poisson_sf(used, chance) < 1e-3)
+
+
+def _poisson_sf(least: int, mean: float) -> float:
+    """Probability of at least `least` events where `mean` are expected."""
+    term, below = float(np.exp(-mean)), 0.0
+    for k in range(least):
+        below += term
+        term *= mean / (k + 1)
+    return float(max(1.0 - below, 0.0))
 
 
 def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
@@ -321,6 +376,7 @@ def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
     """
     naive = replace(state, filter=tracker.filter.update(predicted, state.points))
+    naive = replace(naive, holds=_holds(naive, predicted, tracker))
     if len(state.points) == 0 and not state.recent:
         return naive
     recent = (*state.recent, Sight(stamp, state.detections, state.points, naive.filter.attitude))
@@ -341,7 +397,16 @@ def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: 
         filtered = tracker.filter.update(tracker.filter.predict(filtered, sight.stamp), points)
     masked = f"{len(still)} look-alike{'s' if len(still) > 1 else ''} masked"
     event = f"the ball turns; {masked}" if len(still) else "the ball turns"
-    return replace(state, filter=filtered, lookalikes=lookalikes, points=points, moved=True, recent=(), event=event)
+    return replace(
+        state,
+        filter=filtered,
+        lookalikes=lookalikes,
+        points=points,
+        moved=True,
+        holds=len(filtered.used) > 1,
+        recent=(),
+        event=event,
+    )
 
 
 def _still_since(anchor: Sight, now: Sight, tracker: Tracker) -> Array | None:
@@ -399,6 +464,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
                 phase=Phase.TRACKING,
                 sent=filtered.attitude,
                 held=stamp,
+                holds=True,
                 found=None,
                 recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
                 lookalikes=_forget(state.lookalikes),
@@ -414,11 +480,47 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         phase=Phase.TRACKING,
         sent=attitude,
         held=stamp,
+        holds=True,
         found=None,
         moved=False,
         recent=(Sight(stamp, state.detections, points, attitude),),
         lookalikes=_forget(state.lookalikes),
         event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
+    )
+
+
+def _recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+    """The ball is where the saved map says, once that is certain; never recognised, it is another ball's map."""
+    points = state.points
+    recognised = _recognised(state, stamp, tracker)
+    if recognised is not None:
+        filtered, pairs = recognised
+        return replace(
+            state,
+            filter=filtered,
+            phase=Phase.TRACKING,
+            sent=filtered.attitude,
+            held=stamp,
+            found=None,
+            moved=True,
+            holds=True,
+            saved=False,
+            absolute=True,
+            event=f"tracking: recognised by {pairs} discs of the saved map",
+        )
+    enough = len(points) >= 4  # fewer say nothing against the map
+    found = stamp if state.found is None or not enough else min(state.found, stamp)
+    if stamp - found < tracker.settings.loss.reset_after:
+        return replace(state, found=found)
+    attitude = state.filter.attitude
+    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), points)
+    return replace(
+        state,
+        filter=filtered,
+        found=None,
+        saved=False,
+        recent=(Sight(stamp, state.detections, points, attitude),),
+        event="the saved map does not fit: another ball, or its discs were moved; a new map is begun",
     )
 
 
@@ -454,13 +556,13 @@ def _forget(lookalikes: Lookalikes) -> Lookalikes:
 
 def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """Is the ball tracked, lost, or still looked for?"""
-    if _holds(state, tracker.settings.loss):
+    if state.holds:
         state = replace(state, held=stamp)
     if state.phase is Phase.SEARCHING:
-        if len(state.filter.discs) >= 2:
-            return replace(
-                state, phase=Phase.TRACKING, held=stamp, event=f"tracking: {len(state.points)} discs in view"
-            )
+        if not state.saved and len(state.filter.discs) >= 2:
+            event = f"{state.event}; " if state.event else ""
+            event += f"tracking: {len(state.points)} discs in view"
+            return replace(state, phase=Phase.TRACKING, held=stamp, event=event)
         return replace(state, held=stamp)
     if state.phase is Phase.TRACKING and stamp - state.held > tracker.settings.loss.lost_after:
         seen = len(state.points)
@@ -477,7 +579,7 @@ def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackStat
 
 def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
     """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
-    if state.phase is not Phase.TRACKING or not _holds(state, tracker.settings.loss):
+    if state.phase is not Phase.TRACKING or not state.holds:
         return state, Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
     attitude = state.filter.attitude
     rotation = rotation_between(state.sent, attitude)
