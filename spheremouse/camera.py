@@ -78,7 +78,7 @@ class Pose:
 def pose_from_matrix(T: Array, covariance: Array | None = None) -> Pose:
     """Pose of a homogeneous T_obj_cam, (4, 4); the rotation is made orthonormal."""
     u, _, vt = np.linalg.svd(np.asarray(T, dtype=float)[:3, :3])
-    return Pose(u @ vt, np.array(T, dtype=float)[:3, 3], np.zeros((6, 6)) if covariance is None else covariance)
+    return Pose(u @ vt, np.array(T, dtype=float)[:3, 3].copy(), np.zeros((6, 6)) if covariance is None else covariance)
 
 
 @njit(cache=True, error_model="numpy")

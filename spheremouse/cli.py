@@ -7,7 +7,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from spheremouse import __version__, cli_bench, cli_config, cli_run, cli_simulate, demo
+from spheremouse import __version__, cli_bench, cli_config, cli_layout, cli_map, cli_run, cli_simulate, demo
 from spheremouse.cli_evaluate import evaluate
 from spheremouse.errors import SpheremouseError
 
@@ -26,7 +26,9 @@ app.command(epilog=demo.EXAMPLE)(demo.demo)
 app.command(epilog=cli_simulate.EXAMPLE)(cli_simulate.simulate)
 app.command(epilog="Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json")(evaluate)
 app.command(epilog=cli_bench.EXAMPLE)(cli_bench.bench)
+app.command(epilog=cli_layout.EXAMPLE)(cli_layout.layout)
 app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")
+app.add_typer(cli_map.app, name="map", epilog="Example: spheremouse map show rig.map.yaml")
 
 _debug = False
 

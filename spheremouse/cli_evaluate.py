@@ -14,6 +14,7 @@ from rich.table import Table
 
 from spheremouse import config
 from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
 from spheremouse.frame import Frame
@@ -22,13 +23,14 @@ from spheremouse.recording import Recording, open_dataset, read_frames
 from spheremouse.rig import Rig
 from spheremouse.rig_file import load_camera, load_rig, with_camera
 from spheremouse.session import History, initialise, track
+from spheremouse.session_map import open_map
 from spheremouse.track import Settings, build
 from spheremouse.yaml_file import write_atomically
 
 _SEED = 0  # of the noise added: the same frame gets the same noise in every run
 
 
-def evaluate(  # noqa: PLR0917
+def evaluate(
     datasets: Annotated[list[Path], typer.Argument(metavar="DATASET...", show_default=False, help="Folders.")],
     tracker: Annotated[str | None, typer.Option(metavar="so3|ekf1|ekf2", help="Filter.")] = None,
     detector: Annotated[str | None, typer.Option(metavar="default|blobs", help="Disc detector.")] = None,
@@ -39,6 +41,9 @@ def evaluate(  # noqa: PLR0917
     config_file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="Configuration file.")] = None,
     rig_file: Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="In place of the dataset's.")] = None,
     camera_file: Annotated[Path | None, typer.Option("--camera", metavar="FILE", help="Interior orientation.")] = None,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", metavar="FILE", help="Begin with a saved map of discs; it is not changed.")
+    ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
     ] = None,
@@ -58,15 +63,16 @@ def evaluate(  # noqa: PLR0917
         camera = None if camera_file is None else load_camera(camera_file)
         recordings = [open_dataset(path) for path in datasets]
         rigs = [_rig(recording, rig, camera, pose) for recording in recordings]
+        known = [_known(map_file, used_rig, settings) for used_rig in rigs]
         if plot_file is not None and recordings[0].truth is None:
             raise DatasetError(f"{recordings[0].path}: no truth.csv, which --plot compares with")
     except SpheremouseError as e:
         _fail(str(e))
     results: list[dict[str, Any]] = []
     failed = False
-    for recording, used_rig in zip(recordings, rigs, strict=True):
+    for recording, used_rig, disc_map in zip(recordings, rigs, known, strict=True):
         try:
-            run, found = _run(recording, used_rig, settings, noise, brightness, err)
+            run, found = _run(recording, used_rig, settings, noise, brightness, disc_map, err)
         except SpheremouseError as e:
             typer.echo(_about(recording, str(e)), err=True)
             failed = True
@@ -142,6 +148,14 @@ def _rig(recording: Recording, rig: Rig | None, camera: InteriorOrientation | No
     return replace(rig, pose=recording.pose)
 
 
+def _known(file: Path | None, rig: Rig, settings: Settings) -> DiscMap | None:
+    if file is None:
+        return None
+    if settings.tracker != "so3":
+        raise ConfigurationError(f"--map: tracker {settings.tracker} keeps no map; use so3, or leave --map out")
+    return open_map(file, rig).map
+
+
 def _about(recording: Recording, message: str) -> str:
     """A message that says which dataset it is about; those of the recording itself begin with its path."""
     return message if str(recording.path) in message else f"{recording.path}: {message}"
@@ -155,8 +169,14 @@ def _fail(message: str) -> NoReturn:
 # ---- one run ----
 
 
-def _run(  # noqa: PLR0917
-    recording: Recording, rig: Rig, settings: Settings, noise: float, brightness: float, err: Console
+def _run(
+    recording: Recording,
+    rig: Rig,
+    settings: Settings,
+    noise: float,
+    brightness: float,
+    known: DiscMap | None,
+    err: Console,
 ) -> tuple[Run, Pose | None]:
     """Track a recording from its first frame; also the camera's pose where it was found from the images."""
     frames = degraded(read_frames(recording), noise, brightness)
@@ -167,7 +187,7 @@ def _run(  # noqa: PLR0917
         for text in passed_over:
             err.print(f"{_about(recording, text)} (first frames passed over)", markup=False, highlight=False)
         history = History()
-        for epoch in track(start.frames, build(rig, start.pose, settings)):
+        for epoch in track(start.frames, build(rig, start.pose, settings), known):
             history.add(epoch)
             progress.update(task, completed=epoch.frame.sequence + 1)
     return history.run(), None if start.resection is None else start.pose
@@ -257,6 +277,7 @@ _ROWS: tuple[tuple[str, Callable[[dict[str, Any]], str]], ...] = (
     ("surface speed RMSE, mm/s", lambda r: _axes(r["surface_speed_rmse_mm_s"])),
     ("surface speed, Pearson's r", lambda r: _axes(r["surface_speed_r"], ".4f")),
     ("discs used per frame", lambda r: _shown(r["mean_discs"])),
+    ("recognised in the map from frame", lambda r: _shown(r["identified_from_frame"], "d")),
     (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r, "recall")),
     ("points used that are no disc, %", lambda r: _percent(r, "false_share")),
     ("disc centre RMS per axis, px", lambda r: _each(r, "detection", "centre_rms_px")),

@@ -13,7 +13,7 @@ from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 EXAMPLE = "Example: spheremouse run --source dataset:demo/roll --output text:-"
 
 
-def run(  # noqa: PLR0917  options, named by whoever types them
+def run(
     source: Annotated[
         str,
         typer.Option(
@@ -35,6 +35,16 @@ def run(  # noqa: PLR0917  options, named by whoever types them
         Path | None,
         typer.Option(metavar="FILE", help="Interior orientation in place of the rig's: another resolution or lens."),
     ] = None,
+    map_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            help="Where the map of the discs is kept from run to run. [default: beside the rig file, rig.map.yaml "
+            "for rig.yaml; none for sources that bring their own rig]",
+        ),
+    ] = None,
+    no_map: Annotated[bool, typer.Option("--no-map", help="Begin without a saved map, and save none.")] = False,
     assignments: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the configuration; may be repeated."),
@@ -63,20 +73,28 @@ def run(  # noqa: PLR0917  options, named by whoever types them
     """Track the ball and send its motion.
 
     First the camera's pose is found from the ring targets, unless the rig knows it; then every frame is tracked.
+    With a rig file, what is learnt of the ball's discs is saved beside it: the next run knows the attitude from its
+    first frame.
     Pose, what changes (tracking, lost, tracking again) and a closing line go to standard error. Ctrl-C ends the run.
     """
     from spheremouse.cli_config import settings_of
     from spheremouse.live import Board, Tally
+    from spheremouse.map_file import map_path
     from spheremouse.output import open_output
     from spheremouse.overlay import OverlayFile, target_marks
     from spheremouse.resect import describe
     from spheremouse.rig_file import load_camera, load_rig, with_camera
     from spheremouse.session import initialise, track
+    from spheremouse.session_map import MapKeeper
     from spheremouse.source import open_source
     from spheremouse.stopping import Stopping
     from spheremouse.track import Settings, build
 
     settings = settings_of(config, assignments, Settings)
+    if map_file is not None and no_map:
+        raise ConfigurationError("--map and --no-map: give one of the two")
+    if map_file is not None and settings.tracker != "so3":
+        raise ConfigurationError(f"--map: tracker {settings.tracker} keeps no map; use so3, or leave --map out")
     device = None if rig is None else load_rig(rig)
     interior = None if camera is None else load_camera(camera)
     shared = output in ("text:-", "text:", "text") and sys.stdout.isatty()
@@ -93,6 +111,9 @@ def run(  # noqa: PLR0917  options, named by whoever types them
             device = with_camera(device, interior)
         picture = None if overlay is None else stack.enter_context(OverlayFile(overlay, given.fps))
         board = stack.enter_context(Board(source, wanted, tally))
+        if map_file is None and rig is not None and given.rig is None and settings.tracker == "so3" and not no_map:
+            map_file = map_path(rig)
+        keeper = None if map_file is None else stack.enter_context(MapKeeper(map_file, device, board.say))
         with open_output(output) as sink:  # a reader of the output that goes away ends this block, quietly
             try:
                 said: list[str] = []
@@ -110,9 +131,12 @@ def run(  # noqa: PLR0917  options, named by whoever types them
                 board.say("camera pose: as the rig says" if found is None else f"camera pose: {describe(found)}")
                 if picture is not None:
                     picture.begin(tracker, target_marks(device, start.pose, found))
-                for epoch in track(stopping.frames(islice(start.frames, frames)), tracker):
+                known = None if keeper is None else keeper.known
+                for epoch in track(stopping.frames(islice(start.frames, frames)), tracker, known):
                     sink.send(epoch.motion)
                     tally.add(epoch)
+                    if keeper is not None:
+                        keeper.keep(epoch.state)
                     if epoch.state.event:
                         board.say(f"{epoch.frame.stamp:9.3f} s  {epoch.state.event}")
                     board.show(epoch)

@@ -21,8 +21,10 @@ from spheremouse.dataset_format import DISC_COLUMNS, FILES, TRUTH_COLUMNS, video
 from spheremouse.errors import DatasetError
 from spheremouse.frame import Frame
 from spheremouse.rotation import Array, to_euler
-from spheremouse.simulate import Simulation, simulate
+from spheremouse.simulate import Change, Simulation, simulate
 from spheremouse.simulate.truth import DiscTruth
+
+CENTRE_COLUMNS = ("bx", "by", "bz")  # of truth.csv, where the ball leaves its place
 
 _CODECS = ("FFV1", "HFYU")  # in this order: smaller first
 
@@ -52,12 +54,15 @@ class DatasetWriter:
     Everything goes to a temporary folder beside `path` that takes its name at the end.
     """
 
-    def __init__(self, path: Path | str, scene: dict[str, Any], *, replace: bool = False) -> None:
+    def __init__(
+        self, path: Path | str, scene: dict[str, Any], *, replace: bool = False, centres: bool = False
+    ) -> None:
         """`scene`: the content of scene.json without `frames`. A non-empty `path` is refused unless `replace`,
-        and even then replaced only if all it holds is a dataset."""
+        and even then replaced only if all it holds is a dataset. `centres`: the ball's centre moves and is written."""
         self._path = Path(path).absolute()
         self._scene = scene
         self._replace = replace
+        self._centres = centres
         self._size = (int(scene["width"]), int(scene["height"]))
         self._frames = 0
         self._video: cv2.VideoWriter | None = None
@@ -86,15 +91,18 @@ class DatasetWriter:
             self._discs_file = (self._folder / "discs.csv").open("w", newline="", encoding="utf-8")
             self._truth_rows = csv.writer(self._truth_file, lineterminator="\n")
             self._disc_rows = csv.writer(self._discs_file, lineterminator="\n")
-            self._truth_rows.writerow(TRUTH_COLUMNS)
+            self._truth_rows.writerow((*TRUTH_COLUMNS, *CENTRE_COLUMNS) if self._centres else TRUTH_COLUMNS)
             self._disc_rows.writerow(DISC_COLUMNS)
         except BaseException:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise
         return self
 
-    def add(self, frame: Frame, attitude: Array, rate: Array, discs: DiscTruth) -> None:
-        """One frame with R_obj_ball (3, 3), w_obj (3,) rad/s and the rows of its discs (their `frame` is not used)."""
+    def add(self, frame: Frame, attitude: Array, rate: Array, discs: DiscTruth, centre: Array | None = None) -> None:
+        """One frame with R_obj_ball (3, 3), w_obj (3,) rad/s and the rows of its discs (their `frame` is not used).
+
+        `centre`: (3,) m in obj, of the ball, where `centres` are written.
+        """
         assert frame.image.shape == (self._size[1], self._size[0], 3)
         index = self._frames
         if self._video is not None:
@@ -102,6 +110,8 @@ class DatasetWriter:
         elif not cv2.imwrite(str(self._folder / "frames" / f"{index:06d}.png"), frame.image):
             raise DatasetError(f"{self._path}: frame {index} could not be written; is the disk full?")
         numbers = [frame.stamp, *attitude.ravel(), *rate, *to_euler(attitude)]
+        if self._centres:
+            numbers += [0.0, 0.0, 0.0] if centre is None else list(centre)
         self._truth_rows.writerow([index, *(repr(float(x)) for x in numbers)])
         for k in range(len(discs)):
             blob = (*discs.blob_centre[k], discs.area[k])
@@ -197,7 +207,21 @@ def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
     }
     if scene.readout_s > 0.0:
         description["readout_s"] = scene.readout_s
+    if simulation.changes:
+        description["truth_changes"] = [_change(change) for change in simulation.changes]
+        bumps = [change for change in simulation.changes if change.what == "bump"]
+        if bumps:
+            description["truth_bump"] = {"t": bumps[0].time, "T_obj_cam": bumps[0].scene.pose.matrix().tolist()}
     return description
+
+
+def _change(change: Change) -> dict[str, Any]:
+    said: dict[str, Any] = {"t": change.time, "what": change.what}
+    if change.disc is not None:
+        said["disc"] = change.disc
+    if change.what == "disc moved":
+        said["direction"] = change.scene.disc_directions[change.disc].tolist()
+    return said
 
 
 def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool = False) -> Iterator[int]:
@@ -205,7 +229,8 @@ def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool 
 
     Raises DatasetError as DatasetWriter does. An iterator that is closed early writes nothing.
     """
-    with DatasetWriter(path, scene_description(simulation, Path(path).absolute().name), replace=replace) as writer:
+    description, centres = scene_description(simulation, Path(path).absolute().name), simulation.options.reach > 0.0
+    with DatasetWriter(path, description, replace=replace, centres=centres) as writer:
         for done, filmed in enumerate(simulate(simulation), start=1):
-            writer.add(filmed.frame, filmed.attitude, filmed.rate, filmed.discs)
+            writer.add(filmed.frame, filmed.attitude, filmed.rate, filmed.discs, filmed.centre)
             yield done

@@ -47,7 +47,7 @@ def require_matplotlib() -> None:
         raise ConfigurationError("plots need matplotlib: pip install 'spheremouse[plot]'")
 
 
-def plot_run(  # noqa: PLR0917
+def plot_run(
     stamps: Array,
     attitude: Array,
     rate: Array,

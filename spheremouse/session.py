@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.camera import Pose
 from spheremouse.detect.rings import detect_targets
+from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run
 from spheremouse.frame import Frame
@@ -20,7 +21,8 @@ from spheremouse.motion import Motion
 from spheremouse.resect import Resection, gather, resect
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
-from spheremouse.track import Settings, Tracker, TrackState, advance, begin, check_size
+from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step
+from spheremouse.warm import warm_up
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,7 @@ class History:
             rate=np.array([s.filter.rate for s in states]).reshape(n, 3),
             rotation=np.array([e.motion.rotation for e in epochs]).reshape(n, 3),
             covariance=np.array([s.filter.covariance for s in states]).reshape(n, 6, 6),
+            absolute=np.array([s.absolute for s in states], dtype=bool),
             detected=tuple(s.detections.centre for s in states),
             used=tuple(e.used for e in epochs),
             seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
@@ -116,15 +119,19 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
     return frame.image
 
 
-def track(frames: Iterator[Frame], tracker: Tracker) -> Iterator[Epoch]:
-    """Track every frame."""
+def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = None) -> Iterator[Epoch]:
+    """Track every frame; with a `known` map of the ball's discs the attitude is in its frame once it is recognised."""
+    warm_up(tracker.settings)
     state: TrackState | None = None
+    times = [0.0, 0.0, 0.0]
+
+    def detected() -> None:
+        times[1] = time.perf_counter()
+
     for frame in frames:
         check_size(frame, tracker.rig)
-        state = state or begin(tracker, frame.stamp)
-        started = time.perf_counter()
-        detections = tracker.detector.detect(frame.image)
-        detected = time.perf_counter()
-        state, motion = advance(state, frame.stamp, detections, tracker)
-        filtered = time.perf_counter()
-        yield Epoch(frame, state, motion, {"detect": detected - started, "filter": filtered - detected})
+        state = state or begin(tracker, frame.stamp, known=known)
+        times[0] = time.perf_counter()
+        state, motion = step(state, frame, tracker, detected)
+        times[2] = time.perf_counter()
+        yield Epoch(frame, state, motion, {"detect": times[1] - times[0], "filter": times[2] - times[1]})

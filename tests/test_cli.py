@@ -17,16 +17,20 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
+from conftest import directions
 
 from spheremouse import cli, demo
+from spheremouse.disc_map import DiscMap
+from spheremouse.map_compare import compare
+from spheremouse.map_file import load_map, save_map, saved_now
 from spheremouse.motion import MotionSettings
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rig_file import save_camera, save_rig
-from spheremouse.rotation import log
+from spheremouse.rotation import exp, log
 from spheremouse.stopping import Stopping
 from spheremouse.timing import FrameTimes
 
-COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"])
+COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"], ["map"], ["map", "show"], ["map", "compare"])
 QUICK = ("--set", "pose.frames=2")
 
 
@@ -186,6 +190,114 @@ def test_a_rig_file_serves_a_bare_video_and_a_camera_file_replaces_its_camera(sp
     code, _, err = spheremouse(*source, "--rig", tmp_path / "rig.yaml", "--camera", tmp_path / "other.yaml")
     assert code == 2
     assert err.startswith("spheremouse: frame 0 is 640x480, the camera was calibrated at 1280x960: ")
+    assert err.count("\n") == 1
+
+
+# ---- the map of discs ----
+
+
+@pytest.fixture
+def device(roll, tmp_path):
+    """The rig file of `roll` in a folder of its own."""
+    folder = tmp_path / "device"
+    folder.mkdir()
+    save_rig(folder / "rig.yaml", open_dataset(roll).rig)
+    return folder / "rig.yaml"
+
+
+def test_the_second_run_of_a_device_knows_the_attitude_from_its_first_frame(spheremouse, roll, device):
+    words = ("run", "--source", f"video:{roll / 'video.mkv'}", "--output", "text:-", "--rig", device, *QUICK)
+    code, first, err = spheremouse(*words)
+    assert code == 0
+    file = device.with_name("rig.map.yaml")
+    discs = len(load_map(file).map)
+    assert discs >= 8
+    assert f"map: {file}: {discs} discs saved\n" in err
+    code, again, err = spheremouse(*words)
+    assert code == 0
+    assert f"map: {file}: {discs} discs, saved just now\n" in err
+    assert re.search(r"^ +0\.0\d\d s  tracking: recognised by \d+ discs of the saved map$", err, re.MULTILINE)
+    assert re.search(rf"^map: {re.escape(str(file))}: \d+ discs saved: {discs} discs stayed", err, re.MULTILINE)
+    # the same pictures, the same motion: from a map or without one
+    difference = motions(first)[:, 1:4].sum(axis=0) - motions(again)[:, 1:4].sum(axis=0)
+    assert np.max(np.abs(difference)) < 0.2 / 57.3 * 600  # 0.2 degrees
+    assert sorted(p.name for p in device.parent.iterdir()) == ["rig.map.yaml", "rig.yaml"]
+
+
+def test_another_balls_map_is_not_recognised_and_kept_aside(spheremouse, roll, device):
+    file = device.with_name("rig.map.yaml")
+    rig = open_dataset(roll).rig
+    other = DiscMap(directions(16, 5), 1e-6 * np.eye(32), np.full(16, 100, dtype=np.intp))
+    save_map(file, saved_now(other, rig))
+    before = file.read_bytes()
+    source = ("run", "--source", f"video:{roll / 'video.mkv'}", "--output", "null", "--rig", device, *QUICK)
+    code, _, err = spheremouse(*source)
+    assert code == 0
+    assert "another ball, or its discs were moved" in err
+    old = device.with_name("rig.map.old.yaml")
+    assert f"; the map before is kept in {old}\n" in err
+    assert old.read_bytes() == before
+    assert compare(load_map(file).map, other) is None
+
+
+def test_a_recording_is_replayed_without_a_map_unless_it_is_asked_for(spheremouse, roll, device, empty_folder):
+    source = ("run", "--source", f"dataset:{roll}", "--output", "null", *QUICK)
+    before = sorted(p.name for p in roll.iterdir())
+    code, _, err = spheremouse(*source, "--rig", device)
+    assert code == 0
+    assert "map" not in err
+    code, _, err = spheremouse(
+        "run", "--source", f"video:{roll / 'video.mkv'}", *source[3:], "--rig", device, "--no-map"
+    )
+    assert code == 0
+    assert "map" not in err
+    assert [p.name for p in device.parent.iterdir()] == ["rig.yaml"]
+    assert sorted(p.name for p in roll.iterdir()) == before
+    code, _, err = spheremouse(*source, "--map", "asked.yaml")
+    assert code == 0
+    assert len(load_map(empty_folder / "asked.yaml").map) >= 8
+
+
+def test_a_map_is_shown_and_compared(spheremouse, empty_folder, roll):
+    d, R = directions(12, 3), exp(np.array([0.0, 0.5, 0.0]))
+    rig = open_dataset(roll).rig
+    for name, places in (("a", d), ("b", d[1:] @ R.T), ("c", directions(12, 4))):
+        n = len(places)
+        save_map(empty_folder / name, saved_now(DiscMap(places, 1e-6 * np.eye(2 * n), np.arange(n)), rig))
+    code, out, err = spheremouse("map", "show", "a")
+    assert (code, err) == (0, "")
+    lines = [line.split() for line in out.splitlines()]
+    assert out.startswith("a: 12 discs of radius 20 mm on a ball of 0.6 m; saved ")
+    for i, (x, y, z) in enumerate(d):
+        latitude, longitude = np.rad2deg([np.arcsin(y), np.arctan2(x, z)])
+        assert lines[2 + i] == [str(i), f"{latitude:+.1f}", f"{longitude:+.1f}", "0.057", str(i)]
+    code, out, err = spheremouse("map", "compare", "a", "b")
+    assert (code, err) == (0, "")
+    assert out.startswith("the same ball: 11 discs stayed, 1 gone; B is turned by 28.65° against A\n")
+    assert out.splitlines()[2].split()[:2] == ["gone", "0"]
+    code, out, err = spheremouse("map", "compare", "a", "c")
+    assert (code, err) == (1, "")
+    assert out == "another ball, or too few discs in common: 12 in a, 12 in c\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--map", "m.yaml", "--no-map"], "--map and --no-map: give one of the two"),
+        (["--map", "nowhere/m.yaml"], "nowhere/m.yaml: no such folder; name a place for the map with --map, "),
+        (["--map", "m.yaml", "--set", "tracker=ekf2"], "--map: tracker ekf2 keeps no map; use so3, or leave --map out"),
+        (
+            ["--map", "damaged.yaml"],
+            "damaged.yaml:1: schema: is 7, of a newer spheremouse; this one reads 1: update it; ",
+        ),
+    ],
+    ids=lambda p: " ".join(p) if isinstance(p, list) else "",
+)
+def test_a_map_that_cannot_be_kept_is_refused_in_one_line(spheremouse, roll, empty_folder, words, message):
+    (empty_folder / "damaged.yaml").write_text("schema: 7\n")
+    code, out, err = spheremouse("run", "--source", f"dataset:{roll}", "--output", "text:-", *words)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"spheremouse: {message}")
     assert err.count("\n") == 1
 
 

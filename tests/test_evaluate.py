@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from conftest import directions as ball_directions
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import pearsonr
@@ -15,6 +16,7 @@ from typer.testing import CliRunner
 
 from spheremouse import cli_evaluate, plot
 from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.metrics import (
@@ -25,6 +27,7 @@ from spheremouse.evaluate.metrics import (
     correlation,
     detection_quality,
     frame_times,
+    identified_from,
     lost_episodes,
     mean_nees,
     pearson,
@@ -34,8 +37,9 @@ from spheremouse.evaluate.metrics import (
     surface_speeds,
 )
 from spheremouse.frame import Frame
+from spheremouse.map_file import save_map, saved_now
 from spheremouse.motion import MotionSettings, rotation_between
-from spheremouse.recording import write_simulation
+from spheremouse.recording import open_dataset, write_simulation
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import tangent_basis
 from spheremouse.simulate import SimulationOptions, prepare
@@ -77,6 +81,7 @@ def perfect_run(truth, detected=None, used=None):
         rate=truth.rate.copy(),
         rotation=np.concatenate([np.zeros((1, 3)), truth_turns(truth)]),
         covariance=np.broadcast_to(np.eye(6), (n, 6, 6)).copy(),
+        absolute=np.zeros(n, dtype=bool),
         detected=none if detected is None else detected,
         used=none if used is None else used,
         seconds={"detect": np.full(n, 3e-3), "filter": np.full(n, 1e-3)},
@@ -316,6 +321,15 @@ def test_never_tracked_is_null_not_zero():
     assert result["attitude_rmse_deg"]["combined"] is None
 
 
+def test_identified_is_the_first_frame_whose_attitude_is_absolute():
+    """Counted in the recording, from whichever of its frames the run began."""
+    truth = random_motion(20)
+    run = replace(perfect_run(truth), frame=np.arange(4, 24), absolute=np.arange(20) >= 3)
+    assert identified_from(run) == 7
+    assert figures(run, Reference())["identified_from_frame"] == 7
+    assert figures(perfect_run(truth), Reference())["identified_from_frame"] is None
+
+
 # ---- the bound ----
 
 
@@ -437,6 +451,28 @@ def test_json_to_stdout_is_only_json_and_a_list_for_several(filmed):
     assert both[0] == both[1]
 
 
+def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_is(filmed, tmp_path):
+    recording = open_dataset(filmed)
+    d = recording.truth_directions
+    R = Rotation.random(rng=3).as_matrix()
+    true = DiscMap(d @ R.T, 1e-6 * np.eye(2 * len(d)), np.full(len(d), 100, dtype=np.intp))
+    file = tmp_path / "m.yaml"
+    save_map(file, saved_now(true, recording.rig))
+    before = file.read_bytes()
+    done = run_command(filmed, "--pose", "known", "--map", file, "--json", "-")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["identified_from_frame"] == 0
+    assert result["tracked"] == 15
+    assert result["attitude_rmse_deg"]["combined"] < 0.2
+    assert file.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["m.yaml"]
+    save_map(file, saved_now(replace(true, directions=ball_directions(len(d), 9)), recording.rig))
+    done = run_command(filmed, "--pose", "known", "--map", file, "--json", "-")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["identified_from_frame"] is None  # another ball
+
+
 def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
     (tmp_path / "bare").mkdir()
     for name in filmed.iterdir():
@@ -462,6 +498,8 @@ def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
         (("--rig", "missing.yaml"), "missing.yaml"),
         (("--camera", "missing.yaml"), "missing.yaml"),
         (("--json", "nowhere/out.json"), "--json"),
+        (("--map", "missing.yaml"), "missing.yaml"),
+        (("--map", "missing.yaml", "--tracker", "ekf1"), "--map: tracker ekf1 keeps no map"),
         (("another", "--plot", "out.png"), "--plot"),
         (("missing",), "missing"),
     ],

@@ -20,12 +20,18 @@ CORE = (
     "detect",
     "resect",
     "intersect",
+    "constellation_kernel",
+    "constellation",
     "associate",
     "filters",
     "motion",
+    "watch",
     "track",
+    "warm",
     "adjustment",
     "simulate",
+    "coincidence",
+    "layout",
     "evaluate",
 )
 FORBIDDEN = {

@@ -1,18 +1,24 @@
 """The simulator against closed forms, OpenCV's projection, its own laws, and an independent renderer."""
 
+import csv
+import json
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from spheremouse.camera import project_circle, project_sphere, reduced_to_pixel
+from spheremouse.camera import Pose, project_circle, project_sphere, reduced_to_pixel
+from spheremouse.cli_simulate import simulate as film
 from spheremouse.errors import ConfigurationError
-from spheremouse.recording import open_dataset, read_frames
+from spheremouse.recording import open_dataset, read_frames, write_simulation
 from spheremouse.rotation import hat, to_euler
 from spheremouse.simulate import (
+    MOST_FRAMES,
     Dimming,
+    Flicker,
     HandVisit,
+    Lift,
     Renderer,
     RenderOptions,
     SimulationOptions,
@@ -22,7 +28,10 @@ from spheremouse.simulate import (
 )
 from spheremouse.simulate.backdrop import render_backdrop
 from spheremouse.simulate.caps import BallView, Caps
-from spheremouse.simulate.profile import play, roll, still, thesis
+from spheremouse.simulate.events import bumped, displaced, facing
+from spheremouse.simulate.layers import render_layers
+from spheremouse.simulate.light import develop, reflectance
+from spheremouse.simulate.profile import creep, flick, play, rest, roll, still, thesis
 from spheremouse.simulate.scene import spread_directions
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
 
@@ -76,6 +85,9 @@ PROFILES = {
     "play": play(20.0, rng(1)),
     "more play": play(20.0, rng(2)),
     "still": still(),
+    "rest": rest(),
+    "creep": creep(),
+    "flick": flick(),
 }
 
 
@@ -95,7 +107,8 @@ def test_motion_starts_at_rest_in_obj_and_has_no_jumps(name):
     assert np.allclose(profile.attitude(np.zeros(1))[0], np.eye(3), atol=1e-12)
     assert np.allclose(profile.rate(np.zeros(1)), 0.0, atol=1e-12)
     t = np.linspace(0.0, profile.seconds, 4001)
-    assert np.max(np.abs(np.diff(profile.rate(t), axis=0))) < 0.25
+    # a smoothstep to 400 deg/s within 50 ms is at most 1.5 * 140 rad/s²
+    assert np.max(np.abs(np.diff(profile.rate(t), axis=0))) < max(0.25, 210.0 * (name == "flick") * t[1])
     one_by_one = np.array([profile.attitude(t[i : i + 1])[0] for i in range(0, len(t), 400)])
     assert np.allclose(one_by_one, profile.attitude(t)[::400], atol=1e-12)
 
@@ -131,6 +144,40 @@ def test_play_is_the_same_for_the_same_seed_only():
     rests = np.linalg.norm(play(60.0, rng(3)).rate(np.linspace(0.0, 60.0, 6000)), axis=1)
     assert np.mean(rests == 0.0) > 0.05
     assert np.degrees(rests.max()) > 120.0
+
+
+def test_a_flick_is_stopped_within_50_ms_and_turned_back_at_once():
+    profile, dt = flick(), 1e-3
+    t = np.arange(0.0, profile.seconds, dt)
+    w = np.degrees(profile.rate(t))
+    speed = np.linalg.norm(w, axis=1)
+    assert speed.max() == pytest.approx(400.0, abs=1e-6)
+    fast = speed > 399.99
+    ends = np.flatnonzero(fast[:-1] & ~fast[1:])
+    assert len(ends) == 8
+    for k, end in enumerate(ends):
+        assert speed[end : end + 53].min() < 1.0  # a hand's stop
+        after = w[end + 53 : end + 300]
+        strongest = after[np.argmax(np.linalg.norm(after, axis=1))]
+        assert strongest @ w[end] < -1e5 if k % 2 == 0 else np.linalg.norm(strongest) < 1.0
+    assert np.allclose(profile.attitude(t[-1:]), profile.attitude(np.array([8.2])), atol=1e-9)  # there and back
+
+
+def test_creeping_is_slow_and_rest_is_rest():
+    profile = creep()
+    inside = np.linspace(12.0, 69.0, 50)
+    assert np.allclose(np.linalg.norm(np.degrees(profile.rate(inside)), axis=1), 0.05, atol=1e-9)
+    turned = profile.attitude(np.array([profile.seconds]))[0] @ profile.attitude(np.array([9.0]))[0].T
+    assert np.degrees(np.arccos((np.trace(turned) - 1.0) / 2.0)) == pytest.approx(0.05 * 60.0, rel=1e-5)
+    assert np.all(rest().rate(np.linspace(8.0, 68.0, 100)) == 0.0)
+
+
+def test_the_ball_is_shown_from_all_sides_first():
+    eye = default_scene().pose.position / 2.35
+    seen = rest().attitude(np.linspace(1.0, 8.0, 300)).transpose(0, 2, 1) @ eye
+    anywhere = rng(1).standard_normal((2000, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
+    assert np.max(np.min(np.arccos(np.clip(anywhere @ seen.T, -1.0, 1.0)), axis=1)) < np.radians(60.0)
 
 
 # ---- scene ----
@@ -442,6 +489,211 @@ def test_a_lens_that_folds_back_leaves_the_corners_black():
     assert np.all(image[110:130, 150:170] > 60)
 
 
+# ---- events ----
+
+
+def scaled(view):
+    """Where a ball `view` has its outline: centroid, (2,) px, and area, px²."""
+    v, u = np.mgrid[0 : view.shape[0], 0 : view.shape[1]]
+    return np.array([np.sum(u * view), np.sum(v * view)]) / view.sum(), view.sum()
+
+
+def test_a_ball_out_of_its_place_looks_as_if_camera_and_room_had_moved_instead(small):
+    """Discs exactly, the outline to a part of a pixel."""
+    scene, centre = replace(small.scene, surroundings=()), np.array([0.012, 0.035, -0.02])
+    pose = scene.pose
+    elsewhere = replace(scene, pose=Pose(pose.rotation, pose.position - centre))
+    moved, expected = Caps(scene, 0.1).moved(centre), Caps(elsewhere)
+    profile, t = thesis(), 3.3
+    a, b = moved.coverage(profile.attitude, t), expected.coverage(profile.attitude, t)
+    assert np.array_equal(a.pixel, b.pixel)
+    assert np.array_equal(a.disc, b.disc)
+    assert np.allclose(a.share, b.share, atol=1e-9)
+    one, other = (c.truth(profile.attitude, t, 0, cover, shown(scene)) for c, cover in ((moved, a), (expected, b)))
+    assert np.array_equal(one.disc, other.disc)
+    for name in ("centre", "blob_centre", "area"):
+        assert np.allclose(getattr(one, name), getattr(other, name), atol=1e-9, equal_nan=True)
+    layers = render_layers(small.scene, small.backdrop)
+    found, true = layers.backdrop(centre).outline, render_backdrop(elsewhere).outline
+    assert np.mean(np.abs(small.backdrop.outline - true)) > 0.01  # it did move
+    assert np.mean(np.abs(found - true)) < 0.002
+    (at, area), (true_at, true_area) = scaled(found), scaled(true)
+    assert np.allclose(at, true_at, atol=0.05)
+    assert area == pytest.approx(true_area, rel=0.002)
+    home = layers.backdrop(np.zeros(3))
+    for name in ("white", "black"):
+        off = np.abs(getattr(home, name) - getattr(small.backdrop, name)).max(axis=2)
+        assert np.mean(off > 1.5) < 1e-3  # where strut, ball and room meet in a pixel
+        assert np.max(off) < 30.0
+    assert np.mean(np.abs(home.ball - small.backdrop.ball) > 0.02) < 1e-4
+
+
+def test_a_lifted_ball_goes_and_comes_back_and_an_eccentric_one_goes_round(small):
+    lift = Lift(1.0, 2.0, (0.0, 0.03, 0.0))
+    assert np.allclose([lift.at(t)[1] for t in (0.5, 1.0, 1.4, 1.6, 2.0, 3.0)], [0, 0, 0.03, 0.03, 0, 0], atol=1e-12)
+    lifted = altered(small, RenderOptions(lifts=(lift,)))
+    before, during, after = (lifted.frame(still(), t, 0, rng()) for t in (0.5, 1.5, 2.5))
+    assert np.array_equal(before.frame.image, small.frame(still(), 0.5, 0, rng()).frame.image)
+    assert np.array_equal(before.frame.image, after.frame.image)
+    assert np.allclose(during.centre, [0.0, 0.03, 0.0])
+    common = np.intersect1d(during.discs.disc, before.discs.disc)
+    a, b = (f.discs.centre[np.isin(f.discs.disc, common)] for f in (during, before))
+    assert np.all((a - b)[:, 0] < -2.0)  # up is towards the left: the camera lies on its side
+    eccentric = altered(small, RenderOptions(eccentric=(0.003, 0.004, 0.0)))
+    filmed = eccentric.frame(thesis(), 3.0, 0, rng())
+    assert np.allclose(filmed.centre, filmed.attitude @ [0.003, 0.004, 0.0])
+
+
+def test_a_bumped_camera_moves_along_its_own_axes():
+    scene = default_scene()
+    point = np.array([[0.1, 0.2, 0.3]])
+    before = scene.pose.to_cam(point)
+    after = bumped(scene, (2.0, -3.0, 4.0, 0.0, 0.0, 0.0)).pose.to_cam(point)
+    assert np.allclose(after - before, [[-0.002, 0.003, -0.004]], atol=1e-12)
+    turned = bumped(scene, (0.0, 0.0, 0.0, 0.0, 0.5, 0.0)).pose
+    assert np.allclose(turned.position, scene.pose.position)
+    x, _, z = turned.to_cam(scene.pose.position + scene.pose.rotation[:, 2])
+    assert np.degrees(np.arctan2(x, z)) == pytest.approx(-0.5)  # a camera turned to the right sees things go left
+
+
+def test_changes_come_when_they_are_due_and_stay():
+    options = SimulationOptions(
+        size=(160, 120), motion="still", seconds=1.0, fps=10.0, bump=0.55, disc_off=0.2, disc_moved=0.75
+    )
+    simulation = prepare(options)
+    assert [c.what for c in simulation.changes] == ["disc off", "bump", "disc moved"]
+    frames = list(simulate(simulation))
+    fallen, moved = simulation.changes[0].disc, simulation.changes[2].disc
+    assert fallen == facing(simulation.scene, np.eye(3)) != moved
+    for k, filmed in enumerate(frames):
+        assert (fallen in filmed.discs.disc) == (k < 2)
+        expected = simulation.scene.pose if k < 6 else simulation.changes[1].scene.pose
+        assert np.array_equal(filmed.pose.matrix(), expected.matrix())
+    u, v = (int(x) for x in np.rint(frames[0].discs.centre[frames[0].discs.disc == fallen][0]))
+    assert frames[1].frame.image[v, u].max() < 60
+    assert frames[2].frame.image[v, u].min() > 120
+
+    def place(k):
+        return frames[k].discs.centre[frames[k].discs.disc == moved][0]
+
+    assert np.array_equal(place(6), place(7))
+    assert np.linalg.norm(place(8) - place(7)) > 3.0
+    assert np.linalg.norm(place(6) - place(5)) > 0.1
+
+
+def test_a_disc_is_moved_to_where_there_is_room():
+    scene = default_scene()
+    other = displaced(scene, 3)
+    assert np.arccos(other.disc_directions[3] @ scene.disc_directions[3]) == pytest.approx(0.2)
+    rest_of_them = np.delete(other.disc_directions, 3, axis=0)
+    assert np.array_equal(rest_of_them, np.delete(scene.disc_directions, 3, axis=0))
+    assert np.max(rest_of_them @ other.disc_directions[3]) < np.cos(3.0 * scene.disc_angle)
+    phase = np.linspace(0.0, 2.0 * np.pi, 60)
+    around = np.stack([np.sin(0.2) * np.cos(phase), np.sin(0.2) * np.sin(phase), np.full(60, np.cos(0.2))], axis=1)
+    with pytest.raises(ValueError, match="no room"):
+        displaced(replace(scene, disc_directions=np.vstack([[0.0, 0.0, 1.0], around])), 0)
+
+
+def test_another_layout_is_another_ball_in_the_same_play():
+    a, b, c = (prepare(SimulationOptions(seed=s, layout=n, motion="play")) for s, n in ((1, None), (1, 7), (2, 7)))
+    t = np.linspace(0.0, 20.0, 30)
+    assert np.array_equal(b.scene.disc_directions, c.scene.disc_directions)
+    assert not np.allclose(a.scene.disc_directions, b.scene.disc_directions)
+    assert np.array_equal(a.profile.attitude(t), b.profile.attitude(t))
+    assert not np.allclose(b.profile.attitude(t), c.profile.attitude(t))
+
+
+def test_light_on_the_mains_flickers_from_frame_to_frame_and_in_bands(small):
+    def ratio(t, **changes):
+        lit = altered(small, RenderOptions(flicker=Flicker(0.3)), **changes).frame(still(), t, 0, rng())
+        grey = (small.backdrop.white > 60) & (small.backdrop.white < 150)
+        rows = [np.median(lit.frame.image[v][grey[v]] / small.backdrop.white[v][grey[v]]) for v in range(20, 220)]
+        return np.array(rows)
+
+    assert np.allclose(ratio(0.0), 1.3, atol=0.01)
+    assert np.allclose(ratio(1.0 / 30.0), 1.0 + 0.3 * np.cos(2.0 * np.pi * 10.0 / 3.0), atol=0.01)
+    assert np.allclose(ratio(0.0, exposure_s=0.005), 1.0 + 0.3 * 2.0 / np.pi, atol=0.01)
+    assert np.allclose(ratio(0.0, exposure_s=0.01), 1.0, atol=0.01)  # a whole period
+    rows = np.arange(20, 220)
+    times = 0.02 * ((rows + 0.5) / 240.0 - 0.5)
+    assert np.allclose(ratio(0.0, readout_s=0.02), 1.0 + 0.3 * np.cos(200.0 * np.pi * times), atol=0.02)
+
+
+def test_limited_range_is_that_of_the_standard(small):
+    full = small.frame(thesis(), 1.0, 0, rng()).frame.image
+    limited = altered(small, RenderOptions(limited=True)).frame(thesis(), 1.0, 0, rng()).frame.image
+    assert np.max(np.abs(limited - (16.0 + full * 219.0 / 255.0))) <= 0.5
+    assert (np.min(limited), np.max(limited)) >= (16, 200)
+
+
+def test_ball_and_discs_have_the_colours_they_are_given():
+    simulation = prepare(SimulationOptions(ball_colour=(40, 40, 40), disc_colour=(30, 30, 220), size=(320, 240)))
+    (filmed,) = list(simulate(replace(simulation, seconds=0.01)))
+    free = filmed.discs.state == VISIBLE
+    for (u, v), area in zip(filmed.discs.centre[free], filmed.discs.area[free], strict=True):
+        b, g, r = (int(x) for x in filmed.frame.image[round(v), round(u)])
+        around = filmed.frame.image[round(v) + 9, round(u)].astype(int)
+        if area > 20.0:
+            assert r > 2 * max(b, g)
+            assert r > around.max() + 30
+    assert np.allclose(develop(np.array(reflectance((20, 50, 90)))), (20, 50, 90), atol=0.6)  # under a light of 1
+
+
+def test_hands_cover_a_third_when_asked(small):
+    simulation = prepare(SimulationOptions(size=(320, 240), motion="still", cover=3.0, cover_seconds=1.0))
+    handled = altered(small, simulation.options)
+    outline = small.backdrop.ball > 0.5
+
+    def hidden(t):
+        a, b = (r.frame(still(), t, 0, rng()).frame.image.astype(int) for r in (small, handled))
+        return np.mean(np.max(np.abs(a - b), axis=2)[outline] > 3)
+
+    assert hidden(2.4) == hidden(4.6) == 0.0
+    assert np.allclose([hidden(t) for t in (3.0, 3.25, 3.5, 3.75, 4.0)], 1.0 / 3.0, atol=0.03)
+
+
+def test_what_stands_still_is_not_rendered_anew_but_looks_the_same(small):
+    """The same pictures and truths, whatever was rendered before; noise is new in every frame."""
+    profile = roll(0.5)  # at rest from 1.5 s on
+    times = (1.4, 1.6, 1.7, 0.3, 1.8)
+    options, noise = RenderOptions(noise=5.0), rng(4)
+    kept = altered(small, options, exposure_s=0.02)
+    for k, t in enumerate(times):
+        state = noise.bit_generator.state
+        a = kept.frame(profile, t, k, noise)
+        again = rng()
+        again.bit_generator.state = state
+        b = altered(small, options, exposure_s=0.02).frame(profile, t, k, again)
+        assert np.array_equal(a.frame.image, b.frame.image)
+        assert np.array_equal(a.discs.centre, b.discs.centre)
+        assert np.array_equal(a.discs.state, b.discs.state)
+        assert set(a.discs.frame) == {k}
+    one, two = (kept.frame(profile, t, 0, noise).frame.image[20:220].astype(float) for t in (1.9, 2.0))
+    plain = small.frame(profile, 2.0, 0, rng()).frame.image[20:220]
+    grey = (plain > 60) & (plain < 150)
+    assert np.corrcoef(one[grey] - plain[grey], two[grey] - plain[grey])[0, 1] == pytest.approx(0.0, abs=0.02)
+
+
+def test_events_are_written_with_the_truth(tmp_path):
+    options = SimulationOptions(
+        size=(64, 48), motion="still", seconds=0.4, fps=10.0, bump=0.15, disc_moved=0.25, lift=0.05, lift_seconds=0.2
+    )
+    simulation = prepare(options)
+    for _ in write_simulation(tmp_path / "set", simulation):
+        pass
+    scene = json.loads((tmp_path / "set" / "scene.json").read_text())
+    assert scene["truth_bump"]["t"] == 0.15
+    assert np.allclose(scene["truth_bump"]["T_obj_cam"], simulation.changes[0].scene.pose.matrix())
+    assert [(c["t"], c["what"]) for c in scene["truth_changes"]] == [(0.15, "bump"), (0.25, "disc moved")]
+    disc = scene["truth_changes"][1]["disc"]
+    assert np.allclose(scene["truth_changes"][1]["direction"], simulation.changes[1].scene.disc_directions[disc])
+    with (tmp_path / "set" / "truth.csv").open() as file:
+        height = [float(row["by"]) for row in csv.DictReader(file)]
+    assert height == pytest.approx([0.0, 0.0266, 0.0266, 0.0], abs=0.004)
+    recording = open_dataset(tmp_path / "set")
+    assert recording.frames == len(list(read_frames(recording))) == 4
+
+
 # ---- the whole ----
 
 
@@ -474,12 +726,74 @@ def test_simulate_gives_the_frames_it_promises_and_the_same_again():
         {"size": (0, 480)},
         {"turns": 0.0},
         {"dim": -0.5},
+        {"seed": -1},
+        {"layout": -1},
+        {"noise": float("inf")},
+        {"seconds": 1e12},
+        {"seconds": 1e12, "motion": "play"},
+        {"turns": 1e12, "motion": "roll"},
+        {"seconds": 1e308},
+        {"turns": 1e308, "motion": "roll"},
+        {"fps": 1e9},
+        {"size": (20_000, 20_000)},
+        {"dim_at": 1.0},
+        {"flicker": 1.5},
+        {"mains": 0.0},
+        {"ball_colour": (0.0, 0.0, 256.0)},
+        {"disc_colour": (0.0, float("nan"), 0.0)},
+        {"bump": 11.0},
+        {"bump_by": (0.0, 0.0, 300.0, 0.0, 0.0, 0.0)},
+        {"bump_by": (0.0, 0.0, 0.0, 0.0, 40.0, 0.0)},
+        {"lift_by": (0.0, 300.0, 0.0)},
+        {"lift_seconds": 0.0},
+        {"eccentric": 201.0},
+        {"disc_off": -1.0},
+        {"cover": 10.0},
     ],
     ids=str,
 )
 def test_options_that_make_no_sense_are_named(wrong):
-    with pytest.raises(ConfigurationError, match=f"--{next(iter(wrong))}"):
+    field = next(iter(wrong))
+    with pytest.raises(ConfigurationError, match=f"^--{field.replace('_', '-')}: ") as e:
         prepare(SimulationOptions(**wrong))
+    assert "\n" not in str(e.value)
+    with pytest.raises(ConfigurationError, match=f"^synthetic: {field}: "):
+        prepare(SimulationOptions(**wrong), lambda name: f"synthetic: {name}")
+
+
+def test_a_recording_has_a_sane_length():
+    longest = SimulationOptions(motion="still", seconds=MOST_FRAMES / 30.0)
+    assert prepare(longest).frames == MOST_FRAMES
+    with pytest.raises(ConfigurationError, match="--seconds: 33334 s at 30 Hz are 1000020 frames; at most 1000000"):
+        prepare(replace(longest, seconds=33334.0))
+
+
+# ---- on the command line ----
+
+
+def test_the_command_hands_its_options_on_and_counts_in_english(tmp_path, capsys):
+    small_one = {"seconds": 0.03, "size": "64x48"}
+    film(tmp_path / "one", discs=1, **small_one)
+    assert ": 1 frame of 64x48 at 30 Hz, 1 disc, motion thesis; " in capsys.readouterr().out
+    film(tmp_path / "more", discs=2, fps=60.0, bump=0.0, bump_by="0,0,5,0,0,0", disc_colour="9,9,200", **small_one)
+    assert ": 2 frames of 64x48 at 60 Hz, 2 discs, motion thesis; " in capsys.readouterr().out
+    scene = json.loads((tmp_path / "more" / "scene.json").read_text())
+    assert scene["truth_bump"]["T_obj_cam"][2][3] == pytest.approx(2.345)
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "message"),
+    [
+        ("ball_colour", "1,2", "--ball-colour 1,2: write 3 numbers, as in 30,30,200"),
+        ("disc_colour", "red", "--disc-colour red: write 3 numbers"),
+        ("bump_by", "1,2,3,4,5,inf", "--bump-by 1,2,3,4,5,inf: write 6 numbers, as in 2,1,-2,0.1,-0.2,0.1"),
+        ("lift_by", "", "--lift-by : write 3 numbers"),
+    ],
+)
+def test_lists_of_numbers_are_checked(tmp_path, option, text, message):
+    with pytest.raises(ConfigurationError, match=f"^{message}"):
+        film(tmp_path / "new", **{option: text})
+    assert list(tmp_path.iterdir()) == []
 
 
 # ---- against the reference recording ----

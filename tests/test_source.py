@@ -185,9 +185,10 @@ def test_a_simulated_camera_brings_its_rig():
 
 def test_a_simulation_that_cannot_be():
     assert (
-        "synthetic: motion: must be 'thesis', 'roll', 'play' or 'still', is 'fly'" in failing("synthetic:motion=fly")[1]
+        "synthetic: motion: must be 'thesis', 'roll', 'play', 'still', 'rest', 'creep' or 'flick', is 'fly'"
+        in failing("synthetic:motion=fly")[1]
     )
-    assert failing("synthetic:secnds=1")[1] == "synthetic: secnds: unknown key; did you mean seconds or seed?"
+    assert failing("synthetic:secnds=1")[1] == "synthetic: secnds: unknown key; did you mean seconds or dim_seconds or lift_seconds?"
     assert "synthetic: x: not KEY=VALUE" in failing("synthetic:x")[1]
     assert "seconds" in failing("synthetic:seconds=-1")[1]
 

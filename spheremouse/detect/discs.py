@@ -3,8 +3,8 @@
 A disc is where the image is darker than its surroundings (grey closing wider than a disc) by a part of them: a ratio,
 so that neither the level of the light nor its slope matters. Around each such place the image is fitted by a sloped
 background minus a blurred ellipse whose shape the geometry gives; centre, size and contrast come out of the fit, with a
-covariance (detect.fit); a fit that lost its rim is none. In use, when the map says where discs must be, each is measured
-in a window of its own, and the whole picture is left alone.
+covariance (detect.fit); a fit that lost its rim is none. In use, when the map says where discs must be, each is
+measured in a window of its own, and the whole picture is left alone.
 """
 
 from dataclasses import dataclass

@@ -391,8 +391,8 @@ def _keep_near(n, px, py, grey, e, x, noise, weight):
 
 @njit(cache=True, error_model="numpy")
 def _measure(
-    image, mask, place, shape, smear, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size_known,
-    ok, centroid, covariance, rim, cut,
+    image, mask, place, shape, smear, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
+    size_known, ok, centroid, covariance, rim, cut,
 ):  # fmt: skip
     n = len(place)
     widest = 0.0
@@ -457,7 +457,21 @@ def _measure(
         if m < 2 * _UNKNOWNS:
             continue
         q = inverse[k]
-        _ellipse(m, px[k], py[k], q[0], q[1], q[2], np.float32(0.0), np.float32(0.0), np.float32(1.0), b, smear[k], e[k], d[k])
+        _ellipse(
+            m,
+            px[k],
+            py[k],
+            q[0],
+            q[1],
+            q[2],
+            np.float32(0.0),
+            np.float32(0.0),
+            np.float32(1.0),
+            b,
+            smear[k],
+            e[k],
+            d[k],
+        )
         # the ball's shade beside the disc to begin with: a plane, twice, the second time without what lies off it
         beside = 0
         for i in range(m):

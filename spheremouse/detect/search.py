@@ -39,7 +39,9 @@ class Hunt:
     turn: int = 0
     duds: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px, places that were no discs
     until: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) turn: left out before
-    wait: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) for how long the last time
+    wait: NDArray[np.intp] = field(
+        default_factory=lambda: np.zeros(0, dtype=np.intp)
+    )  # (k,) for how long the last time
 
 
 def lattice(mask: Image, diameter: float, reduction: int) -> Lattice:
@@ -80,14 +82,14 @@ def hunt(
 ) -> Array:
     """What is dark in an image (h, w, c), on the ball (`mask`, (h, w)), and not near one of `known`, (m, 2) px.
 
-    The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `contrast` as asked of a disc,
-    `noise` of a pixel, `light` for discs lighter than the ball.
+    The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `contrast` as asked of a
+    disc, `noise` of a pixel, `light` for discs lighter than the ball.
     """
     shift = state.turn % len(_SHIFTS)
     found = np.empty((_MOST, 2))
     n = _hunt(
         image.reshape(-1),
-        image,
+        image.shape[2],
         mask,
         where.places[shift],
         where.sides[shift],
@@ -126,15 +128,6 @@ def went(state: Hunt, duds: Array, reduction: int) -> Hunt:
 
 
 @njit(cache=True, error_model="numpy")
-def _grey(image, x, y, light):
-    if image.shape[2] == 3:
-        value = (29 * int(image[y, x, 0]) + 150 * int(image[y, x, 1]) + 77 * int(image[y, x, 2])) >> 8
-    else:
-        value = int(image[y, x, 0])
-    return 255 - value if light else value
-
-
-@njit(cache=True, error_model="numpy")
 def _near(x, y, places, radius):
     for i in range(len(places)):
         dx, dy = x - places[i, 0], y - places[i, 1]
@@ -144,29 +137,23 @@ def _near(x, y, places, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def _settle(image, mask, light, radius, reduction, place):
-    """Two steps of the mean shift towards what is darker than halfway, on the ball, within a disc's radius and a bit."""
-    h, w = image.shape[0], image.shape[1]
-    reach = radius + reduction
+def _settle(flat, channels, first, invert, mask, level, reach, reduction, place):
+    """Two steps of the mean shift towards what is darker than `level`, on the ball, within `reach` px."""
+    h, w = mask.shape
     for _ in range(2):
         left, right = max(int(place[0] - reach), 0), min(int(place[0] + reach) + 1, w - 1)
         top, bottom = max(int(place[1] - reach), 0), min(int(place[1] + reach) + 1, h - 1)
-        least, most = 255, 0
+        total, sx, sy = np.float32(0.0), np.float32(0.0), np.float32(0.0)
         for y in range(top, bottom + 1, reduction):
+            dy = y - place[1]
             for x in range(left, right + 1, reduction):
-                if mask[y, x] > 0:
-                    g = _grey(image, x, y, light)
-                    least, most = min(least, g), max(most, g)
-        level = 0.5 * (least + most)
-        total, sx, sy = 0.0, 0.0, 0.0
-        for y in range(top, bottom + 1, reduction):
-            for x in range(left, right + 1, reduction):
-                dx, dy = x - place[0], y - place[1]
-                g = _grey(image, x, y, light)
-                if g < level and mask[y, x] > 0 and dx * dx + dy * dy < reach * reach:
+                at = y * w + x
+                g = np.float32(flat[np.uint64(at * channels + first)] ^ invert)
+                dx = x - place[0]
+                if g < level and mask[np.uint64(y), np.uint64(x)] > 0 and dx * dx + dy * dy < reach * reach:
                     total += level - g
-                    sx += (level - g) * x
-                    sy += (level - g) * y
+                    sx += (level - g) * np.float32(x)
+                    sy += (level - g) * np.float32(y)
         if total <= 0.0:
             return
         place[0], place[1] = sx / total, sy / total
@@ -174,7 +161,7 @@ def _settle(image, mask, light, radius, reduction, place):
 
 @njit(cache=True, error_model="numpy")
 def _hunt(
-    flat, image, mask, places, sides, offsets, turn, known, known_radius, duds, dud_radius, contrast, least, light,
+    flat, channels, mask, places, sides, offsets, turn, known, known_radius, duds, dud_radius, contrast, least, light,
     radius, reduction, found,
 ):  # fmt: skip
     """`flat` is the image, (h w c,); of colours the green one is looked at, which weighs most in grey."""
@@ -184,7 +171,7 @@ def _hunt(
     keep = np.float32(1.0 - contrast)
     below = np.float32(least)
     invert = np.uint8(255) if light else np.uint8(0)
-    width, channels = image.shape[1], image.shape[2]
+    width = mask.shape[1]
     steps = np.empty(8, dtype=np.int64)
     for side in range(8):
         steps[side] = (offsets[side, 1] * width + offsets[side, 0]) * channels
@@ -198,11 +185,13 @@ def _hunt(
         g = np.float32(flat[at] ^ invert)
         # two neighbours part most of the ball from the rest
         brighter, darker = 0, 0
+        ball = np.float32(0.0)
         for side in range(8):
             if (bits >> side) & 1:
                 beside = np.float32(flat[np.uint64(at + steps[side])] ^ invert)
                 if g < keep * beside and g < beside - below:
                     brighter += 1
+                    ball += beside
                 else:
                     darker += 1
                     if darker > 1:
@@ -212,8 +201,11 @@ def _hunt(
         x, y = float(places[i, 0]), float(places[i, 1])
         if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
             continue
+        if _near(x, y, duds, 0.7 * radius):  # within such a place
+            continue
         found[count, 0], found[count, 1] = x, y
-        _settle(image, mask, light, radius, reduction, found[count])
+        level = np.float32(0.5) * (g + ball / brighter)
+        _settle(flat, channels, first, invert, mask, level, radius + reduction, reduction, found[count])
         x, y = found[count, 0], found[count, 1]
         if _near(x, y, known, known_radius) or _near(x, y, duds, dud_radius):
             continue

@@ -73,7 +73,7 @@ def mask(state: Lookalikes, centre: Array, stamp: float) -> Lookalikes:
 
 
 def founded(state: Lookalikes, discs: Array, disc_angle: float) -> Lookalikes:
-    """Without the candidates that have become discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
+    """Without those that have become discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
     return _followed(state, ~np.any(state.anchor_ball @ discs.T > np.cos(disc_angle), axis=1))
 
 

@@ -31,7 +31,7 @@ class Bound:
         return Bound(self.attitude[index], self.rate[index])
 
 
-def posterior_bound(  # noqa: PLR0917
+def posterior_bound(
     motion: Truth, seen: list[NDArray[np.intp]], directions: Array, rig: Rig, pose: Pose, sigma: float
 ) -> Bound:
     """The bound for n frames of true motion, in which the discs `seen` (indices into `directions`) are measured.

@@ -38,6 +38,7 @@ class Run:
     rate: Array  # (n, 3) rad/s, w_obj
     rotation: Array  # (n, 3) rad, rotation vector in obj that was sent as motion with this frame
     covariance: Array  # (n, 6, 6) of rotation error (rad, obj) and rate (rad/s)
+    absolute: NDArray[np.bool_]  # (n,) the attitude is in the frame of a saved map
     detected: tuple[Array, ...]  # (n,) of (k, 2) px: all candidates of the detector
     used: tuple[Array, ...]  # (n,) of (k, 2) px: those that took part in the filter's update
     seconds: dict[str, Array]  # stage -> (n,) s, measured by the caller
@@ -92,7 +93,7 @@ def report(
         "surface_speed_rmse_mm_s": per_axis(slip, "xy"),
         "surface_speed_r": correlation(speed, true_speed),
         "mean_discs": mean_discs(run),
-        "identified_from_frame": None,  # from the first frame with a saved map; there is none yet
+        "identified_from_frame": identified_from(run),
         "detection": detection,
         "pose_error": None if found is None or reference.pose is None else pose_error(found, reference.pose),
         "nees": {
@@ -189,6 +190,12 @@ def lost_episodes(phase: Sequence[Phase]) -> int:
     return sum(
         now is Phase.LOST and before is not Phase.LOST for before, now in zip([None, *phase], phase, strict=False)
     )
+
+
+def identified_from(run: Run) -> int | None:
+    """Index into the recording of the first frame whose attitude is in the frame of a saved map."""
+    absolute = np.flatnonzero(run.absolute)
+    return int(run.frame[absolute[0]]) if len(absolute) else None
 
 
 # ---- detection, pose, time ----

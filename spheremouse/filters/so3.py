@@ -3,7 +3,8 @@
 An error-state extended Kalman filter (Sola 2017, "Quaternion kinematics for the error-state Kalman filter", left
 errors in `obj`) with an angular acceleration that lasts for a while (Singer 1970), and discs as landmarks with their
 full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view
-stays known and closes the loop. Pose and ball, wrong in every frame alike, are considered, not estimated (Schmidt 1966).
+stays known and closes the loop. Pose and ball, wrong in every frame alike, are considered, not estimated (Schmidt
+1966).
 """
 
 from dataclasses import dataclass, field, replace

@@ -459,9 +459,7 @@ def update(
     noise = image_covariance / (radius * radius)
     distance = np.empty((n, m))
     distance[0, 0] = gate
-    if not distances(
-        attitude, rate, discs, basis, P, visible, more[:3, :3], curvature, seen, noise, delay, distance
-    ):
+    if not distances(attitude, rate, discs, basis, P, visible, more[:3, :3], curvature, seen, noise, delay, distance):
         return False, nothing, nothing, empty, 1.0, 0.0
     rows, columns = np.empty(n, dtype=np.intp), np.empty(n, dtype=np.intp)
     k, total = 0, 0.0

@@ -51,7 +51,7 @@ def inject(
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
 ) -> So3State:
-    """Move the state by an error vector, (19 + 2m,), after which its covariance is `joint`; no prediction is pending."""
+    """Move the state by an error vector, (19 + 2m,); then its covariance is `joint`, and no prediction is pending."""
     attitude, discs, basis = np.empty((3, 3)), np.empty_like(state.discs), np.empty_like(state.basis)
     kernel.move(state.attitude, state.discs, state.basis, dx, attitude, discs, basis)
     return So3State(

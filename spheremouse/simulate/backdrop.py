@@ -1,6 +1,7 @@
-"""What does not change from frame to frame, rendered once: the scene with an all-white and with an all-black ball.
+"""What does not change from frame to frame, rendered once: the scene with a plain ball and with one that is all disc.
 
-A frame is then a mixture of the two, by the share of each pixel that the discs cover.
+A frame is then a mixture of the two, by the share of each pixel that the discs cover. A ball that leaves its place is
+put together from `layers`.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,6 @@ from numpy.typing import NDArray
 
 from spheremouse.camera import unproject
 from spheremouse.rotation import Array
-from spheremouse.simulate.furniture import BLACK, WHITE_BALL
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.shapes import Face, Shape, Sphere, Viewpoint, look
@@ -23,21 +23,25 @@ _IDS = 256  # stripes per shape, as in shapes
 class Backdrop:
     """Grey values 0..255, blue, green, red."""
 
-    white: NDArray[np.float32]  # (h, w, 3) with a ball without discs
+    white: NDArray[np.float32]  # (h, w, 3) with a ball without discs (white, unless the scene says otherwise)
     black: NDArray[np.float32]  # (h, w, 3) with a ball that is one big disc
     ball: NDArray[np.float32]  # (h, w) share of each pixel that shows the ball
     outline: NDArray[np.float32]  # (h, w) the same with nothing in front of it
 
 
-def render_backdrop(scene: Scene) -> Backdrop:
-    """Cast a ray per pixel, and `_FINE`² where neighbouring pixels see different shapes."""
+def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
+    """Cast a ray per pixel, and `_FINE`² where neighbouring pixels see different shapes; with no ball if so asked."""
     h, w = scene.camera.height, scene.camera.width
     v, u = np.mgrid[0:h, 0:w]
     uv = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
     xy, dxy_duv = np.empty((h * w, 2)), np.empty((h * w, 2, 2))
     for part in _parts(np.arange(h * w), 10_000):  # a part with no way back through the lens takes long
         xy[part], dxy_duv[part] = unproject(uv[part], scene.camera)
-    shapes: list[Shape] = [Sphere(np.zeros(3), scene.ball_radius, WHITE_BALL), *scene.surroundings]
+    away = scene.pose.position - 10.0 * scene.pose.rotation[:, 2]  # behind the camera: the ball keeps its index
+    shapes: list[Shape] = [
+        Sphere(np.zeros(3) if ball else away, scene.ball_radius, scene.ball_colour),
+        *scene.surroundings,
+    ]
     view = look(shapes, scene.pose.position, scene.pose.rotation)
     alone = look(shapes[:1], scene.pose.position, scene.pose.rotation)
 
@@ -48,7 +52,7 @@ def render_backdrop(scene: Scene) -> Backdrop:
         outline[tiles] = alone.cast(xy[tiles])[0] == 0
         flat = tiles.ravel()
         white[flat], black[flat] = _colours(scene, view, xy[flat], ids[flat], depth.ravel())
-    ball = (ids == 0).astype(float)
+    shown = (ids == 0).astype(float)
 
     edge = np.flatnonzero((_borders(ids.reshape(h, w)) | _borders(outline.reshape(h, w))).ravel())
     offset = (np.arange(_FINE) + 0.5) / _FINE - 0.5
@@ -58,7 +62,7 @@ def render_backdrop(scene: Scene) -> Backdrop:
         fine = xy[part, None] + grid @ dxy_duv[part].transpose(0, 2, 1)
         fine_ids, depth = _seen(view, fine)
         outline[part] = (alone.cast(fine)[0] == 0).mean(axis=1)
-        ball[part] = (fine_ids == 0).mean(axis=1)
+        shown[part] = (fine_ids == 0).mean(axis=1)
         # One colour for each shape in each pixel, at the mean of the places where it is seen.
         key = np.arange(len(part))[:, None] * base + fine_ids + _IDS
         pairs, group, count = np.unique(key, return_inverse=True, return_counts=True)
@@ -73,7 +77,7 @@ def render_backdrop(scene: Scene) -> Backdrop:
     return Backdrop(
         white.reshape(h, w, 3).astype(np.float32),
         black.reshape(h, w, 3).astype(np.float32),
-        ball.reshape(h, w).astype(np.float32),
+        shown.reshape(h, w).astype(np.float32),
         outline.reshape(h, w).astype(np.float32),
     )
 
@@ -121,7 +125,7 @@ def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], d
         tone = 1.0 + 0.16 * np.sin(2.4 * stripe + 0.8) * np.sin(0.7 * stripe)
         albedo[on_room] = np.array([shape.colour for shape in view.shapes])[index] * tone[:, None]
     black, white = albedo.copy(), albedo
-    black[on_ball], white[on_ball] = BLACK, WHITE_BALL
+    black[on_ball], white[on_ball] = scene.disc_colour, scene.ball_colour
     return develop(white * light + gloss), develop(black * light + gloss)
 
 

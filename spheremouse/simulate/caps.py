@@ -5,8 +5,9 @@ the ball and d the cap's centre, g = n·d - cos(angle) is positive inside; g ove
 the edge in pixels, and a pixel cut by a straight edge is covered in a known share.
 """
 
+import copy
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,20 +50,36 @@ class _Edge(NamedTuple):
 class Caps:
     """The caps of a scene's discs in its camera."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, reach: float = 0.0) -> None:
+        """`reach`: m, how far the ball's centre may be from its place."""
         self.scene = scene
         camera, pose = scene.camera, scene.pose
-        self._eye = pose.position / np.linalg.norm(pose.position)
-        self._horizon = float(np.arccos(scene.ball_radius / np.linalg.norm(pose.position)))  # rad, from the eye
-        gap = np.linalg.norm(pose.position) - scene.ball_radius
-        self._pixel = float(gap / scene.ball_radius / max(camera.fx, camera.fy))  # rad on the ball, square to the ray
-        self._low, high = _ball_bounds(scene)
+        self._there = np.array([k not in scene.fallen for k in range(len(scene.disc_directions))])  # (n,) on the ball
+        self._place(np.zeros(3))
+        self._low, high = _ball_bounds(scene, scene.ball_radius + reach)
         v, u = np.mgrid[self._low[1] : high[1], self._low[0] : high[0]]
         xy, dxy_duv = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
         turn = pose.rotation[:, :2]
         self._ray = (xy @ turn.T + pose.rotation[:, 2]).reshape(*u.shape, 3)
         self._dray = (turn @ dxy_duv).reshape(*u.shape, 3, 2)
         self._size = u.shape
+
+    def moved(self, centre: Array) -> Self:
+        """The same with the ball's centre, (3,) m in obj, elsewhere within reach."""
+        other = copy.copy(self)
+        other._place(centre)
+        return other
+
+    def _place(self, centre: Array) -> None:
+        scene = self.scene
+        self._centre = centre
+        self._origin = scene.pose.position - centre  # (3,) m, the camera from the ball's centre
+        distance = np.linalg.norm(self._origin)
+        self._eye = self._origin / distance
+        self._horizon = float(np.arccos(scene.ball_radius / distance))  # rad, from the eye
+        gap = distance - scene.ball_radius
+        focal = max(scene.camera.fx, scene.camera.fy)
+        self._pixel = float(gap / scene.ball_radius / focal)  # rad on the ball, square to the ray
 
     def row_offset(self, v: Array) -> Array:
         """s, when image rows `v` are exposed, relative to the middle row."""
@@ -99,7 +116,7 @@ class Caps:
         discs = np.arange(len(scene.disc_directions))
         directions, times = self._directions(attitude_at, t, scene.disc_directions)
         angle = np.arccos(np.clip(directions @ self._eye, -1.0, 1.0))
-        near = angle < self._horizon
+        near = (angle < self._horizon) & self._there
         discs, directions, angle = discs[near], directions[near], angle[near]
         centre = self._project(directions)
         ring = self._outline(scene.disc_directions[discs])
@@ -136,7 +153,7 @@ class Caps:
         """Disc, row and column of all pixels that may show a disc."""
         angle = self.scene.disc_angle
         samples = centres if len(centres) == 1 else centres[np.linspace(0, len(centres) - 1, 9).astype(int)]
-        possible = np.flatnonzero((samples @ self._eye > np.cos(self._horizon + angle)).any(axis=0))
+        possible = np.flatnonzero((samples @ self._eye > np.cos(self._horizon + angle)).any(axis=0) & self._there)
         around = self._outline(samples[:, possible].reshape(-1, 3), 24).reshape(-1, 3)
         uv = self._project(around).reshape(len(samples), len(possible), 24, 2) - self._low
         limit = np.array(self._size[::-1])
@@ -167,7 +184,7 @@ class Caps:
         return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
 
     def _edge(self, ray: Array, dray: Array, toward: Array) -> _Edge:
-        R, origin = self.scene.ball_radius, self.scene.pose.position
+        R, origin = self.scene.ball_radius, self._origin
         a = np.einsum("ki,ki->k", ray, ray)
         b = ray @ origin
         root = b * b - a * (origin @ origin - R * R)
@@ -204,12 +221,12 @@ class Caps:
 
     def _project(self, directions: Array) -> Array:
         pose = self.scene.pose
-        return project(pose.to_cam(self.scene.ball_radius * directions), self.scene.camera)[0]
+        return project(pose.to_cam(self._centre + self.scene.ball_radius * directions), self.scene.camera)[0]
 
 
-def _ball_bounds(scene: Scene) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Columns and rows that show the ball: first, (2,), and one past the last, (2,)."""
-    centre, shape = project_sphere(scene.pose.to_cam(np.zeros(3)), scene.ball_radius)
+def _ball_bounds(scene: Scene, radius: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Columns and rows that show a ball of `radius` m: first, (2,), and one past the last, (2,)."""
+    centre, shape = project_sphere(scene.pose.to_cam(np.zeros(3)), radius)
     phase = np.linspace(0.0, 2.0 * np.pi, 360)
     circle = np.stack([np.cos(phase), np.sin(phase)], axis=1)
     uv, _ = reduced_to_pixel(centre + circle @ np.linalg.cholesky(shape).T, scene.camera)

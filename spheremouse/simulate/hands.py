@@ -25,6 +25,7 @@ class HandVisit:
     start: float  # s
     end: float  # s
     right: bool  # the right hand, on the right of the ball
+    size: float = 1.0  # of the hand
 
 
 def draw_hand() -> NDArray[np.float32]:
@@ -70,8 +71,9 @@ def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: flo
     x = side * (0.13 + 0.03 * np.sin(2.1 * since))
     y = 0.02 + 0.11 * np.sin(1.7 * since + side) - 1.2 * away
     tilt = side * (0.10 + 0.12 * np.sin(1.3 * since))
-    right = np.array([np.cos(tilt), np.sin(tilt), 0.0]) * _SCALE * side
-    up = np.array([-np.sin(tilt), np.cos(tilt), 0.0]) * _SCALE
+    scale = _SCALE * visit.size
+    right = np.array([np.cos(tilt), np.sin(tilt), 0.0]) * scale * side
+    up = np.array([-np.sin(tilt), np.cos(tilt), 0.0]) * scale
     h, w = hand.shape[:2]
     drawn = np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float32)
     metres = drawn / _PER_METRE * (1.0, -1.0) + (-_HALF_WIDTH, _ABOVE)

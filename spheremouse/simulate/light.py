@@ -130,6 +130,13 @@ def develop(light: Array) -> Array:
     return 255.0 * np.where(x < 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
 
 
+def reflectance(colour: Colour) -> Colour:
+    """Share of light given back by what is painted in a colour of the screen: blue, green, red, 0..255 (sRGB)."""
+    x = np.array(colour) / 255.0
+    b, g, r = np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+    return float(b), float(g), float(r)
+
+
 def _ambient(normals: Array) -> Array:
     up = 0.5 + 0.5 * normals[:, 1:2]
     return up * _SKY + (1.0 - up) * _FLOOR

@@ -11,6 +11,8 @@ import numpy as np
 
 from spheremouse.rotation import Array, euler_rate_matrix, exp, from_euler
 
+TURN_SECONDS = 3.0  # s, of a turn of `roll`
+
 
 class Profile(Protocol):
     """A motion of the ball."""
@@ -96,7 +98,7 @@ class Gesture:
     axis: tuple[float, float, float]  # unit vector, obj
     angle: float  # rad
     ramp: float = 0.5  # share of the length spent speeding up, and slowing down at the end
-    coast: float = 0.0  # 0: as slow to stop as to start; towards 1: a flick, quickly started and slowly spent
+    coast: float = 0.0  # 0: as slow to stop as to start; towards 1: quickly started, slowly spent; -1: the reverse
 
     def turned(self, t: Array) -> tuple[Array, Array]:
         """Angle turned so far, rad, and its derivative, rad/s, at times (n,) s.
@@ -169,7 +171,7 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
     About (1, 0, 1) it meets phi = +90 deg in the middle of every turn, about (1, 0, -1) phi = -90 deg: where Euler
     angles are singular.
     """
-    total = 3.0 * turns if seconds is None else seconds
+    total = TURN_SECONDS * turns if seconds is None else seconds
     there = float(np.ceil(turns / 2.0))
     parts = [(there, (1.0, 0.0, 1.0)), (turns - there, (1.0, 0.0, -1.0))] if turns > 1.0 else [(turns, (1.0, 0.0, 1.0))]
     gestures, start = [], 0.0
@@ -180,6 +182,53 @@ def roll(turns: float, seconds: float | None = None) -> Gestures:
         gestures.append(Gesture(start, length, (float(x), float(y), float(z)), 2.0 * np.pi * share, ramp))
         start += length
     return Gestures(tuple(gestures), total)
+
+
+def rest(seconds: float = 60.0) -> Gestures:
+    """The ball is shown from all sides for 8 s, then lies still for `seconds`."""
+    shown = _shown()
+    return Gestures(tuple(shown), _end(shown) + seconds)
+
+
+def creep(rate: float = np.radians(0.05), seconds: float = 60.0) -> Gestures:
+    """The ball is shown for 8 s and rests for 2 s, then turns by `rate` (rad/s) times `seconds` in 1 s more; rests."""
+    shown = _shown()
+    slow = stroke(_end(shown) + 2.0, (1.0, 0.0, 1.0), rate, up=1.0, hold=seconds - 1.0, down=1.0)
+    return Gestures((*shown, slow), slow.start + slow.length + 2.0)
+
+
+def flick(rate: float = np.radians(400.0), stop: float = 0.05) -> Gestures:
+    """The ball is shown for 8 s, then flicked at `rate` (rad/s) about four axes.
+
+    A hand starts each flick in 0.12 s, stops it within `stop` s and flicks the ball straight back.
+    """
+    gestures = _shown()
+    t = _end(gestures) + 0.5
+    for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (1.0, 0.3, -1.0)):
+        for sign in (1.0, -1.0):
+            gestures.append(stroke(t, axis, sign * rate, up=0.12, hold=0.25, down=stop))
+            t = _end(gestures)
+        t += 1.0
+    return Gestures(tuple(gestures), t)
+
+
+def stroke(
+    start: float, axis: tuple[float, float, float], rate: float, *, up: float, hold: float, down: float
+) -> Gesture:
+    """A turn that reaches `rate` (rad/s) within `up` s, holds it for `hold` s and stops within `down` s."""
+    length = up + hold + down
+    ramp, coast = 0.5 * (up + down) / length, (down - up) / (up + down)
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    return Gesture(start, length, (float(x), float(y), float(z)), rate * (hold + 0.5 * (up + down)), ramp, coast)
+
+
+def _shown() -> list[Gesture]:
+    """After a rest of 1 s the ball makes a turn about X and one about Y: every disc has been seen, and has moved."""
+    return [Gesture(1.0, 3.5, (1.0, 0.0, 0.0), 2.0 * np.pi, 0.3), Gesture(4.5, 3.5, (0.0, 1.0, 0.0), 2.0 * np.pi, 0.3)]
+
+
+def _end(gestures: list[Gesture]) -> float:
+    return gestures[-1].start + gestures[-1].length
 
 
 def play(seconds: float, rng: np.random.Generator) -> Gestures:

@@ -1,48 +1,53 @@
 """Frames of a simulated scene, each with its exact truth.
 
 What stands still is rendered once (`backdrop`); a frame mixes in the discs (`caps`), averaged over the exposure, row
-by row where the shutter rolls, then hands, brightness and noise. Mixing is done in grey values, as a camera with a
-linear response would.
+by row where the shutter rolls, then hands, light and noise. Mixing is done in grey values, as a camera with a linear
+response would. While nothing moves, only light and noise are new.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
+from spheremouse.camera import Pose
 from spheremouse.frame import Frame
 from spheremouse.rotation import Array
 from spheremouse.simulate.backdrop import Backdrop, render_backdrop
 from spheremouse.simulate.caps import BallView, Caps, Coverage
+from spheremouse.simulate.events import Dimming, Flicker, Lift
 from spheremouse.simulate.hands import HandVisit, PlacedHand, draw_hand, place_hand
+from spheremouse.simulate.layers import render_layers
 from spheremouse.simulate.profile import Profile
 from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.truth import DiscTruth
 
-
-@dataclass(frozen=True, slots=True)
-class Dimming:
-    """The picture gets darker for a while, without a step."""
-
-    start: float  # s
-    end: float  # s
-    factor: float  # on the grey values
-
-    def at(self, t: float) -> float:
-        """Factor at time `t`; it takes 0.2 s to change."""
-        x = min(max(min(t - self.start, self.end - t) / 0.2, 0.0), 1.0)
-        return 1.0 + (self.factor - 1.0) * x * x * (3.0 - 2.0 * x)
+# Normal noise by its quantiles: five times as fast as NumPy's, true to 4.3 standard deviations, where it ends.
+_NORMAL = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)
+_LIMITED = np.rint(16.0 + 219.0 / 255.0 * np.arange(256)).astype(np.uint8)  # ITU-R BT.601, shown as full range
 
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """What happens to the picture."""
+    """What happens to ball and picture."""
 
     noise: float = 0.0  # grey values, standard deviation, normal, independent in every channel
     brightness: float = 0.0  # grey values, added to all (Wittich 2017, table 24)
     dimming: tuple[Dimming, ...] = ()
     hands: tuple[HandVisit, ...] = ()
+    flicker: Flicker | None = None
+    limited: bool = False  # grey values 16..235 in place of 0..255
+    lifts: tuple[Lift, ...] = ()
+    eccentric: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, ball: its centre from the point it turns about
+
+    @property
+    def reach(self) -> float:
+        """m, how far the ball's centre may be from its place."""
+        return sum((float(np.linalg.norm(lift.shift)) for lift in self.lifts), float(np.linalg.norm(self.eccentric)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +58,27 @@ class SimulatedFrame:
     attitude: Array  # (3, 3) R_obj_ball at the stamp
     rate: Array  # (3,) rad/s, w_obj at the stamp
     discs: DiscTruth  # of this frame
+    centre: Array  # (3,) m, obj, of the ball at the stamp
+    pose: Pose  # of the camera
+
+
+class _Set(NamedTuple):
+    """The ball in its place, or in another."""
+
+    centre: Array  # (3,) m, obj
+    backdrop: Backdrop
+    caps: Caps
+
+
+class _Seen(NamedTuple):
+    """What the last frame showed, to be used again while the ball stands."""
+
+    attitude: Array  # (3, 3) R_obj_ball
+    centre: Array  # (3,) m
+    moments: list[Coverage]
+    pixel: NDArray[np.intp]  # (k,) that show discs at some moment
+    share: NDArray[np.float32]  # (k,) mean share of them
+    discs: DiscTruth | None  # None where hands were in the way
 
 
 class Renderer:
@@ -63,45 +89,97 @@ class Renderer:
         self.scene = scene
         self.options = RenderOptions() if options is None else options
         self.backdrop = render_backdrop(scene) if backdrop is None else backdrop
-        self._caps = Caps(scene)
-        self._change = (self.backdrop.black - self.backdrop.white).reshape(-1, 3)
+        reach = self.options.reach
+        self._home = _Set(np.zeros(3), self.backdrop, Caps(scene, reach))
+        self._away = self._home
+        self._layers = render_layers(scene, self.backdrop) if reach > 0.0 else None
         self._bytes = _to_bytes(self.backdrop.white)
         self._hand = draw_hand() if self.options.hands else None
+        self._last: _Seen | None = None
 
     def frame(self, profile: Profile, t: float, sequence: int, rng: np.random.Generator) -> SimulatedFrame:
         """The picture at time `t` (s, mid-exposure of the middle row), with its truth."""
-        moments = [self._caps.coverage(profile.attitude, moment) for moment in self._moments(profile, t)]
-        hands = self._hands(t)
-        image = self._picture(moments, hands, t, rng)
-        shows_ball = self.backdrop.ball.copy() if hands else self.backdrop.ball
-        for hand in hands:
-            shows_ball[hand.place] *= 1.0 - hand.paint[..., 3]
-        view = BallView(shows_ball, self.backdrop.outline)
-        discs = self._caps.truth(profile.attitude, t, sequence, moments[len(moments) // 2], view)
         now = np.array([t])
-        return SimulatedFrame(Frame(image, t, sequence), profile.attitude(now)[0], profile.rate(now)[0], discs)
+        attitude = profile.attitude(now)[0]
+        scenery = self._at(sum((x.at(t) for x in self.options.lifts), attitude @ np.array(self.options.eccentric)))
+        hands = self._hands(t)
+        seen = self._look(profile, t, attitude, scenery)
+        image = self._picture(seen, scenery, hands, t, rng)
+        if hands or seen.discs is None:
+            shows_ball = scenery.backdrop.ball.copy() if hands else scenery.backdrop.ball
+            for hand in hands:
+                shows_ball[hand.place] *= 1.0 - hand.paint[..., 3]
+            view = BallView(shows_ball, scenery.backdrop.outline)
+            middle = seen.moments[len(seen.moments) // 2]
+            discs = scenery.caps.truth(profile.attitude, t, sequence, middle, view)
+            if self._last is not None and not hands:
+                self._last = seen._replace(discs=discs)
+        else:
+            discs = replace(seen.discs, frame=np.full(len(seen.discs), sequence, dtype=np.intp))
+        return SimulatedFrame(
+            Frame(image, t, sequence), attitude, profile.rate(now)[0], discs, scenery.centre, self.scene.pose
+        )
+
+    def _at(self, centre: Array) -> _Set:
+        """All that goes with the ball's centre, (3,) m; rows and exposure share it."""
+        if self._layers is None or not np.any(centre):
+            return self._home
+        if np.any(centre != self._away.centre):
+            self._away = _Set(centre, self._layers.backdrop(centre), self._home.caps.moved(centre))
+        return self._away
+
+    def _look(self, profile: Profile, t: float, attitude: Array, scenery: _Set) -> _Seen:
+        """Where the discs are; known already while ball and centre stay as they were throughout the frame."""
+        half = 0.5 * (self.scene.exposure_s + self.scene.readout_s)
+        throughout = profile.attitude(t + half * np.linspace(-1.0, 1.0, 5))
+        last = self._last
+        if (
+            last is not None
+            and np.array_equal(last.centre, scenery.centre)
+            and np.all(throughout == attitude)
+            and np.array_equal(last.attitude, attitude)
+        ):
+            return last
+        moments = [scenery.caps.coverage(profile.attitude, moment) for moment in self._moments(profile, t)]
+        pixel, share = _mean_coverage(moments)
+        seen = _Seen(attitude, scenery.centre, moments, pixel, share, None)
+        self._last = seen if np.all(throughout == attitude) else None
+        return seen
 
     def _picture(
-        self, moments: list[Coverage], hands: list[PlacedHand], t: float, rng: np.random.Generator
+        self, seen: _Seen, scenery: _Set, hands: Sequence[PlacedHand], t: float, rng: np.random.Generator
     ) -> NDArray[np.uint8]:
-        pixel, share = _mean_coverage(moments)
-        options = self.options
-        factor = float(np.prod([d.at(t) for d in options.dimming]))
-        touched = self.backdrop.white.reshape(-1, 3)[pixel] + share[:, None] * self._change[pixel]
-        if not hands and factor == 1.0 and options.brightness == 0.0 and options.noise == 0.0:
+        options, pixel = self.options, seen.pixel
+        white, black = scenery.backdrop.white, scenery.backdrop.black
+        plain = white.reshape(-1, 3)[pixel]
+        touched = plain + seen.share[:, None] * (black.reshape(-1, 3)[pixel] - plain)
+        factor = self._light(t)
+        if scenery is self._home and not hands and factor is None and options.brightness == 0.0 == options.noise:
             image = self._bytes.copy()
             image.reshape(-1, 3)[pixel] = _to_bytes(touched)
-            return image
-        picture = self.backdrop.white.copy()
-        picture.reshape(-1, 3)[pixel] = touched
-        for hand in hands:
-            part = picture[hand.place]
-            part *= 1.0 - hand.paint[..., 3:]
-            part += hand.paint[..., :3]
-        if options.noise > 0.0:
-            noise = rng.standard_normal(picture.shape, dtype=np.float32)
-            return _to_bytes(cv2.addWeighted(picture, factor, noise, options.noise, options.brightness))
-        return _to_bytes(factor * picture + np.float32(options.brightness))
+        else:
+            picture = white.copy()
+            picture.reshape(-1, 3)[pixel] = touched
+            for hand in hands:
+                part = picture[hand.place]
+                part *= 1.0 - hand.paint[..., 3:]
+                part += hand.paint[..., :3]
+            if factor is not None:
+                picture *= factor[:, None, None]
+            image = _developed(picture, options.noise, options.brightness, rng)
+        return np.asarray(cv2.LUT(image, _LIMITED), dtype=np.uint8) if options.limited else image
+
+    def _light(self, t: float) -> NDArray[np.float32] | None:
+        """Factor on the grey values of every row at its own time, (h or 1,); None where there is nothing to do."""
+        options, scene = self.options, self.scene
+        if not options.dimming and options.flicker is None:
+            return None
+        rows = np.arange(float(scene.camera.height)) if scene.readout_s > 0.0 else None
+        times = np.array([t]) if rows is None else t + self._home.caps.row_offset(rows)
+        factor = np.prod([d.at(times) for d in options.dimming], axis=0)
+        if options.flicker is not None:
+            factor = factor * options.flicker.at(times, scene.exposure_s)
+        return None if np.all(factor == 1.0) else np.atleast_1d(factor).astype(np.float32)
 
     def _moments(self, profile: Profile, t: float) -> Array:
         """Times in the exposure, s, so close that no disc moves by more than a pixel from one to the next."""
@@ -127,6 +205,18 @@ def _mean_coverage(moments: list[Coverage]) -> tuple[NDArray[np.intp], NDArray[n
     pixel, group = np.unique(np.concatenate([m.pixel for m in moments]), return_inverse=True)
     share = np.bincount(group.ravel(), np.concatenate([m.share for m in moments]), len(pixel)) / len(moments)
     return pixel, share.astype(np.float32)
+
+
+def _developed(
+    picture: NDArray[np.float32], noise: float, brightness: float, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """With noise and brightness, in bytes."""
+    if noise > 0.0:
+        raw = rng.integers(0, 65536, picture.size, dtype=np.uint16)
+        normal = np.empty(picture.shape, dtype=np.float32)
+        np.take(_NORMAL, raw.reshape(picture.shape), out=normal, mode="clip")
+        return _to_bytes(cv2.addWeighted(picture, 1.0, normal, noise, brightness))
+    return _to_bytes(picture + np.float32(brightness))
 
 
 def _to_bytes(picture: cv2.typing.MatLike) -> NDArray[np.uint8]:

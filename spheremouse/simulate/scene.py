@@ -12,9 +12,9 @@ import numpy as np
 from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import Array, from_euler
-from spheremouse.simulate.furniture import LAMPS, STRIPS, frame, room
+from spheremouse.simulate.furniture import BLACK, LAMPS, STRIPS, WHITE_BALL, frame, room
 from spheremouse.simulate.light import Lighting
-from spheremouse.simulate.shapes import Shape
+from spheremouse.simulate.shapes import Colour, Shape
 
 View = Literal["far", "near"]
 
@@ -43,7 +43,10 @@ class Scene:
     surroundings: tuple[Shape, ...]  # frame, bolts, cards, targets, room
     lighting: Lighting
     exposure_s: float = 0.0  # s
-    readout_s: float = 0.0  # s, from the first row to the last; a stamp is the middle row's
+    readout_s: float = 0.0  # s, row v of h is exposed around stamp + readout_s * ((v + 1/2) / h - 1/2)
+    ball_colour: Colour = WHITE_BALL
+    disc_colour: Colour = BLACK
+    fallen: tuple[int, ...] = ()  # discs that are no longer on the ball
 
     @property
     def disc_angle(self) -> float:
@@ -65,6 +68,8 @@ def default_scene(
     distortion: Array | None = None,
     exposure_s: float = 0.0,
     readout_s: float = 0.0,
+    ball_colour: Colour = WHITE_BALL,
+    disc_colour: Colour = BLACK,
 ) -> Scene:
     """The reference geometry; `seed` places the discs. Other sizes than 640 x 480 keep the whole view."""
     focal, position, angles = _VIEWS[view]
@@ -92,6 +97,8 @@ def default_scene(
         lighting=Lighting(LAMPS, STRIPS, ball_radius),
         exposure_s=exposure_s,
         readout_s=readout_s,
+        ball_colour=ball_colour,
+        disc_colour=disc_colour,
     )
 
 

@@ -16,7 +16,7 @@ def open(argument: str, realtime: bool) -> Stream:
     for item in re.split(r",(?![^\[]*\])", argument):
         if item.strip():
             options = override(options, item, label="synthetic: ")
-    simulation = prepare(options)
+    simulation = prepare(options, named=lambda field: f"synthetic: {field}")
     frames = (made.frame for made in simulate(simulation))
     return Stream(
         paced(frames) if realtime else frames,

@@ -1,0 +1,369 @@
+"""What the tracker survives: simulated scenarios, each with one thing that goes wrong. Prints a Markdown table.
+
+    python docs/scenarios.py [NAME ...] [--long] [--pose own] [--set KEY=VALUE] [--json FILE] [--write]
+
+Nothing is written to disk but what is asked for: frames go from the renderer to `track.step`. What the columns mean
+stands in docs/scenarios.md, whose table `--write` replaces.
+"""
+
+import argparse
+import json
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse import config
+from spheremouse.errors import SpheremouseError
+from spheremouse.frame import Frame
+from spheremouse.motion import Motion
+from spheremouse.rotation import Array, log
+from spheremouse.session import initialise
+from spheremouse.simulate import SimulatedFrame, SimulationOptions, prepare, simulate
+from spheremouse.simulate.truth import VISIBLE
+from spheremouse.track import Phase, Settings, Tracker, begin, build, step
+from spheremouse.yaml_file import write_atomically
+
+Mask = NDArray[np.bool_]
+
+PAGE = Path(__file__).with_name("scenarios.md")
+MARKS = ("<!-- made by docs/scenarios.py --write -->", "<!-- end -->")
+
+WRONG = np.radians(3.0)  # rad, an attitude farther off is not the ball's
+IN_VIEW = 4  # wholly visible discs of at least AREA px²: enough to say which they are
+AREA = 15.0
+SETTLED = 0.5  # s after the ball has stopped, rest begins
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One film or several of them, one after the other, as one session."""
+
+    about: str
+    films: tuple[SimulationOptions, ...]
+    long: bool = False  # minutes to compute
+    overrides: tuple[str, ...] = ()  # settings it takes
+
+
+def film(**options: Any) -> tuple[SimulationOptions, ...]:
+    """One film with a little noise."""
+    return (SimulationOptions(**{"noise": 3.0, **options}),)
+
+
+def rolling(**options: Any) -> tuple[SimulationOptions, ...]:
+    """Four turns at 120 deg/s."""
+    return film(**{"motion": "roll", "turns": 4.0, **options})
+
+
+DARK, WHITE, RED, BLUE, YELLOW = (35, 30, 30), (235, 235, 235), (40, 40, 200), (200, 60, 30), (20, 200, 220)
+SMALL = (0.3, 0.3, -0.3, 0.03, -0.03, 0.03)  # mm and deg
+LARGE = (12.0, -12.0, 10.0, 1.2, -1.2, 1.0)
+
+SCENARIOS: dict[str, Scenario] = {
+    "play": Scenario("somebody plays", film(motion="play")),
+    "play near": Scenario("the same before the near camera", film(motion="play", view="near")),
+    "near blur": Scenario("near, 60 Hz, exposed for 10 ms", film(motion="play", view="near", fps=60.0, blur=0.01)),
+    "still": Scenario("never moved, noise of 5", film(motion="still", seconds=60.0, noise=5.0)),
+    "rest": Scenario("shown, then a minute of rest, noise of 5", film(motion="rest", noise=5.0)),
+    "creep": Scenario("shown, then 0.05 °/s for a minute, noise of 5", film(motion="creep", noise=5.0)),
+    "flick": Scenario("400 °/s, stop in 50 ms, reversal; 30 Hz", film(motion="flick")),
+    "flick 60": Scenario("the same at 60 Hz, exposed for 5 ms", film(motion="flick", fps=60.0, blur=0.005)),
+    "flick rolling": Scenario("at 30 Hz with 30 ms of readout, known", film(motion="flick", readout=0.03)),
+    "hands": Scenario("a third of the rolling ball covered for 1 s", rolling(cover=5.0)),
+    "hands at rest": Scenario("the same, ball at rest", film(motion="rest", seconds=14.0, cover=10.0)),
+    "hands on a flick": Scenario("a third covered while it is flicked", film(motion="flick", cover=8.5)),
+    "dim": Scenario("a fifth of the light for 2 s, rolling", rolling(dim=0.2, dim_at=5.0, dim_seconds=2.0)),
+    "dim start": Scenario("a fifth of it all the time", film(motion="play", dim=0.2, dim_at=0.0, dim_seconds=99.0)),
+    "flicker": Scenario("30 % of mains flicker, 5 ms exposure", film(motion="play", flicker=0.3, blur=0.005)),
+    "flicker bands": Scenario(
+        "the same with 30 ms of readout: bands", film(motion="play", flicker=0.3, blur=0.005, readout=0.03)
+    ),
+    "limited": Scenario("grey values 16 to 235", film(motion="play", limited=True)),
+    "bump small": Scenario("camera pushed by 0.5 mm and 0.05°", rolling(bump=5.0, bump_by=SMALL)),
+    "bump": Scenario("by 3 mm and 0.24°", rolling(bump=5.0)),
+    "bump large": Scenario("by 20 mm and 2°", rolling(bump=5.0, bump_by=LARGE)),
+    "bump at rest": Scenario("by 3 mm and 0.24°, ball at rest", film(motion="rest", seconds=20.0, bump=12.0)),
+    "lift": Scenario("lifted by 3 cm for 1 s, rolling", rolling(lift=5.0)),
+    "lift at rest": Scenario("the same, ball at rest", film(motion="rest", seconds=16.0, lift=10.0)),
+    "eccentric": Scenario("centre 5 mm off the point it turns about", rolling(eccentric=5.0)),
+    "disc off": Scenario("a disc falls off", rolling(disc_off=5.0)),
+    "disc moved": Scenario("a disc is put 12 cm beside its place", rolling(disc_moved=5.0)),
+    "swap": Scenario("after 12 s another ball", (*rolling(), *rolling(layout=77))),
+    "dark ball": Scenario("white discs on a dark ball", film(motion="play", ball_colour=DARK, disc_colour=WHITE)),
+    "red discs": Scenario("red discs on white", film(motion="play", disc_colour=RED)),
+    "blue discs": Scenario("blue discs on white", film(motion="play", disc_colour=BLUE)),
+    "yellow on dark": Scenario("yellow discs on dark", film(motion="play", ball_colour=DARK, disc_colour=YELLOW)),
+    "15 Hz": Scenario("somebody plays, filmed at 15 Hz", film(motion="play", fps=15.0)),
+    "120 Hz": Scenario("at 120 Hz", film(motion="play", fps=120.0, seconds=10.0)),
+    "240 Hz": Scenario("at 240 Hz", film(motion="play", fps=240.0, seconds=10.0)),
+    "720p": Scenario("1280x720", film(motion="play", size=(1280, 720), seconds=10.0)),
+    "1080p": Scenario("1920x1080", film(motion="play", size=(1920, 1080), seconds=10.0)),
+    "rest long": Scenario("ten minutes of rest, noise of 5", film(motion="rest", noise=5.0, seconds=608.0), long=True),
+    "play long": Scenario("ten minutes of play", film(motion="play", seconds=600.0), long=True),
+}  # fmt: skip
+
+
+# ---- a run ----
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really happened in one frame."""
+
+    stamp: float  # s
+    attitude: Array  # (3, 3) R_obj_ball
+    rate: Array  # (3,) rad/s
+    centre: Array  # (3,) m
+    in_view: int  # wholly visible discs of at least AREA px²
+    film: int
+
+
+@dataclass(frozen=True)
+class Said:
+    """What the tracker made of it."""
+
+    phase: Phase
+    event: str
+    attitude: Array  # (3, 3)
+    rate: Array  # (3,) rad/s
+    motion: Motion
+    seconds: float  # s, of wall time
+
+
+def frames_of(scenario: Scenario, truths: list[Truth]) -> Iterator[Frame]:
+    """The frames, stamps going on from film to film after a second; their truth is appended as they are given."""
+    start = 0.0
+    for index, options in enumerate(scenario.films):
+        simulation = prepare(options)
+        for made in simulate(simulation):
+            stamp = start + made.frame.stamp
+            truths.append(truth_of(made, stamp, index))
+            yield Frame(made.frame.image, stamp, len(truths) - 1)
+        start += simulation.seconds + 1.0
+
+
+def truth_of(made: SimulatedFrame, stamp: float, index: int) -> Truth:
+    """Without the picture."""
+    discs = made.discs
+    in_view = int(np.sum((discs.state == VISIBLE) & (discs.area >= AREA)))
+    return Truth(stamp, made.attitude, made.rate, made.centre, in_view, index)
+
+
+def run(scenario: Scenario, settings: Settings, pose: str) -> tuple[Tracker, list[Truth], list[Said]]:
+    """Track a scenario; the truths are those of the tracked frames."""
+    for assignment in scenario.overrides:
+        settings = config.override(settings, assignment)
+    scene = prepare(scenario.films[0]).scene
+    rig = scene.rig()
+    truths: list[Truth] = []
+    frames = frames_of(scenario, truths)
+    start = initialise(frames, replace(rig, pose=scene.pose) if pose == "known" else rig, settings)
+    tracker = build(rig, start.pose, settings)
+    state, kept, said = None, [], []
+    for frame in start.frames:
+        state = state or begin(tracker, frame.stamp)
+        began = time.perf_counter()
+        state, motion = step(state, frame, tracker)
+        took = time.perf_counter() - began
+        kept.append(frame.sequence)
+        said.append(Said(state.phase, state.event, state.filter.attitude, state.filter.rate, motion, took))
+    return tracker, [truths[k] for k in kept], said
+
+
+# ---- what is made of it ----
+
+
+def measure(tracker: Tracker, truths: list[Truth], said: list[Said]) -> dict[str, Any]:
+    """The figures of one run; None where there is nothing to measure."""
+    tracking = np.array([s.phase is Phase.TRACKING for s in said])
+    off = attitude_errors(truths, said, tracking)
+    good = tracking & (off < WRONG)
+    rate = np.linalg.norm([s.rate - t.rate for s, t in zip(said, truths, strict=True)], axis=1)
+    true = np.array([np.zeros(3), *(true_counts(tracker, a, b) for a, b in pairwise(truths))])
+    sent = np.array([s.motion.counts for s in said], dtype=float)
+    resting = at_rest(truths)
+    blind, to_the_end = longest_blind(truths, good)
+    kept = np.flatnonzero(tracking & np.isfinite(off))
+    lost = sum(a and not b for a, b in pairwise(tracking))
+    return {
+        "frames": len(said),
+        "tracked": int(tracking.sum()),
+        "lost_episodes": int(lost),
+        "attitude_rms_deg": rounded(float(np.degrees(np.sqrt(np.mean(off[kept] ** 2))))) if len(kept) else None,
+        "attitude_end_deg": rounded(np.degrees(float(off[kept[-1]])))
+        if len(kept) and kept[-1] == len(said) - 1
+        else None,
+        "rate_rms_deg_s": rounded(np.degrees(np.sqrt(np.mean(rate[kept] ** 2)))) if len(kept) else None,
+        "rest_frames": int(resting.sum()),
+        "rest_counts": int(np.abs(sent[resting]).sum()),
+        "jump_counts": rounded(largest_jump(true, sent, said)),
+        "missing_counts": rounded(float(np.linalg.norm((true - sent).sum(axis=0)))),
+        "blind_frames": blind,
+        "blind_to_the_end": to_the_end,
+        "step_ms": rounded(1e3 * float(np.median([s.seconds for s in said]))),
+        "events": [f"{t.stamp:.2f} s: {s.event}" for s, t in zip(said, truths, strict=True) if s.event],
+    }
+
+
+def attitude_errors(truths: list[Truth], said: list[Said], tracking: Mask) -> Array:
+    """Angle, (n,) rad, of R_est R_true^T, each film relative to its first tracked frame; nan before that.
+
+    A film that comes second is given a second: what the tracker holds before is the ball that was.
+    """
+    off = np.full(len(said), np.nan)
+    for film in sorted({t.film for t in truths}):
+        mine = np.array([t.film == film for t in truths])
+        first = truths[int(np.argmax(mine))].stamp
+        late = np.array([t.stamp >= first + (1.0 if film else 0.0) for t in truths])
+        known = np.flatnonzero(mine & late & tracking)
+        if len(known):
+            k = known[0]
+            M = truths[k].attitude.T @ said[k].attitude
+            for i in np.flatnonzero(mine & late)[np.flatnonzero(mine & late) >= k]:
+                off[i] = np.linalg.norm(log(said[i].attitude @ (truths[i].attitude @ M).T))
+    return off
+
+
+def true_counts(tracker: Tracker, before: Truth, after: Truth) -> Array:
+    """Counts, (3,), that the ball's motion from frame to frame is worth; another ball's place is no motion."""
+    if before.film != after.film:
+        return np.zeros(3)
+    return tracker.counts @ log(after.attitude @ before.attitude.T)
+
+
+def at_rest(truths: list[Truth]) -> Mask:
+    """Frames, (n,) bool, before which the ball has not turned for SETTLED s."""
+    stamps = np.array([t.stamp for t in truths])
+    turned = [True, *(bool(np.any(a.attitude != b.attitude)) for a, b in pairwise(truths))]
+    moved = np.array(turned) | np.array([bool(np.any(t.rate)) for t in truths])
+    last = np.maximum.accumulate(np.where(moved, stamps, -np.inf))
+    return stamps > last + SETTLED
+
+
+def largest_jump(true: Array, sent: Array, said: list[Said]) -> float:
+    """Most counts sent with one frame that the ball did not earn, neither since the frame before nor since the last
+    frame that sent something: a tracker that makes up for a few frames it did not see does not jump."""
+    largest, owed = 0.0, np.zeros(3)
+    for earned, counts, s in zip(true, sent, said, strict=True):
+        owed = owed + earned
+        if np.any(s.motion.rotation):
+            largest = max(largest, min(float(np.linalg.norm(counts - e)) for e in (earned, owed)))
+            owed = np.zeros(3)
+    return largest
+
+
+def longest_blind(truths: list[Truth], good: Mask) -> tuple[int, bool]:
+    """Frames in a row with IN_VIEW discs or more and no right attitude, at worst, once it was known; and whether that
+    went on to the end. A frame with fewer discs in view ends no such row and does not count."""
+    worst = now = 0
+    first = int(np.argmax(good)) if np.any(good) else 0
+    for truth, right in zip(truths[first:], good[first:], strict=True):
+        now = 0 if right else now + (truth.in_view >= IN_VIEW)
+        worst = max(worst, now)
+    return worst, now > 0 and now == worst
+
+
+def rounded(x: float | np.floating) -> float | None:
+    """To four digits; None for what is no number."""
+    return float(f"{x:.4g}") if np.isfinite(x) else None
+
+
+# ---- the table ----
+
+HEAD = (
+    *("scenario", "what happens", "tracked", "lost", "attitude, ° RMS", "at end", "rate, °/s RMS", "counts at rest"),
+    *("largest jump", "counts missing", "blind frames"),
+)
+
+
+def row(name: str, about: str, r: dict[str, Any]) -> list[str]:
+    """A line of the table."""
+    if "error" in r:
+        return [f"`{name}`", about, f"{r['error']}", *[""] * (len(HEAD) - 3)]
+
+    def shown(key: str, form: str) -> str:
+        return "-" if r[key] is None else format(r[key], form)
+
+    return [
+        f"`{name}`",
+        about,
+        f"{r['tracked']} of {r['frames']}",
+        str(r["lost_episodes"]),
+        shown("attitude_rms_deg", ".3f"),
+        shown("attitude_end_deg", ".3f"),
+        shown("rate_rms_deg_s", ".2f"),
+        str(r["rest_counts"]) if r["rest_frames"] else "",
+        shown("jump_counts", ".1f"),
+        shown("missing_counts", ".1f"),
+        f"{r['blind_frames']}{', to the end' if r['blind_to_the_end'] else ''}",
+    ]
+
+
+def table(results: dict[str, dict[str, Any]]) -> str:
+    """Markdown: the figures, then what the tracker said."""
+    rows = [row(name, SCENARIOS[name].about, r) for name, r in results.items()]
+    out = ["| " + " | ".join(line) + " |" for line in (HEAD, ["---"] * len(HEAD), *rows)]
+    out += ["", "What the tracker said:", ""]
+    for name, r in results.items():
+        events = r.get("events", [])
+        more = [f"and {len(events) - 8} more"] if len(events) > 8 else []
+        out.append(f"- `{name}`: {'; '.join([*events[:8], *more]) or 'nothing'}")
+    return "\n".join(out) + "\n"
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SCENARIOS)}; default: all short ones")
+    parser.add_argument("--long", action="store_true", help="those that take minutes, too")
+    parser.add_argument("--pose", choices=("known", "own"), default="known", help="the true camera pose, or its own")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="one parameter of the tracker")
+    parser.add_argument("--json", metavar="FILE", help="write all figures; - prints them in place of the table")
+    parser.add_argument("--write", action="store_true", help=f"replace the table of {PAGE.name}")
+    args = parser.parse_args()
+    for name in args.names:
+        if name not in SCENARIOS:
+            parser.error(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}")
+    if args.write and args.names:
+        parser.error("--write replaces the whole table: name no scenario")
+    settings = Settings()
+    try:
+        for assignment in args.set:
+            settings = config.override(settings, assignment)
+    except SpheremouseError as e:
+        parser.error(str(e))
+    names = args.names or [n for n, s in SCENARIOS.items() if args.long or not s.long]
+    results: dict[str, dict[str, Any]] = {}
+    for name in names:
+        print(f"{name} ...", end=" ", file=sys.stderr, flush=True)
+        began = time.perf_counter()
+        try:
+            results[name] = measure(*run(SCENARIOS[name], settings, args.pose))
+        except SpheremouseError as e:
+            results[name] = {"error": str(e)}
+        except Exception as e:  # a crash is a result, too; the others are still worth having
+            traceback.print_exc()
+            results[name] = {"error": f"crashed: {type(e).__name__}: {e}"}
+        print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr)
+    text = table(results)
+    if args.json == "-":
+        print(json.dumps(results, indent=1))
+    else:
+        print(text)
+    if args.json not in (None, "-"):
+        write_atomically(Path(args.json), json.dumps(results, indent=1) + "\n")
+    if args.write:
+        before, _, rest = PAGE.read_text(encoding="utf-8").partition(MARKS[0])
+        after = rest.partition(MARKS[1])[2]
+        write_atomically(PAGE, f"{before}{MARKS[0]}\n\n{text}\n{MARKS[1]}{after}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+"""The map of a ball's discs, to and from a file beside the rig: what makes the next run's attitude absolute.
+
+A disc is a line: its direction in `ball`, its standard deviations along `rotation.tangent_basis`, its sightings. The
+correlations between all of them follow as their Cholesky factor, whose digits may be rounded and which still gives a
+covariance. A file that is damaged is refused; the map is then made anew as the ball turns.
+"""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from spheremouse import __version__
+from spheremouse.disc_map import DiscMap
+from spheremouse.errors import ConfigurationError
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.validate import validated
+from spheremouse.yaml_file import Document, Problem, read_document, shown, write_atomically
+
+MAP_SCHEMA = 1
+_UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination
+_BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
+
+Positive = Annotated[float, Field(gt=0)]
+Sigma = Annotated[float, Field(ge=0, lt=10)]
+
+
+@dataclass(frozen=True, slots=True)
+class SavedMap:
+    """A map with what tells whether it belongs to a device, and how old it is."""
+
+    map: DiscMap
+    ball_radius: float  # m
+    disc_radius: float  # m, along the surface
+    saved: datetime  # with its time zone
+    version: str  # of the program that wrote it
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Disc(_Part):
+    direction: tuple[float, float, float] = Field(description="unit vector [x, y, z] in ball")
+    sigma: tuple[Sigma, Sigma] = Field(description="two standard deviations in rad")
+    sightings: int = Field(ge=0, lt=10**15, description="frames in which the disc was seen")
+
+
+class _MapFile(_Part):
+    spheremouse: str = Field(description="version of the program that wrote the file")
+    saved: str = Field(description='date and time as "2025-01-31T12:00:00+00:00"')
+    ball_radius: Positive = Field(description="radius of the ball in m")
+    disc_radius: Positive = Field(description="radius of a disc in m")
+    discs: tuple[_Disc, ...] = Field(min_length=1, description="list of {direction, sigma, sightings}")
+    correlation_root: tuple[str, ...] = Field(description="two lines of whole numbers, in quotes, for each disc")
+
+
+def map_path(rig_file: Path) -> Path:
+    """Where the map of a device is kept: `rig.map.yaml` beside `rig.yaml`."""
+    return rig_file.with_suffix(".map.yaml")
+
+
+def old_path(path: Path) -> Path:
+    """Where a map goes that another ball's map replaces: `rig.map.old.yaml` for `rig.map.yaml`."""
+    return path.with_suffix(f".old{path.suffix}")
+
+
+def saved_now(disc_map: DiscMap, rig: Rig) -> SavedMap:
+    """A map as it is to be saved: for this device, now, by this program."""
+    now = datetime.now(UTC).replace(microsecond=0)
+    return SavedMap(disc_map, rig.ball.radius, rig.disc_radius, now, __version__)
+
+
+def save_map(path: Path, saved: SavedMap) -> None:
+    """Write a map file that reads back to the same map; whole or not at all."""
+    write_atomically(path, map_text(saved))
+
+
+def load_map(path: Path) -> SavedMap:
+    """The map in a file; ConfigurationError with one line that says what is wrong and what to do."""
+    if not path.exists():
+        raise ConfigurationError(f"{path}: no such file; check the path")
+    try:
+        return _parsed(read_document(path))
+    except ConfigurationError as e:
+        first, *others = str(e).splitlines()
+        more = f" (and {len(others)} more)" if others else ""
+        raise ConfigurationError(
+            f"{first}{more}; mend that, or move the file away: a new map is made as the ball turns"
+        ) from None
+
+
+def check_fits(saved: SavedMap, rig: Rig, path: Path) -> None:
+    """Raise ConfigurationError where a map was made on a ball or with discs of another size than the rig's."""
+    for what, there, here, most in (
+        ("a ball", saved.ball_radius, rig.ball.radius, _BALL_DIFFERS),
+        ("discs", saved.disc_radius, rig.disc_radius, _DISC_DIFFERS),
+    ):
+        if abs(there - here) > most * here:
+            raise ConfigurationError(
+                f"{path}: was made with {what} of radius {there:g} m, the rig says {here:g} m: name this device's map "
+                "with --map, or move the file away, and a new one is made as the ball turns"
+            )
+
+
+def age(saved: SavedMap) -> str:
+    """How long ago a map was saved, in words."""
+    seconds = (datetime.now(UTC) - saved.saved).total_seconds()
+    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.0f} {unit} ago"
+    return "just now"
+
+
+def map_text(saved: SavedMap) -> str:
+    """A map as YAML."""
+    sigma, root = _factored(saved.map.covariance)
+    lines = [
+        "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",
+        "# is made as the ball turns. Unit vectors in `ball`; rad along the axes of rotation.tangent_basis.",
+        f"schema: {MAP_SCHEMA}",
+        f'spheremouse: "{saved.version}"',
+        f'saved: "{saved.saved.isoformat()}"',
+        f"ball_radius: {float(saved.ball_radius)!r}  # m",
+        f"disc_radius: {float(saved.disc_radius)!r}  # m, along the surface",
+        "discs:",
+    ]
+    for direction, s, sightings in zip(saved.map.directions, sigma.reshape(-1, 2), saved.map.sightings, strict=True):
+        x, y, z = direction
+        lines.append(
+            f"  - {{direction: [{x:.9f}, {y:.9f}, {z:.9f}], sigma: [{s[0]:.4e}, {s[1]:.4e}], "
+            f"sightings: {int(sightings)}}}"
+        )
+    lines.append(f"correlation_root:  # L with L L^T the correlations, row by row, times {_UNIT}")
+    for i, row in enumerate(np.rint(_UNIT * root).astype(int).tolist()):
+        lines.append(f'  - "{" ".join(map(str, row[: i + 1]))}"')
+    return "\n".join(lines) + "\n"
+
+
+def _factored(covariance: Array) -> tuple[Array, Array]:
+    """Standard deviations, (n,), and the lower triangular root, (n, n), of the correlations; rows of length 1."""
+    sigma = np.sqrt(np.diag(covariance))
+    safe = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / np.outer(safe, safe)
+    np.fill_diagonal(correlation, 1.0)
+    values, vectors = np.linalg.eigh(correlation)  # not cholesky: of a disc known exactly nothing is left
+    root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T
+    root *= np.where(np.diag(root) < 0.0, -1.0, 1.0)
+    return sigma, root / np.linalg.norm(root, axis=1, keepdims=True)
+
+
+def _parsed(document: Document) -> SavedMap:
+    file = validated(_of_this_schema(document), _MapFile)
+    if problems := list(_problems(file)):
+        raise document.error(problems)
+    directions = np.array([d.direction for d in file.discs])
+    sigma = np.array([d.sigma for d in file.discs]).ravel()
+    root = _root(file)
+    root /= np.linalg.norm(root, axis=1, keepdims=True)
+    disc_map = DiscMap(
+        directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        (root @ root.T) * np.outer(sigma, sigma),
+        np.array([d.sightings for d in file.discs], dtype=np.intp),
+    )
+    saved = datetime.fromisoformat(file.saved)
+    return SavedMap(disc_map, file.ball_radius, file.disc_radius, saved, file.spheremouse)
+
+
+def _of_this_schema(document: Document) -> Document:
+    """The document less its `schema` key, which is of its own: maps and rigs change at different times."""
+    if not isinstance(document.data, dict):
+        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {MAP_SCHEMA}`")])
+    data = dict(document.data)
+    version = data.pop("schema", None)
+    if type(version) is int and version > MAP_SCHEMA:
+        text = f"is {shown(version)}, of a newer spheremouse; this one reads {MAP_SCHEMA}: update it"
+        raise document.error([Problem(("schema",), text)])
+    if type(version) is not int or version != MAP_SCHEMA:
+        raise document.error(
+            [Problem(("schema",), f"must be {MAP_SCHEMA}, is {'missing' if version is None else shown(version)}")]
+        )
+    return dataclasses.replace(document, data=data)
+
+
+def _problems(file: _MapFile) -> Iterator[Problem]:
+    try:
+        if datetime.fromisoformat(file.saved).tzinfo is None:
+            yield Problem(("saved",), f"{shown(file.saved)} has no time zone; end it in +00:00")
+    except ValueError:
+        yield Problem(("saved",), f'is {shown(file.saved)}; write date and time as "2025-01-31T12:00:00+00:00"')
+    for i, disc in enumerate(file.discs):
+        length = np.linalg.norm(disc.direction)
+        if not abs(length - 1.0) <= 1e-3:
+            yield Problem(("discs", i, "direction"), f"has length {length:.4g}; it is a unit vector")
+    if len(file.correlation_root) != 2 * len(file.discs):
+        text = f"has {len(file.correlation_root)} lines for {len(file.discs)} discs; each disc has two"
+        yield Problem(("correlation_root",), text)
+        return
+    for i, text in enumerate(file.correlation_root):
+        if not re.fullmatch(r"-?[0-9]{1,6}( -?[0-9]{1,6})*", text) or len(text.split()) != i + 1:
+            yield Problem(("correlation_root", i), f"must be {i + 1} whole numbers, is {shown(text)}")
+        elif not abs(np.linalg.norm(np.array(text.split(), dtype=float)) / _UNIT - 1.0) <= 1e-3:
+            yield Problem(("correlation_root", i), f"its squares must sum to {_UNIT} squared: a digit was changed")
+
+
+def _root(file: _MapFile) -> Array:
+    root = np.zeros((len(file.correlation_root),) * 2)
+    for i, text in enumerate(file.correlation_root):
+        root[i, : i + 1] = np.array(text.split(), dtype=float) / _UNIT
+    return root

@@ -1,0 +1,192 @@
+"""The map of discs over a run: loaded at its start, saved while it goes and at its end, beside the rig.
+
+What replaces what is decided by `succession` from the maps alone; the keeper does it, in a thread, since a memory card
+may take a second to write and the next frame comes in thirty milliseconds.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from spheremouse.disc_map import DiscMap
+from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.map_compare import compare, compare_at, in_words, turned, variances
+from spheremouse.map_file import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.track import TrackState, disc_map
+from spheremouse.yaml_file import write_atomically
+
+EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost
+_AS_GOOD = 0.8  # part of the saved discs that a map of the same ball must know to take their place
+_HALF = 0.5  # the same of another ball's map: a cover with a few dark spots is no ball
+
+
+def open_map(path: Path, rig: Rig) -> SavedMap:
+    """The map in a file, which must belong to the device; ConfigurationError says what to do."""
+    saved = load_map(path)
+    check_fits(saved, rig, path)
+    return saved
+
+
+@dataclass(frozen=True, slots=True)
+class Succession:
+    """What becomes of a saved map."""
+
+    map: DiscMap | None  # to be saved, in the frame of the saved one if it is the same ball; None: the saved one stays
+    rotation: Array  # (3, 3) that brought the run's map there: saved ~ run's directions @ rotation.T
+    aside: bool  # the saved one is kept under another name
+    text: str  # for the user; empty where the map simply goes on
+
+
+def succession(saved: DiscMap | None, now: DiscMap, *, absolute: bool) -> Succession:
+    """Which map is to be saved; `now` is the run's, `absolute` says that it grew out of the saved one.
+
+    A run that did not recognise the saved map has one of its own. Of the same ball, it is brought into the frame of the
+    saved one, so that the attitude means the same for the device's life. Of another ball, it takes its place.
+    """
+    as_is = np.eye(3)
+    if saved is None:
+        return Succession(now, as_is, False, "")
+    here = compare_at(saved, now, as_is)
+    if absolute and here.same_ball:  # the tracker has seen which discs are gone: it may be any number
+        return Succession(now, as_is, False, "")
+    found = here if here.same_ball else compare(saved, now)
+    if len(now) < (_HALF if found is None else _AS_GOOD) * len(saved):
+        text = f"stays as it was, with {len(saved)} discs; this run did not recognise it, and knew {len(now)} discs"
+        return Succession(None, as_is, False, text)
+    if found is None:
+        text = f"another ball, or its discs were moved: a new map of {len(now)} discs saved"
+        return Succession(now, as_is, True, text)
+    if found is here:
+        return Succession(now, as_is, False, "")
+    back = found.rotation.T
+    text = f"the same ball, mapped anew: brought into the frame it had, {in_words(found)}"
+    return Succession(turned(now, back), back, True, text)
+
+
+def changed(saved: DiscMap | None, now: DiscMap) -> bool:
+    """Is the map worth saving before the end: another disc, or one known twice as well?"""
+    if saved is None:
+        return True
+    there = compare_at(saved, now, np.eye(3))
+    i, j = there.stayed.T
+    better = variances(now)[j] < 0.25 * variances(saved)[i]
+    return len(i) < len(saved) or len(j) < len(now) or bool(np.any(better))
+
+
+class MapKeeper:
+    """Keeps the map of a device over one run; a context manager that saves it when left."""
+
+    def __init__(self, path: Path, rig: Rig, say: Callable[[str], None], every: float = EVERY) -> None:
+        """Load what there is; `say` takes lines for the user, always in the caller's thread."""
+        if not path.parent.is_dir():
+            raise ConfigurationError(f"{path}: no such folder; name a place for the map with --map, or give --no-map")
+        self.path = path
+        self._rig, self._say, self._every = rig, say, every
+        loaded = open_map(path, rig) if path.exists() else None
+        self.known = None if loaded is None else loaded.map  # what the run begins with
+        self._saved = self.known  # what is in the file
+        self._first = self.known  # what the last line compares with
+        self._frame = np.eye(3)  # rotation of the run's maps into the frame of the file's
+        self._aside = False
+        self._writable = os.access(path.parent, os.W_OK)
+        self._state: TrackState | None = None
+        self._due = time.monotonic() + every
+        self._thread: threading.Thread | None = None
+        self._heard: list[str] = []  # from the thread, to be said
+        self._said = ""  # the last of them
+        if loaded is not None:
+            say(f"map: {path}: {len(loaded.map)} discs, saved {age(loaded)}")
+        if not self._writable:
+            say(f"map: {path.parent}: not writable: what this run learns of the discs will not be kept")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._thread is not None:
+            self._thread.join()
+        now = self._now()
+        if now is not None:
+            self._save(*now, last=True)
+        elif self._state is not None and self._saved is None and self._writable:
+            self._heard.append(f"map: {self.path}: nothing saved: too few discs are known for good")
+        self._tell()
+
+    def keep(self, state: TrackState) -> None:
+        """The newest state; saved when it is time and it has something new."""
+        self._state = state
+        self._tell()
+        clock = time.monotonic()
+        if clock < self._due or (self._thread is not None and self._thread.is_alive()):
+            return
+        self._due = clock + self._every
+        now = self._now()
+        if now is not None:
+            self._thread = threading.Thread(target=self._save, args=now, name="map")
+            self._thread.start()
+
+    def _now(self) -> tuple[DiscMap, bool] | None:
+        """The run's map, and whether it grew out of the one it began with."""
+        if self._state is None or not self._writable:
+            return None
+        found = disc_map(self._state)
+        if found is None or not np.all(np.isfinite(found.covariance)):
+            return None
+        return found, self._state.absolute
+
+    def _save(self, now: DiscMap, absolute: bool, last: bool = False) -> None:
+        if absolute:
+            self._frame = np.eye(3)
+        now = turned(now, self._frame)
+        next_ = succession(self._saved, now, absolute=absolute)
+        if not last and (next_.map is None or not changed(self._saved, next_.map)):
+            return
+        try:
+            text = self._replace(next_)
+        except (SpheremouseError, OSError) as e:
+            text = f"not saved: {e}"
+        text = text or (self._in_words() if last else "")
+        if text and text != self._said:
+            self._heard.append(f"map: {self.path}: {text}")
+            self._said = text
+
+    def _replace(self, next_: Succession) -> str:
+        """Do what was decided; what there is to say of it."""
+        if next_.map is None:
+            return next_.text
+        kept = ""
+        if next_.aside and not self._aside and self.path.exists():
+            kept = f"; the map before is kept in {self._set_aside()}"
+        save_map(self.path, saved_now(next_.map, self._rig))
+        self._saved, self._frame = next_.map, next_.rotation @ self._frame
+        if next_.aside:
+            self._first = next_.map
+        return next_.text + kept
+
+    def _in_words(self) -> str:
+        """What is in the file now, and what has changed since the run's start."""
+        assert self._saved is not None
+        saved = f"{len(self._saved)} discs saved"
+        return saved if self._first is None else f"{saved}: {in_words(compare_at(self._first, self._saved, np.eye(3)))}"
+
+    def _set_aside(self) -> Path:
+        """The map the run began with, under another name; the file itself stays until it is replaced whole."""
+        old = old_path(self.path)
+        write_atomically(old, self.path.read_text(encoding="utf-8"))
+        self._aside = True
+        return old
+
+    def _tell(self) -> None:
+        while self._heard:
+            self._say(self._heard.pop(0))
