@@ -31,7 +31,8 @@ from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulationOptions, prepare, simulate
-from spheremouse.track import Phase, Settings, TrackState, advance, begin, build, check_size
+from spheremouse.track import Phase, Settings, TrackState, begin, build, step
+from spheremouse.warm import warm_up
 from spheremouse.yaml_file import write_atomically
 
 EXAMPLE = "Example: spheremouse bench --frames 100 --json speed.json"
@@ -139,6 +140,7 @@ def measure(film: Film, repeat: int = 1) -> Times:
 def _round(film: Film) -> Times:
     settings = Settings()
     start = initialise(film.frames(), film.rig, settings)
+    warm_up(settings)
     tracker = build(film.rig, start.pose, settings)
     blobs = BlobDetector(BlobSettings())
     simple = cv2.SimpleBlobDetector.create()
@@ -149,12 +151,11 @@ def _round(film: Film) -> Times:
     def ours(frame: Frame) -> None:
         nonlocal state
         state = state or begin(tracker, frame.stamp)
+        marks: list[float] = []
         began = time.perf_counter()
-        check_size(frame, tracker.rig)
-        detections = tracker.detector.detect(frame.image)
-        detected = time.perf_counter()
-        state, _ = advance(state, frame.stamp, detections, tracker)
+        state, _ = step(state, frame, tracker, lambda: marks.append(time.perf_counter()))
         ended = time.perf_counter()
+        detected = marks[0]
         for name, s in ((STEP, ended - began), (DETECT, detected - began), (FILTER, ended - detected)):
             spent[name].append(s)
 

@@ -202,11 +202,10 @@ def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
             for i, code, position in zip(scene.targets.ids, scene.targets.codes, scene.targets.position, strict=True)
         ],
         "target_radii": scene.targets.radii.tolist(),
+        "readout_s": scene.readout_s,
         "truth_T_obj_cam": scene.pose.matrix().tolist(),
         "truth_disc_directions": scene.disc_directions.tolist(),
     }
-    if scene.readout_s > 0.0:
-        description["readout_s"] = scene.readout_s
     if simulation.changes:
         description["truth_changes"] = [_change(change) for change in simulation.changes]
         bumps = [change for change in simulation.changes if change.what == "bump"]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spheremouse.camera import Pose, unprojected
 from spheremouse.detect.detections import Detections
-from spheremouse.rig import Rig, row_delay
+from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 
 
@@ -27,6 +27,7 @@ class SpherePoints:
     dposition_dpose: Array  # (n, 3, 6) of the pose's error model: m, rad
     dposition_dball: Array  # (n, 3, 4) of centre and radius
     delay: Array  # (n,) s from the frame's stamp to the exposure of the point's row (rolling shutter)
+    row: Array  # (n,) that row, from -1/2 at the top of the image to 1/2 at its bottom
     index: NDArray[np.intp]  # (n,) into the detections
 
     def __len__(self) -> int:
@@ -42,6 +43,7 @@ class SpherePoints:
             self.dposition_dpose[keep],
             self.dposition_dball[keep],
             self.delay[keep],
+            self.row[keep],
             self.index[keep],
         )
 
@@ -54,6 +56,7 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
     n, camera = len(detections), rig.camera
+    row = (detections.centre[:, 1] + 0.5) / camera.height - 0.5
     xy, dxy_duv = np.empty((n, 2)), np.empty((n, 2, 2))
     unprojected(detections.centre, camera.intrinsic, camera.distortion, camera.fold_r2, xy, dxy_duv)
     points = SpherePoints(
@@ -63,7 +66,8 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
         np.empty((n, 3, 3)),
         np.empty((n, 3, 6)),
         np.empty((n, 3, 4)),
-        row_delay(detections.centre[:, 1], rig),
+        rig.readout_s * row,
+        row,
         np.empty(n, dtype=np.intp),
     )
     met = _intersect(
@@ -84,7 +88,11 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
         points.dposition_dball,
         points.index,
     )
-    return points if met == n else replace(points.take(slice(met)), delay=points.delay[points.index[:met]])
+    return points if met == n else _of_rows(points.take(slice(met)), points)
+
+
+def _of_rows(met: SpherePoints, all_: SpherePoints) -> SpherePoints:
+    return replace(met, delay=all_.delay[met.index], row=all_.row[met.index])
 
 
 @njit(cache=True, error_model="numpy")

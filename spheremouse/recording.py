@@ -19,7 +19,7 @@ from spheremouse.dataset_format import BLOB_COLUMNS, DISC_COLUMNS, MOTION_COLUMN
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
 from spheremouse.errors import DatasetError
 from spheremouse.frame import Frame
-from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rotation import Array
 from spheremouse.simulate.truth import DiscTruth, Truth
 
@@ -80,7 +80,7 @@ class _Scene(_Model):
     fps: _Positive
     frames: Annotated[int, Field(gt=0)]
     exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    readout_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    readout_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
     camera: _Camera
     ball: _Ball
     disc_radius: _Positive
@@ -171,7 +171,8 @@ def _rig(scene: _Scene) -> Rig:
         ball=Ball(scene.ball.radius),
         targets=targets,
         disc_radius=scene.disc_radius,
-        readout_s=scene.readout_s,
+        readout_s=scene.readout_s or 0.0,
+        readout_sigma_s=UNKNOWN_READOUT if scene.readout_s is None else 0.0,
         exposure_s=scene.exposure_s,
         pose=None if scene.T_obj_cam is None else pose_from_matrix(np.array(scene.T_obj_cam)),
     )

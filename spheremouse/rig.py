@@ -12,6 +12,9 @@ COLOURS = "CMY"
 CODES = ("CMY", "CYM", "MCY", "MYC", "YCM", "YMC")  # inside to outside
 
 
+UNKNOWN_READOUT = 0.015  # s: none with a global shutter, up to 30 ms with a slow rolling one
+
+
 @dataclass(frozen=True, slots=True)
 class Ball:
     """The sphere, in `obj`. Its centre is the origin by definition; it is uncertain all the same."""
@@ -41,6 +44,7 @@ class Rig:
     targets: Targets
     disc_radius: float  # m, along the ball's surface
     readout_s: float = 0.0  # s, time a rolling shutter takes over all rows
+    readout_sigma_s: float = 0.0  # s, its standard deviation; UNKNOWN_READOUT where nobody measured it
     exposure_s: float = 0.0  # s, time the shutter is open; 0 where it is short or unknown
     pose: Pose | None = None  # camera pose where it is known beforehand: no targets are needed then
     disc_directions: Array | None = None  # (m, 3) unit vectors in ball, a disc map made earlier
@@ -75,6 +79,6 @@ def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.in
     return (pose.position + hits.scale[:, None] * hits.ray - rig.ball.centre) / rig.ball.radius, hits.index
 
 
-def row_delay(v: Array, rig: Rig) -> Array:
+def row_delay(v: Array, readout: float, camera: InteriorOrientation) -> Array:
     """Time, s, from a frame's stamp to the exposure of rows v, px: the stamp is that of the middle row."""
-    return rig.readout_s * ((v + 0.5) / rig.camera.height - 0.5)
+    return readout * ((v + 0.5) / camera.height - 0.5)

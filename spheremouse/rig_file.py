@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
-from spheremouse.rig import CODES, Ball, Rig, Targets
+from spheremouse.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rotation import Array
 from spheremouse.validate import read_checked
 from spheremouse.yaml_file import SCHEMA, Key, Problem, write_atomically
@@ -63,7 +63,9 @@ class _CameraFile(_Part):
 class _RigFile(_CameraFile):
     ball: _Ball = Field(description="radius of the ball, and what else is known of it")
     disc_radius: Positive = Field(description="radius of a disc in m, along the ball's surface")
-    readout_s: float = Field(0.0, ge=0, lt=1, description="time a rolling shutter takes over all rows in s")
+    readout_s: float | None = Field(
+        None, ge=0, lt=1, description="time a rolling shutter takes over all rows in s; 0: global; null: unknown"
+    )
     exposure_s: float = Field(
         0.0, ge=0, lt=1, description="time the shutter is open in s, which tells the blur of a fast ball; 0: unknown"
     )
@@ -92,7 +94,8 @@ def load_rig(path: Path) -> Rig:
             radii=np.array(file.target_radii or (0.0, 0.0, 0.0)),
         ),
         disc_radius=file.disc_radius,
-        readout_s=file.readout_s,
+        readout_s=file.readout_s or 0.0,
+        readout_sigma_s=UNKNOWN_READOUT if file.readout_s is None else 0.0,
         exposure_s=file.exposure_s,
         pose=_pose(file),
         disc_directions=_unit_rows(file.discs) if file.discs else None,
@@ -133,7 +136,7 @@ def rig_text(rig: Rig) -> str:
         f"  center: {_flow(rig.ball.centre)}",
         *_covariance_lines(rig.ball.covariance, "  covariance", "  # m², of centre x, y, z and radius"),
         f"disc_radius: {float(rig.disc_radius)!r}  # along the ball's surface",
-        f"readout_s: {float(rig.readout_s)!r}  # time a rolling shutter takes over all rows",
+        f"readout_s: {_readout(rig)}  # time a rolling shutter takes over all rows; 0: global; null: unknown",
         f"exposure_s: {float(rig.exposure_s)!r}  # time the shutter is open; 0: unknown",
     ]
     if np.any(rig.targets.radii):
@@ -161,6 +164,10 @@ def _camera_text(camera: InteriorOrientation) -> str:
         f"  cx: {float(camera.cx)!r}\n  cy: {float(camera.cy)!r}\n"
         f"  dist: {_flow(camera.distortion)}  # k1, k2, p1, p2, k3\n"
     )
+
+
+def _readout(rig: Rig) -> str:
+    return "null" if rig.readout_sigma_s > 0.0 else repr(float(rig.readout_s))
 
 
 def _flow(values: Array) -> str:

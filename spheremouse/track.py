@@ -4,6 +4,7 @@ Detect, intersect, set aside look-alikes, associate and filter, turn rotation in
 Everything is a pure function of the state before and the frame; nothing here waits, logs or reads a clock.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, Protocol
@@ -174,6 +175,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
             rig.disc_radius / rig.ball.radius,
             rig.ball.radius,
             block_diag(pose.covariance, rig.ball.covariance),
+            rig.readout_sigma_s,
         )
     elif settings.tracker == "ekf2":
         stage = StateDiscsFilter(settings.euler)
@@ -218,11 +220,17 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     )
 
 
-def step(state: TrackState, frame: Frame, tracker: Tracker) -> tuple[TrackState, Motion]:
-    """One frame. Raises SourceError when the frame has another size than the camera was calibrated for."""
+def step(
+    state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
+) -> tuple[TrackState, Motion]:
+    """One frame. Raises SourceError when the frame has another size than the camera was calibrated for.
+
+    `detected` is called between detection and what follows: whoever measures times needs to know.
+    """
     check_size(frame, tracker.rig)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
     detections, hunt = look(state, frame, tracker, predicted)
+    detected()
     return advance(replace(state, hunt=hunt), frame.stamp, detections, tracker, predicted)
 
 
@@ -244,7 +252,8 @@ def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterSta
         return detector.detect(frame.image), state.hunt
     which = tracker.filter.visible(predicted)
     known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
-    found, noise = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate)
+    readout = tracker.rig.readout_s + predicted.readout
+    found, noise = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
     if 2 * len(found) < min(seen_before, len(state.filter.used)):
         return detector.detect(frame.image), state.hunt
@@ -538,6 +547,7 @@ def _recognised(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Filt
         sigma=s.identify_sigma,
         view_axis=tracker.filter.towards_camera,
         horizon=tracker.filter.horizon,
+        risk=1e-3,
     )
     if known is None or 2 * len(known.pairs) < len(points):
         return None

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.detect.cap import appearance, ball_mask, ball_outline, largest_disc
 from spheremouse.rig import Ball, Rig, Targets
 
@@ -89,6 +89,51 @@ def test_area_and_centroid_are_those_of_the_projected_rim(camera, disc_radius):
     assert_allclose(seen.centre, centre, atol=1e-6)
     if disc_radius > 0.01:
         assert np.linalg.norm(seen.centroid - seen.centre, axis=1).max() > 0.1  # eccentricity is not nothing
+
+
+@pytest.mark.parametrize("camera", [PLAIN, STRONG], ids=["plain", "distorted"])
+@pytest.mark.parametrize("disc_radius", [0.005, 0.05])
+def test_appearance_is_the_camera_modules_projected_circle(camera, disc_radius):
+    """The compiled arithmetic against the camera's own, disc by disc: circle in space, ellipse, lens."""
+    rig, pose = device(camera, disc_radius)
+    u = directions(rig, pose)
+    alpha = disc_radius / rig.ball.radius
+    middle = rig.ball.centre + rig.ball.radius * np.cos(alpha) * u
+    circle = project_circle(pose.to_cam(middle), u @ pose.rotation, rig.ball.radius * np.sin(alpha))
+    centroid, shape = ellipse_to_pixel(*circle, camera)
+    seen = appearance(u, rig, pose)
+    assert_allclose(seen.centroid, centroid, atol=1e-9)
+    assert_allclose(seen.shape, shape, rtol=1e-9, atol=1e-12)
+    assert_allclose(seen.area, np.pi * np.sqrt(np.linalg.det(shape)), rtol=1e-9)
+    assert_allclose(seen.centre, project(pose.to_cam(rig.ball.centre + rig.ball.radius * u), camera)[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("camera", [PLAIN, STRONG], ids=["plain", "distorted"])
+def test_shape_is_that_of_the_outlines_second_moments(camera):
+    """A uniform ellipse has a quarter of its shape as covariance: of the rim's polygon, filled and sampled."""
+    rig, pose = device(camera, 0.03)
+    for d in directions(rig, pose, 0.1)[::5]:
+        seen = appearance(d[None], rig, pose)
+        outline = to_image(rim(d, rig), rig, pose)
+        radius = np.sqrt((np.arange(40) + 0.5) / 40)[:, None, None]  # rings of equal area
+        inside = (seen.centroid + radius * (outline - seen.centroid)).reshape(-1, 2)
+        # a ring's sectors are not of equal area: weigh each by its triangle
+        edge = outline - seen.centroid
+        after, before = np.roll(edge, -1, axis=0), np.roll(edge, 1, axis=0)
+        weight = np.tile(np.abs(edge[:, 0] * (after - before)[:, 1] - edge[:, 1] * (after - before)[:, 0]), 40)
+        second = 4.0 * np.cov(inside.T, aweights=weight)
+        scale = np.sqrt(np.outer(np.diag(second), np.diag(second)))
+        assert_allclose(seen.shape[0] / scale, second / scale, atol=0.005 if camera is PLAIN else 0.03)
+
+
+def test_directions_need_not_be_contiguous_nor_float64():
+    rig, pose = device(STRONG)
+    u = directions(rig, pose)
+    turned = Pose(np.asfortranarray(pose.rotation), pose.position)
+    plain, other = appearance(u, rig, pose), appearance(np.asfortranarray(u)[::2], rig, turned)
+    assert_allclose(other.centroid, plain.centroid[::2], atol=1e-12)
+    single = appearance(u.astype(np.float32), rig, pose)
+    assert_allclose(single.centroid, plain.centroid, atol=1e-3)
 
 
 @pytest.mark.parametrize("camera", [PLAIN, STRONG], ids=["plain", "distorted"])

@@ -72,7 +72,7 @@ def points_at(position, covariance=None):
     n = len(position)
     C = np.tile(1e-8 * np.eye(3), (n, 1, 1)) if covariance is None else covariance
     direction = position / np.linalg.norm(position, axis=1, keepdims=True)
-    return SpherePoints(position, C, direction, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), np.zeros(n), np.arange(n))
+    return SpherePoints(position, C, direction, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), np.zeros(n), np.zeros(n), np.arange(n))
 
 
 def on_ball(*directions):
@@ -310,7 +310,7 @@ def test_ekf2_stores_a_new_point_without_correlation():
         np.concatenate([points.covariance[:4], L @ L.transpose(0, 2, 1)]),
         *(
             getattr(points, k)
-            for k in ("direction", "image_covariance", "dposition_dpose", "dposition_dball", "delay", "index")
+            for k in ("direction", "image_covariance", "dposition_dpose", "dposition_dball", "delay", "row", "index")
         ),
     )
     after = model.update(state, points)

@@ -1,6 +1,6 @@
 """Rays meet the ball: closed form, the published Gauss-Helmert model, and the scatter of samples."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import cv2
 import numpy as np
@@ -141,8 +141,17 @@ def test_take_selects_every_field():
     points = intersect(detections(to_pixels(places())), RIG, POSE)
     some = points.take(np.array([True, False, False, True, False]))
     assert_array_equal(some.index, [0, 3])
-    for name in ("position", "covariance", "direction", "image_covariance", "dposition_dpose", "dposition_dball"):
-        assert_array_equal(getattr(some, name), getattr(points, name)[[0, 3]])
+    for field in fields(points):
+        assert_array_equal(getattr(some, field.name), getattr(points, field.name)[[0, 3]])
+
+
+def test_take_knows_masks_indices_and_slices():
+    points = intersect(detections(to_pixels(places())), replace(RIG, readout_s=0.02), POSE)
+    for keep, rows in ((np.array([4, 1]), [4, 1]), (slice(1, 3), [1, 2]), (np.zeros(5, dtype=bool), [])):
+        some = points.take(keep)
+        assert len(some) == len(rows)
+        assert_array_equal(some.index, rows)
+        assert_array_equal(some.delay, points.delay[rows])
 
 
 def central_differences(f, n, h):
@@ -238,3 +247,33 @@ def test_covariance_is_the_scatter_of_samples():
         scatter = whiten @ np.cov(hits.T) @ whiten.T
         assert_allclose(scatter, np.eye(3), atol=5 * np.sqrt(2.0 / n))
         assert_allclose(whiten @ (hits.mean(axis=0) - points.position[k]), 0.0, atol=5 / np.sqrt(n))
+
+
+def test_delay_is_the_time_of_a_points_row_after_the_middle_row():
+    """Row v of h is read (v + 1/2) / h of the readout after the first; the stamp is half of it after."""
+    uv = to_pixels(places())
+    assert_array_equal(intersect(detections(uv), RIG, POSE).delay, 0.0)  # a global shutter
+    rolling = replace(RIG, readout_s=0.03)
+    points = intersect(detections(uv), rolling, POSE)
+    assert_allclose(points.delay, 0.03 * ((uv[:, 1] + 0.5) / 1080 - 0.5), atol=1e-15)
+    middle = intersect(detections(np.array([[967.0, 539.5]])), rolling, POSE)
+    assert_allclose(middle.delay, 0.0, atol=1e-15)
+    lower = intersect(detections(np.array([[967.0, 539.5 + 270.0]])), rolling, POSE)
+    assert_allclose(lower.delay, 0.03 / 4)  # a row further down is read later
+
+
+def test_delay_stays_with_its_point_when_rays_miss():
+    rng = np.random.default_rng(6)
+    uv = rng.uniform([0, 0], [1919, 1079], (300, 2))
+    points = intersect(detections(uv), replace(RIG, readout_s=0.03), POSE)
+    assert 20 < len(points) < 200
+    assert len(points.delay) == len(points)
+    assert_allclose(points.delay, 0.03 * ((uv[points.index, 1] + 0.5) / 1080 - 0.5), atol=1e-15)
+
+
+def test_a_pixel_no_ray_maps_to_is_a_miss():
+    """nan in, nothing out; the corners of that lens fold back."""
+    uv = np.vstack([to_pixels(places())[:1], [[np.nan, 500.0]], [[1e5, -1e5]]])
+    points = intersect(detections(uv), RIG, POSE)
+    assert_array_equal(points.index, [0])
+    assert np.isfinite(points.covariance).all()

@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
-from scipy.linalg import expm
+from scipy.linalg import block_diag, expm
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from spheremouse.camera import InteriorOrientation, Pose, project
+from spheremouse.detect.detections import Detections
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST
 from spheremouse.filters.so3_state import augment, inject
-from spheremouse.intersect import SpherePoints
+from spheremouse.intersect import SpherePoints, intersect
+from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import exp, log
 
 RADIUS = 0.6
@@ -21,10 +25,9 @@ HORIZON = 0.25
 DT = 1.0 / 30.0
 SIGMA = 3e-4  # rad, of a direction per axis: 0.07 px of the far camera
 SETTINGS = So3Settings()
-FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS)
-
-
+FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, RADIUS)
 DISCS = directions(26, 4, 0.3)
+STILL = np.zeros((CORE, CORE))
 
 
 def points_at(direction, sigma=SIGMA, rng=None):
@@ -36,7 +39,7 @@ def points_at(direction, sigma=SIGMA, rng=None):
         d = d / np.linalg.norm(d, axis=1, keepdims=True)
     n = len(d)
     C = (RADIUS * sigma) ** 2 * (np.eye(3) - d[:, :, None] * d[:, None, :])
-    return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), np.arange(n))
+    return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), np.zeros(n), np.zeros(n), np.arange(n))
 
 
 def seen(R, discs=DISCS):
@@ -68,9 +71,10 @@ def settled(rate=(0.3, -0.2, 0.4), n=30, seed=0):
 
 
 def difference(a, b):
-    """Error vector of state a against state b with the same discs, (9 + 2m,)."""
+    """Error vector of state a against state b with the same discs, (19 + 2m,)."""
     d = np.einsum("mij,mi->mj", b.basis, a.discs - b.discs).ravel()
-    return np.concatenate([log(a.attitude @ b.attitude.T), a.rate - b.rate, a.acceleration - b.acceleration, d])
+    core = [log(a.attitude @ b.attitude.T), a.rate - b.rate, a.acceleration - b.acceleration]
+    return np.concatenate([*core, np.zeros(CONSIDER), d])  # pose and ball are never corrected
 
 
 def draw(joint, rng, n):
@@ -103,6 +107,7 @@ def test_prediction_moves_an_error_as_its_covariance_says():
         e = h * np.eye(k)[i]
         ends = [quiet.predict(inject(state, s * e), state.stamp + dt) for s in (1, -1)]
         F[:, i] = (difference(ends[0], base) - difference(ends[1], base)) / (2 * h)
+    F[CORE:FIRST, CORE:FIRST] = np.eye(CONSIDER)
     assert_allclose(base.joint, F @ state.joint @ F.T, atol=1e-6 * np.abs(base.joint).max())
 
 
@@ -114,12 +119,13 @@ def test_the_innovation_depends_on_the_state_as_its_jacobian_says():
     columns = np.flatnonzero(p[:, 2] > HORIZON)[:4]
     points = points_at(p[columns], rng=np.random.default_rng(1))
     rows = np.arange(len(columns))
-    H, _, _, _ = FILTER._innovation(state, points, rows, columns)
+    H, HP, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
     h = 1e-6
-    for i in range(len(state.joint)):
+    assert_allclose(HP[:, :CORE], H)
+    for i in np.delete(np.arange(len(state.joint)), np.arange(CORE, FIRST)):
         e = h * np.eye(len(state.joint))[i]
-        z = [FILTER._innovation(inject(state, s * e), points, rows, columns)[2] for s in (1, -1)]
-        assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, i], atol=2e-3)  # the axes turn with the state: second order
+        z = [FILTER._innovation(inject(state, s * e), points, rows, columns, STILL)[2] for s in (1, -1)]
+        assert_allclose(-(z[0] - z[1]) / (2 * h), HP[:, i], atol=2e-3)  # the axes turn with the state: second order
 
 
 def test_a_new_disc_is_as_uncertain_as_sampling_says():
@@ -131,7 +137,7 @@ def test_a_new_disc_is_as_uncertain_as_sampling_says():
     state = replace(state, joint=P)
     place = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
     sigma = 5e-3
-    founded = augment(state, points_at(place, sigma), np.array([0]))
+    founded = augment(state, points_at(place, sigma), np.array([0]), RADIUS)
     errors = draw(state.joint, rng, 4000)
     samples = []
     for e in errors:
@@ -182,8 +188,8 @@ def test_update_is_the_batch_solution():
     discs[:, 2] = np.abs(discs[:, 2]) + 0.5
     discs /= np.linalg.norm(discs, axis=1, keepdims=True)
     sigma, dt, jolt = 1e-5, 0.1, 1e-3
-    own = replace(SETTINGS, acceleration_sigma=jolt, start_rate_sigma=1e-3, levels=(1.0,))
-    f = replace(FILTER, settings=own)
+    quiet = replace(SETTINGS, acceleration_sigma=jolt, start_rate_sigma=1e-3, levels=(1.0,))
+    f = replace(FILTER, settings=quiet)
     w = np.array([4e-4, -3e-4, 5e-4])
     frames = [points_at(discs @ exp(w * k * dt).T, sigma, rng) for k in range(3)]
     state = f.initial(0.0, np.eye(3))
@@ -191,7 +197,7 @@ def test_update_is_the_batch_solution():
         state = f.update(f.predict(state, k * dt), points)
     assert len(state.used) == 4
 
-    F, Q = singer(dt, jolt, own.persistence)
+    F, Q = singer(dt, jolt, quiet.persistence)
     Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
     base = state.discs
 
@@ -214,7 +220,8 @@ def test_update_is_the_batch_solution():
     assert_allclose(log(state.attitude), fit.x[15:18], atol=0.02 * sd[:3].max())
     assert_allclose(state.rate, fit.x[18:21], atol=0.02 * sd[3:6].max())
     assert_allclose(state.acceleration, fit.x[21:24], atol=0.02 * sd[6:9].max())
-    assert_allclose(state.joint / np.outer(sd, sd), C / np.outer(sd, sd), atol=0.02)
+    own = np.delete(np.arange(len(state.joint)), np.arange(CORE, FIRST))
+    assert_allclose(state.joint[np.ix_(own, own)] / np.outer(sd, sd), C / np.outer(sd, sd), atol=0.02)
 
 
 def test_nees_of_runs_drawn_from_the_own_model():
@@ -223,8 +230,8 @@ def test_nees_of_runs_drawn_from_the_own_model():
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
     F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
     jerk = np.linalg.cholesky(Q)
-    runs, frames, checks = 50, 40, (10, 39)
-    nees = {k: [] for k in checks}
+    runs, frames, checks = 50, 60, (10, 39, 59)
+    nees = {k: [] for k in range(10, frames)}
     nis = dof = 0.0
     for _ in range(runs):
         R, w = np.eye(3), SETTINGS.start_rate_sigma * rng.normal(size=3)
@@ -237,7 +244,7 @@ def test_nees_of_runs_drawn_from_the_own_model():
             state = own.update(own.predict(state, k * DT), points_at(seen(R), rng=rng))
             if k >= 3:  # before, the rate is all but unknown, and the allowance for that makes it smaller
                 nis, dof = nis + state.nis, dof + 2 * len(state.used)
-            if k in checks:
+            if k in nees:
                 e = np.concatenate([log(state.attitude @ R.T), state.rate - w])
                 P = state.covariance
                 nees[k].append([e[:3] @ np.linalg.solve(P[:3, :3], e[:3]), e[3:] @ np.linalg.solve(P[3:, 3:], e[3:])])
@@ -246,6 +253,10 @@ def test_nees_of_runs_drawn_from_the_own_model():
         attitude, rate = np.mean(nees[k], axis=0)
         assert low < attitude < high, f"attitude, frame {k}"
         assert low < rate < high, f"rate, frame {k}"
+    # frames of a run hang together: their mean has at most the scatter of one of them
+    attitude, rate = np.mean([nees[k] for k in range(20, frames)], axis=(0, 1))
+    assert low < attitude < high
+    assert low < rate < high
     low, high = chi2.ppf([0.025, 0.975], dof)  # the filter's own consistency, too: what `nis` says it is
     assert low < nis < high
 
@@ -283,9 +294,9 @@ def test_axes_of_a_disc_go_along_when_it_crosses_z_0():
     """tangent_basis jumps at z = 0; the filter's axes must not: the covariance is written in them."""
     state, _ = settled()
     z0 = np.array([np.sqrt(1.0 - 1e-12), 0.0, 1e-6])
-    state = augment(state, points_at(z0 @ state.attitude.T), np.array([0]))
+    state = augment(state, points_at(z0 @ state.attitude.T), np.array([0]), RADIUS)
     m = len(state.discs)
-    dx = np.zeros(9 + 2 * m)
+    dx = np.zeros(FIRST + 2 * m)
     down = state.basis[-1].T @ [0.0, 0.0, -1e-4]
     dx[-2:] = down
     moved = inject(state, dx)
@@ -351,7 +362,7 @@ def test_a_disc_on_trial_goes_and_a_kept_one_stays():
             points = with_ghost if k < sightings else points_at(real)
             state = FILTER.update(FILTER.predict(state, t[k]), points)
         assert bool(np.any(state.discs @ ghost > 0.999)) == stays
-        assert len(state.joint) == 9 + 2 * len(state.discs)
+        assert len(state.joint) == FIRST + 2 * len(state.discs)
 
 
 def test_a_disc_that_never_comes_again_is_dropped_in_the_end():
@@ -456,7 +467,7 @@ def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     predicted = FILTER.predict(state, state.stamp + DT)
     blind = FILTER.update(predicted, points_at(np.zeros((0, 3))))
     assert_allclose(blind.attitude, predicted.attitude)
-    assert_allclose(blind.joint[9:, 9:], predicted.joint[9:, 9:])
+    assert_allclose(blind.joint[CORE:, CORE:], predicted.joint[CORE:, CORE:])
     assert np.linalg.eigvalsh(blind.joint - predicted.joint)[0] > -1e-15  # the player may be at a livelier level
     assert len(blind.used) == 0
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
@@ -487,8 +498,377 @@ def test_relocation_keeps_the_map_and_forgets_the_rest():
     placed = relocate(state, found, 0.003, SETTINGS, 99.0)
     assert placed.stamp == 99.0
     assert_allclose(placed.attitude, found)
-    assert_allclose(placed.joint[9:, 9:], state.joint[9:, 9:])
-    assert_allclose(placed.joint[:9, 9:], 0.0)
+    assert_allclose(placed.joint[CORE:, CORE:], state.joint[CORE:, CORE:])
+    assert_allclose(placed.joint[:CORE, CORE:], 0.0)
     after = FILTER.update(placed, points_at(seen(found), rng=np.random.default_rng(19)))
     assert len(after.used) >= 3
     assert np.linalg.norm(log(after.attitude @ found.T)) < 2e-3
+
+
+# --- pose and ball, wrong in every frame alike -----------------------------------------------------------------------
+
+
+CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+STATION = np.array([0.2, 0.3, 1.9])
+PIXEL = 0.07  # px, noise of a centre
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+
+
+def spd(sigmas, seed):
+    """A covariance with these standard deviations and strong correlations."""
+    C = np.cov(np.random.default_rng(seed).normal(size=(len(sigmas), 3 * len(sigmas))))
+    s = np.asarray(sigmas) / np.sqrt(np.diag(C))
+    return C * np.outer(s, s)
+
+
+def station(scale):
+    """Rig, pose and filter of a camera whose pose is known to `scale` mm and mrad, the ball alike."""
+    z = -STATION / np.linalg.norm(STATION)
+    x = np.cross([0.3, -1.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(z, x), z], axis=1)
+    unsure = scale**2 * spd([1e-3, 1e-3, 2e-3, 1e-3, 1e-3, 1e-3], 1)
+    pose = Pose(rotation, STATION, unsure)
+    rig = Rig(CAMERA, Ball(RADIUS, np.zeros(3), scale**2 * spd([1e-3, 1e-3, 1e-3, 5e-4], 2)), NO_TARGETS, 0.02)
+    distance = np.linalg.norm(STATION)
+    considered = block_diag(pose.covariance, rig.ball.covariance)
+    own = replace(SETTINGS, levels=(1.0,))
+    return rig, pose, So3Filter(own, STATION / distance, RADIUS / distance, 0.02 / RADIUS, RADIUS, considered)
+
+
+def other(rig, pose, error):
+    """Pose and ball that differ by an error, (10,)."""
+    ball = replace(rig.ball, centre=rig.ball.centre + error[6:9], radius=rig.ball.radius + error[9])
+    moved = replace(pose, position=pose.position + error[:3], rotation=exp(error[3:6]) @ pose.rotation)
+    return replace(rig, ball=ball), moved
+
+
+def image_of(d, rig, pose):
+    """Pixels, (n, 2), of directions d, (n, 3), in obj."""
+    return project(pose.to_cam(rig.ball.centre + rig.ball.radius * d), rig.camera)[0]
+
+
+def detected(uv, sigma=PIXEL):
+    n = len(uv)
+    return Detections(uv, np.broadcast_to(sigma**2 * np.eye(2), (n, 2, 2)).copy(), np.full(n, 100.0))
+
+
+def in_view(R, margin):
+    p = DISCS @ R.T
+    return p[p @ STATION / np.linalg.norm(STATION) > RADIUS / np.linalg.norm(STATION) + margin]
+
+
+def played(filter_, rig, pose, errors, rng, *, frames=60, margin=0.3):
+    """Runs of the filter's own motion seen with each of `errors`, (n, 10): whitened squares, (n, frames, 2).
+
+    And how many of the true pairs were made.
+    """
+    F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    jerk = np.linalg.cholesky(Q)
+    squares, used, possible = np.empty((len(errors), frames, 2)), 0, 0
+    for run, error in enumerate(errors):
+        true_rig, true_pose = other(rig, pose, error)
+        R, w = np.eye(3), SETTINGS.start_rate_sigma * rng.normal(size=3)
+        a = SETTINGS.acceleration_sigma * rng.normal(size=3)
+        state = filter_.initial(0.0, R)
+        known = np.zeros((0, 3))
+        for k in range(frames):
+            if k:
+                now = F @ np.stack([np.zeros(3), w, a]) + jerk @ rng.normal(size=(3, 3))
+                R, w, a = exp(now[0]) @ R, now[1], now[2]
+            d = in_view(R, margin)
+            uv = image_of(d, true_rig, true_pose)
+            points = intersect(detected(uv + PIXEL * rng.normal(size=uv.shape)), rig, pose)
+            state = filter_.update(filter_.predict(state, k * DT), points)
+            # the discs that were in view before: each of them is a pair
+            possible += np.count_nonzero(np.max((d @ R) @ known.T, axis=1, initial=-1.0) > 1.0 - 1e-9)
+            used += len(state.used)
+            known = np.concatenate([known, d @ R])
+            e = np.concatenate([log(R @ state.attitude.T), w - state.rate])
+            P = state.covariance
+            if k:  # at the first frame the attitude is the reference: without error
+                squares[run, k] = [e[i] @ np.linalg.solve(P[i, i], e[i]) for i in (slice(3), slice(3, 6))]
+    return squares, used / possible
+
+
+def test_errors_of_pose_and_ball_are_in_the_covariance():
+    """60 drawn poses and balls, constant over a run: chi-square of attitude and rate, 95 % band of the runs' mean."""
+    rig, pose, consider = station(0.5)
+    rng = np.random.default_rng(21)
+    errors = draw(consider.considered, rng, 60)
+    squares, used = played(consider, rig, pose, errors, rng)
+    low, high = chi2.ppf([0.025, 0.975], 3 * 60) / 60
+    late = squares[:, 20:].mean(axis=(0, 1))
+    assert low < late[0] < high
+    assert low < late[1] < high
+    assert used > 0.8
+    ignorant = replace(consider, considered=np.zeros((CONSIDER, CONSIDER)))
+    squares, _ = played(ignorant, rig, pose, errors, rng)
+    late = squares[:, 20:].mean(axis=(0, 1))
+    assert late[0] > 20.0 * high  # far outside: measured 150 to 230 where 3 is right
+    assert late[1] > 1.5 * high
+
+
+@pytest.mark.xfail(strict=True, reason="the gate leaves out what is considered: kernel.distances")
+def test_no_disc_is_turned_away_for_an_error_that_is_considered():
+    rig, pose, consider = station(1.0)
+    rng = np.random.default_rng(22)
+    _, used = played(consider, rig, pose, draw(consider.considered, rng, 15), rng)
+    assert used > 0.98
+
+
+def test_innovation_and_founding_depend_on_pose_and_ball_as_finite_differences_say():
+    """Rays of one picture meet the ball through another pose: differences against H and against the new disc's."""
+    rig, pose, consider = station(1.0)
+    d = in_view(np.eye(3), 0.2)
+    seen_at = detected(image_of(d, rig, pose))
+    points = intersect(seen_at, rig, pose)
+    state = consider.update(consider.initial(0.0, np.eye(3)), points)
+    state = inject(state, 1e-5 * np.random.default_rng(23).normal(size=len(state.joint)))  # not zero innovations
+    rows = columns = np.arange(len(d))
+    known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
+    _, H, _, _ = consider._innovation(known, points, rows, columns, STILL)
+    bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(FIRST))
+    founded = augment(bare, points, rows, RADIUS)
+    h = 1e-5
+    for i in range(CONSIDER):
+        ends = [intersect(seen_at, *other(rig, pose, s * h * np.eye(CONSIDER)[i])) for s in (1, -1)]
+        z = [consider._innovation(known, p, rows, columns, STILL)[2] for p in ends]
+        # the pose assumed is the truth less the error: what is seen moves against it
+        assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, CORE + i], atol=1e-4 * np.abs(H[:, CORE + i]).max())
+        new = [augment(bare, p, rows, RADIUS).discs for p in ends]
+        slope = np.einsum("mij,mi->mj", founded.basis, (new[0] - new[1]) / (2 * h)).ravel()
+        assert_allclose(founded.joint[FIRST:, CORE + i], slope, atol=1e-4 * np.abs(slope).max())
+
+
+def test_update_with_considered_errors_is_the_batch_solution():
+    """Two frames of five discs: least squares over pixels with pose and ball as unknowns that have a prior.
+
+    After one update Schmidt's estimate of the rest is that of the full filter; pose and ball keep their prior.
+    """
+    scale, dt, jolt, sigma = 2e-3, 0.1, 1e-4, 1e-4
+    rig, pose, consider = station(scale)
+    quiet = replace(consider.settings, acceleration_sigma=jolt, start_rate_sigma=1e-4)
+    consider = replace(consider, settings=quiet)
+    rng = np.random.default_rng(24)
+    truth = draw(consider.considered, rng, 1)[0]
+    w = 1e-4 * np.array([0.4, -0.7, 0.5])
+    discs = in_view(np.eye(3), 0.2)[:5]
+    through = other(rig, pose, truth)
+    uv = [image_of(discs @ exp(w * t).T, *through) for t in (0.0, dt)]
+    uv = [p + sigma * rng.normal(size=p.shape) for p in uv]
+    state = consider.initial(0.0, np.eye(3))
+    for k in range(2):
+        state = consider.update(consider.predict(state, k * dt), intersect(detected(uv[k], sigma), rig, pose))
+    assert len(state.used) == 5
+
+    F, Q = singer(dt, jolt, quiet.persistence)
+    Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
+    Wc = np.linalg.cholesky(np.linalg.inv(consider.considered)).T
+
+    def residuals(x):
+        start, now, error = x[:6] * 1e-4, x[6:15] * 1e-4, x[15:25] * scale * 1e-3
+        d = state.discs + np.einsum("mij,mj->mi", state.basis, 1e-4 * x[25:].reshape(-1, 2))
+        before = np.concatenate([np.zeros(3), start])
+        out = [start[:3] / 1e-4, start[3:] / jolt, Wq @ (now - (F @ before.reshape(3, 3)).ravel()), Wc @ error]
+        place = other(rig, pose, error)
+        for turn, p in zip((np.zeros(3), now[:3]), uv, strict=True):
+            out.append((image_of(d @ exp(turn).T, *place) - p).ravel() / sigma)
+        return np.concatenate(out)
+
+    fit = least_squares(residuals, np.zeros(25 + 10), "3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    unit = np.concatenate([np.full(15, 1e-4), np.full(10, scale * 1e-3), np.full(10, 1e-4)])
+    C = np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(unit, unit)
+    ours = np.concatenate([log(state.attitude), state.rate, state.acceleration])
+    sd = np.sqrt(np.diag(C))
+    assert_allclose(ours / sd[6:15], (fit.x * unit)[6:15] / sd[6:15], atol=0.03)
+    at = np.concatenate([np.arange(6, 15), np.arange(25, 35)])
+    rest = np.concatenate([np.arange(CORE), np.arange(FIRST, len(state.joint))])
+    scale_at = np.outer(sd[at], sd[at])
+    assert_allclose(state.joint[np.ix_(rest, rest)] / scale_at, C[np.ix_(at, at)] / scale_at, atol=0.02)
+    cross = np.outer(sd[at], np.sqrt(np.diag(consider.considered)))
+    batch = C[np.ix_(at, np.arange(15, 25))]
+    assert_allclose(state.joint[rest, CORE:FIRST] / cross, batch / cross, atol=0.02)
+    assert_allclose(state.joint[CORE:FIRST, CORE:FIRST], consider.considered)
+
+
+# --- rolling shutter -------------------------------------------------------------------------------------------------
+
+
+FLICK = 7.0 * np.array([1.0, 0.3, 0.5]) / np.linalg.norm([1.0, 0.3, 0.5])  # 400 deg/s
+READOUT = 0.03
+
+
+def rolled(attitude, rng=None, margin=0.1):
+    """Points of the discs in view, each at its own time: `attitude(t)` is that t after the stamp."""
+    d = DISCS[(DISCS @ attitude(0.0).T)[:, 2] > HORIZON + margin]
+    t = np.zeros(len(d))
+    for _ in range(8):  # when its row is read depends on where it is by then
+        p = np.einsum("kij,kj->ki", np.array([attitude(s) for s in t]), d)
+        t = -0.5 * READOUT * p[:, 1]
+    return replace(points_at(p, rng=rng), delay=t)
+
+
+def test_points_of_a_rolling_shutter_give_the_attitude_at_the_stamp():
+    """400 deg/s, delays up to 15 ms, 40 runs; the bound is four standard deviations of their mean."""
+    quiet = replace(FILTER, settings=replace(SETTINGS, start_rate_sigma=0.05))
+    rng = np.random.default_rng(31)
+    errors, sigmas = [], []
+    for _ in range(40):
+        state = replace(quiet.initial(0.0, np.eye(3)), rate=FLICK)
+        for k in range(25):
+            points = rolled(lambda t, k=k: exp(FLICK * (k * DT + t)), rng)
+            state = quiet.update(quiet.predict(state, k * DT), points)
+        errors.append(log(exp(FLICK * 24 * DT) @ state.attitude.T))
+        sigmas.append(np.sqrt(np.diag(state.joint)[:3]))
+    assert np.max(np.abs(points.delay)) > 0.01
+    sigma = np.mean(sigmas, axis=0)
+    assert np.all(np.abs(np.mean(errors, axis=0)) < 4.0 * sigma / np.sqrt(40))
+    assert np.all(np.std(errors, axis=0) < 1.3 * sigma)
+
+
+def test_without_the_delays_the_attitude_is_wrong():
+    """What the delays are worth: the same points taken as seen at the stamp."""
+    quiet = replace(FILTER, settings=replace(SETTINGS, start_rate_sigma=0.05))
+    rng = np.random.default_rng(32)
+    error = {}
+    for told in (True, False):
+        state = replace(quiet.initial(0.0, np.eye(3)), rate=FLICK)
+        for k in range(25):
+            points = rolled(lambda t, k=k: exp(FLICK * (k * DT + t)), rng)
+            if not told:
+                points = replace(points, delay=np.zeros(len(points)))
+            state = quiet.update(quiet.predict(state, k * DT), points)
+        error[told] = np.linalg.norm(log(exp(FLICK * 24 * DT) @ state.attitude.T))
+    assert error[True] < 2e-3
+    assert error[False] > 20.0 * error[True]
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        pytest.param(0.1 * FLICK, id="slow"),
+        pytest.param(
+            FLICK,
+            id="flick",
+            marks=pytest.mark.xfail(
+                strict=True, reason="H leaves out that the errors turn along until the row is read"
+            ),
+        ),
+    ],
+)
+def test_innovation_with_a_delay_depends_on_rotation_and_rate_as_finite_differences_say(rate):
+    state, points, rows, columns = _delayed(rate)
+    H, _, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
+    slope = _slope(state, points, rows, columns)
+    # the axes turn with the state: second order in z, which is zero but for the noise
+    assert_allclose(H[:, :3], slope[:, :3], atol=0.03)
+    assert_allclose(H[:, 3:6], slope[:, 3:6], atol=0.02 * np.abs(slope[:, 3:6]).max())
+
+
+@pytest.mark.xfail(strict=True, reason="the place a disc is expected at leaves out the acceleration, H does not")
+def test_innovation_with_a_delay_depends_on_acceleration_as_finite_differences_say():
+    state, points, rows, columns = _delayed(0.1 * FLICK)
+    H, _, _, _ = FILTER._innovation(state, points, rows, columns, STILL)
+    slope = _slope(state, points, rows, columns)
+    assert np.abs(H[:, 6:]).max() > 5e-5  # half of (15 ms)²
+    assert_allclose(H[:, 6:], slope[:, 6:CORE], atol=0.05 * np.abs(H[:, 6:]).max())
+
+
+def _delayed(rate):
+    """A state that turns at `rate`, its discs seen where they are when their rows are read, and the pairs."""
+    state, _ = settled()
+    state = replace(state, rate=rate, acceleration=np.zeros(3), joint=np.eye(len(state.joint)))
+    p = state.discs @ state.attitude.T
+    columns = np.flatnonzero(p[:, 2] > HORIZON)
+    delay = 0.015 * np.where(np.arange(len(columns)) % 2, 1.0, -0.8)
+    seen_at = np.einsum("kij,kj->ki", exp(delay[:, None] * rate), p[columns])
+    return state, replace(points_at(seen_at), delay=delay), np.arange(len(columns)), columns
+
+
+def _slope(state, points, rows, columns, h=1e-6):
+    out = []
+    for i in range(CORE):
+        e = h * np.eye(len(state.joint))[i]
+        step = 1.0 if i < 6 else 1e3  # half of (15 ms)²: too small a slope for the same step
+        z = [FILTER._innovation(inject(state, s * step * e), points, rows, columns, STILL)[2] for s in (1, -1)]
+        out.append(-(z[0] - z[1]) / (2 * h * step))
+    return np.stack(out, axis=1)
+
+
+def test_a_disc_founded_by_a_row_read_late_is_where_it_is_on_the_ball():
+    """Against sampling: its covariance holds what the rate is not known by then."""
+    rng = np.random.default_rng(33)
+    state, _ = settled()
+    P = state.joint.copy()
+    P[3:6, 3:6] += 0.04 * np.diag([1.0, 2.0, 0.5])
+    state = replace(state, joint=P)
+    place, delay = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8]), 0.015
+    founded = augment(state, replace(points_at(place), delay=np.array([delay])), np.array([0]), RADIUS)
+    samples = []
+    for e in draw(state.joint, rng, 4000):
+        truth = inject(state, -e)  # estimate = truth + e
+        d = points_at(place, rng=rng).direction[0] @ exp(delay * truth.rate) @ truth.attitude
+        samples.append(np.concatenate([e, founded.basis[-1].T @ (founded.discs[-1] - d)]))
+    scatter = np.cov(np.array(samples).T)
+    ours = founded.joint[-2:, -2:]
+    assert_allclose(scatter[-2:, -2:], ours, atol=0.08 * np.abs(ours).max())
+    sd = np.sqrt(np.outer(np.diag(founded.joint)[-2:], np.diag(founded.joint)[3:6]))
+    assert_allclose(scatter[-2:, 3:6] / sd, founded.joint[-2:, 3:6] / sd, atol=0.06)
+    assert np.abs(founded.joint[-2:, 3:6] / sd).max() > 0.5
+
+
+# --- the update's own arithmetic -------------------------------------------------------------------------------------
+
+
+def test_a_large_correction_is_nearer_to_the_truth_than_one_step_of_it():
+    """0.3 rad off where 0.3 rad is believed: the iterated update against the single one, from the same pairs."""
+    rng = np.random.default_rng(41)
+    discs = directions(5, 43, 0.9)
+    discs[:, 2] = np.abs(discs[:, 2]) + 0.4
+    discs /= np.linalg.norm(discs, axis=1, keepdims=True)
+    state = FILTER.update(FILTER.initial(0.0, np.eye(3)), points_at(discs, rng=rng))
+    joint = state.joint.copy()
+    joint[:3, :3] += 0.3**2 * np.eye(3)
+    iterated, single = [], []
+    for _ in range(40):
+        off = rng.normal(size=3)
+        off *= 0.3 / np.linalg.norm(off)
+        wrong = replace(state, attitude=exp(off) @ state.attitude, joint=joint)
+        points = points_at(discs, rng=rng)
+        after = FILTER.update(wrong, points, np.zeros(5, dtype=bool))
+        assert len(after.used) >= 4
+        rows, columns = np.arange(5), np.argmax(points.direction @ state.discs.T, axis=1)
+        _, HP, z, S = FILTER._innovation(wrong, points, rows, columns, STILL)
+        dx = HP.T @ np.linalg.solve(S, z)
+        iterated.append(np.linalg.norm(log(after.attitude)))
+        single.append(np.linalg.norm(log(exp(dx[:3]) @ wrong.attitude)))
+    assert np.median(iterated) < 0.1 * np.median(single)
+    assert np.mean(np.array(iterated) < np.array(single)) > 0.95
+
+
+@pytest.mark.parametrize("sigma", [SIGMA, 1e-9])
+def test_covariance_stays_symmetric_and_positive_over_5000_updates(sigma):
+    """Random attitudes in small steps, random subsets of the discs, pose and ball considered; down to float noise."""
+    rng = np.random.default_rng(42)
+    considered = block_diag(spd([1e-4] * 6, 3), spd([1e-4] * 4, 4))
+    own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)), considered=considered)
+    state = own.initial(0.0, np.eye(3))
+    R = np.eye(3)
+    worst = 0.0
+    for k in range(5000):
+        R = exp(3e-4 * rng.normal(size=3)) @ R
+        p = seen(R)
+        some = rng.random(len(p)) < 0.6
+        points = points_at(p[some], sigma, rng)
+        by_pose, by_ball = rng.normal(size=(len(points), 3, 6)), rng.normal(size=(len(points), 3, 4))
+        points = replace(points, dposition_dpose=by_pose, dposition_dball=by_ball)
+        state = own.update(own.predict(state, k * 0.01), points)
+        if k % 50 == 0:
+            sd = np.sqrt(np.diag(state.joint))
+            assert np.all(sd[(0 if k else 3) :] > 0.0)
+            sd = np.where(sd > 0.0, sd, 1.0)
+            assert_allclose(state.joint / np.outer(sd, sd), state.joint.T / np.outer(sd, sd), atol=1e-14)
+            worst = min(worst, np.linalg.eigvalsh(state.joint / np.outer(sd, sd))[0])
+    assert worst > -1e-9
+    assert_allclose(state.joint[CORE:FIRST, CORE:FIRST], considered)

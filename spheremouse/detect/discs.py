@@ -87,14 +87,15 @@ class DiscDetector:
         best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
         return self._measured(image, places[index[best]], seen.take(best), noise, 1.0)
 
-    def follow(self, image: Image, directions: Array, rate: Array) -> tuple[Detections, float]:
+    def follow(self, image: Image, directions: Array, rate: Array, readout: float) -> tuple[Detections, float]:
         """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image; its noise.
 
-        `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed, and smears them while it is.
+        `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed (`readout` s for all rows), and smears
+        them while it is.
         """
         rig, smear = self.rig, None
-        if rig.readout_s > 0.0:
-            delay = row_delay(seen_at(directions, rig, self.pose)[:, 1], rig)
+        if readout != 0.0:
+            delay = row_delay(seen_at(directions, rig, self.pose)[:, 1], readout, rig.camera)
             directions = np.einsum("nij,nj->ni", exp(np.nan_to_num(delay)[:, None] * rate), directions)
         seen = appearance(directions, rig, self.pose)
         if rig.exposure_s > 0.0:

@@ -494,7 +494,7 @@ def _measure(
         x[k, 3], x[k, 8] = a, 1.0
         scale[k] = max(noise, _UNEVEN * a)
         # across a sliver a slope of the contrast and a shift of the centre look alike: there it is taken for even
-        gloss[k] = _GLOSS / major * min(max((minor[k] - blur) / 1.5, 0.01), 1.0)
+        gloss[k] = _GLOSS / major * min(max((minor[k] - 2.0 * blur) / 1.5, 0.01), 1.0)
         foreign = _BESIDE * a + 4.0 * noise
         for i in range(m):
             r = grey[k, i] - x[k, 0] - x[k, 1] * px[k, i] - x[k, 2] * py[k, i]
@@ -557,7 +557,8 @@ def _measure(
         area = np.pi * f**-2.0 * np.sqrt(shape[k, 0, 0] * shape[k, 1, 1] - shape[k, 0, 1] ** 2) * size**2
         ok[k] = _deep(x[k], contrast, noise) and rim[k] > least and inside > 0.4 * area and moved < 0.1
         centroid[k, 0], centroid[k, 1] = place[k, 0] + f * x[k, 6], place[k, 1] + f * x[k, 7]
-        variance = max(squares / max(freedom, 1.0), noise**2) * f**2
+        # of the pixels' noise the smoothing leaves about a half in a centre
+        variance = max(squares / max(freedom, 1.0), 0.5 * noise**2) * f**2
         for j in range(2):
             g[:] = 0.0
             g[6 + j] = 1.0

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from spheremouse.associate import assign
 from spheremouse.filters import so3_kernel as kernel
-from spheremouse.filters.so3_state import CONSIDER, CORE, FIRST, So3State, augment, drop, inject
+from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
+from spheremouse.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -98,13 +99,15 @@ class So3Filter:
     disc_angle: float  # rad, angular radius of a disc
     radius: float  # m, of the ball
     considered: Array = field(default_factory=lambda: np.zeros((CONSIDER, CONSIDER)))  # of pose, centre and radius
+    readout_sigma: float = 0.0  # s, of the rolling shutter's time
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
         """At rest at `attitude`, (3, 3), which is the reference: without error. No disc is known."""
         joint = np.zeros((FIRST, FIRST))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:CORE, 6:CORE] = usual_acceleration(self.settings) ** 2 * np.eye(3)
-        joint[CORE:FIRST, CORE:FIRST] = self.considered
+        joint[CORE:READOUT, CORE:READOUT] = self.considered
+        joint[READOUT, READOUT] = self.readout_sigma**2
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def predict(self, state: So3State, stamp: float) -> So3State:
@@ -136,6 +139,7 @@ class So3Filter:
             _NONE,
             stay * weights + (1.0 - stay) * usual,
             Q,
+            readout=state.readout,
         )
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
@@ -162,6 +166,7 @@ class So3Filter:
         ordinary, rows, columns, dx, square, nis = kernel.update(
             state.attitude,
             state.rate,
+            state.acceleration,
             state.discs,
             state.basis,
             joint,
@@ -174,7 +179,8 @@ class So3Filter:
             _WIDE,
             points.direction,
             points.image_covariance,
-            points.delay,
+            delays(points, state),
+            points.row,
             points.dposition_dpose,
             points.dposition_dball,
             self.radius,
@@ -205,6 +211,7 @@ class So3Filter:
         plain = kernel.distances(
             state.attitude,
             state.rate,
+            state.acceleration,
             state.discs,
             state.basis,
             state.joint,
@@ -213,7 +220,11 @@ class So3Filter:
             self._curvature(state, more),
             points.direction,
             points.image_covariance / self.radius**2,
-            points.delay,
+            delays(points, state),
+            points.row,
+            points.dposition_dpose,
+            points.dposition_dball,
+            self.radius,
             distance,
         )
         if plain:
@@ -300,6 +311,7 @@ class So3Filter:
         kernel.innovation(
             state.attitude,
             state.rate,
+            state.acceleration,
             state.discs,
             state.basis,
             state.joint,
@@ -307,7 +319,8 @@ class So3Filter:
             self._curvature(state, more),
             points.direction[rows],
             points.image_covariance[rows] / self.radius**2,
-            points.delay[rows],
+            delays(points, state)[rows],
+            points.row[rows],
             points.dposition_dpose[rows],
             points.dposition_dball[rows],
             self.radius,

@@ -1,8 +1,8 @@
 """The arithmetic of the default filter, compiled: what is done for every disc and every entry of the covariance.
 
 Errors are ordered: rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²), then what is only considered
-(pose of the camera 6, ball's centre and radius 4), then two for each disc in its own tangent axes (rad). Functions
-with an upper-case P work on the joint covariance in place.
+(pose of the camera 6, ball's centre and radius 4), the rolling shutter's time (s), then two for each disc in its own
+tangent axes (rad). Functions with an upper-case P work on the joint covariance in place.
 """
 
 import numpy as np
@@ -12,7 +12,10 @@ from spheremouse.rotation import exp_into, left_jacobian_into
 
 CORE = 9  # rotation, rate, acceleration
 CONSIDER = 10  # pose and ball
-FIRST = CORE + CONSIDER  # of the discs' errors
+READOUT = CORE + CONSIDER  # of the rolling shutter
+FIRST = READOUT + 1  # of the discs' errors
+
+_NEAR = 0.99  # cosine: what is further off than 8 degrees is no pair, whatever is considered
 
 
 @njit(cache=True, error_model="numpy")
@@ -91,12 +94,12 @@ def transition(rate, acceleration, dt, tau, q, F, Q, turn):
 
 
 @njit(cache=True, error_model="numpy")
-def _axes(attitude, rate, delay, basis, disc, R, p, E):
+def _axes(attitude, rate, acceleration, delay, basis, disc, R, p, E):
     """Place p, (3,), and axes E, (3, 2), in obj of a disc as the camera sees it `delay` after the stamp."""
     if delay != 0.0:
         turn, more = np.empty(3), np.empty((3, 3))
         for i in range(3):
-            turn[i] = rate[i] * delay
+            turn[i] = rate[i] * delay + 0.5 * acceleration[i] * delay * delay
         exp_into(turn, more)
         R[:] = more @ attitude
     else:
@@ -123,7 +126,7 @@ def places(attitude, discs, basis, P, which, more, centre_sigma):
     zero = np.zeros(3)
     for i in range(len(which)):
         m = which[i]
-        _axes(attitude, zero, 0.0, basis[m], discs[m], R, p, E)
+        _axes(attitude, zero, zero, 0.0, basis[m], discs[m], R, p, E)
         _turning(E, p, H)
         S = _disc_covariance(P, H, FIRST + 2 * m, more)
         mean, half = 0.5 * (S[0, 0] + S[1, 1]), np.hypot(0.5 * (S[0, 0] - S[1, 1]), S[0, 1])
@@ -146,15 +149,62 @@ def _disc_covariance(P, H, at, more):
 
 
 @njit(cache=True, error_model="numpy")
-def distances(attitude, rate, discs, basis, P, which, more, curvature, seen, noise, delay, out):
+def _row(H, E, t, rate, row, by_pose, by_ball, radius, J):
+    """Of one point: d z / d (core, considered, readout) into J, (2, FIRST), to first order in the delay t."""
+    for a in range(2):
+        for c in range(3):
+            J[a, c] = H[a, c]
+            J[a, 3 + c] = H[a, c] * t
+            J[a, 6 + c] = 0.5 * H[a, c] * t * t
+        for c in range(CONSIDER):
+            value = E[c - 6, a] if 6 <= c < 9 else 0.0  # the direction counts from the centre
+            for d in range(3):
+                value -= E[d, a] * (by_pose[d, c] if c < 6 else by_ball[d, c - 6])
+            J[a, CORE + c] = value / radius
+        J[a, READOUT] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row
+
+
+@njit(cache=True, error_model="numpy")
+def _full_covariance(P, J, JP, at, H, more):
+    """(2, 2) of a disc's predicted place, its errors at `at`, with all that J, (2, FIRST), depends on."""
+    S = np.empty((2, 2))
+    for a in range(2):
+        for j in range(FIRST + 2):
+            to = j if j < FIRST else at + j - FIRST
+            value = P[at + a, to]
+            for c in range(FIRST):
+                value += J[a, c] * P[c, to]
+            JP[a, j] = value
+    for a in range(2):
+        for b in range(2):
+            value = JP[a, FIRST + b]
+            for j in range(FIRST):
+                value += JP[a, j] * J[b, j]
+            for i in range(3):
+                for j in range(3):
+                    value += H[a, i] * more[i, j] * H[b, j]
+            S[a, b] = value
+    return S
+
+
+@njit(cache=True, error_model="numpy")
+def distances(
+    attitude, rate, acceleration, discs, basis, P, which, more, curvature, seen, noise, delay, row, by_pose, by_ball,
+    radius, out,
+):  # fmt: skip
     """Squared Mahalanobis distances of n seen directions to the discs `which`, into out (n, m).
 
-    `noise` (n, 3, 3) rad² in obj. Returns whether no row and no column has two entries below `out`'s limit given in
+    `noise` (n, 3, 3) rad² in obj, `row`, `by_pose` and `by_ball` as in `innovation`: no disc is turned away for an
+    error of what is considered. Returns whether no row and no column has two entries below `out`'s limit given in
     out[0, 0] at the call: then the pairs are plain.
     """
     H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
     gate = out[0, 0]
     plain = True
+    any_considered = False
+    for i in range(CORE, FIRST):
+        any_considered = any_considered or P[i, i] > 0.0
+    J, JP = np.empty((2, FIRST)), np.empty((2, FIRST + 2))
     taken = np.zeros(len(seen), dtype=np.bool_)
     for m in range(len(which)):
         k = which[m]
@@ -164,16 +214,21 @@ def distances(attitude, rate, discs, basis, P, which, more, curvature, seen, noi
         for i in range(len(seen)):
             if delay[i] != before:
                 before = delay[i]
-                _axes(attitude, rate, before, basis[k], discs[k], R, p, E)
+                _axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
                 _turning(E, p, H)
                 S = _disc_covariance(P, H, FIRST + 2 * k, more)
             b = seen[i]
-            if p[0] * b[0] + p[1] * b[1] + p[2] * b[2] < 0.0:
+            cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
+            if cosine < 0.0:
                 out[i, m] = np.inf
                 continue
             z0 = E[0, 0] * b[0] + E[1, 0] * b[1] + E[2, 0] * b[2]
             z1 = E[0, 1] * b[0] + E[1, 1] * b[1] + E[2, 1] * b[2]
             a00, a01, a11 = S[0, 0] + curvature, S[0, 1], S[1, 1] + curvature
+            if cosine > _NEAR and (any_considered or before != 0.0):
+                _row(H, E, before, rate, row[i], by_pose[i], by_ball[i], radius, J)
+                T = _full_covariance(P, J, JP, FIRST + 2 * k, H, more)
+                a00, a01, a11 = T[0, 0] + curvature, T[0, 1], T[1, 1] + curvature
             # cheap bound first: most pairs are far apart
             if (z0 * z0 + z1 * z1) > 4.0 * gate * (a00 + a11 + noise[i, 0, 0] + noise[i, 1, 1] + noise[i, 2, 2]):
                 out[i, m] = np.inf
@@ -198,8 +253,9 @@ def distances(attitude, rate, discs, basis, P, which, more, curvature, seen, noi
 
 @njit(cache=True, error_model="numpy")
 def innovation(
-    attitude, rate, discs, basis, P, columns, curvature, seen, noise, delay, by_pose, by_ball, radius, H, HP, z, S
-):
+    attitude, rate, acceleration, discs, basis, P, columns, curvature, seen, noise, delay, row, by_pose, by_ball,
+    radius, H, HP, z, S,
+):  # fmt: skip
     """Of k pairs: H, (2k, 9), H P, (2k, n), z, (2k,) rad, and its covariance S, (2k, 2k).
 
     `by_pose` (k, 3, 6) and `by_ball` (k, 3, 4) m are the Jacobians of the points on the ball: what is considered.
@@ -207,22 +263,30 @@ def innovation(
     k, n = len(columns), len(P)
     R, p, E, turning = np.empty((3, 3)), np.empty(3), np.empty((3, 2)), np.empty((2, 3))
     axes = np.empty((k, 3, 2))
-    considered = np.zeros((2 * k, CONSIDER))
+    turn, later = np.empty(3), np.empty((3, 3))
+    considered = np.zeros((2 * k, FIRST - CORE))
     any_considered = False
     for i in range(CORE, FIRST):
         any_considered = any_considered or P[i, i] > 0.0
     for i in range(k):
-        _axes(attitude, rate, delay[i], basis[columns[i]], discs[columns[i]], R, p, E)
+        t = delay[i]
+        _axes(attitude, rate, acceleration, t, basis[columns[i]], discs[columns[i]], R, p, E)
         axes[i] = E
         _turning(E, p, turning)
-        t = delay[i]
-        for a in range(2):
-            row = 2 * i + a
-            z[row] = E[0, a] * seen[i, 0] + E[1, a] * seen[i, 1] + E[2, a] * seen[i, 2]
+        before, along = turning, turning
+        if t != 0.0:
             for c in range(3):
-                H[row, c] = turning[a, c]
-                H[row, 3 + c] = turning[a, c] * t
-                H[row, 6 + c] = 0.5 * turning[a, c] * t * t
+                turn[c] = rate[c] * t + 0.5 * acceleration[c] * t * t
+            exp_into(turn, R)
+            left_jacobian_into(turn, later)
+            before, along = turning @ R, turning @ later
+        for a in range(2):
+            at_z = 2 * i + a
+            z[at_z] = E[0, a] * seen[i, 0] + E[1, a] * seen[i, 1] + E[2, a] * seen[i, 2]
+            for c in range(3):
+                H[at_z, c] = before[a, c]
+                H[at_z, 3 + c] = along[a, c] * t
+                H[at_z, 6 + c] = 0.5 * along[a, c] * t * t
             if any_considered:
                 for c in range(CONSIDER):
                     value = 0.0
@@ -231,20 +295,23 @@ def innovation(
                             value -= E[d, a] * by_pose[i, d, c]
                         else:
                             value -= E[d, a] * by_ball[i, d, c - 6]
-                    if 6 <= c < FIRST - CORE - 1:
+                    if 6 <= c < 9:
                         value += E[c - 6, a]  # the direction counts from the centre
-                    considered[row, c] = value / radius
+                    considered[at_z, c] = value / radius
+                for c in range(3):
+                    considered[at_z, CONSIDER] += turning[a, c] * rate[c] * row[i]
             at = FIRST + 2 * columns[i] + a
             for j in range(n):
-                HP[row, j] = P[at, j] + turning[a, 0] * P[0, j] + turning[a, 1] * P[1, j] + turning[a, 2] * P[2, j]
+                HP[at_z, j] = P[at, j] + H[at_z, 0] * P[0, j] + H[at_z, 1] * P[1, j] + H[at_z, 2] * P[2, j]
             if t != 0.0:
                 for c in range(3, CORE):
                     for j in range(n):
-                        HP[row, j] += H[row, c] * P[c, j]
+                        HP[at_z, j] += H[at_z, c] * P[c, j]
             if any_considered:
-                for c in range(CONSIDER):
-                    for j in range(n):
-                        HP[row, j] += considered[row, c] * P[CORE + c, j]
+                for c in range(FIRST - CORE):
+                    if P[CORE + c, CORE + c] > 0.0:
+                        for j in range(n):
+                            HP[at_z, j] += considered[at_z, c] * P[CORE + c, j]
     for i in range(2 * k):
         for m in range(k):
             for a in range(2):
@@ -253,7 +320,7 @@ def innovation(
                 for c in range(CORE if delay[m] != 0.0 else 3):
                     value += HP[i, c] * H[j, c]
                 if any_considered:
-                    for c in range(CONSIDER):
+                    for c in range(FIRST - CORE):
                         value += HP[i, CORE + c] * considered[j, c]
                 S[i, j] = value
     for i in range(k):
@@ -387,7 +454,7 @@ def correct(P, HP, S, z, dx):
         for j in range(n):
             K[i, j] *= f
     for i in range(k):
-        for j in range(CORE, FIRST):
+        for j in range(CORE, READOUT):
             K[i, j] = 0.0
     U = HP - 0.5 * (S @ K)
     KU = K.T @ U
@@ -439,8 +506,8 @@ def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
 
 @njit(cache=True, error_model="numpy")
 def update(
-    attitude, rate, discs, basis, P, process, squares, weights, visible, gate, keep_share, wide,
-    seen, image_covariance, delay, by_pose, by_ball, radius,
+    attitude, rate, acceleration, discs, basis, P, process, squares, weights, visible, gate, keep_share, wide,
+    seen, image_covariance, delay, row, by_pose, by_ball, radius,
 ):  # fmt: skip
     """The whole of an ordinary update in one call: pairs, levels, correction. P and `weights` (l,) are changed.
 
@@ -459,7 +526,10 @@ def update(
     noise = image_covariance / (radius * radius)
     distance = np.empty((n, m))
     distance[0, 0] = gate
-    if not distances(attitude, rate, discs, basis, P, visible, more[:3, :3], curvature, seen, noise, delay, distance):
+    if not distances(
+        attitude, rate, acceleration, discs, basis, P, visible, more[:3, :3], curvature, seen, noise, delay, row,
+        by_pose, by_ball, radius, distance,
+    ):  # fmt: skip
         return False, nothing, nothing, empty, 1.0, 0.0
     rows, columns = np.empty(n, dtype=np.intp), np.empty(n, dtype=np.intp)
     k, total = 0, 0.0
@@ -474,8 +544,8 @@ def update(
         return False, nothing, nothing, empty, 1.0, 0.0
     H, HP, z, S = np.empty((2 * k, CORE)), np.empty((2 * k, len(P))), np.empty(2 * k), np.empty((2 * k, 2 * k))
     innovation(
-        attitude, rate, discs, basis, P, columns, curvature, seen[rows], noise[rows], delay[rows], by_pose[rows],
-        by_ball[rows], radius, H, HP, z, S,
+        attitude, rate, acceleration, discs, basis, P, columns, curvature, seen[rows], noise[rows], delay[rows],
+        row[rows], by_pose[rows], by_ball[rows], radius, H, HP, z, S,
     )  # fmt: skip
     if not np.all(agreeing(z, S + H @ more @ H.T, 1.5 * gate)):
         return False, nothing, nothing, empty, 1.0, 0.0

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from spheremouse.disc_map import DiscMap
 from spheremouse.filters import so3_kernel as kernel
-from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST
+from spheremouse.filters.so3_kernel import CORE, FIRST, READOUT
 from spheremouse.intersect import SpherePoints
-from spheremouse.rotation import Array, exp, hat, tangent_basis
+from spheremouse.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
 _NO_PROCESS = np.zeros((CORE, CORE))
 
@@ -27,7 +27,7 @@ class So3State:
     acceleration: Array  # (3,) rad/s², angular, obj
     discs: Array  # (m, 3) unit vectors, ball
     basis: Array  # (m, 3, 2) tangent vectors of the discs: axes of their errors, ball
-    joint: Array  # (19 + 2m, 19 + 2m): rotation error rad (obj), rate, acceleration, pose and ball (m, rad), discs rad
+    joint: Array  # (20 + 2m, 20 + 2m): rotation error rad (obj), rate, acceleration, pose, ball, readout, discs rad
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
@@ -35,11 +35,17 @@ class So3State:
     process: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # noise of the last prediction, at level 1
     level: float = 1.0  # factor on the density that the last update took, root mean square over the levels
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
+    readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
 
     @property
     def covariance(self) -> Array:
         """(6, 6) of rotation error and rate."""
         return self.joint[:6, :6]
+
+    @property
+    def readout_sigma(self) -> float:
+        """s, standard deviation of `readout`; 0 where the rig knows it."""
+        return float(self.joint[READOUT, READOUT]) ** 0.5
 
 
 def inject(
@@ -51,7 +57,7 @@ def inject(
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
 ) -> So3State:
-    """Move the state by an error vector, (19 + 2m,); then its covariance is `joint`, and no prediction is pending."""
+    """Move the state by an error vector, (20 + 2m,); then its covariance is `joint`, and no prediction is pending."""
     attitude, discs, basis = np.empty((3, 3)), np.empty_like(state.discs), np.empty_like(state.basis)
     kernel.move(state.attitude, state.discs, state.basis, dx, attitude, discs, basis)
     return So3State(
@@ -69,6 +75,7 @@ def inject(
         _NO_PROCESS,
         level,
         nis,
+        state.readout + float(dx[READOUT]),
     )
 
 
@@ -95,15 +102,18 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     """
     points = points.take(index)
     b, k, n = points.direction, len(index), len(state.joint)
-    R = exp(points.delay[:, None] * state.rate) @ state.attitude
+    late = delays(points, state)
+    turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
+    R = exp(turn) @ state.attitude
     discs = np.einsum("kij,ki->kj", R, b)
     basis = tangent_basis(discs)
     E = R @ basis
     turning = E.transpose(0, 2, 1) @ hat(b)
-    delay = points.delay[:, None, None]
+    delay, along = late[:, None, None], turning @ left_jacobian(turn)
+    by_pose_and_ball = E.transpose(0, 2, 1) @ direction_jacobian(points, radius)
+    by_readout = (turning @ state.rate)[:, :, None] * points.row[:, None, None]
     G = np.concatenate(
-        [turning, delay * turning, 0.5 * delay**2 * turning, E.transpose(0, 2, 1) @ direction_jacobian(points, radius)],
-        axis=2,
+        [turning @ exp(turn), delay * along, 0.5 * delay**2 * along, by_pose_and_ball, by_readout], axis=2
     ).reshape(-1, FIRST)
     noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
     P = state.joint
@@ -124,6 +134,11 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
         hits=np.concatenate([state.hits, none + 1]),
         missed=np.concatenate([state.missed, none]),
     )
+
+
+def delays(points: SpherePoints, state: So3State) -> Array:
+    """When each point was seen, (n,) s after the stamp, by what is known of the rolling shutter by now."""
+    return points.delay + state.readout * points.row if state.readout != 0.0 else points.delay
 
 
 def direction_jacobian(points: SpherePoints, radius: float) -> Array:
@@ -165,9 +180,6 @@ def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
 
 def consider(joint: Array, covariance: Array) -> None:
     """Set what is only considered, (10, 10), without correlation to the rest: in place."""
-    joint[CORE:FIRST] = 0.0
-    joint[:, CORE:FIRST] = 0.0
-    joint[CORE:FIRST, CORE:FIRST] = covariance
-
-
-__all__ = ["CONSIDER", "CORE", "FIRST", "So3State", "augment", "consider", "drop", "inject", "to_map", "with_map"]
+    joint[CORE:READOUT] = 0.0
+    joint[:, CORE:READOUT] = 0.0
+    joint[CORE:READOUT, CORE:READOUT] = covariance

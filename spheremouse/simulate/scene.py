@@ -55,7 +55,14 @@ class Scene:
 
     def rig(self) -> Rig:
         """What is known of the device beforehand; the camera's pose is not."""
-        return Rig(self.camera, Ball(self.ball_radius), self.targets, self.disc_radius, self.readout_s)
+        return Rig(
+            self.camera,
+            Ball(self.ball_radius),
+            self.targets,
+            self.disc_radius,
+            readout_s=self.readout_s,
+            exposure_s=self.exposure_s,
+        )
 
 
 def default_scene(

@@ -1,0 +1,247 @@
+"""Does the camera still stand where it stood? Small windows of the image in, the shift of each ring target out.
+
+What a target looked like when the pose was found is kept; looked for again within a few pixels it says, by normalised
+correlation, whether it is hidden or where it is now. Seen from the same place all errors of the pose stay what they
+were, so the shifts alone say how the camera moved: a resection relative to the pose before (Gauss-Newton, as Wittich
+2017, section 2.4.3), which needs no colour. What moved out of the windows is for `detect.rings` and `resect`.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import Pose, ellipse_to_pixel, project, project_circle
+from spheremouse.detect.detections import Image
+from spheremouse.resect import predict_targets
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array, exp, hat, log
+from spheremouse.settings import param
+
+_FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that
+_AROUND = 1.3  # outer radii of a target that its patch reaches: the ring's edge and some of what is behind
+_NEAR = 3  # px of the patch, searched in an ordinary look
+_POINT_SYMMETRY = 0.7  # correlation of a patch with itself turned by 180°, from which it is taken for a target
+_CONTRAST = 5.0  # grey values, standard deviation within a patch: less is a wall, or the dark
+
+
+@dataclass(frozen=True, slots=True)
+class WatchSettings:
+    """When the camera counts as bumped."""
+
+    interval: float = param(1.0, "s", "every ring target is looked at once in so long, one at a time", gt=0)
+    score: float = param(
+        0.7, "-", "least correlation with what was seen before: below, something is in front of it", gt=0, lt=1
+    )
+    displaced: float = param(
+        0.3, "px", "a target has moved: six standard deviations of a match, a tenth of a degree of the ball", gt=0
+    )
+    still: float = param(0.15, "px", "between two frames the targets move less: the camera stands", gt=0)
+    reach: float = param(
+        0.05, "widths of the image", "how far a displaced target is looked for: beyond, by its colours", gt=0, le=0.5
+    )
+    sigma: float = param(0.05, "px", "standard deviation of a target's shift: sampling, and its other perspective", gt=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the targets looked like, and which is next."""
+
+    patches: tuple[Image | None, ...]  # of each target (h, w) grey, reduced; None: not seen yet
+    corner: NDArray[np.intp]  # (n, 2) px, top left pixel of each patch: column, row
+    size: NDArray[np.intp]  # (n,) px of the patch, its width and height
+    reduction: NDArray[np.intp]  # (n,) px of the image to one of the patch
+    seen: NDArray[np.bool_]  # (n,) it was there at the last look
+    turn: int = 0  # the target to be looked at next
+    due: float = -np.inf  # s, when
+    shift: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) px while the camera is away; nan: hidden
+    away: float | None = None  # s, since when the camera is not where it was
+    tried: float = -np.inf  # s, when the targets were last looked for by their colours
+
+    def __len__(self) -> int:
+        return len(self.patches)
+
+
+def begin(rig: Rig, pose: Pose) -> Watch | None:
+    """A watch on the targets of a rig seen from a pose; None where fewer than three lie in the picture."""
+    if len(rig.targets.codes) < 3:
+        return None
+    centre = predict_targets(pose, rig)
+    points = pose.to_cam(rig.targets.position)
+    normal = np.broadcast_to(pose.rotation[2], points.shape)
+    _, shape = ellipse_to_pixel(*project_circle(points, normal, float(rig.targets.radii[-1])), rig.camera)
+    radius = np.sqrt(np.maximum(shape[:, 0, 0], shape[:, 1, 1]))
+    seen = np.isfinite(centre).all(axis=1) & np.isfinite(radius) & (points[:, 2] > 0.0)
+    half = np.ceil(_AROUND * radius[seen])
+    reduction = np.maximum(np.rint(half / _FINE), 1.0)
+    size = (2 * np.ceil(half / reduction) + 1) * reduction
+    corner = np.rint(centre[seen] - 0.5 * (size[:, None] - 1))
+    room = (corner >= 0).all(axis=1) & (corner + size[:, None] <= (rig.camera.width, rig.camera.height)).all(axis=1)
+    if np.count_nonzero(room) < 3:
+        return None
+    which = np.flatnonzero(seen)
+    patches = len(rig.targets.codes)
+    corners, sizes, reductions = np.full((patches, 2), -1), np.zeros(patches), np.ones(patches)
+    corners[which[room]], sizes[which[room]], reductions[which[room]] = corner[room], size[room], reduction[room]
+    return Watch(
+        (None,) * patches,
+        corners.astype(np.intp),
+        sizes.astype(np.intp),
+        reductions.astype(np.intp),
+        np.zeros(patches, dtype=bool),
+    )
+
+
+def take(watch: Watch, image: Image, which: NDArray[np.intp]) -> Watch:
+    """The watch with what the targets `which` look like now, where that is a target: point-symmetric, and no wall."""
+    patches, seen = list(watch.patches), watch.seen.copy()
+    for k in which:
+        if watch.size[k] == 0:
+            continue
+        patch = _window(watch, image, k, 0)[0]
+        values = patch.astype(np.float32)
+        turned = np.ascontiguousarray(values[::-1, ::-1])
+        good = float(values.std()) > _CONTRAST
+        good = good and float(cv2.matchTemplate(values, turned, cv2.TM_CCOEFF_NORMED)[0, 0]) > _POINT_SYMMETRY
+        patches[k], seen[k] = (patch if good else None), good
+    return replace(watch, patches=tuple(patches), seen=seen)
+
+
+def look(watch: Watch, image: Image, which: int, settings: WatchSettings, far: bool = False) -> Array:
+    """How far, (2,) px, a target is from where it was; nan where it is hidden. `far`: within `reach`."""
+    template = watch.patches[which]
+    if template is None:
+        return np.full(2, np.nan)
+    f = int(watch.reduction[which])
+    reach = int(np.ceil(settings.reach * image.shape[1] / f)) if far else _NEAR
+    window, before = _window(watch, image, which, reach)
+    score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
+    _, best, _, (x, y) = cv2.minMaxLoc(score)
+    if not best >= settings.score:
+        return np.full(2, np.nan)
+    at = np.array([x + _peak(score[y], x), y + _peak(score[:, x], y)])
+    return f * (at - before)
+
+
+def look_at_all(watch: Watch, image: Image, settings: WatchSettings) -> tuple[Watch, Array]:
+    """The shift of every target, (n, 2) px, nan where hidden; looked for far where it is not near its place."""
+    shift = np.array([look(watch, image, k, settings) for k in range(len(watch))])
+    for k in range(len(watch)):
+        if not np.hypot(*shift[k]) < _NEAR - 1:
+            shift[k] = look(watch, image, k, settings, far=True)
+    return replace(watch, seen=np.isfinite(shift[:, 0])), shift
+
+
+def glance(
+    watch: Watch, image: Image, stamp: float, settings: WatchSettings, surprised: bool
+) -> tuple[Watch, bool]:
+    """One target in its turn, when it is time; the next two at once when something is odd. Is one out of its place?
+
+    A target that was there and is gone counts as out of its place, too, once; whether the camera moved, all must say.
+    """
+    if not surprised and watch.due - len(watch) * settings.interval <= stamp < watch.due:
+        return watch, False
+    seen, odd, turn = watch.seen.copy(), False, watch.turn
+    for _ in range(2 if surprised else 1):
+        turn = (turn + 1) % len(watch)
+        if watch.patches[turn] is None:
+            if not surprised:
+                watch = take(watch, image, np.array([turn]))
+                seen[turn] = watch.seen[turn]
+            continue
+        shift = look(watch, image, turn, settings)
+        there = bool(np.isfinite(shift[0]))
+        odd |= bool(np.hypot(*shift) > settings.displaced) if there else bool(seen[turn])
+        seen[turn] = there
+    return replace(watch, seen=seen, turn=turn, due=stamp + settings.interval / len(watch)), odd
+
+
+def displaced(shift: Array, settings: WatchSettings) -> bool | None:
+    """Is the camera elsewhere, by the shifts of all targets, (n, 2) px? None where fewer than three are to be seen."""
+    seen = np.isfinite(shift[:, 0])
+    if np.count_nonzero(seen) < 3:
+        return None
+    return bool(2 * np.count_nonzero(np.hypot(*shift[seen].T) > settings.displaced) > np.count_nonzero(seen))
+
+
+def stands(before: Array, now: Array, settings: WatchSettings) -> bool:
+    """Do the targets keep their places from frame to frame: shifts, (n, 2) px each?"""
+    if len(before) != len(now):
+        return False
+    step = np.hypot(*(now - before).T)
+    return bool(np.count_nonzero(np.isfinite(step)) >= 3 and np.nanmedian(step) < settings.still)
+
+
+def moved_pose(shift: Array, rig: Rig, pose: Pose, settings: WatchSettings) -> tuple[Pose, Array] | None:
+    """The pose from which the targets are seen shifted, (n, 2) px, and what that adds to its covariance, (6, 6).
+
+    Of the nearest solution; of more than three targets those are left out that fit with no other. None where no pose
+    near the one before does.
+    """
+    which = np.flatnonzero(np.isfinite(shift[:, 0]))
+    observed = predict_targets(pose, rig) + shift
+    limit = 10.0 * settings.sigma
+    while len(which) >= 3:
+        found = _fitted(observed[which], which, rig, pose, settings.sigma)
+        if found is None:
+            return None
+        new, added, residual = found
+        off = np.hypot(*residual.T)
+        if off.max() < limit:
+            return Pose(new.rotation, new.position, pose.covariance + added), added
+        which = np.delete(which, int(np.argmax(off)))
+    return None
+
+
+def difference(before: Pose, after: Pose) -> tuple[float, float]:
+    """How far apart two poses are: m, and rad."""
+    turn = log(after.rotation @ before.rotation.T)
+    return float(np.linalg.norm(after.position - before.position)), float(np.linalg.norm(turn))
+
+
+def _fitted(
+    observed: Array, which: NDArray[np.intp], rig: Rig, start: Pose, sigma: float
+) -> tuple[Pose, Array, Array] | None:
+    """Pose, covariance (6, 6) and residuals (k, 2) px of k targets `which` seen at `observed`, (k, 2) px."""
+    pose, points = start, rig.targets.position[which]
+    N, residual = np.eye(6), observed
+    for _ in range(15):
+        residual = observed - predict_targets(pose, rig)[which]
+        dc_dobj = project(pose.to_cam(points), rig.camera)[1] @ pose.rotation.T
+        A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2)
+        N = np.einsum("nij,nik->jk", A, A)
+        try:
+            step = np.linalg.solve(N, np.einsum("nij,ni->j", A, residual))
+        except np.linalg.LinAlgError:
+            return None
+        if not np.all(np.isfinite(step)):
+            return None
+        pose = Pose(exp(step[3:]) @ pose.rotation, pose.position + step[:3])
+        if np.linalg.norm(step) < 1e-9:
+            return pose, sigma**2 * np.linalg.inv(N), residual
+    return None
+
+
+def _window(watch: Watch, image: Image, which: int, reach: int) -> tuple[Image, Array]:
+    """Grey, reduced, of a patch and up to `reach` px of it on all sides; and how many those are left and above, (2,)."""
+    f, size = int(watch.reduction[which]), int(watch.size[which])
+    x, y = (int(v) for v in watch.corner[which])
+    h, w = image.shape[:2]
+    left, above = min(reach, x // f), min(reach, y // f)
+    right, below = min(reach, (w - x - size) // f), min(reach, (h - y - size) // f)
+    window = image[y - above * f : y + size + below * f, x - left * f : x + size + right * f]
+    if window.ndim == 3:
+        window = cv2.cvtColor(window, cv2.COLOR_BGR2GRAY)
+    if f > 1:
+        window = cv2.resize(window, (window.shape[1] // f, window.shape[0] // f), interpolation=cv2.INTER_AREA)
+    return window, np.array([left, above], dtype=float)
+
+
+def _peak(score: Array, at: int) -> float:
+    """Offset of the top of a parabola through a row's largest value and its neighbours; 0 at the row's end."""
+    if not 0 < at < len(score) - 1:
+        return 0.0
+    a, b, c = (float(s) for s in score[at - 1 : at + 2])
+    bend = a - 2.0 * b + c
+    return 0.5 * (a - c) / bend if bend < 0.0 else 0.0

@@ -1,0 +1,229 @@
+"""The map of discs that outlasts a run: out of the filter's state, back into another, and what that is worth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import directions
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import chi2
+
+from spheremouse.disc_map import DiscMap
+from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consider, drop, inject, to_map, with_map
+from spheremouse.intersect import SpherePoints
+from spheremouse.rotation import exp, log, tangent_basis
+
+RADIUS, HORIZON, DT, SIGMA = 0.6, 0.25, 1.0 / 30.0, 3e-4
+SETTINGS = So3Settings()
+FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, RADIUS)
+DISCS = directions(24, 7, 0.35)
+SPIN = np.array([2.0, -0.3, 0.2])
+
+
+def points_at(d, rng, sigma=SIGMA):
+    """Directions d, (n, 3), in obj with noise along the surface."""
+    noise = sigma * rng.normal(size=d.shape)
+    d = d + noise - d * np.sum(noise * d, axis=1, keepdims=True)
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    n = len(d)
+    C = (RADIUS * sigma) ** 2 * (np.eye(3) - d[:, :, None] * d[:, None, :])
+    return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), np.zeros(n), np.zeros(n), np.arange(n))
+
+
+def seen(R, rng):
+    p = DISCS @ R.T
+    return points_at(p[p[:, 2] > HORIZON + 0.1], rng)
+
+
+def play(state, rate, n, rng, R, before=None):
+    """State and attitude after n frames from attitude R; over the first ten the rate goes from `before` to `rate`."""
+    first, rate = state.stamp, np.asarray(rate)
+    for k in range(1, n + 1):
+        part = 1.0 if before is None else min(k / 10.0, 1.0)
+        R = exp((part * rate + (0.0 if before is None else (1.0 - part) * np.asarray(before))) * DT) @ R
+        state = FILTER.update(FILTER.predict(state, first + k * DT), seen(R, rng))
+    return state, R
+
+
+def learnt(seed=0):
+    """A state that has seen all of the ball."""
+    rng = np.random.default_rng(seed)
+    state = FILTER.update(FILTER.initial(0.0, np.eye(3)), seen(np.eye(3), rng))
+    state, R = play(state, [0.2, 2.0, 0.3], 110, rng, np.eye(3))
+    return play(state, SPIN, 110, rng, R, [0.2, 2.0, 0.3])
+
+
+def draw(covariance, rng, n):
+    w, V = np.linalg.eigh(covariance)
+    return rng.normal(size=(n, len(w))) @ (V * np.sqrt(np.maximum(w, 0.0))).T
+
+
+# --- out of the state ------------------------------------------------------------------------------------------------
+
+
+def test_the_map_holds_the_discs_seen_often_enough():
+    state, _ = learnt()
+    assert len(state.discs) == 24
+    hits = state.hits.copy()
+    hits[[2, 5]] = 2
+    known = to_map(replace(state, hits=hits), 3)
+    assert known is not None
+    keep = np.delete(np.arange(24), [2, 5])
+    assert_array_equal(known.directions, state.discs[keep])
+    assert_array_equal(known.sightings, hits[keep])
+    assert to_map(replace(state, hits=np.where(np.arange(24) < 3, 9, 0)), 3) is None  # too few to know a ball by
+    some = to_map(replace(state, hits=np.where(np.arange(24) < 4, 9, 0)), 3)
+    assert some is not None
+    assert len(some) == 4
+
+
+def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
+    """Sampled: states moved by drawn errors, their discs against those of the map, along tangent_basis."""
+    state, _ = learnt()
+    turned = state.basis.copy()  # other axes, as a long run leaves them: the covariance with them
+    angle = np.linspace(0.3, 6.0, 24)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).transpose(2, 0, 1)
+    turned = turned @ turn
+    T = np.eye(len(state.joint))
+    for i in range(24):
+        at = FIRST + 2 * i
+        T[at : at + 2, at : at + 2] = turn[i].T
+    state = replace(state, basis=turned, joint=T @ state.joint @ T.T)
+    known = to_map(state, 1)
+    assert known is not None
+    axes = tangent_basis(known.directions)
+    rng = np.random.default_rng(1)
+    errors = draw(state.joint, rng, 4000)
+    samples = [np.einsum("mij,mi->mj", axes, inject(state, e).discs - state.discs).ravel() for e in errors]
+    scatter = np.cov(np.array(samples).T)
+    sd = np.sqrt(np.diag(known.covariance))
+    assert_allclose(scatter / np.outer(sd, sd), known.covariance / np.outer(sd, sd), atol=0.1)
+    own = state.joint[FIRST:, FIRST:] / np.outer(sd, sd)
+    assert np.abs(own - known.covariance / np.outer(sd, sd)).max() > 0.3  # in the state's axes it is another matrix
+
+
+# --- and back --------------------------------------------------------------------------------------------------------
+
+
+def test_with_map_and_to_map_are_inverses():
+    state, _ = learnt()
+    known = to_map(state, 1)
+    assert known is not None
+    back = to_map(with_map(FILTER.initial(5.0, np.eye(3)), known, 1000), 1)
+    assert back is not None
+    assert_allclose(back.directions, known.directions, atol=1e-15)
+    assert_allclose(back.covariance, known.covariance, atol=1e-9 * np.abs(known.covariance).max())
+    assert_array_equal(back.sightings, known.sightings)
+
+
+def test_with_map_leaves_the_rest_of_the_state():
+    considered = 1e-6 * np.eye(10)
+    fresh = replace(FILTER, considered=considered).initial(5.0, exp(np.array([0.3, 0.1, -0.2])))
+    known = to_map(learnt()[0], 1)
+    assert known is not None
+    state = with_map(fresh, known, 50)
+    assert state.stamp == 5.0
+    assert_array_equal(state.attitude, fresh.attitude)
+    assert_array_equal(state.joint[:FIRST, :FIRST], fresh.joint)
+    assert_array_equal(state.joint[CORE:FIRST, CORE:FIRST], considered)
+    assert_array_equal(state.joint[:FIRST, FIRST:], 0.0)
+    assert state.hits.max() == 50  # however often a disc was seen, one that fell off goes in the end
+    assert_array_equal(state.missed, 0)
+    for axes, d in zip(state.basis, state.discs, strict=True):
+        assert_allclose(np.column_stack([axes, d]).T @ np.column_stack([axes, d]), np.eye(3), atol=1e-12)
+    state.discs[0, 0] = 9.0
+    assert known.directions[0, 0] != 9.0  # the map is not the state's to change
+
+
+@pytest.mark.parametrize("rate", [None, SPIN])
+def test_a_filter_started_from_a_map_goes_on_as_well_as_before(rate):
+    """Another run, another attitude, found to 3 mrad: as near to the truth, and as certain of it, as had it gone on."""
+    before, R = learnt()
+    known = to_map(before, SETTINGS.trial)
+    assert known is not None
+    rng = np.random.default_rng(3)
+    found = exp(3e-3 * rng.normal(size=3)) @ R
+    state = with_map(FILTER.initial(50.0, np.eye(3)), known, 1000)
+    state = relocate(state, found, 3e-3, SETTINGS, 50.0, rate)
+    after, R_after = play(state, SPIN, 45, np.random.default_rng(4), R)
+    went, R_went = play(before, SPIN, 45, np.random.default_rng(4), R)
+    assert_allclose(R_after, R_went, atol=1e-12)
+    assert len(after.discs) == len(went.discs) == 24
+    error = [np.linalg.norm(log(s.attitude @ R_went.T)) for s in (after, went)]
+    assert error[0] < error[1] + 2e-4
+    sd = [np.sqrt(np.diag(s.joint)[:6]) for s in (after, went)]
+    assert_allclose(sd[0], sd[1], rtol=0.15)
+    assert_allclose(after.rate, went.rate, atol=0.01)
+
+
+def test_attitudes_from_a_saved_map_are_as_certain_as_they_say():
+    """30 maps drawn from one covariance, each found at another attitude: chi-square of the attitude, 95 % band."""
+    known = to_map(learnt()[0], 1)
+    assert known is not None
+    rng = np.random.default_rng(5)
+    own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
+    axes = tangent_basis(DISCS)
+    covariance = known.covariance[:48, :48] + 1e-7 * np.eye(48)
+    runs, squares = 30, []
+    for _ in range(runs):
+        wrong = DISCS + np.einsum("mij,mj->mi", axes, draw(covariance, rng, 1).reshape(24, 2))
+        wrong /= np.linalg.norm(wrong, axis=1, keepdims=True)
+        saved = DiscMap(wrong, covariance, np.full(24, 100))
+        R = exp(rng.normal(size=3))
+        state = with_map(own.initial(0.0, np.eye(3)), saved, 1000)
+        state = relocate(state, exp(3e-3 * rng.normal(size=3)) @ R, 3e-3, own.settings, 0.0, np.zeros(3))
+        for k in range(12):
+            state = own.update(own.predict(state, k * DT), seen(R, rng))
+        e = log(R @ state.attitude.T)
+        squares.append(e @ np.linalg.solve(state.joint[:3, :3], e))
+    low, high = chi2.ppf([0.025, 0.975], 3 * runs) / runs
+    assert low < np.mean(squares) < high
+
+
+# --- what enters and leaves ------------------------------------------------------------------------------------------
+
+
+def test_drop_forgets_discs_and_their_rows_and_no_others():
+    state, _ = learnt()
+    keep = np.arange(24) % 3 > 0
+    some = drop(state, keep)
+    rows = np.concatenate([np.arange(FIRST), FIRST + np.flatnonzero(np.repeat(keep, 2))])
+    assert_array_equal(some.discs, state.discs[keep])
+    assert_array_equal(some.basis, state.basis[keep])
+    assert_array_equal(some.hits, state.hits[keep])
+    assert_array_equal(some.joint, state.joint[rows][:, rows])
+    assert drop(state, np.ones(24, dtype=bool)) is state
+
+
+def test_consider_sets_the_errors_of_pose_and_ball_and_their_correlations_to_nothing():
+    state, _ = learnt()
+    joint = state.joint.copy()
+    joint[CORE:FIRST, :CORE] = joint[:CORE, CORE:FIRST].T
+    joint[CORE, 0] = joint[0, CORE] = joint[CORE + 1, FIRST] = joint[FIRST, CORE + 1] = 1.0
+    considered = np.diag(np.arange(1.0, 11.0))
+    consider(joint, considered)
+    assert_array_equal(joint[CORE:FIRST, CORE:FIRST], considered)
+    for part in (
+        joint[CORE:FIRST, :CORE],
+        joint[CORE:FIRST, FIRST:],
+        joint[:CORE, CORE:FIRST],
+        joint[FIRST:, CORE:FIRST],
+    ):
+        assert_array_equal(part, 0.0)
+    assert_array_equal(joint[FIRST:, FIRST:], state.joint[FIRST:, FIRST:])
+
+
+def test_a_new_disc_in_a_saved_map_knows_what_the_attitude_does():
+    """Founded beside discs of a map: correlated with the attitude of that moment, and through it with the others."""
+    known = to_map(learnt()[0], 1)
+    assert known is not None
+    state: So3State = relocate(with_map(FILTER.initial(0.0, np.eye(3)), known, 99), np.eye(3), 1e-2, SETTINGS, 0.0)
+    d = np.array([[0.1, 0.2, 1.0]]) / np.linalg.norm([0.1, 0.2, 1.0])
+    rng = np.random.default_rng(6)
+    founded = augment(state, points_at(d, rng), np.array([0]), RADIUS)
+    assert_allclose(np.sqrt(np.diag(founded.joint)[-2:]), np.hypot(1e-2, SIGMA), rtol=1e-3)
+    points = seen(np.eye(3), rng)
+    after = FILTER.update(founded, points, np.zeros(len(points), dtype=bool))
+    assert len(after.used) >= 4
+    assert np.all(np.sqrt(np.diag(after.joint)[-2:]) < 1e-3)  # what fixed the attitude fixed the disc
