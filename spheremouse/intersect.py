@@ -103,13 +103,14 @@ def _intersect(
     """Fill the rows of what is met, the first of each array; returns how many. nan meets nothing."""
     met = 0
     to_centre = K - P
-    far = to_centre @ to_centre - R * R
+    far = to_centre[0] ** 2 + to_centre[1] ** 2 + to_centre[2] ** 2 - R * R
     ray, normal, J_image = np.empty(3), np.empty(3), np.empty((3, 2))
     slide = np.empty((3, 3))
     for i in range(len(xy)):
         for j in range(3):
             ray[j] = rotation[j, 0] * xy[i, 0] + rotation[j, 1] * xy[i, 1] + rotation[j, 2]
-        a, b = ray @ ray, ray @ to_centre
+        a = ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2
+        b = ray[0] * to_centre[0] + ray[1] * to_centre[1] + ray[2] * to_centre[2]
         root = b * b - a * far
         if not (root > 0.0 and b > 0.0):
             continue
@@ -137,12 +138,22 @@ def _intersect(
                     dray = rotation[m, 0] * dxy_duv[i, 0, k] + rotation[m, 1] * dxy_duv[i, 1, k]
                     total += slide[j, m] * s * dray
                 J_image[j, k] = total
-        image_covariance[met] = J_image @ noise[i] @ J_image.T
-        covariance[met] = (
-            image_covariance[met]
-            + J_pose[met] @ pose_covariance @ J_pose[met].T
-            + J_ball[met] @ ball_covariance @ J_ball[met].T
-        )
+        for j in range(3):
+            for k in range(j + 1):
+                value = 0.0
+                for a in range(2):
+                    for b in range(2):
+                        value += J_image[j, a] * noise[i, a, b] * J_image[k, b]
+                image_covariance[met, j, k] = value
+                image_covariance[met, k, j] = value
+                for a in range(6):
+                    for b in range(6):
+                        value += J_pose[met, j, a] * pose_covariance[a, b] * J_pose[met, k, b]
+                for a in range(4):
+                    for b in range(4):
+                        value += J_ball[met, j, a] * ball_covariance[a, b] * J_ball[met, k, b]
+                covariance[met, j, k] = value
+                covariance[met, k, j] = value
         index[met] = i
         met += 1
     return met

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from spheremouse import watch as watching
 from spheremouse.associate import common_rotation, identify
 from spheremouse.camera import Pose, project
 from spheremouse.detect import static
@@ -20,7 +21,7 @@ from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.detect.cap import ball_mask
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
-from spheremouse.detect.rings import RingSettings
+from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.detect.search import Hunt
 from spheremouse.detect.static import Lookalikes, StaticSettings
 from spheremouse.disc_map import DiscMap
@@ -28,18 +29,21 @@ from spheremouse.errors import PoseError, SourceError
 from spheremouse.filters import Filter, FilterState
 from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
-from spheremouse.filters.so3_state import So3State, to_map, with_map
+from spheremouse.filters.so3_state import CORE, So3State, augment, consider, to_map, with_map
 from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
-from spheremouse.resect import PoseSettings
+from spheremouse.resect import PoseSettings, gather, predict_targets, resect
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.settings import param
+from spheremouse.watch import Watch, WatchSettings
 
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _SURE = 10  # sightings from which a disc is worth keeping
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
+_LIVELY = 16.0  # level of the player from which a bumped camera explains as much
+_COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
 
@@ -82,6 +86,7 @@ class Settings:
     so3: So3Settings = field(default_factory=So3Settings)
     euler: EulerSettings = field(default_factory=EulerSettings)
     loss: LossSettings = field(default_factory=LossSettings)
+    watch: WatchSettings = field(default_factory=WatchSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
 
 
@@ -148,6 +153,8 @@ class TrackState:
     absolute: bool  # the attitude is that of a map made earlier
     detections: Detections  # all of the last frame
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
+    watch: Watch | None = None  # on the targets: does the camera stand?
+    rebuilt: Tracker | None = None  # for the pose found after the camera was moved; None: it never was
 
 
 def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
@@ -217,7 +224,13 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         False,
         no_detections(),
         _no_points(tracker),
+        watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
     )
+
+
+def current(state: TrackState, tracker: Tracker) -> Tracker:
+    """The tracker in use: the one given, or the one rebuilt since, when the camera was moved."""
+    return tracker if state.rebuilt is None else state.rebuilt
 
 
 def step(
@@ -225,9 +238,28 @@ def step(
 ) -> tuple[TrackState, Motion]:
     """One frame. Raises SourceError when the frame has another size than the camera was calibrated for.
 
+    Where the targets say that the camera was moved, the pose is estimated anew and the frame is done with that.
     `detected` is called between detection and what follows: whoever measures times needs to know.
     """
     check_size(frame, tracker.rig)
+    tracker = current(state, tracker)
+    if state.watch is None:
+        return _stages(state, frame, tracker, detected)
+    if state.watch.away is not None:
+        return _attend(state, None, frame, tracker)
+    new, motion = _stages(state, frame, tracker, detected)
+    watch = _with_references(state.watch, frame, tracker)
+    watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, _surprised(new))
+    new = replace(new, watch=watch)
+    if odd or _out_of_sight(new, frame.stamp):
+        return _attend(replace(state, watch=watch), (new, motion), frame, tracker)
+    return new, motion
+
+
+def _stages(
+    state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
+) -> tuple[TrackState, Motion]:
+    """One frame of a camera that stands."""
     predicted = tracker.filter.predict(state.filter, frame.stamp)
     detections, hunt = look(state, frame, tracker, predicted)
     detected()
@@ -253,13 +285,152 @@ def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterSta
     which = tracker.filter.visible(predicted)
     known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
     readout = tracker.rig.readout_s + predicted.readout
-    found, noise = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout)
+    found = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.hunt)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
     if 2 * len(found) < min(seen_before, len(state.filter.used)):
         return detector.detect(frame.image), state.hunt
     near = np.concatenate([found.centre, state.lookalikes.masks])
-    other, hunt = detector.hunt(frame.image, state.hunt, near, noise)
+    other, hunt = detector.hunt(frame.image, state.hunt, near)
     return found.joined(other), hunt
+
+
+def _surprised(state: TrackState) -> bool:
+    """Did the last frame's discs say something that a bumped camera would say?"""
+    if state.phase is not Phase.TRACKING or not isinstance(state.filter, So3State):
+        return state.phase is Phase.LOST
+    freedom = 2 * len(state.filter.used)
+    return not state.holds or state.filter.level >= _LIVELY or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
+
+
+def _with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
+    """What the targets look like, where that is not known yet: all at the first frame, then in their turn."""
+    which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
+    if len(which) and watch.due > -np.inf:
+        which = which[which == (watch.turn + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]
+    if len(which) == 0:
+        return watch
+    return watching.take(watch, frame.image, which, tracker.rig, tracker.settings.rings)
+
+
+def _out_of_sight(state: TrackState, stamp: float) -> bool:
+    """No disc holds and the targets are not where they were: time to look for them in the whole picture?"""
+    watch = state.watch
+    if watch is None or state.holds or state.phase is Phase.SEARCHING:
+        return False
+    known = sum(patch is not None for patch in watch.patches)
+    hidden = known >= 3 and np.count_nonzero(watch.seen) < 3
+    return hidden and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
+
+
+def _attend(
+    state: TrackState, done: tuple[TrackState, Motion] | None, frame: Frame, tracker: Tracker
+) -> tuple[TrackState, Motion]:
+    """All targets are looked at: is the camera where it was, does it swing, or stand elsewhere?
+
+    `done` is what the frame says if the camera has not moved, where that is known already. While it swings, nothing is
+    filtered and nothing sent: the prediction of the ball waits for the pose.
+    """
+    assert state.watch is not None
+    s, before = tracker.settings.watch, state.watch.shift
+    watch, shift = watching.look_at_all(state.watch, frame.image, s)
+    on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)
+    moved = watching.displaced(on_rings, s.displaced)
+    if moved is None:
+        moved = watching.displaced(shift, 3.0 * s.match_sigma)
+    if moved and watching.stands(before, shift, s):
+        anew = _relative(on_rings, shift, tracker) or _by_colour(frame, tracker)
+        if anew is not None:
+            return _from_there(state, *anew, frame, tracker)
+    if moved:
+        return _swings(replace(state, watch=replace(watch, shift=shift)), frame.stamp, tracker)
+    watch = replace(watch, shift=np.zeros((0, 2)), away=None)
+    if moved is None and done is not None and _out_of_sight(replace(done[0], watch=watch), frame.stamp):
+        watch = replace(watch, tried=frame.stamp)
+        anew = _by_colour(frame, tracker)
+        if anew is not None:
+            return _from_there(state, *anew, frame, tracker)
+    if moved is False:  # then a target out of its place was moved by itself, or is in another light
+        alone = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > s.displaced)
+        watch = watching.take(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
+    new, motion = _stages(state, frame, tracker) if done is None else done
+    return replace(new, watch=watch), motion
+
+
+def _relative(on_rings: Array, shift: Array, tracker: Tracker) -> tuple[Tracker, Array | None] | None:
+    """The tracker for the pose that the shifts of the targets, (n, 2) px, tell, and what that adds to the pose's
+    covariance; None where they tell none. Measured on the rings, or else by correlation."""
+    rig, settings = tracker.rig, tracker.settings
+    for measured, sigma in ((on_rings, settings.watch.ring_sigma), (shift, settings.watch.match_sigma)):
+        found = watching.moved_pose(measured, rig, tracker.pose, sigma)
+        if found is not None:
+            try:
+                return build(rig, found[0], settings), found[1]
+            except PoseError:
+                continue
+    return None
+
+
+def _by_colour(frame: Frame, tracker: Tracker) -> tuple[Tracker, Array | None] | None:
+    """The tracker for the pose that the whole picture tells; None where it tells none, or the one that is known."""
+    rig, settings = tracker.rig, tracker.settings
+    if frame.image.ndim != 3:
+        return None
+    try:
+        sightings = gather([detect_targets(frame.image, rig.targets.radii, settings.rings)], settings.pose)
+        pose = resect(sightings, rig, frame.image).pose
+        shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
+        return (
+            (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * settings.watch.match_sigma) else None
+        )
+    except PoseError:
+        return None
+
+
+def _from_there(
+    state: TrackState, anew: Tracker, added: Array | None, frame: Frame, tracker: Tracker
+) -> tuple[TrackState, Motion]:
+    """The frame with the camera where it is now: the ball knows nothing of the bump, so nothing jumps.
+
+    What lies in the picture, look-alikes and candidates, is forgotten. The pose's error stays what it was, and so does
+    what the map has taken up of it; `added`, (6, 6), comes on top. None: the pose owes nothing to the one before.
+    """
+    filtered: Any = state.filter
+    if not state.moved:  # nothing is known yet but where candidates were in the picture
+        filtered = anew.filter.initial(state.filter.stamp, state.filter.attitude)
+    elif isinstance(filtered, So3State) and isinstance(anew.filter, So3Filter):
+        joint = filtered.joint.copy()
+        if added is None:
+            consider(joint, anew.filter.considered)
+        else:
+            joint[CORE : CORE + 6, CORE : CORE + 6] += added
+        filtered = replace(filtered, joint=joint)
+    watch = watching.begin(anew.rig, anew.pose)
+    if watch is not None:
+        watch = replace(_with_references(watch, frame, anew), due=frame.stamp)
+    state = replace(state, filter=filtered, lookalikes=Lookalikes(), recent=(), hunt=Hunt(), watch=watch, rebuilt=anew)
+    new, motion = _stages(state, frame, anew)
+    path, turn = watching.difference(tracker.pose, anew.pose)
+    event = f"the camera was moved: pose estimated anew ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
+    return replace(new, event=f"{event}; {new.event}" if new.event else event), motion
+
+
+def _swings(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
+    """The camera is not where it was and does not stand: wait; lost when that lasts."""
+    assert state.watch is not None
+    away = stamp if state.watch.away is None else min(state.watch.away, stamp)
+    state = replace(
+        state,
+        event="",
+        filter=tracker.filter.update(tracker.filter.predict(state.filter, stamp), _no_points(tracker)),
+        detections=no_detections(),
+        points=_no_points(tracker),
+        holds=False,
+        watch=replace(state.watch, away=away),
+    )
+    if state.phase is Phase.TRACKING and stamp - away > tracker.settings.loss.lost_after:
+        text = "lost: the camera was moved, and its pose is not found: uncover the targets, or initialise again"
+        state = replace(state, phase=Phase.LOST, found=None, event=text)
+    return state, _no_motion(stamp)
 
 
 def disc_map(state: TrackState) -> DiscMap | None:
@@ -325,20 +496,45 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: Filter
     posterior = tracker.filter.update(predicted, points, proven)
     state = replace(state, filter=posterior)
     held = _holds(state, predicted, tracker)
-    if not held:  # then no point has a place on the ball: none founds a disc
+    other = np.ones(len(points), dtype=bool)
+    if not held:
         found = _recognised(state, stamp, tracker)
         if found is not None:
             return replace(state, filter=found[0], holds=True)
-        blind = tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool))
-        return replace(state, filter=blind, holds=False)
-    other = np.ones(len(points), dtype=bool)
+        posterior = tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool))
+        if not _known_well(posterior, tracker):  # no point has a place on the ball, and none founds a disc
+            return replace(state, filter=posterior, holds=False)
     other[posterior.used] = False  # what belongs to a known disc needs no judgement
-    _, _, lookalikes = static.judge(
+    turning, _, lookalikes = static.judge(
         state.lookalikes, centre[other], points.direction[other], posterior.attitude, stamp, rig, pose, settings
     )
+    if not held:  # a hand may have stopped the ball: what stands still says nothing, what goes on turning does
+        lookalikes = state.lookalikes
+    posterior = _with_discs(posterior, points, np.flatnonzero(other)[turning], tracker)
     if len(posterior.discs) > len(predicted.discs):
         lookalikes = static.founded(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
-    return replace(state, lookalikes=lookalikes, holds=True)
+    return replace(state, filter=posterior, lookalikes=lookalikes, holds=held)
+
+
+def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
+    """Is the attitude known so well that one disc tells the rest?"""
+    worst = np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1]
+    return bool(worst < tracker.settings.loss.known_sigma**2)
+
+
+def _with_discs(
+    filter_state: FilterState, points: SpherePoints, which: NDArray[np.intp], tracker: Tracker
+) -> FilterState:
+    """With those points that have just shown to turn with the ball as discs: the next frame may show no other."""
+    if not isinstance(filter_state, So3State) or not isinstance(tracker.filter, So3Filter):
+        return filter_state  # the published filters take a disc up when they see it again
+    f = tracker.filter
+    apart = np.cos(2.0 * f.disc_angle)  # two discs do not overlap: nearer to a known one it is that one, badly seen
+    for k in which:
+        known = filter_state.discs @ (points.direction[k] @ filter_state.attitude)
+        if np.max(known, initial=-1.0) < apart and len(filter_state.discs) < f.settings.most_discs:
+            filter_state = augment(filter_state, points, np.array([k]), f.radius)
+    return filter_state
 
 
 def _holds(state: TrackState, predicted: FilterState, tracker: Tracker) -> bool:
@@ -353,7 +549,7 @@ def _holds(state: TrackState, predicted: FilterState, tracker: Tracker) -> bool:
         return False
     if 2 * used < len(state.points) and not _significant(used, len(state.points), predicted, tracker):
         return False
-    return used > 1 or bool(np.linalg.eigvalsh(state.filter.covariance[:3, :3])[-1] < settings.known_sigma**2)
+    return used > 1 or _known_well(state.filter, tracker)
 
 
 def _significant(used: int, points: int, predicted: FilterState, tracker: Tracker) -> bool:
@@ -590,11 +786,15 @@ def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackStat
 def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
     """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
     if state.phase is not Phase.TRACKING or not state.holds:
-        return state, Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
+        return state, _no_motion(stamp)
     attitude = state.filter.attitude
     rotation = rotation_between(state.sent, attitude)
     counts, remainder = to_counts(rotation, tracker.counts, state.remainder)
     return replace(state, sent=attitude, remainder=remainder), Motion(stamp, counts, rotation, state.filter.rate)
+
+
+def _no_motion(stamp: float) -> Motion:
+    return Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
 
 
 def _no_points(tracker: Tracker) -> SpherePoints:

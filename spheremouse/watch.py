@@ -1,9 +1,10 @@
 """Does the camera still stand where it stood? Small windows of the image in, the shift of each ring target out.
 
 What a target looked like when the pose was found is kept; looked for again within a few pixels it says, by normalised
-correlation, whether it is hidden or where it is now. Seen from the same place all errors of the pose stay what they
-were, so the shifts alone say how the camera moved: a resection relative to the pose before (Gauss-Newton, as Wittich
-2017, section 2.4.3), which needs no colour. What moved out of the windows is for `detect.rings` and `resect`.
+correlation, whether it is hidden or where it is now. What is wrong with rig and pose is wrong after a bump as before,
+so the shifts alone say how the camera moved: a resection relative to the pose before (Gauss-Newton, as Wittich 2017,
+section 2.4.3). They are measured on the rings' edges where the picture has colour and light enough, to a hundredth of a
+pixel; else by correlation, to a tenth, since what lies behind a target shifts otherwise.
 """
 
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from spheremouse.camera import Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.detect.detections import Image
+from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp, hat, log
@@ -35,13 +37,14 @@ class WatchSettings:
         0.7, "-", "least correlation with what was seen before: below, something is in front of it", gt=0, lt=1
     )
     displaced: float = param(
-        0.3, "px", "a target has moved: six standard deviations of a match, a tenth of a degree of the ball", gt=0
+        0.15, "px", "a target has moved: seven standard deviations of its rings, 0.05° of the ball far away", gt=0
     )
     still: float = param(0.15, "px", "between two frames the targets move less: the camera stands", gt=0)
     reach: float = param(
         0.05, "widths of the image", "how far a displaced target is looked for: beyond, by its colours", gt=0, le=0.5
     )
-    sigma: float = param(0.05, "px", "standard deviation of a target's shift: sampling, and its other perspective", gt=0)
+    ring_sigma: float = param(0.02, "px", "standard deviation of a shift measured on the rings' edges", gt=0)
+    match_sigma: float = param(0.1, "px", "the same by correlation: what is behind a target shifts otherwise", gt=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,8 @@ class Watch:
     corner: NDArray[np.intp]  # (n, 2) px, top left pixel of each patch: column, row
     size: NDArray[np.intp]  # (n,) px of the patch, its width and height
     reduction: NDArray[np.intp]  # (n,) px of the image to one of the patch
+    zero: Array  # (n, 2) px, what correlation makes of a target that has not moved
+    place: Array  # (n, 2) px, where the rings were measured; nan: they were not
     seen: NDArray[np.bool_]  # (n,) it was there at the last look
     turn: int = 0  # the target to be looked at next
     due: float = -np.inf  # s, when
@@ -89,13 +94,15 @@ def begin(rig: Rig, pose: Pose) -> Watch | None:
         corners.astype(np.intp),
         sizes.astype(np.intp),
         reductions.astype(np.intp),
+        np.zeros((patches, 2)),
+        np.full((patches, 2), np.nan),
         np.zeros(patches, dtype=bool),
     )
 
 
-def take(watch: Watch, image: Image, which: NDArray[np.intp]) -> Watch:
+def take(watch: Watch, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings) -> Watch:
     """The watch with what the targets `which` look like now, where that is a target: point-symmetric, and no wall."""
-    patches, seen = list(watch.patches), watch.seen.copy()
+    patches, seen, place, zero = list(watch.patches), watch.seen.copy(), watch.place.copy(), watch.zero.copy()
     for k in which:
         if watch.size[k] == 0:
             continue
@@ -105,7 +112,11 @@ def take(watch: Watch, image: Image, which: NDArray[np.intp]) -> Watch:
         good = float(values.std()) > _CONTRAST
         good = good and float(cv2.matchTemplate(values, turned, cv2.TM_CCOEFF_NORMED)[0, 0]) > _POINT_SYMMETRY
         patches[k], seen[k] = (patch if good else None), good
-    return replace(watch, patches=tuple(patches), seen=seen)
+        if good:
+            zero[k] = _top(cv2.matchTemplate(_window(watch, image, k, 1)[0], patch, cv2.TM_CCOEFF_NORMED))[1]
+            zero[k] -= np.rint(zero[k])
+            place[k] = _on_rings(watch, image, k, np.zeros(2), rig, rings)
+    return replace(watch, patches=tuple(patches), zero=zero, place=place, seen=seen)
 
 
 def look(watch: Watch, image: Image, which: int, settings: WatchSettings, far: bool = False) -> Array:
@@ -117,11 +128,8 @@ def look(watch: Watch, image: Image, which: int, settings: WatchSettings, far: b
     reach = int(np.ceil(settings.reach * image.shape[1] / f)) if far else _NEAR
     window, before = _window(watch, image, which, reach)
     score = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
-    _, best, _, (x, y) = cv2.minMaxLoc(score)
-    if not best >= settings.score:
-        return np.full(2, np.nan)
-    at = np.array([x + _peak(score[y], x), y + _peak(score[:, x], y)])
-    return f * (at - before)
+    best, at = _top(score)
+    return f * (at - before - watch.zero[which]) if best >= settings.score else np.full(2, np.nan)
 
 
 def look_at_all(watch: Watch, image: Image, settings: WatchSettings) -> tuple[Watch, Array]:
@@ -133,36 +141,32 @@ def look_at_all(watch: Watch, image: Image, settings: WatchSettings) -> tuple[Wa
     return replace(watch, seen=np.isfinite(shift[:, 0])), shift
 
 
-def glance(
-    watch: Watch, image: Image, stamp: float, settings: WatchSettings, surprised: bool
-) -> tuple[Watch, bool]:
+def glance(watch: Watch, image: Image, stamp: float, settings: WatchSettings, surprised: bool) -> tuple[Watch, bool]:
     """One target in its turn, when it is time; the next two at once when something is odd. Is one out of its place?
 
     A target that was there and is gone counts as out of its place, too, once; whether the camera moved, all must say.
     """
-    if not surprised and watch.due - len(watch) * settings.interval <= stamp < watch.due:
+    step = settings.interval / len(watch)
+    if not surprised and watch.due - step <= stamp < watch.due:
         return watch, False
     seen, odd, turn = watch.seen.copy(), False, watch.turn
     for _ in range(2 if surprised else 1):
         turn = (turn + 1) % len(watch)
         if watch.patches[turn] is None:
-            if not surprised:
-                watch = take(watch, image, np.array([turn]))
-                seen[turn] = watch.seen[turn]
             continue
         shift = look(watch, image, turn, settings)
         there = bool(np.isfinite(shift[0]))
         odd |= bool(np.hypot(*shift) > settings.displaced) if there else bool(seen[turn])
         seen[turn] = there
-    return replace(watch, seen=seen, turn=turn, due=stamp + settings.interval / len(watch)), odd
+    return replace(watch, seen=seen, turn=turn, due=stamp + step), odd
 
 
-def displaced(shift: Array, settings: WatchSettings) -> bool | None:
-    """Is the camera elsewhere, by the shifts of all targets, (n, 2) px? None where fewer than three are to be seen."""
+def displaced(shift: Array, limit: float) -> bool | None:
+    """Have most targets moved by more than `limit` px; shifts (n, 2) px? None where fewer than three are to be seen."""
     seen = np.isfinite(shift[:, 0])
     if np.count_nonzero(seen) < 3:
         return None
-    return bool(2 * np.count_nonzero(np.hypot(*shift[seen].T) > settings.displaced) > np.count_nonzero(seen))
+    return bool(2 * np.count_nonzero(np.hypot(*shift[seen].T) > limit) > np.count_nonzero(seen))
 
 
 def stands(before: Array, now: Array, settings: WatchSettings) -> bool:
@@ -173,7 +177,15 @@ def stands(before: Array, now: Array, settings: WatchSettings) -> bool:
     return bool(np.count_nonzero(np.isfinite(step)) >= 3 and np.nanmedian(step) < settings.still)
 
 
-def moved_pose(shift: Array, rig: Rig, pose: Pose, settings: WatchSettings) -> tuple[Pose, Array] | None:
+def on_rings(watch: Watch, image: Image, shift: Array, rig: Rig, rings: RingSettings) -> Array:
+    """Shifts, (n, 2) px, measured on the edges of the rings near where correlation found them; nan where not."""
+    if image.ndim != 3:
+        return np.full_like(shift, np.nan)
+    now = [_on_rings(watch, image, k, shift[k], rig, rings) for k in range(len(watch))]
+    return np.array(now) - watch.place
+
+
+def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, Array] | None:
     """The pose from which the targets are seen shifted, (n, 2) px, and what that adds to its covariance, (6, 6).
 
     Of the nearest solution; of more than three targets those are left out that fit with no other. None where no pose
@@ -181,14 +193,13 @@ def moved_pose(shift: Array, rig: Rig, pose: Pose, settings: WatchSettings) -> t
     """
     which = np.flatnonzero(np.isfinite(shift[:, 0]))
     observed = predict_targets(pose, rig) + shift
-    limit = 10.0 * settings.sigma
     while len(which) >= 3:
-        found = _fitted(observed[which], which, rig, pose, settings.sigma)
+        found = _fitted(observed[which], which, rig, pose, sigma)
         if found is None:
             return None
         new, added, residual = found
         off = np.hypot(*residual.T)
-        if off.max() < limit:
+        if off.max() < 5.0 * sigma:
             return Pose(new.rotation, new.position, pose.covariance + added), added
         which = np.delete(which, int(np.argmax(off)))
     return None
@@ -223,8 +234,20 @@ def _fitted(
     return None
 
 
+def _on_rings(watch: Watch, image: Image, which: int, shift: Array, rig: Rig, rings: RingSettings) -> Array:
+    """Centre, (2,) px, of a target seen about `shift` px from its place; nan where its rings are not seen."""
+    if image.ndim != 3 or not np.all(np.isfinite(shift)):
+        return np.full(2, np.nan)
+    margin = int(watch.size[which]) // 4 + 6
+    x, y = np.maximum(np.rint(watch.corner[which] + shift).astype(int) - margin, 0)
+    side = int(watch.size[which]) + 2 * margin
+    found = detect_targets(image[y : y + side, x : x + side], rig.targets.radii, rings)
+    same = [c for code, c in zip(found.codes, found.centre, strict=True) if code == rig.targets.codes[which]]
+    return same[0] + (x, y) if len(same) == 1 else np.full(2, np.nan)
+
+
 def _window(watch: Watch, image: Image, which: int, reach: int) -> tuple[Image, Array]:
-    """Grey, reduced, of a patch and up to `reach` px of it on all sides; and how many those are left and above, (2,)."""
+    """Grey, reduced, of a patch and up to `reach` px of it on all sides; and how many lie left of it and above."""
     f, size = int(watch.reduction[which]), int(watch.size[which])
     x, y = (int(v) for v in watch.corner[which])
     h, w = image.shape[:2]
@@ -236,6 +259,12 @@ def _window(watch: Watch, image: Image, which: int, reach: int) -> tuple[Image, 
     if f > 1:
         window = cv2.resize(window, (window.shape[1] // f, window.shape[0] // f), interpolation=cv2.INTER_AREA)
     return window, np.array([left, above], dtype=float)
+
+
+def _top(score: Array) -> tuple[float, Array]:
+    """The largest value of a map of correlations, and where it is, (2,) column and row, to a part of a pixel."""
+    _, best, _, (x, y) = cv2.minMaxLoc(score)
+    return best, np.array([x + _peak(score[y], x), y + _peak(score[:, x], y)])
 
 
 def _peak(score: Array, at: int) -> float:

@@ -42,7 +42,7 @@ def appearance(directions: Array, rig: Rig, pose: Pose) -> Appearance:
     n = len(directions)
     seen = Appearance(np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n), np.empty(n, dtype=np.bool_))
     camera = rig.camera
-    _appearance(
+    appearance_into(
         np.ascontiguousarray(directions, dtype=np.float64),
         rig.ball.centre,
         rig.ball.radius,
@@ -61,7 +61,7 @@ def appearance(directions: Array, rig: Rig, pose: Pose) -> Appearance:
 
 
 @njit(cache=True, error_model="numpy")
-def _appearance(
+def appearance_into(
     directions, K, R, alpha, rotation, P, intrinsic, k, centre, centroid, shape, area, whole
 ):  # fmt: skip
     fx, fy, cx, cy = intrinsic
@@ -141,7 +141,7 @@ def seen_at(directions: Array, rig: Rig, pose: Pose) -> Array:
     """
     uv = np.empty((len(directions), 2))
     camera = rig.camera
-    _seen_at(
+    seen_into(
         np.ascontiguousarray(directions),
         rig.ball.centre - pose.position,
         rig.ball.radius,
@@ -154,7 +154,7 @@ def seen_at(directions: Array, rig: Rig, pose: Pose) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _seen_at(directions, to_centre, R, rotation, intrinsic, k, uv):
+def seen_into(directions, to_centre, R, rotation, intrinsic, k, uv):
     fx, fy, cx, cy = intrinsic
     for i in range(len(directions)):
         c = rotation.T @ (to_centre + R * directions[i])

@@ -15,16 +15,18 @@ import numpy as np
 from numba import njit
 
 from spheremouse.camera import Pose
-from spheremouse.detect.cap import Appearance, appearance, ball_mask, largest_disc, seen_at
+from spheremouse.detect.cap import appearance, ball_mask, largest_disc
 from spheremouse.detect.detections import Detections, Image, no_detections
-from spheremouse.detect.fit import FitSettings, measure, noise_of, smoothing_kernel
+from spheremouse.detect.fit import FitSettings, noise_of, smoothing_kernel
 from spheremouse.detect.search import Hunt, Lattice, hunt, lattice, went
-from spheremouse.rig import Rig, directions_at, row_delay
-from spheremouse.rotation import Array, exp
+from spheremouse.detect.window import View, look_at, view_of
+from spheremouse.rig import Rig, directions_at
+from spheremouse.rotation import Array
 from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _EXPECTED = 0.3  # of the contrast is enough where the map says that a disc must be: glare, deep shade
+_NOISE_EVERY = 16  # frames
 _FINE = 14.0  # px, diameter of a disc that the fit needs no finer: larger pictures are reduced to about that
 
 
@@ -73,6 +75,7 @@ class DiscDetector:
     diameter: float  # px, of the largest disc
     fit: FitSettings
     lattice: Lattice
+    view: View
 
     def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included."""
@@ -85,55 +88,50 @@ class DiscDetector:
         plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
-        return self._measured(image, places[index[best]], seen.take(best), noise, 1.0)
+        return self._look_at(image, directions[best], noise, places[index[best]])
 
-    def follow(self, image: Image, directions: Array, rate: Array, readout: float) -> tuple[Detections, float]:
-        """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image; its noise.
+    def follow(self, image: Image, directions: Array, rate: Array, readout: float, state: Hunt) -> Detections:
+        """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image.
 
         `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed (`readout` s for all rows), and smears
-        them while it is.
+        them while it is. `state` remembers the noise.
         """
-        rig, smear = self.rig, None
-        if readout != 0.0:
-            delay = row_delay(seen_at(directions, rig, self.pose)[:, 1], readout, rig.camera)
-            directions = np.einsum("nij,nj->ni", exp(np.nan_to_num(delay)[:, None] * rate), directions)
-        seen = appearance(directions, rig, self.pose)
-        if rig.exposure_s > 0.0:
-            ahead = directions + 0.5 * rig.exposure_s * np.cross(rate, directions)
-            smear = 2.0 * (seen_at(ahead, rig, self.pose) - seen.centre)
-        noise = self.noise(image)
-        return self._measured(image, seen.centroid, seen, noise, _EXPECTED, smear), noise
+        return look_at(
+            _with_channels(image),
+            self.mask,
+            directions,
+            self.view,
+            self.fit,
+            self._noise(image, state),
+            _EXPECTED,
+            self.settings.min_area,
+            0.3 * self.diameter,
+            rate=rate,
+            readout=readout,
+        )
 
-    def hunt(self, image: Image, state: Hunt, known: Array, noise: float) -> tuple[Detections, Hunt]:
+    def hunt(self, image: Image, state: Hunt, known: Array) -> tuple[Detections, Hunt]:
         """A share of the search for discs that are not at `known`, (m, 2) px."""
-        fit, radius = self.fit, 0.5 * self.diameter
+        fit, radius, noise = self.fit, 0.5 * self.diameter, self._noise(image, state)
         colours = _with_channels(image)
         places = hunt(
             colours, self.mask, self.lattice, state, known, fit.reduction, radius, fit.contrast, noise, fit.light
         )
         if len(places) == 0:
-            return no_detections(), went(state, places, fit.reduction)
+            return no_detections(), went(state, places, noise, fit.reduction)
         directions, index = directions_at(places, self.rig, self.pose)
-        found = self._measured(image, places[index], appearance(directions, self.rig, self.pose), noise, 1.0)
+        found = self._look_at(image, directions, noise, places[index])
         near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
-        return found, went(state, places[~near.any(axis=1)], fit.reduction)
+        return found, went(state, places[~near.any(axis=1)], noise, fit.reduction)
 
-    def _measured(
-        self, image: Image, place: Array, seen: Appearance, noise: float, share: float, smear: Array | None = None
-    ) -> Detections:
-        """Those of n discs that are in an image, expected at centroids `place`, (n, 2) px, and to look like `seen`.
+    def _look_at(self, image: Image, directions: Array, noise: float, places: Array) -> Detections:
+        least, apart = self.settings.min_area, 0.3 * self.diameter
+        colours = _with_channels(image)
+        return look_at(colours, self.mask, directions, self.view, self.fit, noise, 1.0, least, apart, places)
 
-        Of the contrast that is asked for, `share` is enough. `smear` (n, 2) px is their way while the shutter is open.
-        """
-        worth = fitting(seen.centroid, seen.shape, seen.area, self.settings.min_area, *self.mask.shape)
-        seen = seen.take(worth)
-        way = None if smear is None else smear[worth]
-        fits = measure(_with_channels(image), self.mask, place[worth], seen.shape, noise, self.fit, share, smear=way)
-        ok = np.flatnonzero(fits.ok)
-        ok = ok[np.argsort(-fits.rim[ok], kind="stable")]
-        centre = fits.centroid[ok] - (seen.centroid[ok] - seen.centre[ok])
-        one = first_of_each(centre, 0.3 * self.diameter)
-        return Detections(centre[one], fits.covariance[ok[one]], seen.area[ok[one]])
+    def _noise(self, image: Image, state: Hunt) -> float:
+        """That of an earlier frame, most of the time: light and gain do not change from frame to frame."""
+        return state.noise if state.turn % _NOISE_EVERY and state.noise > 0.0 else self.noise(image)
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""
@@ -207,27 +205,13 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
         settings.rim,
         settings.sigma,
     )
-    return DiscDetector(settings, rig, pose, mask, window, diameter, fit, lattice(mask, diameter, f))
+    return DiscDetector(
+        settings, rig, pose, mask, window, diameter, fit, lattice(mask, diameter, f), view_of(rig, pose)
+    )
 
 
 def _with_channels(image: Image) -> Image:
     return image if image.ndim == 3 else image[:, :, None]
-
-
-@njit(cache=True, error_model="numpy")
-def fitting(centroid, shape, area, least, height, width):
-    """Indices of ellipses of at least an area, px², that lie in the picture as a whole; nan does not."""
-    index = np.empty(len(area), dtype=np.intp)
-    n = 0
-    for i in range(len(area)):
-        if not area[i] >= least:
-            continue
-        dx, dy = np.sqrt(shape[i, 0, 0]), np.sqrt(shape[i, 1, 1])
-        x, y = centroid[i, 0], centroid[i, 1]
-        if x - dx > -0.5 and x + dx < width - 0.5 and y - dy > -0.5 and y + dy < height - 0.5:
-            index[n] = i
-            n += 1
-    return index[:n]
 
 
 @njit(cache=True, error_model="numpy")

@@ -85,7 +85,7 @@ def measure(
     ok, centroid, covariance, rim = np.zeros(n, dtype=np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)), np.zeros(n)
     cut = np.zeros(n)
     if n:
-        _measure(
+        measure_into(
             image,
             mask,
             place,
@@ -390,7 +390,7 @@ def _keep_near(n, px, py, grey, e, x, noise, weight):
 
 
 @njit(cache=True, error_model="numpy")
-def _measure(
+def measure_into(
     image, mask, place, shape, smear, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
     size_known, ok, centroid, covariance, rim, cut,
 ):  # fmt: skip

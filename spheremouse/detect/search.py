@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from spheremouse.detect.detections import Image
 from spheremouse.rotation import Array
 
-_STRIDE = 4  # px of the reduced picture between samples of one frame: a disc of 4 px across is met
-_SHIFTS = ((0, 0), (2, 2), (2, 0), (0, 2))  # of the lattice, frame after frame
+_STRIDE = (2, 8)  # columns and rows of the reduced picture between samples of one frame: few rows are few cache misses
+_SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame: together every other row
 _MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
 _MOST = 4  # candidates in one frame: more come in the next
 _DUD = 2.5  # px of the reduced picture, around a place that turned out to be no disc
@@ -37,6 +37,7 @@ class Hunt:
     """What one frame's search hands to the next."""
 
     turn: int = 0
+    noise: float = 0.0  # grey values, of a pixel; 0: not measured yet
     duds: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px, places that were no discs
     until: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) turn: left out before
     wait: NDArray[np.intp] = field(
@@ -52,8 +53,8 @@ def lattice(mask: Image, diameter: float, reduction: int) -> Lattice:
     offsets = np.rint(d * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.int32)
     places, sides = [], []
     for dx, dy in _SHIFTS:
-        rows = np.arange(dy * reduction, h, _STRIDE * reduction)
-        columns = np.arange(dx * reduction, w, _STRIDE * reduction)
+        rows = np.arange(dy * reduction, h, _STRIDE[1] * reduction)
+        columns = np.arange(dx * reduction, w, _STRIDE[0] * reduction)
         y, x = np.meshgrid(rows, columns, indexing="ij")
         on = mask[y, x] > 0
         at = np.stack([x[on], y[on]], axis=1).astype(np.int32)
@@ -109,11 +110,11 @@ def hunt(
     return found[:n]
 
 
-def went(state: Hunt, duds: Array, reduction: int) -> Hunt:
+def went(state: Hunt, duds: Array, noise: float, reduction: int) -> Hunt:
     """The search's state after a frame in which the places `duds`, (k, 2) px, turned out to be no discs."""
     turn = state.turn + 1
     if len(duds) == 0:
-        return Hunt(turn, state.duds, state.until, state.wait)
+        return Hunt(turn, noise, state.duds, state.until, state.wait)
     again = np.linalg.norm(state.duds[:, None] - duds[None], axis=2) < _DUD * reduction
     old, new = again.any(axis=1), ~again.any(axis=0)
     wait = np.where(old, np.minimum(2 * state.wait, _WAIT[1]), state.wait)
@@ -121,6 +122,7 @@ def went(state: Hunt, duds: Array, reduction: int) -> Hunt:
     keep = turn - until < wait  # what was not met again for as long as it was left out is gone
     return Hunt(
         turn,
+        noise,
         np.concatenate([duds[new], state.duds[keep]])[:_DUDS],
         np.concatenate([np.full(new.sum(), turn + _WAIT[0]), until[keep]])[:_DUDS],
         np.concatenate([np.full(new.sum(), _WAIT[0]), wait[keep]])[:_DUDS],
@@ -168,48 +170,50 @@ def _hunt(
     n = len(places)
     count = 0
     start = (turn * 997) % n if n else 0  # another one is the first each time: the limit falls on none for long
-    keep = np.float32(1.0 - contrast)
-    below = np.float32(least)
+    keep, below = np.int32(256.0 * (1.0 - contrast)), np.int32(least)
     invert = np.uint8(255) if light else np.uint8(0)
     width = mask.shape[1]
     steps = np.empty(8, dtype=np.int64)
     for side in range(8):
         steps[side] = (offsets[side, 1] * width + offsets[side, 0]) * channels
     first = 1 if channels == 3 else 0
-    for k in range(n):
-        i = k + start
-        if i >= n:
-            i -= n
-        at = np.uint64((places[i, 1] * width + places[i, 0]) * channels + first)
-        bits = sides[i]
-        g = np.float32(flat[at] ^ invert)
-        # two neighbours part most of the ball from the rest
-        brighter, darker = 0, 0
-        ball = np.float32(0.0)
-        for side in range(8):
-            if (bits >> side) & 1:
-                beside = np.float32(flat[np.uint64(at + steps[side])] ^ invert)
-                if g < keep * beside and g < beside - below:
-                    brighter += 1
-                    ball += beside
-                else:
-                    darker += 1
-                    if darker > 1:
-                        break
-        if darker > 1 or brighter < 4:
-            continue
-        x, y = float(places[i, 0]), float(places[i, 1])
-        if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
-            continue
-        if _near(x, y, duds, 0.7 * radius):  # within such a place
-            continue
-        found[count, 0], found[count, 1] = x, y
-        level = np.float32(0.5) * (g + ball / brighter)
-        _settle(flat, channels, first, invert, mask, level, radius + reduction, reduction, found[count])
-        x, y = found[count, 0], found[count, 1]
-        if _near(x, y, known, known_radius) or _near(x, y, duds, dud_radius):
-            continue
-        count += 1
-        if count == len(found):
-            break
+    s0, s1 = np.uint64(steps[0]), np.uint64(steps[1])
+    for part in range(2):
+        for i in range(start if part == 0 else 0, n if part == 0 else start):
+            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels) + np.uint64(first)
+            bits = sides[i]
+            g = np.int32(flat[at] ^ invert)
+            # two neighbours part most of the ball from the rest
+            if bits & 3 == 3:
+                beside = max(np.int32(flat[at + s0] ^ invert), np.int32(flat[at + s1] ^ invert))
+                if not 256 * g < keep * beside:
+                    continue
+            brighter, darker = 0, 0
+            ball = 0.0
+            for side in range(8):
+                if (bits >> side) & 1:
+                    beside = np.int32(flat[at + np.uint64(steps[side])] ^ invert)
+                    if 256 * g < keep * beside and g < beside - below:
+                        brighter += 1
+                        ball += beside
+                    else:
+                        darker += 1
+                        if darker > 1:
+                            break
+            if darker > 1 or brighter < 4:
+                continue
+            x, y = float(places[i, 0]), float(places[i, 1])
+            if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
+                continue
+            if _near(x, y, duds, 0.7 * radius):  # within such a place
+                continue
+            found[count, 0], found[count, 1] = x, y
+            level = np.float32(0.5 * (g + ball / brighter))
+            _settle(flat, channels, first, invert, mask, level, radius + reduction, reduction, found[count])
+            x, y = found[count, 0], found[count, 1]
+            if _near(x, y, known, known_radius) or _near(x, y, duds, dud_radius):
+                continue
+            count += 1
+            if count == len(found):
+                return count
     return count

@@ -7,6 +7,7 @@ stays known and closes the loop. Pose and ball, wrong in every frame alike, are 
 1966).
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from spheremouse.associate import assign
 from spheremouse.filters import so3_kernel as kernel
 from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
-from spheremouse.filters.so3_state import So3State, augment, delays, drop, inject
+from spheremouse.filters.so3_state import So3State, augment, counted, delays, drop, inject
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -345,30 +346,35 @@ class So3Filter:
         self, state: So3State, points: SpherePoints, pairing: _Pairing, fresh: NDArray[np.bool_] | None
     ) -> So3State:
         """Count sightings, drop what did not last its trial, and take up new discs."""
-        m = len(state.discs)
-        cosine = state.discs @ (self.towards_camera @ state.attitude)
-        hits, missed = state.hits.copy(), state.missed.copy()
-        hits[pairing.columns] += 1
-        # a disc near the horizon is often too thin to be detected: only the well visible are missed
-        well = cosine > self.horizon + 0.5 * (1.0 - self.horizon)
-        well[pairing.columns] = False
-        missed[well] += 1
-        missed[pairing.columns] = 0
-        keep = missed < np.where(hits < self.settings.trial, self.settings.misses, self.settings.patience * hits)
-        new = np.ones(len(points), dtype=bool) if fresh is None else fresh.copy()
-        new[pairing.rows] = False
-        found = np.flatnonzero(new)
-        if len(found):
-            if m:
-                # two discs do not overlap: a point that close to a known one is that one, badly seen
-                apart = np.cos(2.0 * self.disc_angle)
-                p = state.discs @ state.attitude.T
-                found = found[np.max(points.direction[found] @ p.T, axis=1) < apart]
-            overlap = points.direction[found] @ points.direction[found].T >= np.cos(2.0 * self.disc_angle)
-            found = found[~np.tril(overlap, -1).any(axis=1)]  # nor do two new ones: the first counts
-        state = drop(replace(state, hits=hits, missed=missed), keep)
-        found = found[: max(self.settings.most_discs - len(state.discs), 0)]
-        return augment(state, points, found, self.radius) if len(found) else state
+        m, n = len(state.discs), len(points)
+        hits, missed, keep = np.empty(m, dtype=np.intp), np.empty(m, dtype=np.intp), np.empty(m, dtype=np.bool_)
+        found = np.empty(n, dtype=np.intp)
+        s = self.settings
+        dropped, new = kernel.keep_map(
+            state.attitude,
+            state.discs,
+            self.towards_camera,
+            self.horizon,
+            state.hits,
+            state.missed,
+            pairing.columns,
+            s.trial,
+            s.misses,
+            s.patience,
+            points.direction,
+            pairing.rows,
+            np.ones(n, dtype=np.bool_) if fresh is None else fresh,
+            math.cos(2.0 * self.disc_angle),
+            hits,
+            missed,
+            keep,
+            found,
+        )
+        state = counted(state, hits, missed)
+        if dropped:
+            state = drop(state, keep)
+        room = max(s.most_discs - len(state.discs), 0)
+        return augment(state, points, found[: min(new, room)], self.radius) if new and room else state
 
 
 @cache

@@ -559,3 +559,52 @@ def update(
     dx = np.empty(len(P))
     nis = correct(P, HP, S, z, dx)
     return True, rows, columns, dx, square, nis
+
+
+@njit(cache=True, error_model="numpy")
+def keep_map(
+    attitude, discs, towards, horizon, hits, missed, columns, trial, misses, patience, seen, rows, fresh, apart,
+    new_hits, new_missed, keep, found,
+):  # fmt: skip
+    """Sightings counted: into new_hits, new_missed, keep (m,), and into found (n,) the points that found a disc.
+
+    Returns how many discs are dropped and how many found. See `So3Filter._keep_map`.
+    """
+    m, n = len(discs), len(seen)
+    for k in range(m):
+        new_hits[k], new_missed[k] = hits[k], missed[k]
+    for i in range(len(columns)):
+        new_hits[columns[i]] += 1
+        new_missed[columns[i]] = -1
+    dropped = 0
+    p = np.empty((m, 3))
+    # a disc near the horizon is often too thin to be detected: only the well visible are missed
+    well = horizon + 0.5 * (1.0 - horizon)
+    for k in range(m):
+        for i in range(3):
+            p[k, i] = attitude[i, 0] * discs[k, 0] + attitude[i, 1] * discs[k, 1] + attitude[i, 2] * discs[k, 2]
+        if new_missed[k] < 0:
+            new_missed[k] = 0
+        elif p[k, 0] * towards[0] + p[k, 1] * towards[1] + p[k, 2] * towards[2] > well:
+            new_missed[k] += 1
+        limit = misses if new_hits[k] < trial else patience * new_hits[k]
+        keep[k] = new_missed[k] < limit
+        dropped += not keep[k]
+    new = 0
+    for i in range(n):
+        free = fresh[i]
+        for j in range(len(rows)):
+            free = free and rows[j] != i
+        if not free:
+            continue
+        b = seen[i]
+        # two discs do not overlap: a point that close to a known one is that one, badly seen
+        for k in range(m):
+            free = free and p[k, 0] * b[0] + p[k, 1] * b[1] + p[k, 2] * b[2] < apart
+        for j in range(new):  # nor do two new ones: the first counts
+            c = seen[found[j]]
+            free = free and c[0] * b[0] + c[1] * b[1] + c[2] * b[2] < apart
+        if free:
+            found[new] = i
+            new += 1
+    return dropped, new

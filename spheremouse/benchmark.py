@@ -1,0 +1,310 @@
+"""What a step of the tracker costs: beside two blob detectors, for hours on end, and in larger pictures.
+
+The measuring behind `spheremouse bench`. Films go in, wall times come out, and whether the ball was tracked all along:
+a tracker that has lost it is quick, and worth nothing.
+"""
+
+import gc
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.errors import DatasetError
+from spheremouse.frame import Frame
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.session import initialise
+from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.track import Phase, Settings, Tracker, TrackState, begin, build, step
+from spheremouse.warm import warm_up
+
+WARM_UP = 10  # frames: caches, the allocator and the processor's clock settle; said wherever figures are
+STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
+COMPARED = (STEP, DETECT, FILTER, BLOBS, SIMPLE)
+SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px, the first is what the others are compared with
+MEMORY_FROM = 1000  # steps, until the allocator has what it needs
+_KEPT = 1 << 29  # bytes of frames that are played again and again; the others are left out
+_SIZE_FRAMES, _SIZE_STEPS = 90, 600
+
+Progressed = Callable[[str, int, int], None]  # what is being done, how many are done, of how many
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """Progress that nobody looks at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """What is measured on: frames that can be had again, and the device they show."""
+
+    name: str
+    rig: Rig
+    interval: float  # s from frame to frame
+    frames: Callable[[], Iterator[Frame]]
+    count: int  # of the frames, or fewer
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """Wall times of every frame after the warm-up, of all that was compared."""
+
+    seconds: dict[str, Array]  # (n,) s of each thing measured
+    tracked: int  # of the n frames
+
+    def __len__(self) -> int:
+        return len(self.seconds[STEP])
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Steps in a row by one tracker, after the warm-up."""
+
+    seconds: Array  # (n,) s, wall time
+    processor: Array  # (n,) s, of this thread: what others on the machine took is not in it
+    tracked: int  # of the n steps
+    lost: int  # how often the ball was lost
+    slowest: str  # what changed in the slowest step, in the tracker's words
+    memory: tuple[int, int] | None = None  # bytes resident after MEMORY_FROM steps and at the end; None: not known
+
+    def __len__(self) -> int:
+        return len(self.seconds)
+
+
+def simulated(frames: int, size: tuple[int, int] = (640, 480)) -> Film:
+    """The simulated far scene: another `size` shows the same view, its focal length in pixels goes with it."""
+    options = SimulationOptions(seconds=frames / SimulationOptions().fps, size=size)
+    simulation = prepare(options)
+    return Film(
+        "simulated far scene",
+        simulation.scene.rig(),
+        1.0 / simulation.fps,
+        lambda: (made.frame for made in simulate(simulation)),
+        simulation.frames,
+    )
+
+
+def recorded(path: Path, frames: int) -> Film:
+    """The first `frames` of a dataset; DatasetError where it is none."""
+    recording = open_dataset(path)
+    count = min(frames, recording.frames)
+    return Film(
+        recording.name,
+        recording.rig,
+        1.0 / recording.fps,
+        lambda: islice(read_frames(recording), count),
+        count,
+    )
+
+
+def start() -> float:
+    """s that the compiled functions take until they are ready: compiled at the first start, read from disk later."""
+    began = time.perf_counter()
+    warm_up(Settings())
+    return time.perf_counter() - began
+
+
+# ---- compared: all see the same frames, turn by turn ----
+
+
+def compare(film: Film, repeat: int = 1, progress: Progressed = silent) -> Times:
+    """Times of the tracker and, on the same frames, of the two blob detectors; DatasetError on too few frames."""
+    rounds = [_round(film, lambda k, r=r: progress("beside the others", r * film.count + k, repeat * film.count))
+              for r in range(repeat)]  # fmt: skip
+    seconds = {name: np.concatenate([r.seconds[name] for r in rounds]) for name in COMPARED}
+    return Times(seconds, sum(r.tracked for r in rounds))
+
+
+def _round(film: Film, progress: Callable[[int], None]) -> Times:
+    tracker, frames = _initialised(film)
+    blobs = BlobDetector(BlobSettings())
+    simple = cv2.SimpleBlobDetector.create()
+    state: TrackState | None = None
+    spent: dict[str, list[float]] = {name: [] for name in COMPARED}
+    tracked = 0
+    detected = 0.0
+
+    def mark() -> None:
+        nonlocal detected
+        detected = time.perf_counter()
+
+    def ours(frame: Frame) -> None:
+        nonlocal state
+        state = state or begin(tracker, frame.stamp)
+        began = time.perf_counter()
+        state, _ = step(state, frame, tracker, mark)
+        ended = time.perf_counter()
+        for name, s in ((STEP, ended - began), (DETECT, detected - began), (FILTER, ended - detected)):
+            spent[name].append(s)
+
+    def timed(name: str, detect: Callable[[NDArray[np.uint8]], Any]) -> Callable[[Frame], None]:
+        def run(frame: Frame) -> None:
+            began = time.perf_counter()
+            detect(frame.image)
+            spent[name].append(time.perf_counter() - began)
+
+        return run
+
+    turns = [ours, timed(BLOBS, blobs.detect), timed(SIMPLE, simple.detect)]
+    for frame in frames:
+        for turn in turns:
+            turn(frame)
+        turns.append(turns.pop(0))  # who comes first finds the picture in another cache than who comes last
+        assert state is not None
+        tracked += len(spent[STEP]) > WARM_UP and state.phase is Phase.TRACKING
+        progress(len(spent[STEP]))
+    _enough(film, len(spent[STEP]))
+    return Times({name: np.array(s[WARM_UP:]) for name, s in spent.items()}, tracked)
+
+
+# ---- steps in a row: the film forwards and backwards, again and again ----
+
+
+class Player:
+    """A film that never ends, tracked step by step: played forwards and backwards, while its stamps go on."""
+
+    def __init__(self, film: Film, steps: int) -> None:
+        """Room for the times of `steps`; DatasetError on a film that is too short."""
+        self._tracker, frames = _initialised(film)
+        size = film.rig.camera.width * film.rig.camera.height * 3
+        self._frames = list(islice(frames, max(_KEPT // size, WARM_UP + 1)))
+        _enough(film, len(self._frames))
+        self._interval = film.interval
+        self._state = begin(self._tracker, self._frames[0].stamp)
+        self._seconds = np.full(steps, np.nan)  # written now: memory that is first used later would seem to leak
+        self._processor = np.full(steps, np.nan)
+        self._tracked = np.zeros(steps, dtype=bool)
+        self._lost = np.zeros(steps, dtype=bool)
+        self._slowest = ""
+        self._memory: int | None = None
+        self._done = 0
+
+    def step(self) -> None:
+        """The next frame."""
+        k = self._done
+        image = self._frames[back_and_forth(k, len(self._frames))].image
+        frame = Frame(image, self._frames[0].stamp + k * self._interval, k)
+        before = self._state.phase
+        used, began = time.thread_time(), time.perf_counter()
+        self._state, _ = step(self._state, frame, self._tracker)
+        ended, used = time.perf_counter(), time.thread_time() - used
+        phase = self._state.phase
+        self._tracked[k] = phase is Phase.TRACKING
+        self._lost[k] = phase is Phase.LOST and before is not Phase.LOST
+        if k >= WARM_UP and not ended - began <= np.max(self._seconds[WARM_UP:k], initial=0.0):
+            self._slowest = self._state.event
+        self._seconds[k], self._processor[k] = ended - began, used
+        self._done += 1
+        if self._done == MEMORY_FROM:
+            self._memory = resident_bytes()
+
+    def steps(self) -> Steps:
+        """What was measured so far."""
+        counted = slice(WARM_UP, self._done)
+        memory = resident_bytes() if self._done > MEMORY_FROM else None
+        return Steps(
+            self._seconds[counted],
+            self._processor[counted],
+            int(np.count_nonzero(self._tracked[counted])),
+            int(np.count_nonzero(self._lost[counted])),
+            self._slowest,
+            None if self._memory is None or memory is None else (self._memory, memory),
+        )
+
+
+def in_a_row(film: Film, steps: int, progress: Progressed = silent) -> Steps:
+    """Times of `steps` of the tracker alone, from the first frame on; DatasetError on too few frames."""
+    player = Player(film, steps)
+    with collected():
+        for k in range(steps):
+            player.step()
+            progress("step by step", k + 1, steps)
+        return player.steps()
+
+
+def by_size(
+    sizes: Sequence[tuple[int, int]] = SIZES,
+    frames: int = _SIZE_FRAMES,
+    steps: int = _SIZE_STEPS,
+    progress: Progressed = silent,
+) -> dict[tuple[int, int], Steps]:
+    """Times of the tracker in the simulated far scene, by the size of the picture: step by step in turn.
+
+    The camera's pose is known here: how it is found has nothing to do with what a step costs.
+    """
+    players: dict[tuple[int, int], Player] = {}
+    for k, size in enumerate(sizes):
+        progress("larger pictures: filming", k, len(sizes))
+        film = simulated(frames, size)
+        pose = prepare(SimulationOptions(size=size)).scene.pose
+        players[size] = Player(replace(film, rig=replace(film.rig, pose=pose)), steps)
+    turns = list(players.values())
+    with collected():
+        for k in range(steps):
+            for player in turns:
+                player.step()
+            turns.append(turns.pop(0))
+            progress("larger pictures", k + 1, steps)
+    return {size: player.steps() for size, player in players.items()}
+
+
+def back_and_forth(k: int, n: int) -> int:
+    """Which of `n` frames is the k-th when they are played forwards and backwards: 0, 1, 2, 1, 0, 1 for three."""
+    if n == 1:
+        return 0
+    k %= 2 * (n - 1)
+    return min(k, 2 * (n - 1) - k)
+
+
+class collected:  # noqa: N801  read as a word of the `with` statement
+    """Garbage thrown away, and what is left taken out of the collector's sight: libraries' objects by the 100,000.
+
+    The collector goes on, but finds only what the steps themselves leave behind. A daemon does the same.
+    """
+
+    def __enter__(self) -> None:
+        gc.collect()
+        gc.freeze()
+
+    def __exit__(self, *_: object) -> None:
+        gc.unfreeze()
+
+
+def resident_bytes() -> int | None:
+    """Memory of this process that is in RAM; None where the system has no /proc (Linux alone does)."""
+    if not sys.platform.startswith("linux"):
+        return None
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+class one_thread:  # noqa: N801  read as a word of the `with` statement
+    """OpenCV on one thread for a while."""
+
+    def __enter__(self) -> None:
+        self._threads = cv2.getNumThreads()
+        cv2.setNumThreads(1)
+
+    def __exit__(self, *_: object) -> None:
+        cv2.setNumThreads(self._threads)
+
+
+def _initialised(film: Film) -> tuple[Tracker, Iterator[Frame]]:
+    settings = Settings()
+    warm_up(settings)
+    begun = initialise(film.frames(), film.rig, settings)
+    return build(film.rig, begun.pose, settings), begun.frames
+
+
+def _enough(film: Film, frames: int) -> None:
+    if frames <= WARM_UP:
+        raise DatasetError(f"{film.name}: {frames} frames to track, and the first {WARM_UP} do not count")

@@ -1,0 +1,179 @@
+"""Discs in windows of their own: directions on the ball and a picture in, measured centres out, in one compiled call.
+
+Where each disc is by the time its row is read, how it looks from there and how far it travels while the shutter is open
+comes from the geometry (detect.cap); the measuring itself is detect.fit.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from spheremouse.camera import Pose
+from spheremouse.detect.cap import appearance_into, seen_into
+from spheremouse.detect.detections import Detections, Image
+from spheremouse.detect.fit import FitSettings, measure_into
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array, exp_into
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What decides how the ball's discs look, laid out for compiled code."""
+
+    centre: Array  # (3,) m, of the ball, obj
+    radius: float  # m
+    alpha: float  # rad, angular radius of a disc
+    rotation: Array  # (3, 3) R_obj_cam
+    position: Array  # (3,) m, obj
+    intrinsic: tuple[float, float, float, float]
+    distortion: Array  # (5,)
+    exposure: float  # s
+
+
+def view_of(rig: Rig, pose: Pose) -> View:
+    """Of a device and a camera that stands still."""
+    return View(
+        np.ascontiguousarray(rig.ball.centre, dtype=np.float64),
+        float(rig.ball.radius),
+        float(rig.disc_radius / rig.ball.radius),
+        np.ascontiguousarray(pose.rotation, dtype=np.float64),
+        np.ascontiguousarray(pose.position, dtype=np.float64),
+        rig.camera.intrinsic,
+        np.ascontiguousarray(rig.camera.distortion, dtype=np.float64),
+        float(rig.exposure_s),
+    )
+
+
+_ANYWHERE = np.zeros((0, 2))
+_STILL = np.zeros(3)
+
+
+def look_at(
+    image: Image,
+    mask: Image,
+    directions: Array,
+    view: View,
+    fit: FitSettings,
+    noise: float,
+    share: float,
+    least: float,
+    apart: float,
+    places: Array = _ANYWHERE,
+    rate: Array = _STILL,
+    readout: float = 0.0,
+) -> Detections:
+    """Those of the discs at `directions`, (n, 3) unit vectors in obj, that are in an image (h, w, c) of uint8.
+
+    Each begins at its place of `places`, (n, 2) px, or where it is expected. `mask` (h, w) is not 0 on the ball,
+    `noise` is that of a pixel; of the contrast that is asked for, `share` is enough. Discs of less than `least` px² or not
+    wholly in the picture are left out, and of two nearer than `apart` px that which fits less well. With `rate` (3,)
+    rad/s, w_obj, they are carried to when their row is read (`readout` s for all rows) and smeared by the exposure.
+    """
+    if len(directions) == 0:
+        return Detections(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
+    return Detections(
+        *_look_at(
+            image,
+            mask,
+            np.ascontiguousarray(directions),
+            np.ascontiguousarray(places),
+            rate,
+            readout,
+            view.exposure,
+            view.centre,
+            view.radius,
+            view.alpha,
+            view.rotation,
+            view.position,
+            view.intrinsic,
+            view.distortion,
+            noise,
+            least,
+            apart,
+            fit.reduction,
+            fit.light,
+            fit.kernel,
+            fit.blur,
+            share * fit.contrast,
+            fit.size_tolerance,
+            fit.rim,
+            fit.sigma,
+        )
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _look_at(
+    image, mask, directions, places, rate, readout, exposure, K, radius, alpha, rotation, P, intrinsic, distortion,
+    noise, least, apart, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
+):  # fmt: skip
+    n = len(directions)
+    height, width = mask.shape
+    to_centre = K - P
+    if readout != 0.0 or exposure > 0.0:
+        uv, turn, R = np.empty((n, 2)), np.empty(3), np.empty((3, 3))
+        moved = directions.copy()
+        if readout != 0.0:
+            seen_into(directions, to_centre, radius, rotation, intrinsic, distortion, uv)
+            for i in range(n):
+                if np.isfinite(uv[i, 1]):
+                    late = readout * ((uv[i, 1] + 0.5) / height - 0.5)
+                    for j in range(3):
+                        turn[j] = rate[j] * late
+                    exp_into(turn, R)
+                    moved[i] = R @ directions[i]
+        directions = moved
+    centre, centroid, shape = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2))
+    area, whole = np.empty(n), np.empty(n, dtype=np.bool_)
+    appearance_into(
+        directions, K, radius, alpha, rotation, P, intrinsic, distortion, centre, centroid, shape, area, whole
+    )
+    smear = np.zeros((n, 2))
+    if exposure > 0.0:
+        for i in range(n):
+            d = directions[i]
+            moved[i, 0] = d[0] + 0.5 * exposure * (rate[1] * d[2] - rate[2] * d[1])
+            moved[i, 1] = d[1] + 0.5 * exposure * (rate[2] * d[0] - rate[0] * d[2])
+            moved[i, 2] = d[2] + 0.5 * exposure * (rate[0] * d[1] - rate[1] * d[0])
+        seen_into(moved, to_centre, radius, rotation, intrinsic, distortion, uv)
+    index = np.empty(n, dtype=np.int64)
+    k = 0
+    for i in range(n):
+        if not area[i] >= least:
+            continue
+        dx, dy = np.sqrt(shape[i, 0, 0]), np.sqrt(shape[i, 1, 1])
+        x, y = centroid[i, 0], centroid[i, 1]
+        if x - dx > -0.5 and x + dx < width - 0.5 and y - dy > -0.5 and y + dy < height - 0.5:
+            if exposure > 0.0 and np.isfinite(uv[i, 0] + uv[i, 1]):
+                smear[i] = 2.0 / f * (uv[i] - centre[i])
+            index[k] = i
+            k += 1
+    index = index[:k]
+    start = (places if len(places) else centroid)[index]
+    ok, found, covariance = np.zeros(k, dtype=np.bool_), np.empty((k, 2)), np.empty((k, 2, 2))
+    rim, cut = np.zeros(k), np.zeros(k)
+    measure_into(
+        image, mask, start, shape[index], smear[index], np.float32(noise / f), f, light, kernel, blur, contrast,
+        size_tolerance, rim_least, sigma, 0.0, ok, found, covariance, rim, cut,
+    )  # fmt: skip
+    kept = np.empty(k, dtype=np.int64)
+    m = 0
+    for i in range(k):
+        found[i] -= centroid[index[i]] - centre[index[i]]  # the eccentricity
+    for _ in range(k):  # the best first, each if it has no better one beside it
+        best = -1
+        for i in range(k):
+            if ok[i] and (best < 0 or rim[i] > rim[best]):
+                best = i
+        if best < 0:
+            break
+        ok[best] = False
+        alone = True
+        for j in range(m):
+            alone = alone and np.hypot(found[best, 0] - found[kept[j], 0], found[best, 1] - found[kept[j], 1]) >= apart
+        if alone:
+            kept[m] = best
+            m += 1
+    kept = kept[:m]
+    return found[kept], covariance[kept], area[index[kept]]
