@@ -202,6 +202,15 @@ def test_detection_quality_by_hand():
     assert quality["centre_rms_px"] == pytest.approx(math.sqrt((0.09 + 0.16 + 0.25 + 0.0) / 4))
 
 
+def test_slivers_are_told_from_larger_discs():
+    truth = disc_truth(*((k, 100.0, 100.0, a, VISIBLE) for k, a in enumerate((13.0, 16.0, 16.0, 59.0, 61.0))))
+    seen = [np.array([[100.0 + e, 100.0]]) for e in (0.5, 0.5, 50.0, 0.3, 0.1)]
+    quality = detection_quality(perfect_run(random_motion(5), tuple(seen)), truth)
+    assert quality["recall"] == pytest.approx(4 / 5)
+    assert quality["recall_15"] == pytest.approx(3 / 4)
+    assert quality["centre_rms_60_px"] == pytest.approx(0.1 / 2**0.5)
+
+
 def test_one_detection_is_not_two_discs():
     truth = disc_truth((0, 100.0, 100.0, 20.0, VISIBLE), (0, 104.0, 100.0, 20.0, VISIBLE))
     run = perfect_run(random_motion(1), (np.array([[102.0, 100.0]]),))
@@ -210,9 +219,9 @@ def test_one_detection_is_not_two_discs():
 
 def test_detection_with_nothing_seen():
     truth = disc_truth((5, 100.0, 100.0, 20.0, VISIBLE))
-    nothing = {"recall": None, "false_share": None, "centre_rms_px": None}
+    nothing = dict.fromkeys(DETECTION)
     assert detection_quality(perfect_run(random_motion(1)), truth) == nothing
-    assert detection_quality(perfect_run(random_motion(6)), truth) == {**nothing, "recall": 0.0}
+    assert detection_quality(perfect_run(random_motion(6)), truth) == {**nothing, "recall": 0.0, "recall_15": 0.0}
 
 
 def test_pose_error_in_obj_axes():
@@ -236,6 +245,7 @@ def test_frame_times_add_the_stages_of_each_frame():
 
 # ---- the report ----
 
+DETECTION = ["recall", "false_share", "centre_rms_px", "recall_15", "centre_rms_60_px"]
 KEYS = {
     "dataset": None,
     "tracker": None,
@@ -248,7 +258,7 @@ KEYS = {
     "surface_speed_r": ["x", "y", "combined"],
     "mean_discs": None,
     "identified_from_frame": None,
-    "detection": ["recall", "false_share", "centre_rms_px"],
+    "detection": DETECTION,
     "pose_error": ["position_mm", "angle_deg", "sigma_position_mm", "sigma_angle_deg"],
     "nees": ["attitude", "rate"],
     "bound_ratio": ["attitude", "rate"],
@@ -283,7 +293,8 @@ def test_report_has_the_keys_of_the_format_and_known_errors():
     assert result["surface_speed_r"]["x"] == pytest.approx(1.0)
     assert result["nees"] == pytest.approx({"attitude": error @ error, "rate": np.deg2rad(5.0) ** 2})
     assert result["mean_discs"] == 1.0
-    assert result["detection"] == pytest.approx({"recall": 1.0, "false_share": 0.0, "centre_rms_px": 0.1 / 2**0.5})
+    off = 0.1 / 2**0.5
+    assert result["detection"] == pytest.approx(dict(zip(DETECTION, (1.0, 0.0, off, 1.0, off), strict=True)))
     assert result["frame_us"]["median"] == pytest.approx(4000.0)
     assert result["stages_us"] == pytest.approx({"detect": 3000.0, "filter": 1000.0})
 

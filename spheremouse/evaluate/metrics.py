@@ -218,22 +218,32 @@ def detection_quality(run: Run, truth: DiscTruth) -> dict[str, float | None]:
     recall: share of the wholly visible discs of at least MIN_AREA px² that have a detection within MATCH px of the
     true centre, each detection counted for one disc. false_share: share of the points that the filter used that are
     farther than that from the centre of every disc that is not hidden. centre_rms_px: per axis, over the discs found.
+    The same for discs of at least 15 px² (recall_15) and 60 px² (centre_rms_60_px): larger than the slivers.
     """
     wanted = found = points = false = 0
     offsets: list[Array] = [np.zeros((0, 2))]
+    areas: list[Array] = [np.zeros(0)]
+    wanted_areas: list[Array] = [np.zeros(0)]
     for frame, detected, used in zip(run.frame, run.detected, run.used, strict=True):
         discs = truth.of_frame(int(frame))
-        centre = discs.centre[(discs.state == VISIBLE) & (discs.area >= MIN_AREA)]
+        asked = (discs.state == VISIBLE) & (discs.area >= MIN_AREA)
+        centre, area = discs.centre[asked], discs.area[asked]
         i, j = assign(_distance(centre, detected), MATCH)
         wanted, found = wanted + len(centre), found + len(i)
         offsets.append(detected[j] - centre[i])
+        areas.append(area[i])
+        wanted_areas.append(area)
         near = _distance(used, discs.centre[discs.state != HIDDEN]).min(axis=1, initial=np.inf) <= MATCH
         points, false = points + len(used), false + int(np.count_nonzero(~near))
-    offset = np.concatenate(offsets)
+    offset, area, wanted_area = np.concatenate(offsets), np.concatenate(areas), np.concatenate(wanted_areas)
+    large = offset[area >= 60.0]
+    asked_15 = np.count_nonzero(wanted_area >= 15.0)
     return {
         "recall": found / wanted if wanted else None,
         "false_share": false / points if points else None,
         "centre_rms_px": _number(np.sqrt(np.mean(offset**2))) if len(offset) else None,
+        "recall_15": np.count_nonzero(area >= 15.0) / asked_15 if asked_15 else None,
+        "centre_rms_60_px": _number(np.sqrt(np.mean(large**2))) if len(large) else None,
     }
 
 
