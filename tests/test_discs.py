@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.detect.discs import DiscSettings, disc_detector
+from spheremouse.errors import ConfigurationError
 from spheremouse.rig import Ball, Rig, Targets
 
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
@@ -294,3 +295,14 @@ def test_a_ball_partly_outside_of_the_picture(offset):
     assert set(np.flatnonzero(inside)) <= set(pairs[:, 1])
     assert len(pairs) == len(seen)
     assert np.abs(errors(seen, truth)).max() < 0.3
+
+
+def test_what_the_user_masks_is_not_looked_at():
+    a, b = TRUTH[0], TRUTH[1]
+    box = (a[0] - 15.0, a[1] - 15.0, a[0] + 15.0, a[1] + 15.0)
+    detector = disc_detector(replace(SETTINGS, masks=(box,)), RIG, POSE)
+    seen = detector.detect(photo(CLEAN, 1.0)).centre
+    assert np.linalg.norm(seen - a, axis=1).min() > 10.0
+    assert np.linalg.norm(seen - b, axis=1).min() < 1.0
+    with pytest.raises(ConfigurationError, match="they leave nothing of the ball"):
+        disc_detector(replace(SETTINGS, masks=((0.0, 0.0, 640.0, 480.0),)), RIG, POSE)

@@ -20,6 +20,7 @@ from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, noise_of, smoothing_kernel
 from spheremouse.detect.search import Hunt, Lattice, hunt, lattice, went
 from spheremouse.detect.window import View, look_at, view_of
+from spheremouse.errors import ConfigurationError
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -58,6 +59,11 @@ class DiscSettings:
         le=1,
     )
     min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", gt=0)
+    masks: tuple[tuple[float, float, float, float], ...] = param(
+        (),
+        "px",
+        "rectangles [left, top, right, bottom] in which no disc is looked for: buttons, a screen's reflection",
+    )
     sigma: float = param(
         0.03, "px", "floor of a centre's standard deviation: sampling, unevenness of light, print", gt=0
     )
@@ -183,11 +189,16 @@ class DiscDetector:
 
 
 def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
-    """Prepare the detector for a camera that stands still."""
+    """Prepare the detector for a camera that stands still. Raises ConfigurationError where masks hide the ball."""
     diameter = largest_disc(rig, pose)
     f = max(int(np.rint(diameter / _FINE)), 1)
     # pixels on the outline mix with the room
     mask = cv2.erode(ball_mask(rig, pose), np.ones((2 * f + 1, 2 * f + 1), np.uint8))
+    for box in settings.masks:
+        left, top, right, bottom = (max(round(side), 0) for side in box)
+        mask[top : bottom + 1, left : right + 1] = 0
+    if not mask.any():
+        raise ConfigurationError("discs.masks: they leave nothing of the ball: give smaller rectangles")
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     height, width = mask.shape
     window = (

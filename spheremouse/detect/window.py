@@ -66,9 +66,9 @@ def look_at(
     """Those of the discs at `directions`, (n, 3) unit vectors in obj, that are in an image (h, w, c) of uint8.
 
     Each begins at its place of `places`, (n, 2) px, or where it is expected. `mask` (h, w) is not 0 on the ball,
-    `noise` is that of a pixel; of the contrast that is asked for, `share` is enough. Discs of less than `least` px² or not
-    wholly in the picture are left out, and of two nearer than `apart` px that which fits less well. With `rate` (3,)
-    rad/s, w_obj, they are carried to when their row is read (`readout` s for all rows) and smeared by the exposure.
+    `noise` is that of a pixel; of the contrast that is asked for, `share` is enough. Discs of less than `least` px² or
+    not wholly in the picture are left out, and of two nearer than `apart` px that which fits less well. With `rate`
+    (3,) rad/s, w_obj, they are carried to when their row is read (`readout` s for all rows), smeared by the exposure.
     """
     if len(directions) == 0:
         return Detections(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
