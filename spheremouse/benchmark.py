@@ -9,6 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -35,7 +36,8 @@ COMPARED = (STEP, DETECT, FILTER, BLOBS, SIMPLE)
 SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px, the first is what the others are compared with
 MEMORY_FROM = 1000  # steps, until the allocator has what it needs
 _KEPT = 1 << 29  # bytes of frames that are played again and again; the others are left out
-_SIZE_FRAMES, _SIZE_STEPS = 90, 600
+_SIZE_FRAMES, _SIZE_STEPS = 80, 600
+_THESIS = 10.0  # s, the simulated motion: at rest at either end, so that it can be played back and forth
 
 Progressed = Callable[[str, int, int], None]  # what is being done, how many are done, of how many
 
@@ -81,10 +83,9 @@ class Steps:
         return len(self.seconds)
 
 
-def simulated(frames: int, size: tuple[int, int] = (640, 480)) -> Film:
-    """The simulated far scene: another `size` shows the same view, its focal length in pixels goes with it."""
-    options = SimulationOptions(seconds=frames / SimulationOptions().fps, size=size)
-    simulation = prepare(options)
+def simulated(frames: int) -> Film:
+    """The simulated far scene; with 300 frames the ball is at rest at either end."""
+    simulation = prepare(SimulationOptions(seconds=frames / SimulationOptions().fps))
     return Film(
         "simulated far scene",
         simulation.scene.rig(),
@@ -119,8 +120,10 @@ def start() -> float:
 
 def compare(film: Film, repeat: int = 1, progress: Progressed = silent) -> Times:
     """Times of the tracker and, on the same frames, of the two blob detectors; DatasetError on too few frames."""
-    rounds = [_round(film, lambda k, r=r: progress("beside the others", r * film.count + k, repeat * film.count))
-              for r in range(repeat)]  # fmt: skip
+    rounds = []
+    for r in range(repeat):
+        done = r * film.count
+        rounds.append(_round(film, lambda k, done=done: progress("beside others", done + k, repeat * film.count)))
     seconds = {name: np.concatenate([r.seconds[name] for r in rounds]) for name in COMPARED}
     return Times(seconds, sum(r.tracked for r in rounds))
 
@@ -185,7 +188,7 @@ class Player:
         self._processor = np.full(steps, np.nan)
         self._tracked = np.zeros(steps, dtype=bool)
         self._lost = np.zeros(steps, dtype=bool)
-        self._slowest = ""
+        self._slowest = (0.0, "")
         self._memory: int | None = None
         self._done = 0
 
@@ -201,8 +204,8 @@ class Player:
         phase = self._state.phase
         self._tracked[k] = phase is Phase.TRACKING
         self._lost[k] = phase is Phase.LOST and before is not Phase.LOST
-        if k >= WARM_UP and not ended - began <= np.max(self._seconds[WARM_UP:k], initial=0.0):
-            self._slowest = self._state.event
+        if k >= WARM_UP and ended - began > self._slowest[0]:
+            self._slowest = ended - began, self._state.event
         self._seconds[k], self._processor[k] = ended - began, used
         self._done += 1
         if self._done == MEMORY_FROM:
@@ -217,7 +220,7 @@ class Player:
             self._processor[counted],
             int(np.count_nonzero(self._tracked[counted])),
             int(np.count_nonzero(self._lost[counted])),
-            self._slowest,
+            self._slowest[1],
             None if self._memory is None or memory is None else (self._memory, memory),
         )
 
@@ -240,14 +243,12 @@ def by_size(
 ) -> dict[tuple[int, int], Steps]:
     """Times of the tracker in the simulated far scene, by the size of the picture: step by step in turn.
 
-    The camera's pose is known here: how it is found has nothing to do with what a step costs.
+    The view is the same in all, the focal length in pixels goes with the size. The camera's pose is known here: how it is found has nothing to do with what a step costs.
     """
     players: dict[tuple[int, int], Player] = {}
     for k, size in enumerate(sizes):
         progress("larger pictures: filming", k, len(sizes))
-        film = simulated(frames, size)
-        pose = prepare(SimulationOptions(size=size)).scene.pose
-        players[size] = Player(replace(film, rig=replace(film.rig, pose=pose)), steps)
+        players[size] = Player(_whole_motion(frames, size), steps)
     turns = list(players.values())
     with collected():
         for k in range(steps):
@@ -258,6 +259,14 @@ def by_size(
     return {size: player.steps() for size, player in players.items()}
 
 
+def _whole_motion(frames: int, size: tuple[int, int]) -> Film:
+    """The simulated motion from rest to rest in a few frames, shown at the usual rate: the ball rolls faster."""
+    simulation = prepare(SimulationOptions(seconds=_THESIS, fps=frames / _THESIS, size=size))
+    rig = replace(simulation.scene.rig(), pose=simulation.scene.pose)
+    shown = 1.0 / SimulationOptions().fps
+    return Film("far scene", rig, shown, lambda: (made.frame for made in simulate(simulation)), simulation.frames)
+
+
 def back_and_forth(k: int, n: int) -> int:
     """Which of `n` frames is the k-th when they are played forwards and backwards: 0, 1, 2, 1, 0, 1 for three."""
     if n == 1:
@@ -266,17 +275,17 @@ def back_and_forth(k: int, n: int) -> int:
     return min(k, 2 * (n - 1) - k)
 
 
-class collected:  # noqa: N801  read as a word of the `with` statement
+@contextmanager
+def collected() -> Iterator[None]:
     """Garbage thrown away, and what is left taken out of the collector's sight: libraries' objects by the 100,000.
 
     The collector goes on, but finds only what the steps themselves leave behind. A daemon does the same.
     """
-
-    def __enter__(self) -> None:
-        gc.collect()
-        gc.freeze()
-
-    def __exit__(self, *_: object) -> None:
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
         gc.unfreeze()
 
 
@@ -287,15 +296,15 @@ def resident_bytes() -> int | None:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-class one_thread:  # noqa: N801  read as a word of the `with` statement
+@contextmanager
+def one_thread() -> Iterator[None]:
     """OpenCV on one thread for a while."""
-
-    def __enter__(self) -> None:
-        self._threads = cv2.getNumThreads()
-        cv2.setNumThreads(1)
-
-    def __exit__(self, *_: object) -> None:
-        cv2.setNumThreads(self._threads)
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
 
 
 def _initialised(film: Film) -> tuple[Tracker, Iterator[Frame]]:

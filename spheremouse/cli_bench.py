@@ -1,8 +1,7 @@
-"""`spheremouse bench`: what a frame costs on this machine, beside the published detector and OpenCV's own, in one run.
+"""`spheremouse bench`: what a frame costs on this machine, beside what was asked for; measured in benchmark.py.
 
-All that is compared sees the same frames, turn by turn within each frame, so that a busy machine slows all alike. One
-thread: OpenCV is told so, and BLAS reads OMP_NUM_THREADS when NumPy is imported, so that the measurement runs in a
-process of its own that has it from the start.
+One thread: OpenCV is told so, and BLAS and Numba read their number of threads when they are imported, so that the
+measurement runs in a process of its own that has it from the start.
 """
 
 import json
@@ -10,34 +9,39 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from types import TracebackType
+from typing import Annotated, Any, Self
 
-import cv2
 import numpy as np
 import typer
-from numpy.typing import NDArray
+from rich import box
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from spheremouse.detect.blobs import BlobDetector, BlobSettings
-from spheremouse.errors import ConfigurationError, DatasetError
-from spheremouse.frame import Frame
-from spheremouse.recording import open_dataset, read_frames
-from spheremouse.rig import Rig
+from spheremouse import benchmark
+from spheremouse.benchmark import (
+    BLOBS,
+    COMPARED,
+    DETECT,
+    FILTER,
+    MEMORY_FROM,
+    SIMPLE,
+    SIZES,
+    STEP,
+    WARM_UP,
+    Film,
+    Steps,
+    Times,
+)
+from spheremouse.errors import ConfigurationError
 from spheremouse.rotation import Array
-from spheremouse.session import initialise
-from spheremouse.simulate import SimulationOptions, prepare, simulate
-from spheremouse.track import Phase, Settings, TrackState, begin, build, step
-from spheremouse.warm import warm_up
 from spheremouse.yaml_file import write_atomically
 
-EXAMPLE = "Example: spheremouse bench --frames 100 --json speed.json"
-WARM_UP = 10  # frames: caches, the allocator and the processor's clock settle; said wherever figures are
-STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
+EXAMPLE = "Example: spheremouse bench --steps 100000 --json speed.json"
 _NAMES = {
     STEP: "step: detect and filter",
     DETECT: "  its detect stage",
@@ -45,28 +49,33 @@ _NAMES = {
     BLOBS: "multi-mask detector alone",
     SIMPLE: "cv2.SimpleBlobDetector alone",
 }
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+_STEPS = 10_000  # that p99 and worst are asked of
+_MEMORY_STEPS = 100_000  # that flat memory is asked of
+_FLAT = 1 << 20  # bytes: eleven a step would show
+_WIDTH = 100  # characters that the table takes at most
+_TRACKED = 0.95  # of the steps at least: one that does not track is quick
 
 
 @dataclass(frozen=True, slots=True)
-class Film:
-    """What is measured on: frames that can be had again, and the device they show."""
+class Target:
+    """A figure that was asked for."""
 
-    name: str
-    rig: Rig
-    interval: float  # s from frame to frame
-    frames: Callable[[], Iterator[Frame]]
+    what: str
+    figure: float
+    at_least: float | None
+    at_most: float | None
+    judged: bool  # measured as it was asked for: picture, number of steps, ball tracked
 
-
-@dataclass(frozen=True, slots=True)
-class Times:
-    """Wall times of every frame after the warm-up."""
-
-    seconds: dict[str, Array]  # (n,) s of each thing measured
-    tracked: int  # of the n frames: a tracker that has lost the ball is quick, and worth nothing
-
-    def __len__(self) -> int:
-        return len(self.seconds[STEP])
+    @property
+    def met(self) -> bool | None:
+        """None: this run cannot say."""
+        if not self.judged:
+            return None
+        return (self.at_least is None or self.figure >= self.at_least) and (
+            self.at_most is None or self.figure <= self.at_most
+        )
 
 
 def bench(
@@ -75,126 +84,96 @@ def bench(
         typer.Argument(metavar="DATASET", help="Folder.  [default: the simulated far scene]", show_default=False),
     ] = None,
     frames: Annotated[int, typer.Option(metavar="N", min=WARM_UP + 1, help="Use the first N frames.")] = 300,
+    repeat: Annotated[int, typer.Option(metavar="R", min=1, help="Compare on the frames R times.")] = 1,
+    steps: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Then N steps in a row of the tracker alone; 0: none.")
+    ] = _STEPS,
+    no_sizes: Annotated[bool, typer.Option("--no-sizes", help="Leave the larger pictures out.")] = False,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
     ] = None,
-    repeat: Annotated[int, typer.Option(metavar="R", min=1, help="Go through the frames R times.")] = 1,
 ) -> None:
-    """Measure the time per frame: the default tracker, its stages, and two blob detectors beside it, on one thread.
+    """Measure the time per frame on one thread: two blob detectors beside it, step after step, in larger pictures.
 
     The camera's pose is found first and not counted, nor are the first 10 frames; every other frame is.
     """
-    if not any(name in os.environ for name in _THREADS):
+    if any(name not in os.environ for name in _ONE_THREAD):
         command = [sys.executable, "-m", "spheremouse", *sys.argv[1:]]
-        child = subprocess.run(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, check=False)
+        child = subprocess.run(command, env={**_ONE_THREAD, **os.environ}, check=False)
         raise typer.Exit(child.returncode if child.returncode >= 0 else 128 - child.returncode)
     if json_file is not None and not json_file.parent.is_dir():
         raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
-    film = _simulated(frames) if dataset is None else _recorded(dataset, frames)
-    figures = report(film, measure(film, repeat), repeat)
+    if 0 < steps <= WARM_UP:
+        raise ConfigurationError(f"--steps: {steps}: the first {WARM_UP} do not count; more than that, or 0")
+    film = benchmark.simulated(frames) if dataset is None else benchmark.recorded(dataset, frames)
+    with benchmark.one_thread(), Bar() as bar:
+        start = benchmark.start()
+        times = benchmark.compare(film, repeat, bar.progress)
+        row = benchmark.in_a_row(film, steps, bar.progress) if steps else None
+        sizes = {} if no_sizes else benchmark.by_size(progress=bar.progress)
+    figures = report(film, times, repeat, start, row, sizes)
     text = json.dumps(figures, indent=1, allow_nan=False) + "\n"
     if json_file == Path("-"):
         typer.echo(text, nl=False)
         return
     console = Console(soft_wrap=True)
+    console.width = max(console.width, _WIDTH)
     console.print(_table(figures))
-    for line in _conclusions(figures):
+    for line in _notes(figures):
         console.print(line, highlight=False)
     if json_file is not None:
         write_atomically(json_file, text)
 
 
-def _simulated(frames: int) -> Film:
-    options = SimulationOptions(seconds=frames / SimulationOptions().fps)
-    simulation = prepare(options)
-    return Film(
-        "simulated far scene",
-        simulation.scene.rig(),
-        1.0 / simulation.fps,
-        lambda: (made.frame for made in simulate(simulation)),
-    )
+class Bar:
+    """How far it is, on a terminal; a context manager. Drawn between two measurements, not beside them."""
 
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        self._bars = Progress(
+            *columns, console=console, transient=True, auto_refresh=False, disable=not console.is_terminal
+        )
+        self._task = self._bars.add_task("starting", total=None)
+        self._due = 0.0
 
-def _recorded(path: Path, frames: int) -> Film:
-    recording = open_dataset(path)
-    return Film(
-        recording.name,
-        recording.rig,
-        1.0 / recording.fps,
-        lambda: islice(read_frames(recording), min(frames, recording.frames)),
-    )
+    def __enter__(self) -> Self:
+        self._bars.start()
+        self._bars.refresh()
+        return self
 
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bars.stop()
 
-def measure(film: Film, repeat: int = 1) -> Times:
-    """Times of the default tracker and, on the same frames, of the two blob detectors; DatasetError on too few."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        rounds = [_round(film) for _ in range(repeat)]
-    finally:
-        cv2.setNumThreads(threads)
-    seconds = {name: np.concatenate([r.seconds[name] for r in rounds]) for name in _NAMES}
-    return Times(seconds, sum(r.tracked for r in rounds))
-
-
-def _round(film: Film) -> Times:
-    settings = Settings()
-    start = initialise(film.frames(), film.rig, settings)
-    warm_up(settings)
-    tracker = build(film.rig, start.pose, settings)
-    blobs = BlobDetector(BlobSettings())
-    simple = cv2.SimpleBlobDetector.create()
-    state: TrackState | None = None
-    spent: dict[str, list[float]] = {name: [] for name in _NAMES}
-    tracked = 0
-
-    def ours(frame: Frame) -> None:
-        nonlocal state
-        state = state or begin(tracker, frame.stamp)
-        marks: list[float] = []
-        began = time.perf_counter()
-        state, _ = step(state, frame, tracker, lambda: marks.append(time.perf_counter()))
-        ended = time.perf_counter()
-        detected = marks[0]
-        for name, s in ((STEP, ended - began), (DETECT, detected - began), (FILTER, ended - detected)):
-            spent[name].append(s)
-
-    def timed(name: str, detect: Callable[[NDArray[np.uint8]], Any]) -> Callable[[Frame], None]:
-        def run(frame: Frame) -> None:
-            began = time.perf_counter()
-            detect(frame.image)
-            spent[name].append(time.perf_counter() - began)
-
-        return run
-
-    turns = [ours, timed(BLOBS, blobs.detect), timed(SIMPLE, simple.detect)]
-    for frame in start.frames:
-        for turn in turns:
-            turn(frame)
-        turns.append(turns.pop(0))  # who comes first finds the picture in another cache than who comes last
-        assert state is not None
-        tracked += len(spent[STEP]) > WARM_UP and state.phase is Phase.TRACKING
-    if len(spent[STEP]) <= WARM_UP:
-        raise DatasetError(f"{film.name}: {len(spent[STEP])} frames to track, and the first {WARM_UP} do not count")
-    return Times({name: np.array(s[WARM_UP:]) for name, s in spent.items()}, tracked)
+    def progress(self, what: str, done: int, total: int) -> None:
+        """So much is done; drawn when it is time."""
+        now = time.perf_counter()
+        if self._bars.disable or (now < self._due and 0 < done < total):
+            return
+        self._due = now + 0.5
+        self._bars.update(self._task, description=what, completed=done, total=total, refresh=True)
 
 
 # ---- figures ----
 
 
-def report(film: Film, times: Times, repeat: int) -> dict[str, Any]:
-    """What --json writes: µs, and ratios of medians."""
+def report(
+    film: Film,
+    times: Times,
+    repeat: int = 1,
+    start: float = 0.0,
+    row: Steps | None = None,
+    sizes: dict[tuple[int, int], Steps] | None = None,
+) -> dict[str, Any]:
+    """What --json writes: µs, bytes, and ratios of medians."""
     us = {
-        name: {
-            "median": float(np.median(s)) * 1e6,
-            "p99": float(np.quantile(s, 0.99)) * 1e6,
-            "max": float(np.max(s)) * 1e6,
-            "share_of_interval": float(np.median(s)) / film.interval,
-        }
+        name: {**_summary(s), "share_of_interval": float(np.median(s)) / film.interval}
         for name, s in times.seconds.items()
     }
     step = us[STEP]["median"]
-    return {
+    figures = {
         "dataset": film.name,
         "size": [film.rig.camera.width, film.rig.camera.height],
         "frames": len(times),
@@ -203,42 +182,148 @@ def report(film: Film, times: Times, repeat: int) -> dict[str, Any]:
         "tracked": times.tracked,
         "interval_us": film.interval * 1e6,
         "threads": {"OpenCV": "1", **{name: os.environ[name] for name in _THREADS if name in os.environ}},
+        "start_us": start * 1e6,
         "us": us,
         "step_to_blobs": step / us[BLOBS]["median"],
         "step_to_SimpleBlobDetector": step / us[SIMPLE]["median"],
         "times_faster_than_real_time": film.interval * 1e6 / step,
+        "steady": None if row is None else _steady(row),
+        "sizes": {f"{w}x{h}": _in_short(s) for (w, h), s in (sizes or {}).items()},
     }
+    figures["targets"] = [
+        {"what": t.what, "figure": t.figure, "at_least": t.at_least, "at_most": t.at_most, "met": t.met}
+        for t in targets(figures)
+    ]
+    return figures
+
+
+def _summary(seconds: Array) -> dict[str, float]:
+    return {
+        "median": float(np.median(seconds)) * 1e6,
+        "p99": float(np.quantile(seconds, 0.99)) * 1e6,
+        "max": float(np.max(seconds)) * 1e6,
+    }
+
+
+def _in_short(steps: Steps) -> dict[str, Any]:
+    return {"steps": len(steps), "tracked": steps.tracked, "lost_episodes": steps.lost, "us": _summary(steps.seconds)}
+
+
+def _steady(row: Steps) -> dict[str, Any]:
+    us = _summary(row.seconds)
+    return {
+        **_in_short(row),
+        "processor_us": _summary(row.processor),
+        "p99_to_median": us["p99"] / us["median"],
+        "max_to_median": us["max"] / us["median"],
+        "slowest_event": row.slowest,
+        "memory_bytes": None if row.memory is None else {"early": row.memory[0], "end": row.memory[1]},
+    }
+
+
+def targets(figures: dict[str, Any]) -> Iterator[Target]:
+    """What was asked of this tracker, as far as it was measured; all of it in pictures of 640x480 but the last."""
+    ordinary = tuple(figures["size"]) == SIZES[0]
+    tracked = figures["tracked"] >= _TRACKED * figures["frames"]
+    for name, least in ((BLOBS, 10.0), (SIMPLE, 12.0)):
+        yield Target(name, 1.0 / figures[f"step_to_{name}"], least, None, ordinary and tracked)
+    row = figures["steady"]
+    if row is not None:
+        enough = ordinary and row["steps"] + WARM_UP >= _STEPS and _held(row)
+        yield Target("p99", row["p99_to_median"], None, 2.5, enough)
+        yield Target("max", row["max_to_median"], None, 8.0, enough)
+        if row["memory_bytes"] is not None:
+            grown = row["memory_bytes"]["end"] - row["memory_bytes"]["early"]
+            yield Target("memory", grown, None, _FLAT, row["steps"] + WARM_UP >= _MEMORY_STEPS and _held(row))
+    sizes = figures["sizes"]
+    if sizes:
+        first, *others = (f"{w}x{h}" for w, h in SIZES)
+        for name, most in zip(others, (1.5, 2.0), strict=True):
+            ratio = sizes[name]["us"]["median"] / sizes[first]["us"]["median"]
+            yield Target(name, ratio, None, most, _held(sizes[first]) and _held(sizes[name]))
+
+
+def _held(steps: dict[str, Any]) -> bool:
+    return bool(steps["tracked"] >= _TRACKED * steps["steps"])
+
+
+# ---- as a table ----
 
 
 def _table(figures: dict[str, Any]) -> Table:
     width, height = figures["size"]
-    threads = ", ".join(f"{name} {n}" for name, n in figures["threads"].items())
     table = Table(
-        title=f"{figures['dataset']}, {width}x{height}: {figures['frames']} frames"
-        + (f" in {figures['repeat']} rounds" if figures["repeat"] > 1 else ""),
-        caption=f"the first {WARM_UP} frames of a round not counted, % of the median; threads: {threads}",
-        title_justify="left",
+        title=f"{figures['dataset']}, {width}x{height}, one thread; times in ms", title_justify="left", box=box.SIMPLE
     )
-    table.add_column("time per frame, ms", no_wrap=True)
-    for name in ("median", "p99", "max", "% of interval"):
-        table.add_column(name, justify="right")
-    for name, label in _NAMES.items():
-        t = figures["us"][name]
-        table.add_row(
-            label, *(f"{t[k] / 1000.0:.2f}" for k in ("median", "p99", "max")), f"{100 * t['share_of_interval']:.1f}"
-        )
-    interval = f"{figures['interval_us'] / 1000.0:.2f}"
-    table.add_row("real time: frame interval", interval, interval, interval, "100.0")
+    table.add_column("", no_wrap=True)
+    for name in ("median", "p99", "worst", "ratio", "target", ""):
+        table.add_column(name, justify="left" if name == "" else "right", no_wrap=True)
+    asked = {t.what: t for t in targets(figures)}
+    rounds = f", {figures['repeat']} rounds" if figures["repeat"] > 1 else ""
+    table.add_row(f"[bold]same {figures['frames']} frames, in turn{rounds}[/]")
+    for name in COMPARED:
+        table.add_row(_NAMES[name], *_ms(figures["us"][name]), *_judged(asked.get(name), "×"))
+    row = figures["steady"]
+    if row is not None:
+        table.add_section()
+        table.add_row(f"[bold]{row['steps'] + WARM_UP:,} steps in a row[/]")
+        table.add_row("step", *_ms(row["us"]))
+        table.add_row("  its processor time", *_ms(row["processor_us"]))
+        table.add_row("  p99 over median", "", "", "", *_judged(asked["p99"], "×"))
+        table.add_row("  worst over median", "", "", "", *_judged(asked["max"], "×"))
+        if "memory" in asked:
+            table.add_row(f"  memory after {MEMORY_FROM:,} steps", "", "", "", *_judged(asked["memory"], "MB"))
+    if figures["sizes"]:
+        table.add_section()
+        table.add_row("[bold]far scene, in turn[/]")
+        for name, steps in figures["sizes"].items():
+            table.add_row(name, *_ms(steps["us"]), *_judged(asked.get(name), "×"))
     return table
 
 
-def _conclusions(figures: dict[str, Any]) -> Iterator[str]:
-    us = figures["us"]
-    yield f"tracked: {figures['tracked']} of {figures['frames']} frames"
-    yield f"step : multi-mask detector = {figures['step_to_blobs']:.2f} : 1 (medians)"
-    yield f"step : cv2.SimpleBlobDetector = {figures['step_to_SimpleBlobDetector']:.2f} : 1 (medians)"
+def _ms(us: dict[str, float]) -> Iterator[str]:
+    return (f"{us[name] / 1000.0:.2f}" for name in ("median", "p99", "max"))
+
+
+def _judged(target: Target | None, unit: str) -> tuple[str, str, str]:
+    if target is None:
+        return "", "", ""
+    limit = f"≥ {target.at_least:g}×" if target.at_least is not None else f"≤ {target.at_most:g}×"
+    figure = f"{target.figure:.1f}×" if target.figure >= 10.0 else f"{target.figure:.2f}×"
+    if unit == "MB":
+        figure, limit = f"{target.figure / 2**20:+.1f} MB", "≤ 1 MB"
+    word = {True: "[green]met[/]", False: "[red]not met[/]", None: "[dim]not judged[/]"}[target.met]
+    return figure, limit, word
+
+
+def _notes(figures: dict[str, Any]) -> Iterator[str]:
+    """What stands below the table."""
+    us, row = figures["us"], figures["steady"]
+    ran = {"compared": (figures["frames"], figures["tracked"])}
+    many = ({"in a row": row} if row is not None else {}) | figures["sizes"]
+    ran |= {name: (s["steps"], s["tracked"]) for name, s in many.items()}
+    lost = sum(s["lost_episodes"] for s in many.values())
+    yield "tracked: " + ", ".join(f"{t:,} of {n:,} {name}" for name, (n, t) in ran.items())
+    if many:
+        yield f"lost: {lost} times" if lost else "lost: never"
+    if row is not None and row["slowest_event"]:
+        yield f"the slowest step in a row: {row['slowest_event']}"
+    yield f"start: {figures['start_us'] / 1e6:.2f} s for the compiled functions, before the first frame"
     yield (
         f"faster than real time: {figures['times_faster_than_real_time']:.1f} times by the median, "
         f"{figures['interval_us'] / us[STEP]['p99']:.1f} by the 99th percentile, "
         f"{figures['interval_us'] / us[STEP]['max']:.1f} by the slowest frame"
     )
+    threads = ", ".join(f"{name} {n}" for name, n in figures["threads"].items())
+    yield f"not counted: the first {WARM_UP} frames of each; ratios: of medians; threads: {threads}"
+    why = []
+    if tuple(figures["size"]) != SIZES[0]:
+        why.append(f"pictures of {SIZES[0][0]}x{SIZES[0][1]}")
+    if row is not None and row["steps"] + WARM_UP < _STEPS:
+        why.append(f"--steps {_STEPS} for p99 and worst")
+    if row is not None and row["memory_bytes"] is not None and row["steps"] + WARM_UP < _MEMORY_STEPS:
+        why.append(f"--steps {_MEMORY_STEPS} for memory")
+    if any(t < _TRACKED * n for n, t in ran.values()):
+        why.append(f"a ball that is tracked in {100 * _TRACKED:.0f} % of the frames")
+    if why:
+        yield f"to be judged it takes {', '.join(why)}"

@@ -4,7 +4,7 @@ Wittich 2017, section 3.8 (eq. 110-120), by implicit differentiation in closed f
 adjustment per disc; both give the same covariance (tests/test_intersect.py).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -55,52 +55,37 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
     differentiation gives dB = (I - r nᵀ / (nᵀ r)) (dP + s dr) + r / (nᵀ r) (nᵀ dK + dR), n the outward normal.
     Close to the limb nᵀ r goes to zero and the covariance grows without bound, as it should.
     """
-    n, camera = len(detections), rig.camera
-    row = (detections.centre[:, 1] + 0.5) / camera.height - 0.5
-    xy, dxy_duv = np.empty((n, 2)), np.empty((n, 2, 2))
-    unprojected(detections.centre, camera.intrinsic, camera.distortion, camera.fold_r2, xy, dxy_duv)
-    points = SpherePoints(
-        np.empty((n, 3)),
-        np.empty((n, 3, 3)),
-        np.empty((n, 3)),
-        np.empty((n, 3, 3)),
-        np.empty((n, 3, 6)),
-        np.empty((n, 3, 4)),
-        rig.readout_s * row,
-        row,
-        np.empty(n, dtype=np.intp),
+    camera = rig.camera
+    return SpherePoints(
+        *_intersect(
+            detections.centre,
+            np.ascontiguousarray(detections.covariance),
+            camera.intrinsic,
+            camera.distortion,
+            camera.fold_r2,
+            camera.height,
+            rig.readout_s,
+            np.ascontiguousarray(pose.rotation),
+            pose.position,
+            pose.covariance,
+            rig.ball.centre,
+            rig.ball.radius,
+            rig.ball.covariance,
+        )
     )
-    met = _intersect(
-        xy,
-        dxy_duv,
-        np.ascontiguousarray(detections.covariance),
-        np.ascontiguousarray(pose.rotation),
-        pose.position,
-        pose.covariance,
-        rig.ball.centre,
-        rig.ball.radius,
-        rig.ball.covariance,
-        points.position,
-        points.covariance,
-        points.direction,
-        points.image_covariance,
-        points.dposition_dpose,
-        points.dposition_dball,
-        points.index,
-    )
-    return points if met == n else _of_rows(points.take(slice(met)), points)
-
-
-def _of_rows(met: SpherePoints, all_: SpherePoints) -> SpherePoints:
-    return replace(met, delay=all_.delay[met.index], row=all_.row[met.index])
 
 
 @njit(cache=True, error_model="numpy")
 def _intersect(
-    xy, dxy_duv, noise, rotation, P, pose_covariance, K, R, ball_covariance,
-    position, covariance, direction, image_covariance, J_pose, J_ball, index,
-):  # fmt: skip
-    """Fill the rows of what is met, the first of each array; returns how many. nan meets nothing."""
+    centre, noise, intrinsic, distortion, fold, height, readout, rotation, P, pose_covariance, K, R, ball_covariance
+):
+    """The fields of SpherePoints of what is met; nan meets nothing."""
+    n = len(centre)
+    xy, dxy_duv = np.empty((n, 2)), np.empty((n, 2, 2))
+    unprojected(centre, intrinsic, distortion, fold, xy, dxy_duv)
+    position, covariance, direction = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
+    image_covariance, J_pose, J_ball = np.empty((n, 3, 3)), np.empty((n, 3, 6)), np.empty((n, 3, 4))
+    row, index = np.empty(n), np.empty(n, dtype=np.intp)
     met = 0
     to_centre = K - P
     far = to_centre[0] ** 2 + to_centre[1] ** 2 + to_centre[2] ** 2 - R * R
@@ -154,6 +139,17 @@ def _intersect(
                         value += J_ball[met, j, a] * ball_covariance[a, b] * J_ball[met, k, b]
                 covariance[met, j, k] = value
                 covariance[met, k, j] = value
+        row[met] = (centre[i, 1] + 0.5) / height - 0.5
         index[met] = i
         met += 1
-    return met
+    return (
+        position[:met],
+        covariance[:met],
+        direction[:met],
+        image_covariance[:met],
+        J_pose[:met],
+        J_ball[:met],
+        readout * row[:met],
+        row[:met],
+        index[:met],
+    )

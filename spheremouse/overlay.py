@@ -23,7 +23,7 @@ from spheremouse.resect import Resection, predict_targets
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
 from spheremouse.session import Epoch
-from spheremouse.track import Phase, Tracker, TrackState
+from spheremouse.track import Phase, Tracker, TrackState, current
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red
@@ -68,6 +68,11 @@ class Overlay:
 
     def remember(self, state: TrackState) -> None:
         """The predicted discs of an epoch, for the traces; `draw` does not."""
+        tracker = current(state, self._tracker)
+        if tracker is not self._tracker:  # the camera was moved: what is drawn from its pose moves along
+            self._tracker, self._outline = tracker, ball_outline(tracker.rig, tracker.pose)
+            self._targets = target_marks(tracker.rig, tracker.pose, None)
+            self._trace.clear()
         seen = _predicted(state, self._tracker)
         self._trace.append(seen if state.phase is not Phase.LOST else seen[:0])
 

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from spheremouse import bearing
 from spheremouse import watch as watching
 from spheremouse.associate import common_rotation, identify
+from spheremouse.bearing import BearingSettings, Shift
 from spheremouse.camera import Pose, project
 from spheremouse.detect import static
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
@@ -29,7 +31,7 @@ from spheremouse.errors import PoseError, SourceError
 from spheremouse.filters import Filter, FilterState
 from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
-from spheremouse.filters.so3_state import CORE, So3State, augment, consider, to_map, with_map
+from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
 from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
@@ -87,6 +89,7 @@ class Settings:
     euler: EulerSettings = field(default_factory=EulerSettings)
     loss: LossSettings = field(default_factory=LossSettings)
     watch: WatchSettings = field(default_factory=WatchSettings)
+    bearing: BearingSettings = field(default_factory=BearingSettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
 
 
@@ -155,6 +158,10 @@ class TrackState:
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
     watch: Watch | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker | None = None  # for the pose found after the camera was moved; None: it never was
+    off: int = 0  # frames in a row that show the ball's centre off its place
+    lifted: float | None = None  # s, since when the ball is lost for that
+    misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
+    out_of_round: bool = False  # that was too much, and is said
 
 
 def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
@@ -181,7 +188,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
             rig.ball.radius / distance,
             rig.disc_radius / rig.ball.radius,
             rig.ball.radius,
-            block_diag(pose.covariance, rig.ball.covariance),
+            np.asarray(block_diag(pose.covariance, rig.ball.covariance)),
             rig.readout_sigma_s,
         )
     elif settings.tracker == "ekf2":
@@ -318,7 +325,7 @@ def _out_of_sight(state: TrackState, stamp: float) -> bool:
     if watch is None or state.holds or state.phase is Phase.SEARCHING:
         return False
     known = sum(patch is not None for patch in watch.patches)
-    hidden = known >= 3 and np.count_nonzero(watch.seen) < 3
+    hidden = known >= 3 and int(np.count_nonzero(watch.seen)) < 3
     return hidden and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
 
 
@@ -452,8 +459,7 @@ def advance(
     state: TrackState, stamp: float, detections: Detections, tracker: Tracker, predicted: FilterState | None = None
 ) -> tuple[TrackState, Motion]:
     """The stages after detection; `predicted` is the filter carried on to `stamp`, where that was done before."""
-    if predicted is None:
-        predicted = tracker.filter.predict(state.filter, stamp)
+    carried: FilterState = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
     points = intersect(detections.take(free), tracker.rig, tracker.pose)
     points = replace(points, index=np.flatnonzero(free)[points.index])
@@ -467,9 +473,9 @@ def advance(
     elif state.saved:
         state = _recognise_saved(state, stamp, tracker)
     elif not state.moved:
-        state = _first_motion(state, stamp, tracker, predicted)
+        state = _first_motion(state, stamp, tracker, carried)
     else:
-        state = _follow(state, stamp, tracker, predicted)
+        state = _on_its_bearings(_follow(state, stamp, tracker, carried), stamp, tracker, carried)
     state = _judge_phase(state, stamp, tracker)
     return _motion(state, stamp, tracker)
 
@@ -509,11 +515,65 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: Filter
         state.lookalikes, centre[other], points.direction[other], posterior.attitude, stamp, rig, pose, settings
     )
     if not held:  # a hand may have stopped the ball: what stands still says nothing, what goes on turning does
-        lookalikes = state.lookalikes
+        lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
     posterior = _with_discs(posterior, points, np.flatnonzero(other)[turning], tracker)
     if len(posterior.discs) > len(predicted.discs):
         lookalikes = static.founded(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
     return replace(state, filter=posterior, lookalikes=lookalikes, holds=held)
+
+
+def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
+    """What the followed frame says of the ball's centre: a frame that shows it off its place is set aside.
+
+    A second one in a row is a ball that was lifted: lost, and nothing sent, until the discs fit a rotation again. A
+    ball out of round is said to be, and tracked as well as it goes.
+    """
+    found = _shift(state, state.filter, tracker)
+    s, radius = tracker.settings.bearing, tracker.rig.ball.radius
+    if found is None:
+        return replace(state, off=0)
+    if bearing.is_off(found, radius, s, state.out_of_round):
+        blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
+        if state.off == 0:
+            return replace(state, filter=blind, holds=False, off=1)
+        off = (
+            f"by {1e3 * found.distance:.0f} mm" if radius != 1.0 else f"by {100.0 * found.distance:.1f} % of its radius"
+        )
+        event = f"lost: the ball does not turn about its centre, off {off}: lifted, or out of round"
+        return replace(
+            state,
+            filter=_unused(blind),
+            phase=Phase.LOST,
+            holds=False,
+            off=0,
+            lifted=stamp,
+            found=None,
+            event=event,
+        )
+    misfit = bearing.averaged(state.misfit, found, stamp - state.held, s)
+    state = replace(state, off=0, misfit=misfit)
+    if not state.out_of_round and misfit > s.out_of_round:
+        event = "the discs do not fit a ball that turns about its centre: out of round, or the camera was moved"
+        return replace(state, out_of_round=True, event=f"{state.event}; {event}" if state.event else event)
+    return replace(state, out_of_round=state.out_of_round and misfit > 0.3 * s.out_of_round)
+
+
+def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Shift | None:
+    """How far the last frame's discs show the ball's centre off its place, with a filter's attitude and map."""
+    if not isinstance(filter_state, So3State) or not isinstance(tracker.filter, So3Filter):
+        return None
+    sure = np.flatnonzero(filter_state.hits >= tracker.filter.settings.trial)
+    variance = filter_state.joint.diagonal()[FIRST:].reshape(-1, 2).mean(axis=1)[sure]
+    return bearing.shift_of(
+        state.points,
+        delays(state.points, filter_state),
+        filter_state.discs[sure],
+        variance,
+        filter_state.attitude,
+        filter_state.rate,
+        tracker.rig.ball.radius,
+        2.0 * tracker.filter.disc_angle,
+    )
 
 
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
@@ -661,7 +721,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     state = replace(state, found=found)
     if isinstance(state.filter, So3State):
         recognised = _recognised(state, stamp, tracker)
-        if recognised is not None:
+        if recognised is not None and _back_on_bearings(state, recognised[0], tracker):
             filtered, pairs = recognised
             return replace(
                 state,
@@ -671,11 +731,14 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
                 held=stamp,
                 holds=True,
                 found=None,
+                lifted=None,
                 recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
                 lookalikes=_forget(state.lookalikes),
                 event=f"tracking again: attitude kept, recognised by {pairs} discs",
             )
         if stamp - found < s.reset_after:
+            return state
+        if state.lifted is not None and 0.0 <= stamp - state.lifted < tracker.settings.bearing.patience:
             return state
     attitude = state.filter.attitude
     filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), points)
@@ -688,10 +751,21 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         holds=True,
         found=None,
         moved=False,
+        lifted=None,
+        misfit=0.0,
+        out_of_round=False,
         recent=(Sight(stamp, state.detections, points, attitude),),
         lookalikes=_forget(state.lookalikes),
         event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
     )
+
+
+def _back_on_bearings(state: TrackState, filter_state: FilterState, tracker: Tracker) -> bool:
+    """Does a ball that was lifted turn about its centre again, at the attitude that its map tells?"""
+    if state.lifted is None:
+        return True
+    found = _shift(state, filter_state, tracker)
+    return found is not None and bearing.fits(found, tracker.rig.ball.radius, tracker.settings.bearing)
 
 
 def _recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:

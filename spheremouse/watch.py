@@ -261,13 +261,13 @@ def _window(watch: Watch, image: Image, which: int, reach: int) -> tuple[Image, 
     return window, np.array([left, above], dtype=float)
 
 
-def _top(score: Array) -> tuple[float, Array]:
+def _top(score: cv2.typing.MatLike) -> tuple[float, Array]:
     """The largest value of a map of correlations, and where it is, (2,) column and row, to a part of a pixel."""
     _, best, _, (x, y) = cv2.minMaxLoc(score)
     return best, np.array([x + _peak(score[y], x), y + _peak(score[:, x], y)])
 
 
-def _peak(score: Array, at: int) -> float:
+def _peak(score: cv2.typing.MatLike, at: int) -> float:
     """Offset of the top of a parabola through a row's largest value and its neighbours; 0 at the row's end."""
     if not 0 < at < len(score) - 1:
         return 0.0

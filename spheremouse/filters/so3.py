@@ -116,30 +116,34 @@ class So3Filter:
 
         The covariance is that of the quiet level; `process` and `weights` say what a more lively player adds.
         """
-        dt = min(max(stamp - state.stamp, 0.0), _LONGEST)
-        tau = self.settings.persistence
-        fade = np.exp(-dt / tau)
-        F, Q, turn = np.empty((CORE, CORE)), np.empty((CORE, CORE)), np.empty(3)
-        density = 2.0 * self.settings.acceleration_sigma**2 / tau
-        kernel.transition(state.rate, state.acceleration, dt, tau, density, F, Q, turn)
-        P = state.joint.copy()
-        kernel.carry(P, F, Q)
-        usual = _usual(self.settings.levels)
-        weights = state.weights if len(state.weights) else usual
-        stay = np.exp(-dt / self.settings.dwell)
+        dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
+        s = self.settings
+        usual = _usual(s.levels)
+        attitude, rate, acceleration, joint, weights, process = kernel.predict(
+            state.attitude,
+            state.rate,
+            state.acceleration,
+            state.joint,
+            state.weights if len(state.weights) else usual,
+            usual,
+            dt,
+            s.persistence,
+            2.0 * s.acceleration_sigma**2 / s.persistence,
+            s.dwell,
+        )
         return So3State(
             stamp,
-            F[:3, :3] @ state.attitude,
-            state.rate + tau * (1.0 - fade) * state.acceleration,
-            fade * state.acceleration,
+            attitude,
+            rate,
+            acceleration,
             state.discs,
             state.basis,
-            P,
+            joint,
             state.hits,
             state.missed,
             _NONE,
-            stay * weights + (1.0 - stay) * usual,
-            Q,
+            weights,
+            process,
             readout=state.readout,
         )
 

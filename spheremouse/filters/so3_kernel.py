@@ -16,6 +16,7 @@ READOUT = CORE + CONSIDER  # of the rolling shutter
 FIRST = READOUT + 1  # of the discs' errors
 
 _NEAR = 0.99  # cosine: what is further off than 8 degrees is no pair, whatever is considered
+_NEARBY = 0.9  # cosine: what is further off than 26 degrees is none, whenever its row was read
 
 
 @njit(cache=True, error_model="numpy")
@@ -39,6 +40,30 @@ def carry(P, F, Q):
         for j in range(CORE, n):
             P[i, j] = top[i, j]
             P[j, i] = top[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def predict(attitude, rate, acceleration, joint, weights, usual, dt, tau, q, dwell):
+    """All of a prediction: attitude, rate, acceleration, joint covariance, probabilities of the levels, and Q."""
+    F, Q, turn = np.empty((CORE, CORE)), np.empty((CORE, CORE)), np.empty(3)
+    transition(rate, acceleration, dt, tau, q, F, Q, turn)
+    P = joint.copy()
+    carry(P, F, Q)
+    now = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                now[i, j] += F[i, k] * attitude[k, j]
+    fade = np.exp(-dt / tau)
+    stay = np.exp(-dt / dwell)
+    return (
+        now,
+        rate + tau * (1.0 - fade) * acceleration,
+        fade * acceleration,
+        P,
+        stay * weights + (1.0 - stay) * usual,
+        Q,
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -101,7 +126,9 @@ def _axes(attitude, rate, acceleration, delay, basis, disc, R, p, E):
         for i in range(3):
             turn[i] = rate[i] * delay + 0.5 * acceleration[i] * delay * delay
         exp_into(turn, more)
-        R[:] = more @ attitude
+        for i in range(3):
+            for j in range(3):
+                R[i, j] = more[i, 0] * attitude[0, j] + more[i, 1] * attitude[1, j] + more[i, 2] * attitude[2, j]
     else:
         R[:] = attitude
     for i in range(3):
@@ -188,6 +215,17 @@ def _full_covariance(P, J, JP, at, H, more):
 
 
 @njit(cache=True, error_model="numpy")
+def _squared(z0, z1, a00, a01, a11, E, noise):
+    """Squared Mahalanobis distance of z, with the covariance a (2, 2) and noise (3, 3) in the axes E."""
+    for c in range(3):
+        for d in range(3):
+            a00 += E[c, 0] * noise[c, d] * E[d, 0]
+            a01 += E[c, 0] * noise[c, d] * E[d, 1]
+            a11 += E[c, 1] * noise[c, d] * E[d, 1]
+    return (a11 * z0 * z0 - 2.0 * a01 * z0 * z1 + a00 * z1 * z1) / (a00 * a11 - a01 * a01)
+
+
+@njit(cache=True, error_model="numpy")
 def distances(
     attitude, rate, acceleration, discs, basis, P, which, more, curvature, seen, noise, delay, row, by_pose, by_ball,
     radius, out,
@@ -209,37 +247,34 @@ def distances(
     for m in range(len(which)):
         k = which[m]
         hits = 0
-        before = np.nan
-        S = np.empty((2, 2))
+        before = 0.0
+        _axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
+        _turning(E, p, H)
+        S = _disc_covariance(P, H, FIRST + 2 * k, more)
         for i in range(len(seen)):
-            if delay[i] != before:
+            b = seen[i]
+            cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
+            if delay[i] != before and cosine > _NEARBY:
                 before = delay[i]
                 _axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
                 _turning(E, p, H)
-                S = _disc_covariance(P, H, FIRST + 2 * k, more)
-            b = seen[i]
-            cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
+                cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
             if cosine < 0.0:
                 out[i, m] = np.inf
                 continue
             z0 = E[0, 0] * b[0] + E[1, 0] * b[1] + E[2, 0] * b[2]
             z1 = E[0, 1] * b[0] + E[1, 1] * b[1] + E[2, 1] * b[2]
             a00, a01, a11 = S[0, 0] + curvature, S[0, 1], S[1, 1] + curvature
-            if cosine > _NEAR and (any_considered or before != 0.0):
+            # cheap bound first: most pairs are far apart
+            spread = a00 + a11 + noise[i, 0, 0] + noise[i, 1, 1] + noise[i, 2, 2]
+            value = np.inf
+            if z0 * z0 + z1 * z1 <= 4.0 * gate * spread:
+                value = _squared(z0, z1, a00, a01, a11, E, noise[i])
+            # most pairs are one without what is considered: then it need not be counted
+            if value >= gate and cosine > _NEAR and (any_considered or before != 0.0):
                 _row(H, E, before, rate, row[i], by_pose[i], by_ball[i], radius, J)
                 T = _full_covariance(P, J, JP, FIRST + 2 * k, H, more)
-                a00, a01, a11 = T[0, 0] + curvature, T[0, 1], T[1, 1] + curvature
-            # cheap bound first: most pairs are far apart
-            if (z0 * z0 + z1 * z1) > 4.0 * gate * (a00 + a11 + noise[i, 0, 0] + noise[i, 1, 1] + noise[i, 2, 2]):
-                out[i, m] = np.inf
-                continue
-            for c in range(3):
-                for d in range(3):
-                    a00 += E[c, 0] * noise[i, c, d] * E[d, 0]
-                    a01 += E[c, 0] * noise[i, c, d] * E[d, 1]
-                    a11 += E[c, 1] * noise[i, c, d] * E[d, 1]
-            det = a00 * a11 - a01 * a01
-            value = (a11 * z0 * z0 - 2.0 * a01 * z0 * z1 + a00 * z1 * z1) / det
+                value = _squared(z0, z1, T[0, 0] + curvature, T[0, 1], T[1, 1] + curvature, E, noise[i])
             out[i, m] = value
             if value < gate:
                 hits += 1
