@@ -115,4 +115,6 @@ $(STAMP): pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable . --group dev --group docs
 	@$(BIN)/python -c 'import cv2' || \
 		{ echo "make: OpenCV does not load; on Debian: apt-get install libgl1 libglib2.0-0" >&2; exit 1; }
+	@echo "compiling for this machine, about a minute"
+	@$(BIN)/python -m spheremouse.warm
 	@touch $@

@@ -3,10 +3,12 @@
 The shell's part of the use phase: it takes frames as they come and measures times. Printing is its callers' matter.
 """
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
+from threading import Timer
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,9 @@ from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step
 from spheremouse.warm import warm_up
+
+
+_PATIENCE = 4.0  # s until whoever waits is told why
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +124,21 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
     return frame.image
 
 
+def make_ready(settings: Settings) -> None:
+    """Compile what tracking calls, or read it from disk; whoever has to wait is told why."""
+    word = "spheremouse: compiling for this machine: once after an installation, about a minute"
+    timer = Timer(_PATIENCE, lambda: print(word, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        warm_up(settings)
+    finally:
+        timer.cancel()
+
+
 def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = None) -> Iterator[Epoch]:
     """Track every frame; with a `known` map of the ball's discs the attitude is in its frame once it is recognised."""
-    warm_up(tracker.settings)
+    make_ready(tracker.settings)
     state: TrackState | None = None
     times = [0.0, 0.0, 0.0]
 

@@ -65,3 +65,7 @@ def _spread(n: int) -> Array:
     azimuth = np.arange(n) * 2.4 + 0.3 * np.sin(7.0 * np.arange(n))
     r = np.sqrt(1.0 - z * z)
     return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)
+
+
+if __name__ == "__main__":
+    warm_up(Settings())
