@@ -61,6 +61,7 @@ CORE: list[str] = [
     "filters",
     "motion",
     "watch",
+    "bearing",
     "track",
     "warm",
     "adjustment",

@@ -26,7 +26,6 @@ from spheremouse.rotation import Array
 from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step
 from spheremouse.warm import warm_up
 
-
 _PATIENCE = 4.0  # s until whoever waits is told why
 
 

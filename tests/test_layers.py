@@ -26,6 +26,7 @@ CORE = (
     "filters",
     "motion",
     "watch",
+    "bearing",
     "track",
     "warm",
     "adjustment",
