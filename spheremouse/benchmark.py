@@ -142,9 +142,9 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
         detected = time.perf_counter()
 
     def ours(frame: Frame) -> None:
-        nonlocal state
+        nonlocal state, detected
         state = state or begin(tracker, frame.stamp)
-        began = time.perf_counter()
+        began = detected = time.perf_counter()  # a frame that is not looked at in stages counts as filtered
         state, _ = step(state, frame, tracker, mark)
         ended = time.perf_counter()
         for name, s in ((STEP, ended - began), (DETECT, detected - began), (FILTER, ended - detected)):
@@ -243,7 +243,8 @@ def by_size(
 ) -> dict[tuple[int, int], Steps]:
     """Times of the tracker in the simulated far scene, by the size of the picture: step by step in turn.
 
-    The view is the same in all, the focal length in pixels goes with the size. The camera's pose is known here: how it is found has nothing to do with what a step costs.
+    The view is the same in all, the focal length in pixels goes with the size. The camera's pose is known here: how it
+    is found has nothing to do with what a step costs.
     """
     players: dict[tuple[int, int], Player] = {}
     for k, size in enumerate(sizes):
@@ -279,7 +280,7 @@ def back_and_forth(k: int, n: int) -> int:
 def collected() -> Iterator[None]:
     """Garbage thrown away, and what is left taken out of the collector's sight: libraries' objects by the 100,000.
 
-    The collector goes on, but finds only what the steps themselves leave behind. A daemon does the same.
+    The collector goes on, but finds only what the steps themselves leave behind. The daemon does the same.
     """
     gc.collect()
     gc.freeze()

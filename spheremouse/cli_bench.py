@@ -97,14 +97,14 @@ def bench(
 
     The camera's pose is found first and not counted, nor are the first 10 frames; every other frame is.
     """
-    if any(name not in os.environ for name in _ONE_THREAD):
-        command = [sys.executable, "-m", "spheremouse", *sys.argv[1:]]
-        child = subprocess.run(command, env={**_ONE_THREAD, **os.environ}, check=False)
-        raise typer.Exit(child.returncode if child.returncode >= 0 else 128 - child.returncode)
     if json_file is not None and not json_file.parent.is_dir():
         raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
     if 0 < steps <= WARM_UP:
         raise ConfigurationError(f"--steps: {steps}: the first {WARM_UP} do not count; more than that, or 0")
+    if any(name not in os.environ for name in _ONE_THREAD):
+        command = [sys.executable, "-m", "spheremouse", *sys.argv[1:]]
+        child = subprocess.run(command, env={**_ONE_THREAD, **os.environ}, check=False)
+        raise typer.Exit(child.returncode if child.returncode >= 0 else 128 - child.returncode)
     film = benchmark.simulated(frames) if dataset is None else benchmark.recorded(dataset, frames)
     with benchmark.one_thread(), Bar() as bar:
         start = benchmark.start()

@@ -44,7 +44,7 @@ from spheremouse.watch import Watch, WatchSettings
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _SURE = 10  # sightings from which a disc is worth keeping
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
-_LIVELY = 16.0  # level of the player from which a bumped camera explains as much
+_LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
@@ -259,8 +259,19 @@ def step(
     watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, _surprised(new))
     new = replace(new, watch=watch)
     if odd or _out_of_sight(new, frame.stamp):
-        return _attend(replace(state, watch=watch), (new, motion), frame, tracker)
+        new, motion = _attend(replace(state, watch=watch), (new, motion), frame, tracker)
+    if state.phase is Phase.TRACKING and new.phase is Phase.LOST and _hidden(new.watch):
+        return replace(
+            new, event=f"{new.event}; the targets are out of sight: if the camera was moved, initialise again"
+        ), motion
     return new, motion
+
+
+def _hidden(watch: Watch | None) -> bool:
+    """Are the targets out of sight that were in sight before?"""
+    if watch is None or sum(patch is not None for patch in watch.patches) < 3:
+        return False
+    return int(np.count_nonzero(watch.seen)) < 3
 
 
 def _stages(
@@ -324,9 +335,7 @@ def _out_of_sight(state: TrackState, stamp: float) -> bool:
     watch = state.watch
     if watch is None or state.holds or state.phase is Phase.SEARCHING:
         return False
-    known = sum(patch is not None for patch in watch.patches)
-    hidden = known >= 3 and int(np.count_nonzero(watch.seen)) < 3
-    return hidden and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
+    return _hidden(watch) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
 
 
 def _attend(
@@ -528,6 +537,8 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
     A second one in a row is a ball that was lifted: lost, and nothing sent, until the discs fit a rotation again. A
     ball out of round is said to be, and tracked as well as it goes.
     """
+    if state.off == 0 and state.misfit < 1.0 and _all_fit(state):
+        return state
     found = _shift(state, state.filter, tracker)
     s, radius = tracker.settings.bearing, tracker.rig.ball.radius
     if found is None:
@@ -556,6 +567,12 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
         event = "the discs do not fit a ball that turns about its centre: out of round, or the camera was moved"
         return replace(state, out_of_round=True, event=f"{state.event}; {event}" if state.event else event)
     return replace(state, out_of_round=state.out_of_round and misfit > 0.3 * s.out_of_round)
+
+
+def _all_fit(state: TrackState) -> bool:
+    """Is every point of the last frame a known disc in its place? Then there is nothing to look into."""
+    used = len(state.filter.used)
+    return used == len(state.points) and isinstance(state.filter, So3State) and state.filter.nis < 4.0 * used + 10.0
 
 
 def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Shift | None:

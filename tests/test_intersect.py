@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.detect.detections import Detections, no_detections
 from spheremouse.intersect import intersect
-from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rig import Ball, Rig, Targets, row_delay
 from spheremouse.rotation import exp
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
@@ -256,10 +256,22 @@ def test_delay_is_the_time_of_a_points_row_after_the_middle_row():
     rolling = replace(RIG, readout_s=0.03)
     points = intersect(detections(uv), rolling, POSE)
     assert_allclose(points.delay, 0.03 * ((uv[:, 1] + 0.5) / 1080 - 0.5), atol=1e-15)
+    assert_allclose(row_delay(uv[:, 1], 0.03, CAMERA), points.delay, atol=1e-15)
     middle = intersect(detections(np.array([[967.0, 539.5]])), rolling, POSE)
     assert_allclose(middle.delay, 0.0, atol=1e-15)
     lower = intersect(detections(np.array([[967.0, 539.5 + 270.0]])), rolling, POSE)
     assert_allclose(lower.delay, 0.03 / 4)  # a row further down is read later
+
+
+def test_row_is_told_whatever_is_known_of_the_shutter():
+    """From -1/2 above the first row to 1/2 below the last: what a readout that is learnt later multiplies."""
+    uv = to_pixels(places())
+    row = (uv[:, 1] + 0.5) / 1080 - 0.5
+    for readout in (0.0, 0.03):
+        points = intersect(detections(uv), replace(RIG, readout_s=readout), POSE)
+        assert_allclose(points.row, row, atol=1e-15)
+        assert_allclose(points.delay, readout * points.row, atol=1e-15)
+    assert np.ptp(points.row) > 0.1
 
 
 def test_delay_stays_with_its_point_when_rays_miss():
@@ -267,7 +279,8 @@ def test_delay_stays_with_its_point_when_rays_miss():
     uv = rng.uniform([0, 0], [1919, 1079], (300, 2))
     points = intersect(detections(uv), replace(RIG, readout_s=0.03), POSE)
     assert 20 < len(points) < 200
-    assert len(points.delay) == len(points)
+    assert len(points.delay) == len(points.row) == len(points)
+    assert_allclose(points.row, (uv[points.index, 1] + 0.5) / 1080 - 0.5, atol=1e-15)
     assert_allclose(points.delay, 0.03 * ((uv[points.index, 1] + 0.5) / 1080 - 0.5), atol=1e-15)
 
 

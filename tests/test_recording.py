@@ -14,6 +14,7 @@ import pytest
 from spheremouse.errors import DatasetError
 from spheremouse.frame import Frame
 from spheremouse.recording import DatasetWriter, open_dataset, read_frames, write_simulation
+from spheremouse.rig import UNKNOWN_READOUT
 from spheremouse.rotation import exp, from_euler
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
@@ -143,7 +144,7 @@ def test_the_rig_comes_from_what_is_known_beforehand(made, folder):
         31.5,
     )
     assert rig.camera.distortion.tolist() == [0.1, -0.2, 0.001, 0.002, 0.03]
-    assert (rig.ball.radius, rig.disc_radius, rig.readout_s) == (0.6, 0.02, 0.0)
+    assert (rig.ball.radius, rig.disc_radius, rig.exposure_s) == (0.6, 0.02, 0.004)
     assert (rig.targets.ids, rig.targets.codes, rig.targets.position.tolist()) == ((4,), ("MCY",), [[0.1, 0.2, 0.3]])
     assert rig.pose is None
     assert rig.disc_directions is None
@@ -155,10 +156,24 @@ def test_the_rig_comes_from_what_is_known_beforehand(made, folder):
         spoil_scene(folder, key, None)
     known = open_dataset(folder)
     assert np.allclose(known.rig.pose.position, [0.25, 0.0, 2.0])
-    assert known.rig.readout_s == 0.02
+    assert (known.rig.readout_s, known.rig.readout_sigma_s) == (0.02, 0.0)
     assert known.pose is None
     assert known.truth_directions is None
     assert known.rig.targets.position.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("more", "readout", "sigma"),
+    [
+        ({}, 0.0, UNKNOWN_READOUT),
+        ({"readout_s": None}, 0.0, UNKNOWN_READOUT),
+        ({"readout_s": 0}, 0.0, 0.0),
+        ({"readout_s": 0.02}, 0.02, 0.0),
+    ],
+)
+def test_a_readout_that_a_scene_does_not_tell_is_unknown(tmp_path, more, readout, sigma):
+    rig = open_dataset(write(tmp_path / "made", **more)).rig
+    assert (rig.readout_s, rig.readout_sigma_s) == (readout, sigma)
 
 
 def test_a_recording_without_truth_is_stamped_by_its_rate(folder):
@@ -222,6 +237,9 @@ def test_a_missing_file_is_named(folder, name):
         ("ball.radius", -1.0),
         ("ball", None),
         ("disc_radius", None),
+        ("readout_s", -0.001),
+        ("readout_s", "0.01"),
+        ("exposure_s", -0.001),
         ("target_radii", None),
         ("targets.0.code", "MMY"),
         ("targets.0.position", [0.0, 1.0]),

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.errors import ConfigurationError
 from spheremouse.recording import open_dataset
-from spheremouse.rig import CODES, Ball, Rig, Targets
+from spheremouse.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rig_file import load_camera, load_rig, rig_text, save_camera, save_rig, with_camera
 
 TEXT = """\
@@ -63,10 +63,17 @@ def random_rig(seed, targets, known_pose, discs):
             radii=np.sort(rng.uniform(0.01, 0.1, 3)),
         ),
         disc_radius=rng.uniform(0.01, 0.03),
-        readout_s=rng.uniform(0, 0.03),
+        **shutter(rng),
         pose=pose if known_pose else None,
         disc_directions=directions / np.linalg.norm(directions, axis=1, keepdims=True) if discs else None,
     )
+
+
+def shutter(rng):
+    """A rolling one whose readout is known, or a camera of which nobody knows."""
+    if rng.random() < 0.5:
+        return {"readout_sigma_s": UNKNOWN_READOUT, "exposure_s": 0.0}
+    return {"readout_s": rng.uniform(0, 0.03), "exposure_s": rng.uniform(0, 0.03)}
 
 
 def same(a, b):
@@ -111,6 +118,26 @@ def test_a_rig_written_by_hand(tmp_path):
     assert rig.pose is not None
     np.testing.assert_allclose(rig.pose.to_cam(np.zeros((1, 3))), [[0, 0, 2.4]], atol=1e-15)
     np.testing.assert_allclose(rig.disc_directions, [[0, 0, 1], [0, 0.8, 0.6]])
+
+
+@pytest.mark.parametrize(
+    ("line", "readout", "sigma", "saved"),
+    [
+        ("readout_s: 0.01\n", 0.01, 0.0, "readout_s: 0.01 "),
+        ("readout_s: 0\n", 0.0, 0.0, "readout_s: 0.0 "),  # somebody knows that it is a global one
+        ("readout_s: null\n", 0.0, UNKNOWN_READOUT, "readout_s: null "),
+        ("readout_s:\n", 0.0, UNKNOWN_READOUT, "readout_s: null "),
+        ("", 0.0, UNKNOWN_READOUT, "readout_s: null "),
+    ],
+)
+def test_a_readout_that_nobody_knows_stays_unknown(tmp_path, line, readout, sigma, saved):
+    path = tmp_path / "rig.yaml"
+    path.write_text(TEXT.replace("readout_s: 0.01\n", line))
+    rig = load_rig(path)
+    assert (rig.readout_s, rig.readout_sigma_s, rig.exposure_s) == (readout, sigma, 0.0)
+    save_rig(path, rig)
+    assert saved in path.read_text()
+    assert same(load_rig(path), rig)
 
 
 def test_a_matrix_copied_with_four_digits_is_made_a_rotation(tmp_path):
@@ -188,7 +215,24 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "disc_radius: 2",
             "10: disc_radius: is 2 m, not smaller than the ball; both are in metres",
         ),
-        ("0.01", "10", "11: readout_s: must be less than 1, is 10; time a rolling shutter takes over all rows in s"),
+        (
+            "0.01",
+            "10",
+            "11: readout_s: must be less than 1, is 10; "
+            "time a rolling shutter takes over all rows in s; 0: global; null: unknown",
+        ),
+        (
+            "readout_s: 0.01",
+            "readout_s: -0.01",
+            "11: readout_s: must be at least 0, is -0.01; "
+            "time a rolling shutter takes over all rows in s; 0: global; null: unknown",
+        ),
+        (
+            "readout_s: 0.01",
+            "exposure_s: 1.0",
+            "11: exposure_s: must be less than 1, is 1.0; "
+            "time the shutter is open in s, which tells the blur of a fast ball; 0: unknown",
+        ),
         (
             "[0.02, 0.04, 0.06]",
             "[0.02, 0.06, 0.04]",

@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 from spheremouse.disc_map import DiscMap
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
-from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consider, drop, inject, to_map, with_map
+from spheremouse.filters.so3_kernel import CORE, FIRST, READOUT
+from spheremouse.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import exp, log, tangent_basis
 
@@ -28,7 +29,8 @@ def points_at(d, rng, sigma=SIGMA):
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
     n = len(d)
     C = (RADIUS * sigma) ** 2 * (np.eye(3) - d[:, :, None] * d[:, None, :])
-    return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), np.zeros(n), np.zeros(n), np.arange(n))
+    none = np.zeros(n)
+    return SpherePoints(RADIUS * d, C, d, C, np.zeros((n, 3, 6)), np.zeros((n, 3, 4)), none, none, np.arange(n))
 
 
 def seen(R, rng):
@@ -119,14 +121,15 @@ def test_with_map_and_to_map_are_inverses():
 
 def test_with_map_leaves_the_rest_of_the_state():
     considered = 1e-6 * np.eye(10)
-    fresh = replace(FILTER, considered=considered).initial(5.0, exp(np.array([0.3, 0.1, -0.2])))
+    fresh = replace(FILTER, considered=considered, readout_sigma=0.015).initial(5.0, exp(np.array([0.3, 0.1, -0.2])))
     known = to_map(learnt()[0], 1)
     assert known is not None
     state = with_map(fresh, known, 50)
     assert state.stamp == 5.0
     assert_array_equal(state.attitude, fresh.attitude)
     assert_array_equal(state.joint[:FIRST, :FIRST], fresh.joint)
-    assert_array_equal(state.joint[CORE:FIRST, CORE:FIRST], considered)
+    assert_array_equal(state.joint[CORE:READOUT, CORE:READOUT], considered)
+    assert_allclose(state.readout_sigma, 0.015)
     assert_array_equal(state.joint[:FIRST, FIRST:], 0.0)
     assert state.hits.max() == 50  # however often a disc was seen, one that fell off goes in the end
     assert_array_equal(state.missed, 0)
@@ -198,20 +201,17 @@ def test_drop_forgets_discs_and_their_rows_and_no_others():
 
 def test_consider_sets_the_errors_of_pose_and_ball_and_their_correlations_to_nothing():
     state, _ = learnt()
-    joint = state.joint.copy()
-    joint[CORE:FIRST, :CORE] = joint[:CORE, CORE:FIRST].T
-    joint[CORE, 0] = joint[0, CORE] = joint[CORE + 1, FIRST] = joint[FIRST, CORE + 1] = 1.0
+    rng = np.random.default_rng(8)
+    A = rng.normal(size=state.joint.shape)
+    before = A + A.T  # everything hangs together
+    joint = before.copy()
     considered = np.diag(np.arange(1.0, 11.0))
     consider(joint, considered)
-    assert_array_equal(joint[CORE:FIRST, CORE:FIRST], considered)
-    for part in (
-        joint[CORE:FIRST, :CORE],
-        joint[CORE:FIRST, FIRST:],
-        joint[:CORE, CORE:FIRST],
-        joint[FIRST:, CORE:FIRST],
-    ):
-        assert_array_equal(part, 0.0)
-    assert_array_equal(joint[FIRST:, FIRST:], state.joint[FIRST:, FIRST:])
+    assert_array_equal(joint[CORE:READOUT, CORE:READOUT], considered)
+    rest = np.delete(np.arange(len(joint)), np.arange(CORE, READOUT))
+    assert_array_equal(joint[CORE:READOUT, rest], 0.0)
+    assert_array_equal(joint[rest, CORE:READOUT], 0.0)
+    assert_array_equal(joint[np.ix_(rest, rest)], before[np.ix_(rest, rest)])  # the readout's, too
 
 
 def test_a_new_disc_in_a_saved_map_knows_what_the_attitude_does():

@@ -1,7 +1,9 @@
 """The whole use phase after detection: a ball seen as disc centres, from a still start to lens caps and bad clocks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 from conftest import directions
@@ -14,7 +16,8 @@ from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import exp, log
-from spheremouse.track import Phase, Settings, TrackState, advance, begin, build, step
+from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.track import Phase, Settings, TrackState, advance, begin, build, current, step
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
@@ -322,3 +325,81 @@ def test_bolts_alone_never_turn():
     out = film(lambda _: np.eye(3), seconds(3.0), discs=DISCS[:0], extra=BOLTS)
     assert not np.any(out.counts)
     assert not out.states[-1].moved
+
+
+# --- a camera that is pushed, a ball that is lifted, discs that come one at a time ------------------------------------
+
+
+def test_a_lifted_ball_is_reported_and_sends_next_to_nothing():
+    """3 cm up within 0.2 s and down again: the shift looks like a turn at first, then like nothing a ball does."""
+    rng = np.random.default_rng(8)
+    tracker = build(RIG, POSE, SO3)
+    state = begin(tracker, 0.0)
+    counts, events, discs = [], [], directions(40, 0)
+    for t in seconds(4.5):
+        R = start(min(t, 2.0))
+        lift = 0.03 * np.clip(min(t - 2.5, 3.5 - t) / 0.2, 0.0, 1.0)
+        p = discs @ R.T
+        uv = project(POSE.to_cam([0.0, lift, 0.0] + RIG.ball.radius * p[p[:, 2] > 0.35]), CAMERA)[0]
+        state, motion = advance(state, t, detections(uv, rng), tracker)
+        events += [state.event] if state.event else []
+        if t > 2.1:
+            counts.append(motion.counts)
+        if 2.8 < t < 3.2:
+            assert state.phase is Phase.LOST
+    assert sum("does not turn about its centre" in e for e in events) == 1
+    assert any("attitude kept" in e for e in events)
+    assert np.abs(np.cumsum(counts, axis=0)).max() <= 12
+    assert np.linalg.norm(log(state.filter.attitude @ R.T)) < 2e-3
+
+
+def test_new_discs_take_over_when_the_known_ones_go_out_of_view():
+    """Each disc is founded in the frame that shows it to turn along: the next may show no other that is known."""
+    angle = np.arange(0.0, 2.0 * np.pi, 0.42)
+    belt = np.stack([np.sin(angle), 0.1 * (-1.0) ** np.arange(len(angle)), np.cos(angle)], axis=1)
+    out = film(lambda t: start(t, 0.3, rate=np.array([0.0, 2.5, 0.0])), seconds(3.0), discs=belt)
+    assert all(s.phase is Phase.TRACKING for s in out.states)
+    assert len(out.states[-1].filter.discs) >= len(belt) - 1
+    assert out.error[-1] < 5e-3
+
+
+def _pushed(push, seconds, grey=False):
+    """A rolling ball whose camera is pushed at 1 s: states, motions, true attitudes, and the tracker given."""
+    sim = prepare(SimulationOptions(motion="roll", turns=1.0, noise=3.0, seconds=seconds, bump=1.0, bump_by=push))
+    tracker = build(sim.scene.rig(), sim.scene.pose, SO3)
+    state, states, motions, attitudes = begin(tracker, 0.0), [], [], []
+    for made in simulate(sim):
+        image = cv2.cvtColor(made.frame.image, cv2.COLOR_BGR2GRAY) if grey else made.frame.image
+        state, motion = step(state, replace(made.frame, image=image), tracker)
+        states.append(state)
+        motions.append(motion)
+        attitudes.append(made.attitude)
+    return states, motions, attitudes, tracker, sim.changes[0].scene.pose
+
+
+@pytest.mark.parametrize(
+    ("push", "grey"), [((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), True), ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), False)]
+)
+def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
+    """By correlation, in grey; and by the targets' colours, where they left their windows."""
+    states, motions, attitudes, tracker, pose = _pushed(push, 1.6, grey)
+    events = [s.event for s in states if "camera was moved" in s.event]
+    assert len(events) == 1
+    assert current(states[0], tracker) is tracker
+    now = current(states[-1], tracker).pose
+    away = project(now.to_cam(np.array([[0.0, 0.0, 0.6], [0.3, 0.3, 0.4], [-0.4, 0.2, 0.4]])), tracker.rig.camera)[0]
+    true = project(pose.to_cam(np.array([[0.0, 0.0, 0.6], [0.3, 0.3, 0.4], [-0.4, 0.2, 0.4]])), tracker.rig.camera)[0]
+    assert np.abs(away - true).max() < 0.3  # the pose is right where it matters: on the ball
+    M = attitudes[0].T @ states[0].filter.attitude
+    error = [np.linalg.norm(log(s.filter.attitude @ (R @ M).T)) for s, R in zip(states, attitudes, strict=True)]
+    assert max(error) < 5e-3
+    assert all(s.phase is Phase.TRACKING for s in states)
+    sent = np.cumsum([m.counts for m in motions], axis=0)
+    turns = [tracker.counts @ log(b @ a.T) for a, b in pairwise(attitudes)]
+    assert np.abs(sent[1:] - np.cumsum(turns, axis=0))[-1].max() < 4.0
+
+
+def test_a_camera_that_stands_is_left_alone():
+    states, _, _, tracker, _ = _pushed((0.0,) * 6, 1.5)
+    assert all(current(s, tracker) is tracker for s in states)
+    assert all(s.watch.away is None for s in states)

@@ -271,7 +271,7 @@ class So3Filter:
         S += H @ more @ H.T
         dx = np.empty(len(joint))
         prior = joint.copy()
-        nis = kernel.correct(joint, HP, S, z, dx)
+        nis = kernel.correct(joint, HP, S, z, dx, kernel.turns(state.rate, joint))
         if float(np.abs(dx[:3]).max()) > _LINEAR:
             joint, dx, nis = self._again(state, prior, dx, points, rows, columns)
         return inject(state, dx, joint, weights, float(np.sqrt(square)), rows, nis)
@@ -288,11 +288,13 @@ class So3Filter:
         """A large correction, made again about where it led (iterated Kalman filter, Bell and Cathey 1993)."""
         joint, nis = prior, 0.0
         for _ in range(3):
-            there = inject(state, dx, prior, state.weights, state.level, rows, nis)
+            about = dx.copy()
+            about[READOUT] = 0.0  # the innovation is linear in it, and what is added back below leaves it out
+            there = inject(state, about, prior, state.weights, state.level, rows, nis)
             H, HP, z, S = self._innovation(there, points, rows, columns, _STILL)
             at = (FIRST + 2 * columns[:, None] + np.arange(2)).ravel()
             joint, step = prior.copy(), np.empty(len(dx))
-            nis = kernel.correct(joint, HP, S, z + H @ dx[:CORE] + dx[at], step)
+            nis = kernel.correct(joint, HP, S, z + H @ dx[:CORE] + dx[at], step, kernel.turns(state.rate, joint))
             moved = float(np.abs(step[:3] - dx[:3]).max())
             dx = step
             if moved < 0.1 * _LINEAR:

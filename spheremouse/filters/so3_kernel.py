@@ -453,7 +453,15 @@ def weigh(z, S, H, process, squares, weights):
 
 
 @njit(cache=True, error_model="numpy")
-def correct(P, HP, S, z, dx):
+def turns(rate, P):
+    """Whether the rate is five standard deviations from zero: noise taken for a rate would teach a readout."""
+    if P[READOUT, READOUT] == 0.0:
+        return False
+    return rate @ np.linalg.solve(P[3:6, 3:6].copy(), rate) > 25.0
+
+
+@njit(cache=True, error_model="numpy")
+def correct(P, HP, S, z, dx, learn):
     """P and the correction dx, (n,), after innovations z; returns z' S^-1 z.
 
     What is only considered gets no gain (Schmidt 1966). The covariance is Joseph's form multiplied out, which holds for
@@ -489,7 +497,7 @@ def correct(P, HP, S, z, dx):
         for j in range(n):
             K[i, j] *= f
     for i in range(k):
-        for j in range(CORE, READOUT):
+        for j in range(CORE, READOUT if learn else FIRST):
             K[i, j] = 0.0
     U = HP - 0.5 * (S @ K)
     KU = K.T @ U
@@ -592,7 +600,7 @@ def update(
         HP[:, :CORE] += H @ more
         S += H @ more @ H.T
     dx = np.empty(len(P))
-    nis = correct(P, HP, S, z, dx)
+    nis = correct(P, HP, S, z, dx, turns(rate, P))
     return True, rows, columns, dx, square, nis
 
 

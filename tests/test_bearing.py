@@ -1,0 +1,85 @@
+"""The ball's centre from the discs of one frame: exact shifts found again, its covariance, and what is no shift."""
+
+import numpy as np
+import pytest
+from conftest import directions
+from numpy.testing import assert_allclose
+
+from spheremouse.bearing import BearingSettings, averaged, fits, is_off, shift_of
+from spheremouse.camera import InteriorOrientation, Pose, project
+from spheremouse.detect.detections import Detections
+from spheremouse.intersect import intersect
+from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rotation import exp
+
+CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.35]))
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+DISCS = directions(40, 3)
+SIGMA = 0.05  # px
+S = BearingSettings()
+
+
+def found(shift, turn=(0.0, 0.0, 0.0), noise=0.0, rng=None, wrong=0, seen=None):
+    """What a frame says when the centre is off by `shift` and the attitude taken by `turn`."""
+    p = DISCS @ exp(np.array(turn)).T
+    uv = project(POSE.to_cam(np.array(shift) + 0.6 * p[p[:, 2] > 0.45][:seen]), CAMERA)[0]
+    if noise:
+        uv = uv + noise * rng.normal(size=uv.shape)
+    uv[:wrong] += [4.0, 1.0]
+    points = intersect(
+        Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0)), RIG, POSE
+    )
+    variance = np.full(len(DISCS), 1e-8)
+    return shift_of(points, np.zeros(len(points)), DISCS, variance, np.eye(3), np.zeros(3), 0.6, 0.07)
+
+
+@pytest.mark.parametrize("shift", [[0.0, 0.03, 0.0], [0.02, -0.01, 0.0], [0.0, 0.0, 0.03], [0.005, 0.0, 0.0]])
+@pytest.mark.parametrize("turn", [[0.0, 0.0, 0.0], [0.01, -0.005, 0.01]])
+def test_a_shift_of_the_centre_is_found(shift, turn):
+    out = found(shift, turn)
+    assert out.pairs >= 5
+    assert_allclose(out.shift, shift, atol=0.2 * np.linalg.norm(shift))  # the equations are linear, 3 cm are not
+    assert is_off(out, 0.6, S)
+    assert not fits(out, 0.6, S)
+
+
+def test_a_rotation_alone_is_no_shift_and_noise_scatters_as_it_says():
+    rng = np.random.default_rng(0)
+    certainty, before = [], []
+    for _ in range(200):
+        out = found([0.0, 0.0, 0.0], 0.01 * rng.normal(size=3), SIGMA, rng)
+        assert not is_off(out, 0.6, S)
+        assert fits(out, 0.6, S)
+        certainty.append(out.certainty**2)
+        before.append(out.before)
+    # chi-square with 3 degrees of freedom and 1: less, since the floor for print is not in the noise here
+    assert 0.05 < np.mean(certainty) < 3.0
+    assert 0.02 < np.mean(before) < 1.0
+
+
+def test_one_wrong_pair_is_not_a_ball_off_its_bearings():
+    out = found([0.0, 0.0, 0.0], wrong=1)
+    assert out.before > 3.0
+    assert not is_off(out, 0.6, S)
+
+
+@pytest.mark.parametrize("seen", [0, 2, 3])
+def test_three_discs_say_nothing(seen):
+    assert found([0.0, 0.03, 0.0], seen=seen) is None
+
+
+def test_a_ball_out_of_round_must_be_farther_off_to_be_lifted():
+    out = found([0.0, 0.006, 0.0])
+    assert is_off(out, 0.6, S)
+    assert not is_off(out, 0.6, S, out_of_round=True)
+
+
+def test_one_bad_frame_does_not_spoil_the_mean():
+    bad = found([0.0, 0.03, 0.0])
+    once = averaged(0.5, bad, 1.0 / 30.0, S)
+    assert once < 1.0
+    mean = 0.5
+    for _ in range(60):
+        mean = averaged(mean, bad, 1.0 / 30.0, S)
+    assert mean > S.out_of_round

@@ -1,0 +1,311 @@
+"""The search for unknown discs: lattices against the mask, discs drawn at any place, what is none, what is put off."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.detect.cap import Appearance, appearance
+from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.detect.search import Hunt, hunt, went
+from spheremouse.rig import Ball, Rig, Targets
+
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
+BALL, INK, ROOM = 190.0, 30.0, 90.0
+OVER = 6  # subpixels along each side of a pixel
+NOWHERE = np.zeros((0, 2))
+NOISE = 1.0
+
+
+def camera(scale=1):
+    """A ball of 330 px, its largest disc of 15 px, and the same `scale` times finer."""
+    return InteriorOrientation(640 * scale, 480 * scale, 640.0 * scale, 640.0 * scale, 320.0 * scale, 240.0 * scale)
+
+
+def device(scale=1, **changes):
+    return disc_detector(DiscSettings(**changes), Rig(camera(scale), Ball(0.6), NO_TARGETS, 0.02), POSE)
+
+
+PLAIN = device()
+FINE = device(2)
+FORM = {1: PLAIN, 2: FINE}
+
+
+def random_discs(rng, n, detector, least):
+    """n whole discs of at least `least` px², no two nearer than two diameters."""
+    found: list[Appearance] = []
+    while len(found) < n:
+        d = rng.normal(size=3)
+        d[2] = abs(d[2])
+        seen = appearance(d[None] / np.linalg.norm(d), detector.rig, detector.pose)
+        apart = all(np.linalg.norm(seen.centroid - o.centroid) > 2.0 * detector.diameter for o in found)
+        if seen.whole[0] and seen.area[0] > least and apart:
+            found.append(seen)
+    return np.concatenate([s.centroid for s in found]), np.concatenate([s.shape for s in found])
+
+
+def drawn(centres, shapes, detector=PLAIN, ball=BALL, ink=INK):
+    """Grey picture, (h, w) float, of ellipses on the ball, by subpixels, with a lens' blur."""
+    w = detector.mask.shape[1]
+    ball_again = cv2.dilate(detector.mask, np.ones((3, 3), np.uint8))
+    image = np.where(ball_again > 0, ball, ROOM)
+    sub = (np.arange(OVER) + 0.5) / OVER - 0.5
+    for c, S in zip(centres, shapes, strict=True):
+        reach = int(np.sqrt(S.trace())) + 2
+        x0, y0 = int(c[0]) - reach, int(c[1]) - reach
+        x = (np.arange(x0, x0 + 2 * reach + 2)[:, None] + sub).ravel() - c[0]
+        y = (np.arange(y0, y0 + 2 * reach + 2)[:, None] + sub).ravel() - c[1]
+        q = np.linalg.inv(S)
+        inside = q[0, 0] * x**2 + 2.0 * q[0, 1] * x * y[:, None] + q[1, 1] * y[:, None] ** 2 < 1.0
+        cover = inside.reshape(2 * reach + 2, OVER, 2 * reach + 2, OVER).mean(axis=(1, 3))
+        image[y0 : y0 + 2 * reach + 2, x0 : x0 + 2 * reach + 2] += cover * (ink - ball)
+    return cv2.GaussianBlur(image, (0, 0), 0.4 * w / 640.0)
+
+
+def photo(image, noise=NOISE, seed=0):
+    """(h, w, 1) uint8."""
+    rng = np.random.default_rng(seed)
+    return np.clip(np.rint(image + noise * rng.normal(size=image.shape)), 0, 255).astype(np.uint8)[:, :, None]
+
+
+def look(image, state, known=NOWHERE, detector: DiscDetector = PLAIN, light=False):
+    f = detector.fit
+    radius = 0.5 * detector.diameter
+    return hunt(image, detector.mask, detector.lattice, state, known, f.reduction, radius, f.contrast, NOISE, light)
+
+
+def four_turns(image, first=0, **more):
+    return np.concatenate([look(image, Hunt(turn), **more) for turn in range(first, first + 4)])
+
+
+def distances(places, to):
+    """From each of `to` to the nearest of `places`."""
+    if len(places) == 0:
+        return np.full(len(to), np.inf)
+    return np.linalg.norm(to[:, None] - places[None], axis=2).min(axis=1)
+
+
+# --- the lattice -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_four_lattices_cover_the_mask(scale):
+    """No pixel of the ball is further from a sample than half a diagonal of 2 px of the reduced picture."""
+    detector = FORM[scale]
+    f = detector.fit.reduction
+    assert f == scale
+    free = np.full(detector.mask.shape, 255, np.uint8)
+    for places in detector.lattice.places:
+        assert np.all(detector.mask[places[:, 1], places[:, 0]] == 255)
+        free[places[:, 1], places[:, 0]] = 0
+    count = sum(len(p) for p in detector.lattice.places)
+    assert count == np.count_nonzero(free == 0)  # none is looked at twice
+    off = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inner = cv2.erode(detector.mask, np.ones((4 * f + 1, 4 * f + 1), np.uint8)) > 0
+    assert off[inner].max() <= np.sqrt(2.0) * f + 1e-6
+
+
+def test_bits_say_which_neighbours_lie_on_the_ball():
+    lattice = PLAIN.lattice
+    assert_array_equal(lattice.offsets[0::2], -lattice.offsets[1::2])  # opposite ones follow each other
+    length = np.linalg.norm(lattice.offsets, axis=1)
+    assert np.all(length > 0.5 * PLAIN.diameter + 1.0)  # beyond a disc around it
+    h, w = PLAIN.mask.shape
+    kinds = set()
+    for places, sides in zip(lattice.places, lattice.sides, strict=True):
+        for (x, y), bits in zip(places[::7].tolist(), sides[::7].tolist(), strict=True):
+            for k, (dx, dy) in enumerate(lattice.offsets.tolist()):
+                u, v = x + dx, y + dy
+                on = 0 <= u < w and 0 <= v < h and PLAIN.mask[v, u] > 0
+                assert bool((bits >> k) & 1) == on
+            kinds.add(bits == 255)
+    assert kinds == {True, False}
+
+
+# --- discs -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_every_disc_is_met_within_four_turns(scale):
+    """Discs of 15 px² and more of the reduced picture, anywhere on the ball, at any subpixel place."""
+    rng = np.random.default_rng(1)
+    detector = FORM[scale]
+    worst, missed, n = 0.0, 0, 0
+    for k in range(100 if scale == 1 else 40):
+        centres, shapes = random_discs(rng, 4, detector, 15.0 * scale**2)
+        off = distances(four_turns(photo(drawn(centres, shapes, detector), seed=k), 4 * k, detector=detector), centres)
+        missed += np.count_nonzero(off > 3.0 * scale)
+        worst = max(worst, off[off < 3.0 * scale].max())
+        n += len(off)
+    assert missed == 0, f"{missed} of {n}"
+    assert worst < 2.0 * scale  # near enough for the fit
+
+
+def test_a_disc_of_ordinary_size_is_met_in_the_first_turn_wherever_it_is():
+    """What is 10 px high."""
+    rng = np.random.default_rng(2)
+    n = 0
+    for k in range(60):
+        centres, shapes = random_discs(rng, 4, PLAIN, 70.0)
+        places = look(photo(drawn(centres, shapes), seed=k), Hunt(k))
+        assert len(places) <= 4  # each of them once
+        high = np.sqrt(shapes[:, 1, 1]) > 5.0
+        assert distances(places, centres)[high].max(initial=0.0) < 1.0
+        n += np.count_nonzero(high)
+    assert n > 100
+
+
+def test_all_of_many_discs_come_in_the_end():
+    """Four in a frame, but not the same four for ever."""
+    centres, shapes = random_discs(np.random.default_rng(3), 14, PLAIN, 60.0)
+    image, met = photo(drawn(centres, shapes)), []
+    for turn in range(32):
+        met.append(look(image, Hunt(turn)))
+        assert len(met[-1]) == 4
+    assert distances(np.concatenate(met), centres).max() < 1.0
+
+
+def test_known_places_are_left_out():
+    centres, shapes = random_discs(np.random.default_rng(4), 4, PLAIN, 60.0)
+    image = photo(drawn(centres, shapes))
+    assert distances(four_turns(image), centres).max() < 1.0
+    rest = four_turns(image, known=centres[:3] + 0.7)
+    assert distances(rest, centres)[3] < 1.0
+    assert distances(rest, centres)[:3].min() > PLAIN.diameter
+    assert len(four_turns(image, known=centres)) == 0
+
+
+def test_light_discs_on_a_dark_ball_are_the_negative():
+    centres, shapes = random_discs(np.random.default_rng(5), 4, PLAIN, 30.0)
+    image = photo(drawn(centres, shapes))
+    assert_array_equal(four_turns(255 - image, light=True), four_turns(image))
+    assert len(four_turns(image)) >= 4
+    assert distances(four_turns(image, light=True), centres).min() > 3.0
+
+
+def test_colour_and_grey_agree():
+    """Of three channels the green one counts."""
+    centres, shapes = random_discs(np.random.default_rng(6), 4, PLAIN, 30.0)
+    image = photo(drawn(centres, shapes))
+    grey = four_turns(image)
+    assert len(grey) >= 4
+    assert_array_equal(four_turns(np.repeat(image, 3, axis=2)), grey)
+    red = np.concatenate([np.full_like(image, 40), image, np.full_like(image, 200)], axis=2)
+    assert_array_equal(four_turns(red), grey)
+
+
+def test_a_detector_measures_what_the_search_meets():
+    """The whole way: centres with their covariance, none twice, and none known."""
+    centres, shapes = random_discs(np.random.default_rng(7), 4, PLAIN, 40.0)
+    image, state, met = photo(drawn(centres, shapes))[:, :, 0], Hunt(), []
+    for _ in range(4):
+        found, state = PLAIN.hunt(image, state, centres[:1])
+        met.append(found.centre)
+    assert state.turn == 4
+    met = np.concatenate(met)
+    # the ellipse's middle is not the disc's centre: by a fraction of a pixel
+    assert distances(met, centres)[1:].max() < 0.3
+    assert distances(met, centres)[0] > PLAIN.diameter
+    assert len(state.duds) == 0  # discs are none
+
+
+# --- what is no disc -------------------------------------------------------------------------------------------------
+
+
+def clutter(kind):
+    """A ball with struts across it or with a shadow on it, (h, w, 1)."""
+    image = drawn(NOWHERE, np.zeros((0, 2, 2)))
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]]
+    on = image == BALL
+    if kind == "struts":
+        for angle, at, half in ((0.0, -60.0, 6.0), (0.6, 30.0, 10.0), (1.7, 0.0, 4.0), (2.4, 80.0, 15.0)):
+            off = (u - 320) * np.cos(angle) + (v - 240) * np.sin(angle) - at
+            image[on & (np.abs(off) < half)] = INK
+    elif kind == "shadow":
+        off = (u - 300) * np.cos(0.4) + (v - 240) * np.sin(0.4)
+        image[on & (off > 0)] *= 0.4
+    elif kind == "curved shadow":
+        image[on & (np.hypot(u - 260, v - 250) < 60)] *= 0.5
+    return photo(cv2.GaussianBlur(image, (0, 0), 0.6))
+
+
+@pytest.mark.parametrize("kind", ["plain", "struts", "shadow", "curved shadow"])
+def test_struts_and_shadows_cost_next_to_nothing(kind):
+    """Candidates in 256 turns, when none of them is a disc."""
+    image, state, counts = clutter(kind), Hunt(), []
+    for _ in range(256):
+        places = look(image, state)
+        counts.append(len(places))
+        state = went(state, places, NOISE, 1)
+    assert max(counts) <= 4
+    if kind == "struts":  # what runs a little askew to the neighbours is a candidate, all along, until it is put off
+        assert sum(counts) <= 256
+        assert sum(counts[-96:]) <= 16
+    else:
+        assert sum(counts) == 0
+
+
+@pytest.mark.parametrize("sigma", [3.0, 10.0, 30.0])
+def test_noise_shows_no_disc(sigma):
+    """Of much noise a pixel is a candidate now and then; none of them is measured as a disc."""
+    rng, state, count = np.random.default_rng(9), Hunt(), 0
+    empty = drawn(NOWHERE, np.zeros((0, 2, 2)))
+    for turn in range(16):
+        image = photo(empty, sigma, rng.integers(1000))
+        found, state = PLAIN.hunt(image[:, :, 0], state, NOWHERE)
+        assert len(found) == 0
+        count = len(state.duds)
+        assert state.turn == turn + 1
+    assert abs(state.noise / sigma - 1.0) < 0.15
+    assert count == 0 or sigma > 5.0
+
+
+def duds_at(n_turns, gone=0):
+    """Turns at which one dark place came up that turned out to be no disc, each time; not there from turn `gone` on."""
+    centre, shape = np.array([[300.3, 250.6]]), 36.0 * np.eye(2)[None]
+    dark, empty = photo(drawn(centre, shape)), photo(drawn(NOWHERE, np.zeros((0, 2, 2))))
+    state, turns = Hunt(), []
+    for turn in range(n_turns):
+        assert state.turn == turn
+        places = look(empty if 0 < gone <= turn else dark, state)
+        if len(places):
+            assert distances(places, centre)[0] < 1.0
+            assert len(places) == 1
+            turns.append(turn)
+        state = went(state, places, NOISE, 1)
+    return np.array(turns), state
+
+
+def test_a_place_that_is_none_is_put_off_for_twice_as_long_each_time():
+    turns, state = duds_at(2200)
+    assert_array_equal(np.diff(turns) - 1, [8, 16, 32, 64, 128, 256, 512, 512, 512])  # frames it was left out
+    assert len(state.duds) == 1
+
+
+def test_a_place_where_nothing_is_any_more_is_forgotten():
+    """When the next one comes: until then nobody is in the way."""
+    _, state = duds_at(60, gone=10)
+    assert np.all(state.until <= state.turn)
+    far = np.array([[340.0, 200.0]])
+    assert_array_equal(went(state, far, NOISE, 1).duds, far)
+
+
+def test_a_dud_hides_no_disc_beside_it():
+    """What is two radii away from a bolt is another thing."""
+    centres = np.array([[300.3, 250.6], [322.0, 251.0]])
+    image = photo(drawn(centres, np.repeat(36.0 * np.eye(2)[None], 2, axis=0)))
+    state = went(Hunt(), centres[:1], NOISE, 1)
+    places = np.concatenate([look(image, went_on) for went_on in (state, went(state, NOWHERE, NOISE, 1))])
+    assert distances(places, centres)[1] < 1.0
+    assert distances(places, centres)[0] > 10.0
+
+
+def test_places_remembered_are_bounded():
+    rng = np.random.default_rng(8)
+    state = Hunt()
+    for _ in range(200):
+        state = went(state, rng.uniform(100.0, 400.0, (4, 2)), NOISE, 1)
+        assert len(state.duds) == len(state.until) == len(state.wait) <= 256
+    assert state.turn == 200
