@@ -25,7 +25,7 @@ class BearingSettings:
     """When the ball counts as lifted off its bearings, or out of round."""
 
     lifted: float = param(
-        0.006, "radii", "the centre is off its place: a third of a degree of attitude, which is four counts", gt=0
+        0.004, "radii", "the centre is off its place: a quarter of a degree of attitude, two or three counts", gt=0
     )
     certain: float = param(6.0, "-", "standard deviations that this must be", gt=0)
     out_of_round: float = param(

@@ -3,9 +3,10 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose, unproject
+from spheremouse.camera import InteriorOrientation, Pose, unproject, unprojected
 from spheremouse.rotation import Array
 
 COLOURS = "CMY"
@@ -75,8 +76,45 @@ def first_hits(uv: Array, rig: Rig, pose: Pose) -> RayHits:
 
 def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:
     """Directions from the ball's centre, (k, 3) unit vectors in obj, seen at pixels (n, 2), and the k indices."""
-    hits = first_hits(uv, rig, pose)
-    return (pose.position + hits.scale[:, None] * hits.ray - rig.ball.centre) / rig.ball.radius, hits.index
+    directions, index = np.empty((len(uv), 3)), np.empty(len(uv), dtype=np.intp)
+    c = rig.camera
+    n = _directions_at(
+        np.ascontiguousarray(uv, dtype=np.float64),
+        c.intrinsic,
+        c.distortion,
+        c.fold_r2,
+        np.ascontiguousarray(pose.rotation),
+        pose.position,
+        rig.ball.centre,
+        rig.ball.radius,
+        directions,
+        index,
+    )
+    return directions[:n], index[:n]
+
+
+@njit(cache=True, error_model="numpy")
+def _directions_at(uv, intrinsic, distortion, fold, rotation, P, K, R, directions, index):
+    n = len(uv)
+    xy, J = np.empty((n, 2)), np.empty((n, 2, 2))
+    unprojected(uv, intrinsic, distortion, fold, xy, J)
+    met = 0
+    ray = np.empty(3)
+    for i in range(n):
+        a, b, far = 0.0, 0.0, -R * R
+        for j in range(3):
+            ray[j] = rotation[j, 0] * xy[i, 0] + rotation[j, 1] * xy[i, 1] + rotation[j, 2]
+            a += ray[j] * ray[j]
+            b += ray[j] * (K[j] - P[j])
+            far += (K[j] - P[j]) ** 2
+        root = b * b - a * far
+        if root > 0.0 and b > 0.0:  # nan (a pixel no ray maps to) compares false: a miss
+            s = (b - np.sqrt(root)) / a
+            for j in range(3):
+                directions[met, j] = (P[j] + s * ray[j] - K[j]) / R
+            index[met] = i
+            met += 1
+    return met
 
 
 def row_delay(v: Array, readout: float, camera: InteriorOrientation) -> Array:

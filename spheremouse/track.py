@@ -45,6 +45,7 @@ _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 20
 _SURE = 10  # sightings from which a disc is worth keeping
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
+_PUSHED = 16.0  # level from which the filter may take for a turn what is none
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
@@ -303,12 +304,12 @@ def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterSta
     which = tracker.filter.visible(predicted)
     known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
     readout = tracker.rig.readout_s + predicted.readout
-    found = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.hunt)
+    found, hunt = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.hunt)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
     if 2 * len(found) < min(seen_before, len(state.filter.used)):
-        return detector.detect(frame.image), state.hunt
+        return detector.detect(frame.image), hunt
     near = np.concatenate([found.centre, state.lookalikes.masks])
-    other, hunt = detector.hunt(frame.image, state.hunt, near)
+    other, hunt = detector.hunt(frame.image, hunt, near)
     return found.joined(other), hunt
 
 
@@ -571,8 +572,8 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
 
 def _all_fit(state: TrackState) -> bool:
     """Is every point of the last frame a known disc in its place? Then there is nothing to look into."""
-    used = len(state.filter.used)
-    return used == len(state.points) and isinstance(state.filter, So3State) and state.filter.nis < 4.0 * used + 10.0
+    f, used = state.filter, len(state.filter.used)
+    return isinstance(f, So3State) and used == len(state.points) and f.nis < 4.0 * used + 10.0 and f.level < _PUSHED
 
 
 def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Shift | None:

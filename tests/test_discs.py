@@ -184,7 +184,7 @@ AT_REST = np.zeros(3)
 
 
 def follow(image, directions, rate=AT_REST, readout=0.0, detector=DETECTOR):
-    return detector.follow(image, directions, rate, readout, Hunt())
+    return detector.follow(image, directions, rate, readout, Hunt())[0]
 
 
 def displaced(directions, rng, pixels):
@@ -194,6 +194,19 @@ def displaced(directions, rng, pixels):
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     size = angle * np.sqrt(rng.random((len(directions), 1)))
     return np.einsum("nij,nj->ni", exp(size * axis), directions)
+
+
+@pytest.mark.parametrize("noise", [2.0, 10.0])
+def test_noise_and_size_are_learnt_and_remembered(noise):
+    image, still = photo(CLEAN, noise), np.zeros(3)
+    _, learnt = DETECTOR.follow(image, DISCS, still, 0.0, Hunt())
+    assert abs(learnt.noise / noise - 1.0) < 0.1
+    assert abs(learnt.size - 1.0) < 0.05
+    seen, same = DETECTOR.follow(image, DISCS, still, 0.0, replace(learnt, turn=1))
+    assert (same.noise, same.size) == (learnt.noise, learnt.size)
+    i, j = match(seen, TRUTH).T
+    assert len(i) == len(TRUTH)
+    assert np.sqrt(np.mean(np.square(seen.centre[i] - TRUTH[j]))) < 0.02 + 0.01 * noise
 
 
 @pytest.mark.parametrize("noise", [1.0, 4.0])

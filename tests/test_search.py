@@ -238,11 +238,11 @@ def test_struts_and_shadows_cost_next_to_nothing(kind):
     for _ in range(256):
         places = look(image, state)
         counts.append(len(places))
-        state = went(state, places, NOISE, 1)
+        state = went(state, places, 1)
     assert max(counts) <= 4
     if kind == "struts":  # what runs a little askew to the neighbours is a candidate, all along, until it is put off
         assert sum(counts) <= 256
-        assert sum(counts[-96:]) <= 16
+        assert sum(counts[-96:]) <= 48
     else:
         assert sum(counts) == 0
 
@@ -258,7 +258,6 @@ def test_noise_shows_no_disc(sigma):
         assert len(found) == 0
         count = len(state.duds)
         assert state.turn == turn + 1
-    assert abs(state.noise / sigma - 1.0) < 0.15
     assert count == 0 or sigma > 5.0
 
 
@@ -274,30 +273,30 @@ def duds_at(n_turns, gone=0):
             assert distances(places, centre)[0] < 1.0
             assert len(places) == 1
             turns.append(turn)
-        state = went(state, places, NOISE, 1)
+        state = went(state, places, 1)
     return np.array(turns), state
 
 
 def test_a_place_that_is_none_is_put_off_for_twice_as_long_each_time():
     turns, state = duds_at(2200)
-    assert_array_equal(np.diff(turns) - 1, [8, 16, 32, 64, 128, 256, 512, 512, 512])  # frames it was left out
+    assert_array_equal(np.diff(turns) - 1, [32, 64, 128, 256, 512, 512, 512])  # frames it was left out
     assert len(state.duds) == 1
 
 
 def test_a_place_where_nothing_is_any_more_is_forgotten():
     """When the next one comes: until then nobody is in the way."""
-    _, state = duds_at(60, gone=10)
+    _, state = duds_at(120, gone=10)
     assert np.all(state.until <= state.turn)
     far = np.array([[340.0, 200.0]])
-    assert_array_equal(went(state, far, NOISE, 1).duds, far)
+    assert_array_equal(went(state, far, 1).duds, far)
 
 
 def test_a_dud_hides_no_disc_beside_it():
     """What is two radii away from a bolt is another thing."""
     centres = np.array([[300.3, 250.6], [322.0, 251.0]])
     image = photo(drawn(centres, np.repeat(36.0 * np.eye(2)[None], 2, axis=0)))
-    state = went(Hunt(), centres[:1], NOISE, 1)
-    places = np.concatenate([look(image, went_on) for went_on in (state, went(state, NOWHERE, NOISE, 1))])
+    state = went(Hunt(), centres[:1], 1)
+    places = np.concatenate([look(image, went_on) for went_on in (state, went(state, NOWHERE, 1))])
     assert distances(places, centres)[1] < 1.0
     assert distances(places, centres)[0] > 10.0
 
@@ -306,6 +305,6 @@ def test_places_remembered_are_bounded():
     rng = np.random.default_rng(8)
     state = Hunt()
     for _ in range(200):
-        state = went(state, rng.uniform(100.0, 400.0, (4, 2)), NOISE, 1)
+        state = went(state, rng.uniform(100.0, 400.0, (4, 2)), 1)
         assert len(state.duds) == len(state.until) == len(state.wait) <= 256
     assert state.turn == 200

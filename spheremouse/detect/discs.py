@@ -7,7 +7,7 @@ covariance (detect.fit); a fit that lost its rim is none. In use, when the map s
 measured in a window of its own, and the whole picture is left alone.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -27,7 +27,7 @@ from spheremouse.settings import param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _EXPECTED = 0.3  # of the contrast is enough where the map says that a disc must be: glare, deep shade
-_NOISE_EVERY = 16  # frames
+_LEARN_EVERY = 16  # frames: noise, and the size of the discs
 _FINE = 14.0  # px, diameter of a disc that the fit needs no finer: larger pictures are reduced to about that
 
 
@@ -96,48 +96,53 @@ class DiscDetector:
         best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
         return self._look_at(image, directions[best], noise, places[index[best]])
 
-    def follow(self, image: Image, directions: Array, rate: Array, readout: float, state: Hunt) -> Detections:
+    def follow(
+        self, image: Image, directions: Array, rate: Array, readout: float, state: Hunt
+    ) -> tuple[Detections, Hunt]:
         """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image.
 
         `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed (`readout` s for all rows), and smears
-        them while it is. `state` remembers the noise.
+        them while it is. `state` remembers noise and size of the discs.
         """
-        return look_at(
+        again = (
+            state.turn % _LEARN_EVERY == 0 or state.noise == 0.0
+        )  # light and discs do not change from frame to frame
+        noise = self.noise(image) if again else state.noise
+        found, size = look_at(
             _with_channels(image),
             self.mask,
             directions,
             self.view,
             self.fit,
-            self._noise(image, state),
+            noise,
             _EXPECTED,
             self.settings.min_area,
             0.3 * self.diameter,
             rate=rate,
             readout=readout,
+            size=0.0 if again else state.size,
         )
+        return found, replace(state, noise=noise, size=size) if again else state
 
     def hunt(self, image: Image, state: Hunt, known: Array) -> tuple[Detections, Hunt]:
         """A share of the search for discs that are not at `known`, (m, 2) px."""
-        fit, radius, noise = self.fit, 0.5 * self.diameter, self._noise(image, state)
+        fit, radius = self.fit, 0.5 * self.diameter
+        noise = state.noise or self.noise(image)
         colours = _with_channels(image)
         places = hunt(
             colours, self.mask, self.lattice, state, known, fit.reduction, radius, fit.contrast, noise, fit.light
         )
         if len(places) == 0:
-            return no_detections(), went(state, places, noise, fit.reduction)
+            return no_detections(), went(state, places, fit.reduction)
         directions, index = directions_at(places, self.rig, self.pose)
         found = self._look_at(image, directions, noise, places[index])
         near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
-        return found, went(state, places[~near.any(axis=1)], noise, fit.reduction)
+        return found, went(state, places[~near.any(axis=1)], fit.reduction)
 
     def _look_at(self, image: Image, directions: Array, noise: float, places: Array) -> Detections:
         least, apart = self.settings.min_area, 0.3 * self.diameter
         colours = _with_channels(image)
-        return look_at(colours, self.mask, directions, self.view, self.fit, noise, 1.0, least, apart, places)
-
-    def _noise(self, image: Image, state: Hunt) -> float:
-        """That of an earlier frame, most of the time: light and gain do not change from frame to frame."""
-        return state.noise if state.turn % _NOISE_EVERY and state.noise > 0.0 else self.noise(image)
+        return look_at(colours, self.mask, directions, self.view, self.fit, noise, 1.0, least, apart, places)[0]
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""

@@ -77,8 +77,9 @@ def measure(
 
     `mask` (h, w) is not 0 on the ball, `noise` is that of one pixel. First the size is free, which tells discs from
     other things and the size all discs share; then it is held at that, so that a disc cut by a strut is seen as cut,
-    not as smaller. Where fewer than three tell it, `size` (fitted over expected) is taken, or 1 if that is 0. Of the
-    contrast that is asked for, `share` is enough. `smear` (n, 2) px is the way of each while the shutter is open.
+    not as smaller. Where fewer than three tell it, 1 is taken. With `size` (fitted over expected) it is held at that
+    from the beginning. Of the contrast that is asked for, `share` is enough. `smear` (n, 2) px is the way of each while
+    the shutter is open.
     """
     n = len(place)
     f = settings.reduction
@@ -394,6 +395,7 @@ def measure_into(
     image, mask, place, shape, smear, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
     size_known, ok, centroid, covariance, rim, cut,
 ):  # fmt: skip
+    """`measure` into ok, centroid, covariance, rim and cut; returns the size all discs share, 0 where too few tell."""
     n = len(place)
     widest = 0.0
     for k in range(n):
@@ -499,6 +501,10 @@ def measure_into(
         for i in range(m):
             r = grey[k, i] - x[k, 0] - x[k, 1] * px[k, i] - x[k, 2] * py[k, i]
             weight[k, i] = 0.0 if e[k, i] < _CLEAR and abs(r) > foreign else 1.0
+        if size_known > 0.0:  # what discs look like is known: no need to learn it from each
+            x[k, 8] = size_known
+            count[k] = m
+            continue
         for turn in range(2):
             if turn > 0:
                 _biweight(m, px[k], py[k], grey[k], e[k], x[k], np.float32(0.5), np.float32(scale[k]), weight[k])
@@ -517,9 +523,11 @@ def measure_into(
                     sizes[tell] = x[k, 8]
                     tell += 1
     size = size_known if size_known > 0.0 else 1.0
+    told = size_known
     if tell >= 3:
         part = np.sort(sizes[:tell])
         size = 0.5 * (part[(tell - 1) // 2] + part[tell // 2])
+        told = size
     for k in range(n):
         m = count[k]
         if m == 0:
@@ -567,6 +575,7 @@ def measure_into(
             covariance[k, j, 1] = variance * g[7]
             # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
             covariance[k, j, j] += sigma**2 + ((_SLIVER_BIAS / minor[k] ** 2) ** 2 + _CUT * cut[k]) * f**2
+    return told
 
 
 @njit(cache=True, error_model="numpy")

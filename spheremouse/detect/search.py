@@ -19,7 +19,7 @@ _SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame:
 _MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
 _MOST = 4  # candidates in one frame: more come in the next
 _DUD = 2.5  # px of the reduced picture, around a place that turned out to be no disc
-_WAIT = (8, 512)  # frames for which such a place is left out, at first and at most: doubled each time
+_WAIT = (32, 512)  # frames for which such a place is left out, at first and at most: doubled each time
 _DUDS = 256  # places remembered
 
 
@@ -38,6 +38,7 @@ class Hunt:
 
     turn: int = 0
     noise: float = 0.0  # grey values, of a pixel; 0: not measured yet
+    size: float = 0.0  # fitted over expected, of all discs; 0: not known
     duds: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px, places that were no discs
     until: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) turn: left out before
     wait: NDArray[np.intp] = field(
@@ -110,11 +111,11 @@ def hunt(
     return found[:n]
 
 
-def went(state: Hunt, duds: Array, noise: float, reduction: int) -> Hunt:
+def went(state: Hunt, duds: Array, reduction: int) -> Hunt:
     """The search's state after a frame in which the places `duds`, (k, 2) px, turned out to be no discs."""
     turn = state.turn + 1
     if len(duds) == 0:
-        return Hunt(turn, noise, state.duds, state.until, state.wait)
+        return Hunt(turn, state.noise, state.size, state.duds, state.until, state.wait)
     again = np.linalg.norm(state.duds[:, None] - duds[None], axis=2) < _DUD * reduction
     old, new = again.any(axis=1), ~again.any(axis=0)
     wait = np.where(old, np.minimum(2 * state.wait, _WAIT[1]), state.wait)
@@ -122,7 +123,8 @@ def went(state: Hunt, duds: Array, noise: float, reduction: int) -> Hunt:
     keep = turn - until < wait  # what was not met again for as long as it was left out is gone
     return Hunt(
         turn,
-        noise,
+        state.noise,
+        state.size,
         np.concatenate([duds[new], state.duds[keep]])[:_DUDS],
         np.concatenate([np.full(new.sum(), turn + _WAIT[0]), until[keep]])[:_DUDS],
         np.concatenate([np.full(new.sum(), _WAIT[0]), wait[keep]])[:_DUDS],

@@ -11,7 +11,7 @@ from numba import njit
 
 from spheremouse.camera import Pose
 from spheremouse.detect.cap import appearance_into, seen_into
-from spheremouse.detect.detections import Detections, Image
+from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, measure_into
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp_into
@@ -62,51 +62,53 @@ def look_at(
     places: Array = _ANYWHERE,
     rate: Array = _STILL,
     readout: float = 0.0,
-) -> Detections:
+    size: float = 0.0,
+) -> tuple[Detections, float]:
     """Those of the discs at `directions`, (n, 3) unit vectors in obj, that are in an image (h, w, c) of uint8.
 
     Each begins at its place of `places`, (n, 2) px, or where it is expected. `mask` (h, w) is not 0 on the ball,
     `noise` is that of a pixel; of the contrast that is asked for, `share` is enough. Discs of less than `least` px² or
     not wholly in the picture are left out, and of two nearer than `apart` px that which fits less well. With `rate`
     (3,) rad/s, w_obj, they are carried to when their row is read (`readout` s for all rows), smeared by the exposure.
+    `size` as in `fit.measure`; the second result is the size that the discs have in common, 0 where too few tell.
     """
     if len(directions) == 0:
-        return Detections(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
-    return Detections(
-        *_look_at(
-            image,
-            mask,
-            np.ascontiguousarray(directions),
-            np.ascontiguousarray(places),
-            rate,
-            readout,
-            view.exposure,
-            view.centre,
-            view.radius,
-            view.alpha,
-            view.rotation,
-            view.position,
-            view.intrinsic,
-            view.distortion,
-            noise,
-            least,
-            apart,
-            fit.reduction,
-            fit.light,
-            fit.kernel,
-            fit.blur,
-            share * fit.contrast,
-            fit.size_tolerance,
-            fit.rim,
-            fit.sigma,
-        )
+        return no_detections(), size
+    centre, covariance, area, told = _look_at(
+        image,
+        mask,
+        np.ascontiguousarray(directions),
+        np.ascontiguousarray(places),
+        rate,
+        readout,
+        view.exposure,
+        view.centre,
+        view.radius,
+        view.alpha,
+        view.rotation,
+        view.position,
+        view.intrinsic,
+        view.distortion,
+        noise,
+        least,
+        apart,
+        fit.reduction,
+        fit.light,
+        fit.kernel,
+        fit.blur,
+        share * fit.contrast,
+        fit.size_tolerance,
+        fit.rim,
+        fit.sigma,
+        size,
     )
+    return Detections(centre, covariance, area), told
 
 
 @njit(cache=True, error_model="numpy")
 def _look_at(
     image, mask, directions, places, rate, readout, exposure, K, radius, alpha, rotation, P, intrinsic, distortion,
-    noise, least, apart, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
+    noise, least, apart, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size,
 ):  # fmt: skip
     n = len(directions)
     height, width = mask.shape
@@ -153,9 +155,9 @@ def _look_at(
     start = (places if len(places) else centroid)[index]
     ok, found, covariance = np.zeros(k, dtype=np.bool_), np.empty((k, 2)), np.empty((k, 2, 2))
     rim, cut = np.zeros(k), np.zeros(k)
-    measure_into(
+    told = measure_into(
         image, mask, start, shape[index], smear[index], np.float32(noise / f), f, light, kernel, blur, contrast,
-        size_tolerance, rim_least, sigma, 0.0, ok, found, covariance, rim, cut,
+        size_tolerance, rim_least, sigma, size, ok, found, covariance, rim, cut,
     )  # fmt: skip
     kept = np.empty(k, dtype=np.int64)
     m = 0
@@ -176,4 +178,4 @@ def _look_at(
             kept[m] = best
             m += 1
     kept = kept[:m]
-    return found[kept], covariance[kept], area[index[kept]]
+    return found[kept], covariance[kept], area[index[kept]], told
