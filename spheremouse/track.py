@@ -258,7 +258,8 @@ def step(
     new, motion = _stages(state, frame, tracker, detected)
     watch = _with_references(state.watch, frame, tracker)
     watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, _surprised(new))
-    new = replace(new, watch=watch)
+    if watch is not new.watch:
+        new = replace(new, watch=watch)
     if odd or _out_of_sight(new, frame.stamp):
         new, motion = _attend(replace(state, watch=watch), (new, motion), frame, tracker)
     if state.phase is Phase.TRACKING and new.phase is Phase.LOST and _hidden(new.watch):
@@ -282,7 +283,7 @@ def _stages(
     predicted = tracker.filter.predict(state.filter, frame.stamp)
     detections, hunt = look(state, frame, tracker, predicted)
     detected()
-    return advance(replace(state, hunt=hunt), frame.stamp, detections, tracker, predicted)
+    return advance(state, frame.stamp, detections, tracker, predicted, hunt)
 
 
 def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState) -> tuple[Detections, Hunt]:
@@ -466,16 +467,30 @@ def check_size(frame: Frame, rig: Rig) -> None:
 
 
 def advance(
-    state: TrackState, stamp: float, detections: Detections, tracker: Tracker, predicted: FilterState | None = None
+    state: TrackState,
+    stamp: float,
+    detections: Detections,
+    tracker: Tracker,
+    predicted: FilterState | None = None,
+    hunt: Hunt | None = None,
 ) -> tuple[TrackState, Motion]:
     """The stages after detection; `predicted` is the filter carried on to `stamp`, where that was done before."""
     carried: FilterState = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
-    points = intersect(detections.take(free), tracker.rig, tracker.pose)
-    points = replace(points, index=np.flatnonzero(free)[points.index])
-    held = min(state.held, stamp)  # a clock that starts again: nothing is held by a time to come
+    if free.all():
+        points = intersect(detections, tracker.rig, tracker.pose)
+    else:
+        points = intersect(detections.take(free), tracker.rig, tracker.pose)
+        points = replace(points, index=np.flatnonzero(free)[points.index])
     state = replace(
-        state, event="", lookalikes=lookalikes, detections=detections, points=points, held=held, holds=False
+        state,
+        event="",
+        lookalikes=lookalikes,
+        detections=detections,
+        points=points,
+        held=min(state.held, stamp),  # a clock that starts again: nothing is held by a time to come
+        holds=False,
+        hunt=hunt or state.hunt,
     )
     state = _lost_in_a_gap(state, stamp, tracker)
     if state.phase is Phase.LOST:
@@ -510,8 +525,10 @@ def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: Filter
     rig, pose, settings = tracker.rig, tracker.pose, tracker.settings.static
     proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
     posterior = tracker.filter.update(predicted, points, proven)
+    held = _holds(posterior, len(points), predicted, tracker)
+    if held and len(posterior.used) == len(points) and not len(state.lookalikes.place):
+        return replace(state, filter=posterior, holds=True)
     state = replace(state, filter=posterior)
-    held = _holds(state, predicted, tracker)
     other = np.ones(len(points), dtype=bool)
     if not held:
         found = _recognised(state, stamp, tracker)
@@ -615,19 +632,18 @@ def _with_discs(
     return filter_state
 
 
-def _holds(state: TrackState, predicted: FilterState, tracker: Tracker) -> bool:
-    """Does the last frame hold the attitude?
+def _holds(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
+    """Does the last frame, with so many points, hold the attitude?
 
     Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many
     false candidates a few always fit; and only at a rate that a hand can give.
     """
-    settings, used = tracker.settings.loss, len(state.filter.used)
-    rate = state.filter.rate
+    settings, used, rate = tracker.settings.loss, len(posterior.used), posterior.rate
     if used == 0 or float(rate @ rate) > settings.fastest**2:
         return False
-    if 2 * used < len(state.points) and not _significant(used, len(state.points), predicted, tracker):
+    if 2 * used < points and not _significant(used, points, predicted, tracker):
         return False
-    return used > 1 or _known_well(state.filter, tracker)
+    return used > 1 or _known_well(posterior, tracker)
 
 
 def _significant(used: int, points: int, predicted: FilterState, tracker: Tracker) -> bool:
@@ -659,7 +675,7 @@ def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
     """
     naive = replace(state, filter=tracker.filter.update(predicted, state.points))
-    naive = replace(naive, holds=_holds(naive, predicted, tracker))
+    naive = replace(naive, holds=_holds(naive.filter, len(state.points), predicted, tracker))
     if len(state.points) == 0 and not state.recent:
         return naive
     recent = (*state.recent, Sight(stamp, state.detections, state.points, naive.filter.attitude))
@@ -854,6 +870,8 @@ def _forget(lookalikes: Lookalikes) -> Lookalikes:
 
 def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """Is the ball tracked, lost, or still looked for?"""
+    if state.holds and state.phase is Phase.TRACKING:
+        return state  # `_motion` notes when
     if state.holds:
         state = replace(state, held=stamp)
     if state.phase is Phase.SEARCHING:
@@ -882,7 +900,8 @@ def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackSta
     attitude = state.filter.attitude
     rotation = rotation_between(state.sent, attitude)
     counts, remainder = to_counts(rotation, tracker.counts, state.remainder)
-    return replace(state, sent=attitude, remainder=remainder), Motion(stamp, counts, rotation, state.filter.rate)
+    state = replace(state, sent=attitude, remainder=remainder, held=stamp)
+    return state, Motion(stamp, counts, rotation, state.filter.rate)
 
 
 def _no_motion(stamp: float) -> Motion:

@@ -54,7 +54,7 @@ class FitSettings:
 
     reduction: int  # so many pixels squared are averaged to one before all else
     light: bool  # discs lighter than the ball
-    kernel: Array  # (2 _EDGE + 1,) float32, the smoothing
+    kernel: NDArray[np.float32]  # (2 _EDGE + 1,), the smoothing
     blur: float  # px, standard deviation of a rim's blur: pixels, lens and smoothing
     contrast: float  # least contrast over the background
     size_tolerance: float
@@ -111,11 +111,11 @@ def measure(
     return Fits(ok, centroid, covariance, rim, cut)
 
 
-def smoothing_kernel(sigma: float) -> Array:
+def smoothing_kernel(sigma: float) -> NDArray[np.float32]:
     """Gaussian, (7,) float32, of up to one pixel of standard deviation."""
     x = np.arange(-_EDGE, _EDGE + 1)
     g = np.exp(-0.5 * (x / max(sigma, 1e-3)) ** 2)
-    return np.asarray(g / g.sum(), dtype=np.float32)
+    return (g / g.sum()).astype(np.float32)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

@@ -113,19 +113,18 @@ def _look_at(
     n = len(directions)
     height, width = mask.shape
     to_centre = K - P
-    if readout != 0.0 or exposure > 0.0:
-        uv, turn, R = np.empty((n, 2)), np.empty(3), np.empty((3, 3))
-        moved = directions.copy()
-        if readout != 0.0:
-            seen_into(directions, to_centre, radius, rotation, intrinsic, distortion, uv)
-            for i in range(n):
-                if np.isfinite(uv[i, 1]):
-                    late = readout * ((uv[i, 1] + 0.5) / height - 0.5)
-                    for j in range(3):
-                        turn[j] = rate[j] * late
-                    exp_into(turn, R)
-                    moved[i] = R @ directions[i]
-        directions = moved
+    uv, turn, R = np.empty((n, 2)), np.empty(3), np.empty((3, 3))
+    moved = directions.copy()
+    if readout != 0.0:
+        seen_into(directions, to_centre, radius, rotation, intrinsic, distortion, uv)
+        for i in range(n):
+            if np.isfinite(uv[i, 1]):
+                late = readout * ((uv[i, 1] + 0.5) / height - 0.5)
+                for j in range(3):
+                    turn[j] = rate[j] * late
+                exp_into(turn, R)
+                moved[i] = R @ directions[i]
+        directions = moved.copy()
     centre, centroid, shape = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2))
     area, whole = np.empty(n), np.empty(n, dtype=np.bool_)
     appearance_into(
