@@ -63,6 +63,7 @@ def rolling(**options: Any) -> tuple[SimulationOptions, ...]:
 
 
 DARK, WHITE, RED, BLUE, YELLOW = (35, 30, 30), (235, 235, 235), (40, 40, 200), (200, 60, 30), (20, 200, 220)
+LIGHT = ("discs.polarity=light",)
 SMALL = (0.3, 0.3, -0.3, 0.03, -0.03, 0.03)  # mm and deg
 LARGE = (12.0, -12.0, 10.0, 1.2, -1.2, 1.0)
 
@@ -96,10 +97,14 @@ SCENARIOS: dict[str, Scenario] = {
     "disc off": Scenario("a disc falls off", rolling(disc_off=5.0)),
     "disc moved": Scenario("a disc is put 12 cm beside its place", rolling(disc_moved=5.0)),
     "swap": Scenario("after 12 s another ball", (*rolling(), *rolling(layout=77))),
-    "dark ball": Scenario("white discs on a dark ball", film(motion="play", ball_colour=DARK, disc_colour=WHITE)),
+    "dark ball": Scenario(
+        "white discs on a dark ball", film(motion="play", ball_colour=DARK, disc_colour=WHITE), overrides=LIGHT
+    ),
     "red discs": Scenario("red discs on white", film(motion="play", disc_colour=RED)),
     "blue discs": Scenario("blue discs on white", film(motion="play", disc_colour=BLUE)),
-    "yellow on dark": Scenario("yellow discs on dark", film(motion="play", ball_colour=DARK, disc_colour=YELLOW)),
+    "yellow on dark": Scenario(
+        "yellow discs on dark", film(motion="play", ball_colour=DARK, disc_colour=YELLOW), overrides=LIGHT
+    ),
     "15 Hz": Scenario("somebody plays, filmed at 15 Hz", film(motion="play", fps=15.0)),
     "120 Hz": Scenario("at 120 Hz", film(motion="play", fps=120.0, seconds=10.0)),
     "240 Hz": Scenario("at 240 Hz", film(motion="play", fps=240.0, seconds=10.0)),

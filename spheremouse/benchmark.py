@@ -31,6 +31,7 @@ from spheremouse.track import Phase, Settings, Tracker, TrackState, begin, build
 from spheremouse.warm import warm_up
 
 WARM_UP = 10  # frames: caches, the allocator and the processor's clock settle; said wherever figures are
+BLOCK = 30  # frames that each works through before the next one does: a second of video, with its own caches
 STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
 COMPARED = (STEP, DETECT, FILTER, BLOBS, SIMPLE)
 SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px, the first is what the others are compared with
@@ -115,7 +116,7 @@ def start() -> float:
     return time.perf_counter() - began
 
 
-# ---- compared: all see the same frames, turn by turn ----
+# ---- compared: all see the same frames, a second of them in turn ----
 
 
 def compare(film: Film, repeat: int = 1, progress: Progressed = silent) -> Times:
@@ -142,11 +143,12 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
         detected = time.perf_counter()
 
     def ours(frame: Frame) -> None:
-        nonlocal state, detected
+        nonlocal state, detected, tracked
         state = state or begin(tracker, frame.stamp)
         began = detected = time.perf_counter()  # a frame that is not looked at in stages counts as filtered
         state, _ = step(state, frame, tracker, mark)
         ended = time.perf_counter()
+        tracked += len(spent[STEP]) >= WARM_UP and state.phase is Phase.TRACKING
         for name, s in ((STEP, ended - began), (DETECT, detected - began), (FILTER, ended - detected)):
             spent[name].append(s)
 
@@ -159,12 +161,11 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
         return run
 
     turns = [ours, timed(BLOBS, blobs.detect), timed(SIMPLE, simple.detect)]
-    for frame in frames:
+    while block := list(islice(frames, BLOCK)):
         for turn in turns:
-            turn(frame)
-        turns.append(turns.pop(0))  # who comes first finds the picture in another cache than who comes last
-        assert state is not None
-        tracked += len(spent[STEP]) > WARM_UP and state.phase is Phase.TRACKING
+            for frame in block:
+                turn(frame)
+        turns.append(turns.pop(0))  # who comes first finds the pictures in another cache than who comes last
         progress(len(spent[STEP]))
     _enough(film, len(spent[STEP]))
     return Times({name: np.array(s[WARM_UP:]) for name, s in spent.items()}, tracked)

@@ -41,6 +41,8 @@ from spheremouse.rotation import Array
 from spheremouse.settings import param
 from spheremouse.watch import Watch, WatchSettings
 
+_READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
+_READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _SURE = 10  # sightings from which a disc is worth keeping
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
@@ -163,6 +165,7 @@ class TrackState:
     lifted: float | None = None  # s, since when the ball is lost for that
     misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
     out_of_round: bool = False  # that was too much, and is said
+    readout_told: bool = False  # play has shown what the rolling shutter takes, and it is said
 
 
 def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
@@ -502,7 +505,20 @@ def advance(
     else:
         state = _on_its_bearings(_follow(state, stamp, tracker, carried), stamp, tracker, carried)
     state = _judge_phase(state, stamp, tracker)
+    if tracker.rig.readout_sigma_s > 0.0 and not state.readout_told:
+        state = _tell_readout(state, tracker)
     return _motion(state, stamp, tracker)
+
+
+def _tell_readout(state: TrackState, tracker: Tracker) -> TrackState:
+    """Once play has shown how long a rolling shutter takes, say so, if it is one."""
+    if not isinstance(state.filter, So3State) or state.filter.readout_sigma > _READOUT_SURE:
+        return state
+    readout = tracker.rig.readout_s + state.filter.readout
+    if abs(readout) < _READOUT_LEAST:
+        return replace(state, readout_told=True)
+    event = f"rolling shutter: {1e3 * readout:.1f} ms for all rows (say readout_s: {readout:.4f} in the rig file)"
+    return replace(state, readout_told=True, event=f"{state.event}; {event}" if state.event else event)
 
 
 def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:

@@ -182,7 +182,7 @@ def test_small_photographs():
 def test_random_directions_are_nothing():
     rng = np.random.default_rng(3)
     found = sum(identified(anywhere(8, rng), directions(26, i % 10)) is not None for i in range(500))
-    assert found <= 5
+    assert found <= 10  # of 500, at a risk of a tenth
 
 
 def test_another_ball_is_nothing():

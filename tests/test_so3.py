@@ -885,9 +885,6 @@ def test_innovation_and_founding_depend_on_the_readout_as_finite_differences_say
     assert_allclose(founded.joint[FIRST:, READOUT], slope, atol=1e-4 * np.abs(slope).max())
 
 
-@pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="noise of the rate is taken for a rate: it teaches a readout that drifts"
-)
 def test_a_still_ball_teaches_nothing_of_the_readout():
     rng = np.random.default_rng(35)
     state = LEARNING.initial(0.0, np.eye(3))
@@ -957,11 +954,6 @@ def test_the_readout_is_as_certain_as_it_says(rate_sigma):
     assert np.all((low < nees[:, 1]) & (nees[:, 1] < high))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="So3Filter._again: the innovation about where the readout led is not led back",
-)
 def test_a_large_correction_with_an_unknown_readout_is_the_least_squares_solution():
     """Attitude and readout alone are unknown: the most likely ones, against a search for them."""
     rng = np.random.default_rng(37)

@@ -188,7 +188,8 @@ def test_a_simulation_that_cannot_be():
         "synthetic: motion: must be 'thesis', 'roll', 'play', 'still', 'rest', 'creep' or 'flick', is 'fly'"
         in failing("synthetic:motion=fly")[1]
     )
-    assert failing("synthetic:secnds=1")[1] == "synthetic: secnds: unknown key; did you mean seconds or dim_seconds or lift_seconds?"
+    meant = "did you mean seconds or dim_seconds or lift_seconds?"
+    assert failing("synthetic:secnds=1")[1] == f"synthetic: secnds: unknown key; {meant}"
     assert "synthetic: x: not KEY=VALUE" in failing("synthetic:x")[1]
     assert "seconds" in failing("synthetic:seconds=-1")[1]
 
