@@ -6,7 +6,7 @@ the published trackers. Between spells of ordinary play comes a fault: black, wh
 and dropped frames, clocks that jump, hands, another brightness, a frame of the wrong size.
 
 What must hold, always: nothing is raised but SourceError for the frame of the wrong size; no number is nan; no motion
-while the ball is not tracked; counts sum to the rotations sent within 1/2; memory stays flat. And of the default
+while the ball is not tracked; counts sum to the rotations sent within one; memory stays flat. And of the default
 tracker: within 2 s of the end of a fault it tracks, and its attitude is right, unless it has said that it was reset.
 """
 
@@ -302,7 +302,7 @@ class Judge:
             self.fail(frame, f"motion {motion.counts} while {state.phase}")
         self.exact += self.world.tracker.counts @ motion.rotation
         self.counts += motion.counts
-        if np.abs(self.exact - self.counts).max() > 0.5 + 1e-6:
+        if np.abs(self.exact - self.counts).max() > 1.0 + 1e-6:
             self.fail(frame, f"counts {self.counts} are not the integral {self.exact} of the rotations sent")
             self.exact = self.counts.copy()
         if state.event:
