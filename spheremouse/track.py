@@ -573,6 +573,8 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
     """
     if state.off == 0 and state.misfit < 1.0 and _all_fit(state):
         return state
+    if not isinstance(tracker.detector, DiscDetector):
+        return state  # centres of blobs are off by more than they say
     found = _shift(state, state.filter, tracker)
     s, radius = tracker.settings.bearing, tracker.rig.ball.radius
     if found is None:
