@@ -52,7 +52,8 @@ def identify(
     `horizon` are hardly ever seen. A row of nan is a miss. None where fewer than three directions meet the map, or
     where the answer is wrong with a probability above `risk`: too few directions, too coarse, a layout that looks alike
     in another attitude, another ball. `risk` trades silence for error where directions are coarse; at a tenth of a
-    degree it hardly matters. Raises ValueError for a sigma, horizon or risk that means nothing.
+    degree it hardly matters. Raises ValueError for directions that are no unit vectors,
+    and for a sigma, horizon or risk that means nothing.
     """
     if not 0.0 < sigma < np.inf:
         raise ValueError(f"sigma {sigma} is no standard deviation: give rad, above 0")
@@ -60,9 +61,11 @@ def identify(
         raise ValueError(f"horizon {horizon} is no cosine of a limb: give a number between -1 and 1")
     if not 0.0 < risk < 1.0:
         raise ValueError(f"risk {risk} is no probability: give a number between 0 and 1")
-    (seen, rows), (known, columns) = _units(directions), _units(map_directions)
-    towards, _ = _units(np.asarray(view_axis, dtype=float).reshape(1, 3))
-    assert len(towards) == 1, "the view axis is no direction"
+    seen, rows = _units(directions, "directions")
+    known, columns = _units(map_directions, "map_directions")
+    towards, _ = _units(np.atleast_2d(np.asarray(view_axis, dtype=float)), "view_axis")
+    if len(towards) != 1:
+        raise ValueError("view_axis must be one unit vector, (3,)")
     if len(seen) < 3 or len(known) < 3:
         return None
     found = attitude(seen, known, float(sigma), towards[0], float(horizon))
@@ -72,13 +75,18 @@ def identify(
     return Identification(found.rotation, pairs, found.wrong)
 
 
-def _units(directions: ArrayLike) -> tuple[Array, NDArray[np.intp]]:
-    """Finite rows of unit vectors, (k, 3), and which they are, (k,); asserts that they are of unit length."""
-    v = np.asarray(directions, dtype=float).reshape(-1, 3)
+def _units(directions: ArrayLike, name: str) -> tuple[Array, NDArray[np.intp]]:
+    """Finite rows of unit vectors, (k, 3), and which they are, (k,). Raises ValueError for what is none."""
+    v = np.asarray(directions, dtype=float)
+    if v.size == 0:
+        v = v.reshape(0, 3)
+    if v.ndim != 2 or v.shape[1] != 3:
+        raise ValueError(f"{name} must be unit vectors in rows, (n, 3), has shape {v.shape}")
     rows = np.flatnonzero(np.isfinite(v).all(axis=1))
     v = v[rows]
     length = np.sqrt(np.sum(v * v, axis=1, keepdims=True))
-    assert np.all(np.abs(length - 1.0) < 1e-3), "directions are not of unit length"
+    if not np.all(np.abs(length - 1.0) < 1e-2):
+        raise ValueError(f"{name} must be of unit length")
     return v / length, rows
 
 

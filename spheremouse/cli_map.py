@@ -52,12 +52,16 @@ def compare_(
     The exit code is 0 for the same ball and 1 where they have too few discs in common to be one.
     """
     from spheremouse.map_compare import compare, in_words
-    from spheremouse.map_file import load_map
+    from spheremouse.map_file import BALL_DIFFERS, load_map
     from spheremouse.rotation import log
 
-    before, after = load_map(a).map, load_map(b).map
-    found = compare(before, after)
+    one, other = load_map(a), load_map(b)
+    before, after = one.map, other.map
     console = _console()
+    if abs(one.ball_radius - other.ball_radius) > BALL_DIFFERS * one.ball_radius:
+        console.print(f"another ball: its radius is {one.ball_radius:g} m in {a}, {other.ball_radius:g} m in {b}")
+        raise typer.Exit(_ANOTHER_BALL)
+    found = compare(before, after)
     if found is None:
         console.print(f"another ball, or too few discs in common: {len(before)} in {a}, {len(after)} in {b}")
         raise typer.Exit(_ANOTHER_BALL)

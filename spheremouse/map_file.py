@@ -26,7 +26,7 @@ from spheremouse.yaml_file import Document, Problem, read_document, shown, write
 
 MAP_SCHEMA = 1
 _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination
-_BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
+BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
 
 Positive = Annotated[float, Field(gt=0)]
 Sigma = Annotated[float, Field(ge=0, lt=10)]
@@ -100,7 +100,7 @@ def load_map(path: Path) -> SavedMap:
 def check_fits(saved: SavedMap, rig: Rig, path: Path) -> None:
     """Raise ConfigurationError where a map was made on a ball or with discs of another size than the rig's."""
     for what, there, here, most in (
-        ("a ball", saved.ball_radius, rig.ball.radius, _BALL_DIFFERS),
+        ("a ball", saved.ball_radius, rig.ball.radius, BALL_DIFFERS),
         ("discs", saved.disc_radius, rig.disc_radius, _DISC_DIFFERS),
     ):
         if abs(there - here) > most * here:

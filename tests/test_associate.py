@@ -342,7 +342,7 @@ def test_arguments_that_mean_nothing_are_refused(wrong):
 def test_directions_must_be_of_unit_length():
     discs = directions(26, 3)
     for seen_ones, known, axis in ((2 * discs, discs, CAMERA), (discs, 2 * discs, CAMERA), (discs, discs, 2 * CAMERA)):
-        with pytest.raises(AssertionError, match="length"):
+        with pytest.raises(ValueError, match="length"):
             identify(seen_ones, known, sigma=0.01, view_axis=axis)
 
 
@@ -388,3 +388,11 @@ def test_unrelated_sights_share_at_most_chance():
 def test_no_points_at_all():
     assert identified(NONE_SEEN, NONE_SEEN) is None
     assert common_rotation(NONE_SEEN, NONE_SEEN, SIGMA) is None
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((4, 2)), np.eye(3)[0], np.zeros((2, 2, 3))])
+def test_directions_of_another_shape_are_refused_by_name(wrong):
+    with pytest.raises(ValueError, match=r"^directions must be unit vectors in rows, \(n, 3\)"):
+        identify(wrong, np.eye(3), sigma=0.01, view_axis=np.array([0.0, 0.0, 1.0]))
+    with pytest.raises(ValueError, match="^view_axis must be"):
+        identify(np.eye(3), np.eye(3), sigma=0.01, view_axis=np.array([0.0, 1.0]))

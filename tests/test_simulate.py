@@ -852,3 +852,8 @@ def dark_centroid(image, centre, half=9):
     weight = np.clip(np.median(border) * 0.9 - window, 0.0, None)
     dv, du = np.mgrid[v - half : v + half + 1, u - half : u + half + 1]
     return np.array([np.sum(du * weight), np.sum(dv * weight)]) / weight.sum()
+
+
+def test_a_ball_whose_only_disc_fell_off_is_filmed_on():
+    film = prepare(SimulationOptions(discs=1, disc_off=0.1, seconds=0.2))
+    assert sum(1 for _ in simulate(film)) == film.frames

@@ -221,4 +221,6 @@ def _developed(
 
 def _to_bytes(picture: cv2.typing.MatLike) -> NDArray[np.uint8]:
     """Rounded and clipped to 0..255."""
+    if picture.size == 0:
+        return np.zeros(picture.shape, dtype=np.uint8)
     return np.asarray(cv2.add(picture, np.zeros_like(picture), dtype=cv2.CV_8U), dtype=np.uint8).reshape(picture.shape)

@@ -1,0 +1,43 @@
+"""Where numba keeps what it has compiled, for an account that owns neither the program's folder nor a home.
+
+Must be settled before numba is imported. Everybody else keeps numba's own places: beside the source, or `~/.cache`.
+"""
+
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+
+def keep_somewhere() -> None:
+    """Set NUMBA_CACHE_DIR where numba would find no place of its own: a service's cache folder, or a private one."""
+    if "NUMBA_CACHE_DIR" in os.environ or _writable(Path(__file__).parent) or _writable(_users()):
+        return
+    given = os.environ.get("CACHE_DIRECTORY", "").split(":")[0]  # systemd: CacheDirectory=
+    os.environ["NUMBA_CACHE_DIR"] = given if given and _writable(Path(given)) else str(_private())
+
+
+def _users() -> Path:
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(home)
+
+
+def _writable(folder: Path) -> bool:
+    """May files be made in it, or it be made?"""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+
+
+def _private() -> Path:
+    """A folder of this account alone, the same one each time: nobody else may plant what is run from it."""
+    if not hasattr(os, "getuid"):
+        return Path(tempfile.mkdtemp(prefix="spheremouse-"))
+    folder = Path(tempfile.gettempdir()) / f"spheremouse-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        info = folder.lstat()
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="spheremouse-"))
+    own = stat.S_ISDIR(info.st_mode) and info.st_uid == os.getuid() and not info.st_mode & 0o077
+    return folder if own else Path(tempfile.mkdtemp(prefix="spheremouse-"))
