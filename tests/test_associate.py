@@ -394,5 +394,5 @@ def test_no_points_at_all():
 def test_directions_of_another_shape_are_refused_by_name(wrong):
     with pytest.raises(ValueError, match=r"^directions must be unit vectors in rows, \(n, 3\)"):
         identify(wrong, np.eye(3), sigma=0.01, view_axis=np.array([0.0, 0.0, 1.0]))
-    with pytest.raises(ValueError, match="^view_axis must be"):
+    with pytest.raises(ValueError, match=r"^view_axis must be"):
         identify(np.eye(3), np.eye(3), sigma=0.01, view_axis=np.array([0.0, 1.0]))
