@@ -183,6 +183,12 @@ def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     return xy, J
 
 
+@njit(cache=True, error_model="numpy")
+def row_of(v, height):
+    """Where row v of an image lies, from -1/2 at its top to 1/2 at its bottom: when a rolling shutter reads it."""
+    return (v + 0.5) / height - 0.5
+
+
 def project_circle(centre: Array, normal: Array, radius: Array | float) -> tuple[Array, Array]:
     """Ellipses that circles in space project to, in ideal reduced coordinates.
 

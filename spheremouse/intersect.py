@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, unprojected
+from spheremouse.camera import Pose, row_of, unprojected
 from spheremouse.detect.detections import Detections
-from spheremouse.rig import Rig
+from spheremouse.rig import Rig, first_hit
 from spheremouse.rotation import Array
 
 
@@ -87,19 +87,12 @@ def _intersect(
     image_covariance, J_pose, J_ball = np.empty((n, 3, 3)), np.empty((n, 3, 6)), np.empty((n, 3, 4))
     row, index = np.empty(n), np.empty(n, dtype=np.intp)
     met = 0
-    to_centre = K - P
-    far = to_centre[0] ** 2 + to_centre[1] ** 2 + to_centre[2] ** 2 - R * R
     ray, normal, J_image = np.empty(3), np.empty(3), np.empty((3, 2))
     slide = np.empty((3, 3))
     for i in range(len(xy)):
-        for j in range(3):
-            ray[j] = rotation[j, 0] * xy[i, 0] + rotation[j, 1] * xy[i, 1] + rotation[j, 2]
-        a = ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2
-        b = ray[0] * to_centre[0] + ray[1] * to_centre[1] + ray[2] * to_centre[2]
-        root = b * b - a * far
-        if not (root > 0.0 and b > 0.0):
+        s = first_hit(xy[i], rotation, P, K, R, ray)
+        if not np.isfinite(s):
             continue
-        s = (b - np.sqrt(root)) / a
         along = 0.0
         for j in range(3):
             position[met, j] = P[j] + s * ray[j]
@@ -139,7 +132,7 @@ def _intersect(
                         value += J_ball[met, j, a] * ball_covariance[a, b] * J_ball[met, k, b]
                 covariance[met, j, k] = value
                 covariance[met, k, j] = value
-        row[met] = (centre[i, 1] + 0.5) / height - 0.5
+        row[met] = row_of(centre[i, 1], height)
         index[met] = i
         met += 1
     return (

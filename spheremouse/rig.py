@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose, unproject, unprojected
+from spheremouse.camera import InteriorOrientation, Pose, unprojected
 from spheremouse.rotation import Array
 
 COLOURS = "CMY"
@@ -51,27 +51,23 @@ class Rig:
     disc_directions: Array | None = None  # (m, 3) unit vectors in ball, a disc map made earlier
 
 
-@dataclass(frozen=True, slots=True)
-class RayHits:
-    """Where image rays first meet the ball, for those of n pixels that do: position = P + scale * ray."""
+@njit(cache=True, error_model="numpy")
+def first_hit(xy, rotation, P, K, R, ray):
+    """Scale at which the ray of reduced coordinates `xy`, (2,), first meets the ball; nan where it misses.
 
-    ray: Array  # (k, 3) obj, with unit depth in cam
-    scale: Array  # (k,) m
-    dxy_duv: Array  # (k, 2, 2) Jacobian of the reduced coordinates
-    index: NDArray[np.intp]  # (k,) into the pixels
-
-
-def first_hits(uv: Array, rig: Rig, pose: Pose) -> RayHits:
-    """Intersect the rays of pixels, (n, 2), with the ball; the nearer of two points (Wittich 2017, eq. 110-113)."""
-    xy, dxy_duv = unproject(uv, rig.camera)
-    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ pose.rotation.T
-    to_centre = rig.ball.centre - pose.position
-    a = np.sum(ray * ray, axis=1)
-    b = ray @ to_centre
-    root = b * b - a * (to_centre @ to_centre - rig.ball.radius**2)
-    with np.errstate(invalid="ignore"):
-        index = np.flatnonzero((root > 0.0) & (b > 0.0))  # nan (a pixel no ray maps to) compares false: a miss
-    return RayHits(ray[index], (b[index] - np.sqrt(root[index])) / a[index], dxy_duv[index], index)
+    The point is P + scale * ray, `ray` (3,) with unit depth in cam, in obj, which is written. The nearer of two points
+    is taken (Wittich 2017, eq. 110-113).
+    """
+    a, b, far = 0.0, 0.0, -R * R
+    for j in range(3):
+        ray[j] = rotation[j, 0] * xy[0] + rotation[j, 1] * xy[1] + rotation[j, 2]
+        a += ray[j] * ray[j]
+        b += ray[j] * (K[j] - P[j])
+        far += (K[j] - P[j]) ** 2
+    root = b * b - a * far
+    if root > 0.0 and b > 0.0:  # nan (a pixel no ray maps to) compares false: a miss
+        return (b - np.sqrt(root)) / a
+    return np.nan
 
 
 def directions_at(uv: Array, rig: Rig, pose: Pose) -> tuple[Array, NDArray[np.intp]]:
@@ -101,22 +97,10 @@ def _directions_at(uv, intrinsic, distortion, fold, rotation, P, K, R, direction
     met = 0
     ray = np.empty(3)
     for i in range(n):
-        a, b, far = 0.0, 0.0, -R * R
-        for j in range(3):
-            ray[j] = rotation[j, 0] * xy[i, 0] + rotation[j, 1] * xy[i, 1] + rotation[j, 2]
-            a += ray[j] * ray[j]
-            b += ray[j] * (K[j] - P[j])
-            far += (K[j] - P[j]) ** 2
-        root = b * b - a * far
-        if root > 0.0 and b > 0.0:  # nan (a pixel no ray maps to) compares false: a miss
-            s = (b - np.sqrt(root)) / a
+        s = first_hit(xy[i], rotation, P, K, R, ray)
+        if np.isfinite(s):
             for j in range(3):
                 directions[met, j] = (P[j] + s * ray[j] - K[j]) / R
             index[met] = i
             met += 1
     return met
-
-
-def row_delay(v: Array, readout: float, camera: InteriorOrientation) -> Array:
-    """Time, s, from a frame's stamp to the exposure of rows v, px: the stamp is that of the middle row."""
-    return readout * ((v + 0.5) / camera.height - 0.5)

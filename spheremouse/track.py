@@ -12,6 +12,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
+from scipy.special import pdtrc
 
 from spheremouse import bearing
 from spheremouse import watch as watching
@@ -675,16 +676,7 @@ def _significant(used: int, points: int, predicted: FilterState, tracker: Tracke
     which = f.visible(predicted)
     areas = f.settings.gate * np.pi * (f.place_sigma(predicted, which) ** 2 + _POINT_SIGMA**2)
     chance = points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - f.horizon))  # pairs to be expected
-    return bool(_poisson_sf(used, chance) < 1e-3)
-
-
-def _poisson_sf(least: int, mean: float) -> float:
-    """Probability of at least `least` events where `mean` are expected."""
-    term, below = float(np.exp(-mean)), 0.0
-    for k in range(least):
-        below += term
-        term *= mean / (k + 1)
-    return float(max(1.0 - below, 0.0))
+    return bool(pdtrc(used - 1, chance) < 1e-3)
 
 
 def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:

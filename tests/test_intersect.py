@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.camera import InteriorOrientation, Pose, unproject
+from spheremouse.camera import InteriorOrientation, Pose, row_of, unproject
 from spheremouse.detect.detections import Detections, no_detections
 from spheremouse.intersect import intersect
-from spheremouse.rig import Ball, Rig, Targets, row_delay
+from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import exp
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
@@ -256,7 +256,7 @@ def test_delay_is_the_time_of_a_points_row_after_the_middle_row():
     rolling = replace(RIG, readout_s=0.03)
     points = intersect(detections(uv), rolling, POSE)
     assert_allclose(points.delay, 0.03 * ((uv[:, 1] + 0.5) / 1080 - 0.5), atol=1e-15)
-    assert_allclose(row_delay(uv[:, 1], 0.03, CAMERA), points.delay, atol=1e-15)
+    assert_allclose(0.03 * row_of(uv[:, 1], CAMERA.height), points.delay, atol=1e-15)
     middle = intersect(detections(np.array([[967.0, 539.5]])), rolling, POSE)
     assert_allclose(middle.delay, 0.0, atol=1e-15)
     lower = intersect(detections(np.array([[967.0, 539.5 + 270.0]])), rolling, POSE)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from spheremouse.camera import Pose
+from spheremouse.camera import Pose, row_of
 from spheremouse.detect.cap import appearance_into, seen_into
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, measure_into
@@ -114,17 +114,17 @@ def _look_at(
     height, width = mask.shape
     to_centre = K - P
     uv, turn, R = np.empty((n, 2)), np.empty(3), np.empty((3, 3))
-    moved = directions.copy()
     if readout != 0.0:
         seen_into(directions, to_centre, radius, rotation, intrinsic, distortion, uv)
+        moved = directions.copy()
         for i in range(n):
             if np.isfinite(uv[i, 1]):
-                late = readout * ((uv[i, 1] + 0.5) / height - 0.5)
+                late = readout * row_of(uv[i, 1], height)
                 for j in range(3):
                     turn[j] = rate[j] * late
                 exp_into(turn, R)
                 moved[i] = R @ directions[i]
-        directions = moved.copy()
+        directions = moved
     centre, centroid, shape = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2))
     area, whole = np.empty(n), np.empty(n, dtype=np.bool_)
     appearance_into(
@@ -132,12 +132,13 @@ def _look_at(
     )
     smear = np.zeros((n, 2))
     if exposure > 0.0:
+        ahead = np.empty((n, 3))
         for i in range(n):
             d = directions[i]
-            moved[i, 0] = d[0] + 0.5 * exposure * (rate[1] * d[2] - rate[2] * d[1])
-            moved[i, 1] = d[1] + 0.5 * exposure * (rate[2] * d[0] - rate[0] * d[2])
-            moved[i, 2] = d[2] + 0.5 * exposure * (rate[0] * d[1] - rate[1] * d[0])
-        seen_into(moved, to_centre, radius, rotation, intrinsic, distortion, uv)
+            ahead[i, 0] = d[0] + 0.5 * exposure * (rate[1] * d[2] - rate[2] * d[1])
+            ahead[i, 1] = d[1] + 0.5 * exposure * (rate[2] * d[0] - rate[0] * d[2])
+            ahead[i, 2] = d[2] + 0.5 * exposure * (rate[0] * d[1] - rate[1] * d[0])
+        seen_into(ahead, to_centre, radius, rotation, intrinsic, distortion, uv)
     index = np.empty(n, dtype=np.int64)
     k = 0
     for i in range(n):

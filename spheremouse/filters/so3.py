@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from spheremouse.associate import assign
 from spheremouse.filters import so3_kernel as kernel
 from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
-from spheremouse.filters.so3_state import So3State, augment, counted, delays, drop, inject
+from spheremouse.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -376,7 +376,7 @@ class So3Filter:
             keep,
             found,
         )
-        state = counted(state, hits, missed)
+        state = replace(state, hits=hits, missed=missed)
         if dropped:
             state = drop(state, keep)
         room = max(s.most_discs - len(state.discs), 0)

@@ -79,27 +79,6 @@ def inject(
     )
 
 
-def counted(state: So3State, hits: NDArray[np.intp], missed: NDArray[np.intp]) -> So3State:
-    """With other numbers of sightings and misses, (m,)."""
-    return So3State(
-        state.stamp,
-        state.attitude,
-        state.rate,
-        state.acceleration,
-        state.discs,
-        state.basis,
-        state.joint,
-        hits,
-        missed,
-        state.used,
-        state.weights,
-        state.process,
-        state.level,
-        state.nis,
-        state.readout,
-    )
-
-
 def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     """Forget the discs that are not in a mask, (m,)."""
     if np.all(keep):
