@@ -768,13 +768,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         if recognised is not None and _back_on_bearings(state, recognised[0], tracker):
             filtered, pairs = recognised
             return replace(
-                state,
-                filter=filtered,
-                phase=Phase.TRACKING,
-                sent=filtered.attitude,
-                held=stamp,
-                holds=True,
-                found=None,
+                _tracking(state, filtered, filtered.attitude, stamp),
                 lifted=None,
                 recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
                 lookalikes=_forget(state.lookalikes),
@@ -785,23 +779,28 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         if state.lifted is not None and 0.0 <= stamp - state.lifted < tracker.settings.bearing.patience:
             return state
     attitude = state.filter.attitude
-    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), points)
+    anew = _anew(state, stamp, tracker)
     return replace(
-        state,
-        filter=filtered,
-        phase=Phase.TRACKING,
-        sent=attitude,
-        held=stamp,
-        holds=True,
-        found=None,
+        _tracking(anew, anew.filter, attitude, stamp),
         moved=False,
         lifted=None,
         misfit=0.0,
         out_of_round=False,
-        recent=(Sight(stamp, state.detections, points, attitude),),
         lookalikes=_forget(state.lookalikes),
         event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
     )
+
+
+def _tracking(state: TrackState, filtered: FilterState, sent: Array, stamp: float) -> TrackState:
+    """Tracking from this frame on, by a filter just found or begun; motion counts from the attitude `sent`."""
+    return replace(state, filter=filtered, phase=Phase.TRACKING, sent=sent, held=stamp, holds=True, found=None)
+
+
+def _anew(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+    """With a new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
+    attitude = state.filter.attitude
+    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), state.points)
+    return replace(state, filter=filtered, found=None, recent=(Sight(stamp, state.detections, state.points, attitude),))
 
 
 def _back_on_bearings(state: TrackState, filter_state: FilterState, tracker: Tracker) -> bool:
@@ -819,14 +818,8 @@ def _recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> Track
     if recognised is not None:
         filtered, pairs = recognised
         return replace(
-            state,
-            filter=filtered,
-            phase=Phase.TRACKING,
-            sent=filtered.attitude,
-            held=stamp,
-            found=None,
+            _tracking(state, filtered, filtered.attitude, stamp),
             moved=True,
-            holds=True,
             saved=False,
             absolute=True,
             event=f"tracking: recognised by {pairs} discs of the saved map",
@@ -835,14 +828,9 @@ def _recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> Track
     found = stamp if state.found is None or not enough else min(state.found, stamp)
     if stamp - found < tracker.settings.loss.reset_after:
         return replace(state, found=found)
-    attitude = state.filter.attitude
-    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), points)
     return replace(
-        state,
-        filter=filtered,
-        found=None,
+        _anew(state, stamp, tracker),
         saved=False,
-        recent=(Sight(stamp, state.detections, points, attitude),),
         event="the saved map does not fit: another ball, or its discs were moved; a new map is begun",
     )
 

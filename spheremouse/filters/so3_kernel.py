@@ -183,12 +183,19 @@ def _row(H, E, t, rate, row, by_pose, by_ball, radius, J):
             J[a, c] = H[a, c]
             J[a, 3 + c] = H[a, c] * t
             J[a, 6 + c] = 0.5 * H[a, c] * t * t
+    _considered(H, E, rate, row, by_pose, by_ball, radius, J[:, CORE:])
+
+
+@njit(cache=True, error_model="numpy")
+def _considered(H, E, rate, row, by_pose, by_ball, radius, J):
+    """Of one point: d z / d (pose, ball, readout) into J, (2, FIRST - CORE)."""
+    for a in range(2):
         for c in range(CONSIDER):
             value = E[c - 6, a] if 6 <= c < 9 else 0.0  # the direction counts from the centre
             for d in range(3):
                 value -= E[d, a] * (by_pose[d, c] if c < 6 else by_ball[d, c - 6])
-            J[a, CORE + c] = value / radius
-        J[a, READOUT] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row
+            J[a, c] = value / radius
+        J[a, CONSIDER] = (H[a, 0] * rate[0] + H[a, 1] * rate[1] + H[a, 2] * rate[2]) * row
 
 
 @njit(cache=True, error_model="numpy")
@@ -315,6 +322,8 @@ def innovation(
             exp_into(turn, R)
             left_jacobian_into(turn, later)
             before, along = turning @ R, turning @ later
+        if any_considered:
+            _considered(turning, E, rate, row[i], by_pose[i], by_ball[i], radius, considered[2 * i : 2 * i + 2])
         for a in range(2):
             at_z = 2 * i + a
             z[at_z] = E[0, a] * seen[i, 0] + E[1, a] * seen[i, 1] + E[2, a] * seen[i, 2]
@@ -322,19 +331,6 @@ def innovation(
                 H[at_z, c] = before[a, c]
                 H[at_z, 3 + c] = along[a, c] * t
                 H[at_z, 6 + c] = 0.5 * along[a, c] * t * t
-            if any_considered:
-                for c in range(CONSIDER):
-                    value = 0.0
-                    for d in range(3):
-                        if c < 6:
-                            value -= E[d, a] * by_pose[i, d, c]
-                        else:
-                            value -= E[d, a] * by_ball[i, d, c - 6]
-                    if 6 <= c < 9:
-                        value += E[c - 6, a]  # the direction counts from the centre
-                    considered[at_z, c] = value / radius
-                for c in range(3):
-                    considered[at_z, CONSIDER] += turning[a, c] * rate[c] * row[i]
             at = FIRST + 2 * columns[i] + a
             for j in range(n):
                 HP[at_z, j] = P[at, j] + H[at_z, 0] * P[0, j] + H[at_z, 1] * P[1, j] + H[at_z, 2] * P[2, j]
