@@ -19,7 +19,6 @@ import numpy as np
 import typer
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from spheremouse import benchmark
@@ -38,6 +37,7 @@ from spheremouse.benchmark import (
     Times,
 )
 from spheremouse.errors import ConfigurationError
+from spheremouse.progress import progress_bar
 from spheremouse.rotation import Array
 from spheremouse.yaml_file import write_atomically
 
@@ -129,11 +129,7 @@ class Bar:
     """How far it is, on a terminal; a context manager. Drawn between two measurements, not beside them."""
 
     def __init__(self) -> None:
-        console = Console(stderr=True)
-        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-        self._bars = Progress(
-            *columns, console=console, transient=True, auto_refresh=False, disable=not console.is_terminal
-        )
+        self._bars = progress_bar(auto_refresh=False)
         self._task = self._bars.add_task("starting", total=None)
         self._due = 0.0
 

@@ -9,7 +9,6 @@ from typing import Annotated, Any, NoReturn
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from spheremouse import config
@@ -19,6 +18,7 @@ from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseErro
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
 from spheremouse.frame import Frame
 from spheremouse.plot import plot_run, require_matplotlib
+from spheremouse.progress import progress_bar
 from spheremouse.recording import Recording, open_dataset, read_frames
 from spheremouse.rig import Rig
 from spheremouse.rig_file import load_camera, load_rig, with_camera
@@ -180,7 +180,7 @@ def _run(
 ) -> tuple[Run, Pose | None]:
     """Track a recording from its first frame; also the camera's pose where it was found from the images."""
     frames = degraded(read_frames(recording), noise, brightness)
-    with _progress(err) as progress:
+    with progress_bar() as progress:
         task = progress.add_task(recording.name, total=recording.frames)
         passed_over: list[str] = []  # why the first views gave no pose: said only where later ones did
         start = initialise(frames, rig, settings, report=passed_over.append)
@@ -222,11 +222,6 @@ def _console(stderr: bool) -> Console:
     if not console.is_terminal:
         console.width = 1000
     return console
-
-
-def _progress(err: Console) -> Progress:
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    return Progress(*columns, console=err, transient=True, disable=not err.is_terminal)
 
 
 # ---- for a reader ----

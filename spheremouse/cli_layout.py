@@ -1,7 +1,6 @@
 """`spheremouse layout`: where to put the discs so that no two sides of the ball look alike, as a guide to print."""
 
 import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +8,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from spheremouse.errors import ConfigurationError
@@ -29,6 +27,7 @@ from spheremouse.layout import (
     search,
 )
 from spheremouse.placement_guide import Accuracy, Design, on_the_tape, places, write_guide
+from spheremouse.progress import progress_bar
 from spheremouse.rotation import Array, log
 from spheremouse.simulate.scene import spread_directions
 from spheremouse.yaml_file import read_document, write_atomically
@@ -109,7 +108,7 @@ def layout(
 def _designed(n: int, radius: float, disc_radius: float, angle: float, seed: int) -> Design:
     tries = int(np.clip(500 // n, 5, 20))
     steps = default_steps(n)
-    with _bar() as bar:
+    with progress_bar() as bar:
         task = bar.add_task(f"placing {n} discs", total=steps + len(_CARELESS) * max(1, steps // 20))
         directions = np.zeros((0, 3))
         for step in _searched(n, angle, 3.0 * disc_radius / radius, seed, steps):
@@ -302,7 +301,7 @@ def _verdict(j: Judgement, t: Trials, radius: float, disc_radius: float) -> list
 def _compare(n: int, angle: float, apart: float, seed: int, others: int) -> None:
     """A table: our layout beside random ones that are merely well spread."""
     steps = default_steps(n)
-    with _bar() as bar:
+    with progress_bar() as bar:
         task = bar.add_task(f"comparing {n} discs", total=steps + others * max(1, steps // 50))
         ours = np.zeros((0, 3))
         for step in _searched(n, angle, apart, seed, steps):
@@ -349,18 +348,6 @@ def _compared(directions: Array, angle: float) -> list[float]:
         *(100.0 * t.found for t in trials),
         100.0 * (1.0 - max(t.wrong for t in trials)),
     ]
-
-
-def _bar() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(file=sys.stderr),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
 
 
 def _within(name: str, value: float, low: float, high: float) -> float:

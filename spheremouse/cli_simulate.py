@@ -1,15 +1,13 @@
 """`spheremouse simulate`: a dataset with exact truth from our own renderer."""
 
-import sys
 from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.progress import progress_bar
 from spheremouse.recording import write_simulation
 from spheremouse.simulate import Motion, SimulationOptions, View, prepare
 
@@ -155,15 +153,7 @@ def simulate(
         disc_moved=disc_moved,
     )
     simulation = prepare(options)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(file=sys.stderr),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    ) as bar:
+    with progress_bar() as bar:
         task = bar.add_task(f"filming {folder}", total=simulation.frames)
         for done in write_simulation(folder, simulation, replace=force):
             bar.update(task, completed=done)
