@@ -24,6 +24,7 @@ class InteriorOrientation:
     cx: float  # px
     cy: float  # px
     distortion: Array = field(default_factory=lambda: np.zeros(5))  # (5,) k1, k2, p1, p2, k3
+    covariance: Array = field(default_factory=lambda: np.zeros((9, 9)))  # (9, 9) of fx, fy, cx, cy, k1, k2, p1, p2, k3
 
     @property
     def matrix(self) -> Array:
@@ -62,6 +63,7 @@ class Pose:
     rotation: Array  # (3, 3) R_obj_cam
     position: Array  # (3,) m, projection centre in obj
     covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))  # (6, 6) m, rad
+    ball_covariance: Array = field(default_factory=lambda: np.zeros((6, 4)))  # (6, 4) with the ball's centre, radius
 
     def to_cam(self, points: Array) -> Array:
         """Points in `obj`, (..., 3) m, to `cam`."""
@@ -145,6 +147,22 @@ def reduced_to_pixel(xy: Array, camera: InteriorOrientation) -> tuple[Array, Arr
     d, J = distort(xy, camera)
     f = np.array([camera.fx, camera.fy])
     return d * f + (camera.cx, camera.cy), J * f[:, None]
+
+
+def interior_jacobian(xy: Array, camera: InteriorOrientation) -> Array:
+    """duv_dinterior, (n, 2, 9): pixels by fx, fy, cx, cy, k1, k2, p1, p2, k3, at ideal reduced coordinates (n, 2)."""
+    d, _ = distort(xy, camera)
+    x, y = xy[:, 0], xy[:, 1]
+    r2 = x * x + y * y
+    J = np.zeros((len(xy), 2, 9))
+    J[:, 0, 0], J[:, 1, 1] = d[:, 0], d[:, 1]
+    J[:, 0, 2] = J[:, 1, 3] = 1.0
+    for column, power in ((4, r2), (5, r2**2), (8, r2**3)):
+        J[:, :, column] = xy * power[:, None]
+    J[:, 0, 6], J[:, 1, 6] = 2.0 * x * y, r2 + 2.0 * y * y
+    J[:, 0, 7], J[:, 1, 7] = r2 + 2.0 * x * x, 2.0 * x * y
+    J[:, :, 4:] *= np.array([camera.fx, camera.fy])[:, None]
+    return J
 
 
 def project(points: Array, camera: InteriorOrientation) -> tuple[Array, Array]:

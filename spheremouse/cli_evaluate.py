@@ -20,7 +20,7 @@ from spheremouse.frame import Frame
 from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.progress import progress_bar
 from spheremouse.recording import Recording, open_dataset, read_frames
-from spheremouse.rig import Rig
+from spheremouse.rig import Rig, in_metres
 from spheremouse.rig_file import load_camera, load_rig, with_camera
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
@@ -140,6 +140,8 @@ def _check(pose: str, noise: float, datasets: list[Path], json_file: Path | None
 
 def _rig(recording: Recording, rig: Rig | None, camera: InteriorOrientation | None, pose: str) -> Rig:
     rig = recording.rig if rig is None else rig
+    if rig.scale_free:  # the truth is in metres
+        rig = in_metres(rig, recording.rig.ball.radius / rig.ball.radius)
     rig = rig if camera is None else with_camera(rig, camera)
     if pose == "own":
         return rig

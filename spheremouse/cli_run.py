@@ -128,7 +128,10 @@ def run(
                     board.say(f"views passed over: {passed_over}")
                 tracker = build(device, start.pose, settings)
                 found = start.resection
-                board.say("camera pose: as the rig says" if found is None else f"camera pose: {describe(found)}")
+                board.say(f"camera pose: {'as the rig says' if found is None else describe(found, device)}")
+                if device.scale_free:
+                    scale = settings.motion.scale(None)
+                    board.say(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")
                 if picture is not None:
                     picture.begin(tracker, target_marks(device, start.pose, found))
                 known = None if keeper is None else keeper.known

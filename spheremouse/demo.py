@@ -143,7 +143,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
         Board("spheremouse demo", True, seen.tally, console) as board,
     ):
         if start.resection is not None:
-            board.say(f"camera pose: {describe(start.resection)}")
+            board.say(f"camera pose: {describe(start.resection, tracker.rig)}")
         video.begin(tracker, marks)
         for epoch in track(start.frames, tracker):
             motions.send(epoch.motion)

@@ -23,3 +23,7 @@ class OutputError(SpheremouseError):
 
 class PoseError(SpheremouseError):
     """The camera's pose cannot be found."""
+
+
+class CalibrationError(SpheremouseError):
+    """Photos, measures or a recording from which nothing can be calibrated."""

@@ -71,13 +71,29 @@ def intersect(detections: Detections, rig: Rig, pose: Pose) -> SpherePoints:
             rig.ball.centre,
             rig.ball.radius,
             rig.ball.covariance,
+            pose.ball_covariance,
+            bool(np.any(pose.ball_covariance)),
         )
     )
 
 
 @njit(cache=True, error_model="numpy")
 def _intersect(
-    centre, noise, intrinsic, distortion, fold, height, readout, rotation, P, pose_covariance, K, R, ball_covariance
+    centre,
+    noise,
+    intrinsic,
+    distortion,
+    fold,
+    height,
+    readout,
+    rotation,
+    P,
+    pose_covariance,
+    K,
+    R,
+    ball_covariance,
+    cross_covariance,
+    correlated,
 ):
     """The fields of SpherePoints of what is met; nan meets nothing."""
     n = len(centre)
@@ -130,6 +146,11 @@ def _intersect(
                 for a in range(4):
                     for b in range(4):
                         value += J_ball[met, j, a] * ball_covariance[a, b] * J_ball[met, k, b]
+                if correlated:
+                    for a in range(6):
+                        for b in range(4):
+                            both = J_pose[met, j, a] * J_ball[met, k, b] + J_pose[met, k, a] * J_ball[met, j, b]
+                            value += both * cross_covariance[a, b]
                 covariance[met, j, k] = value
                 covariance[met, k, j] = value
         row[met] = row_of(centre[i, 1], height)

@@ -13,6 +13,7 @@ from spheremouse.rotation import Array, log_into
 from spheremouse.settings import param
 
 _DUE = 1.0 - 1e-9  # counts; less than one by rounding alone
+_USUAL_RADIUS = 0.6  # m: a millimetre of a ball of unknown size is what it is on a ball of 1.2 m
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,10 @@ class MotionSettings:
         1.0, "counts/mm", "scale of all axes, per millimetre of the ball's surface: about a 25 dpi trackball", gt=0
     )
     counts_per_radian: float | None = param(
-        None, "counts/rad", "scale per radian instead; set it where the rig's radius is not in metres", gt=0
+        None,
+        "counts/rad",
+        "scale per radian instead; null where the rig's scale is free: that of a ball of 0.6 m radius",
+        gt=0,
     )
     scale_x: float = param(1.0, "-", "factor on the pointer's X (ball rolling left and right)", gt=0)
     scale_y: float = param(1.0, "-", "factor on the pointer's Y (ball rolling towards and away)", gt=0)
@@ -33,19 +37,24 @@ class MotionSettings:
     invert_z: bool = param(False, "-", "reverse the third axis")
     swap_xy: bool = param(False, "-", "exchange X and Y, before inversion (a camera or a seat turned by 90 degrees)")
 
-    def matrix(self, radius: float) -> Array:
-        """Counts per radian of rotation vector in `obj`, (3, 3): rows x, y, third axis; `radius` of the ball in m.
+    def scale(self, radius: float | None) -> float:
+        """Counts per radian; `radius` of the ball in m, None where it is not known in metres."""
+        if self.counts_per_radian is not None:
+            return self.counts_per_radian
+        return 1000.0 * (_USUAL_RADIUS if radius is None else radius) * self.counts_per_mm
+
+    def matrix(self, radius: float | None) -> Array:
+        """Counts per radian of rotation vector in `obj`, (3, 3): rows x, y, third axis; `radius` as in `scale`.
 
         The point C = (0, -c, 0) under the ball travels d = rho x C = (c rho_z, 0, -c rho_x); the pointer moves by
         (d_x, -d_z).
         """
-        scale = 1000.0 * radius * self.counts_per_mm if self.counts_per_radian is None else self.counts_per_radian
         M = np.zeros((3, 3))
         M[0, 2] = M[1, 0] = M[2, 1] = 1.0
         if self.swap_xy:
             M = M[[1, 0, 2]]
         sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
-        return M * (sign * (self.scale_x, self.scale_y, self.scale_z) * scale)[:, None]
+        return M * (sign * (self.scale_x, self.scale_y, self.scale_z) * self.scale(radius))[:, None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,7 +163,7 @@ def _rig(scene: _Scene) -> Rig:
         ids=tuple(t.id for t in scene.targets),
         codes=tuple(t.code for t in scene.targets),
         position=np.array([t.position for t in scene.targets], dtype=float).reshape(n, 3),
-        covariance=np.zeros((n, 3, 3)),
+        covariance=np.zeros((3 * n, 3 * n)),
         radii=np.array(scene.target_radii if scene.target_radii is not None else (0.0, 0.0, 0.0), dtype=float),
     )
     return Rig(

@@ -1,7 +1,8 @@
 """Resection: targets seen in a few frames -> the camera's pose in `obj` with its covariance.
 
 Wittich 2017, sections 2.4.3 and 3.4: least squares on the reprojection error of the targets, here from a closed-form
-start, so that no one has to say where the camera stands.
+start, so that no one has to say where the camera stands. The targets' joint covariance, and theirs with the ball, are
+carried to the pose: a target field that is shifted against the ball shifts the camera, and no picture of it says so.
 """
 
 from dataclasses import dataclass
@@ -10,6 +11,8 @@ from itertools import product
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.optimize import brentq
 
 from spheremouse.camera import (
     Pose,
@@ -132,18 +135,20 @@ def resect(sightings: list[Sighting], rig: Rig, image: Image) -> Resection:
     return _by_outline(fits, rig, image)
 
 
-def describe(resection: Resection) -> str:
-    """Pose, standard deviations and correlations as in Wittich 2017, table 12."""
+def describe(resection: Resection, rig: Rig) -> str:
+    """Pose, standard deviations and correlations as in Wittich 2017, table 12; lengths in mm, or radii of the ball."""
     pose = resection.pose
+    scale, unit, digits = (1.0 / rig.ball.radius, "R", 4) if rig.scale_free else (1e3, "mm", 2)
     sigma = np.sqrt(np.diag(pose.covariance))
     correlation = pose.covariance / np.outer(sigma, sigma)
     names = ["X", "Y", "Z", "rot X", "rot Y", "rot Z"]
     lines = [f"targets {', '.join(resection.codes)}; residual RMS {np.sqrt(np.mean(resection.residual**2)):.3f} px"]
     lines.append("          " + "".join(f"{n:>9}" for n in names))
     lines += [f"{names[i]:<10}" + "".join(f"{correlation[i, j]:9.3f}" for j in range(i)) for i in range(1, 6)]
-    lines.append("sigma     " + "".join(f"{1e3 * s:6.2f} mm" for s in sigma[:3]))
+    lines.append("sigma     " + "".join(f"{scale * s:{8 - len(unit)}.{digits}f} {unit}" for s in sigma[:3]))
     lines[-1] += "".join(f"{np.rad2deg(s):7.3f} °" for s in sigma[3:])
-    lines.append("position  " + "".join(f"{1e3 * x:6.0f} mm" for x in pose.position))
+    place = scale * pose.position
+    lines.append("position  " + "".join(f"{x:{8 - len(unit)}.{digits - 2}f} {unit}" for x in place))
     return "\n".join(lines)
 
 
@@ -191,13 +196,15 @@ def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list
 
 
 def _adjust(pose: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> Resection | None:
-    """Gauss-Newton on the reprojection error; weights from the image and from the targets' own covariances."""
+    """Gauss-Newton on the reprojection error; weights from the image and from the targets' joint covariance."""
     observed = np.array([s.centre for s in used])
-    sigma = np.array([s.covariance for s in used])
+    image = np.asarray(block_diag(*(s.covariance for s in used)), dtype=float)
     points = rig.targets.position[which]
-    N = np.eye(6)
+    rows = (3 * which[:, None] + np.arange(3)).ravel()
+    uncertain = rig.targets.covariance[np.ix_(rows, rows)]
+    A, W, N = np.zeros((len(image), 6)), np.eye(len(image)), np.eye(6)
+    J = np.zeros((len(image), len(rows)))
     residual = np.zeros_like(observed)
-    cost = np.inf
     for _ in range(30):
         try:
             predicted, dc_dcam = _predict(pose, rig, which)
@@ -208,27 +215,46 @@ def _adjust(pose: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig)
         residual = observed - predicted
         dc_dobj = dc_dcam @ pose.rotation.T
         # a point in cam is R^T (X - P): dP moves it by -R^T, theta turns X - P by -theta
-        A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2)
-        weight = np.linalg.inv(sigma + dc_dobj @ rig.targets.covariance[which] @ dc_dobj.transpose(0, 2, 1))
-        N = np.einsum("nij,nik,nkl->jl", A, weight, A)
-        cost = float(np.einsum("ni,nij,nj->", residual, weight, residual))
+        A = np.concatenate([-dc_dobj, dc_dobj @ hat(points - pose.position)], axis=2).reshape(-1, 6)
+        J = np.asarray(block_diag(*dc_dobj), dtype=float)
         try:
-            step = np.linalg.solve(N, np.einsum("nij,nik,nk->j", A, weight, residual))
+            W = np.linalg.inv(image + J @ uncertain @ J.T)
+            N = A.T @ W @ A
+            step = np.asarray(np.linalg.solve(N, A.T @ W @ residual.ravel()), dtype=float)
         except np.linalg.LinAlgError:
             return None
         pose = Pose(exp(step[3:]) @ pose.rotation, pose.position + step[:3])
         if np.linalg.norm(step) < 1e-10:
             break
     freedom = 2 * len(used) - 6
-    # few targets, few degrees of freedom: the factor may enlarge the covariance, never shrink it
-    factor = cost / freedom if freedom > 0 else 1.0
+    r = residual.ravel()
+    factor = float(r @ W @ r) / freedom if freedom > 0 else 1.0
     try:
-        covariance = np.asarray(np.linalg.inv(N) * max(factor, 1.0), dtype=float)
+        covariance = np.asarray(np.linalg.inv(N), dtype=float)
     except np.linalg.LinAlgError:
         return None
-    return Resection(
-        Pose(pose.rotation, pose.position, covariance), tuple(s.code for s in used), observed, residual, factor
-    )
+    G = covariance @ A.T @ W  # error of the pose: G (noise - J error of the targets)
+    if factor > 1.0:
+        component = _image_component(r, image, J @ uncertain @ J.T, freedom)
+        covariance = covariance + (component - 1.0) * G @ image @ G.T
+    with_ball = np.zeros((6, 4)) if rig.cross_covariance is None else -G @ J @ rig.cross_covariance[rows]
+    pose = Pose(pose.rotation, pose.position, 0.5 * (covariance + covariance.T), with_ball)
+    return Resection(pose, tuple(s.code for s in used), observed, residual, factor)
+
+
+def _image_component(r: Array, image: Array, targets: Array, freedom: int) -> float:
+    """The factor on the covariance `image` with which residuals (m,) are as large as expected; of use above 1 only.
+
+    Few targets, few degrees of freedom: it may enlarge the pose's covariance, never shrink it. It is the image's alone:
+    what shifts all targets alike leaves no residual, so residuals say nothing of it.
+    """
+
+    def excess(factor: float) -> float:
+        return float(r @ np.linalg.solve(factor * image + targets, r)) / freedom - 1.0
+
+    low = excess(1.0) + 1.0  # exact where the targets are
+    high = float(r @ np.linalg.solve(image, r)) / freedom
+    return float(brentq(excess, low, high)) if high > low * (1.0 + 1e-9) else high  # type: ignore[arg-type]
 
 
 def _possible(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> bool:

@@ -1,6 +1,6 @@
 """The rig: everything calibration knows of a device, with covariances. Made by calibration or from a dataset."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -18,7 +18,11 @@ UNKNOWN_READOUT = 0.015  # s: none with a global shutter, up to 30 ms with a slo
 
 @dataclass(frozen=True, slots=True)
 class Ball:
-    """The sphere, in `obj`. Its centre is the origin by definition; it is uncertain all the same."""
+    """The sphere, in `obj`. Its centre is the origin by definition.
+
+    After calibration its uncertainty lies in the targets' coordinates, which count from it (Wittich 2017, eq. 91-92),
+    and here is that of the radius alone.
+    """
 
     radius: float  # m, or 1.0 where the scale is free
     centre: Array = field(default_factory=lambda: np.zeros(3))  # (3,) m
@@ -32,7 +36,7 @@ class Targets:
     ids: tuple[int, ...]
     codes: tuple[str, ...]  # colours inside to outside, one of CODES each
     position: Array  # (n, 3) m, obj
-    covariance: Array  # (n, 3, 3) m², obj
+    covariance: Array  # (3n, 3n) m², obj, of x, y, z of the first, x, y, z of the second, ...
     radii: Array  # (3,) m: inner disc, middle ring, outer ring
 
 
@@ -49,6 +53,40 @@ class Rig:
     exposure_s: float = 0.0  # s, time the shutter is open; 0 where it is short or unknown
     pose: Pose | None = None  # camera pose where it is known beforehand: no targets are needed then
     disc_directions: Array | None = None  # (m, 3) unit vectors in ball, a disc map made earlier
+    cross_covariance: Array | None = None  # (3n, 4) m², targets' coordinates with the ball's centre, radius; None: zero
+    scale_free: bool = False  # lengths are not in metres but in a unit of their own, such as the ball's radius
+
+
+def in_metres(rig: Rig, unit: float) -> Rig:
+    """The rig in metres, where its lengths are in a unit of `unit` m."""
+    to_metres = np.repeat([unit, 1.0], 3)  # of a pose: position, rotation
+    pose, targets = rig.pose, rig.targets
+    if pose is not None:
+        pose = replace(
+            pose,
+            position=unit * pose.position,
+            covariance=pose.covariance * np.outer(to_metres, to_metres),
+            ball_covariance=pose.ball_covariance * to_metres[:, None] * unit,
+        )
+    return replace(
+        rig,
+        ball=Ball(unit * rig.ball.radius, unit * rig.ball.centre, unit**2 * rig.ball.covariance),
+        targets=replace(
+            targets,
+            position=unit * targets.position,
+            covariance=unit**2 * targets.covariance,
+            radii=unit * targets.radii,
+        ),
+        disc_radius=unit * rig.disc_radius,
+        pose=pose,
+        cross_covariance=None if rig.cross_covariance is None else unit**2 * rig.cross_covariance,
+        scale_free=False,
+    )
+
+
+def considered_covariance(pose: Pose, ball: Ball) -> Array:
+    """Of what is wrong in every frame alike, (10, 10): camera position and rotation, ball centre and radius."""
+    return np.block([[pose.covariance, pose.ball_covariance], [pose.ball_covariance.T, ball.covariance]])
 
 
 @njit(cache=True, error_model="numpy")

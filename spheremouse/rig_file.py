@@ -5,12 +5,15 @@ file claims is checked here, so that the core may take it as true.
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from io import StringIO
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
+from ruamel.yaml import YAML
+from scipy.linalg import block_diag
 
 from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
@@ -53,15 +56,25 @@ class _Target(_Part):
     id: int = Field(description="a whole number that names the target")
     code: Code = Field(description="colours inside to outside")
     position: Vector3 = Field(description="[x, y, z] in m, obj")
-    covariance: Matrix | None = Field(None, description="3 x 3 in m²")
+    covariance: Matrix | None = Field(None, description="3 x 3 in m², where the targets are not correlated")
+
+
+class _Provenance(BaseModel):
+    """Date, version, photos, notes, and whatever else; nothing here reads it."""
+
+    model_config = ConfigDict(extra="allow")
 
 
 class _CameraFile(_Part):
     camera: _Camera = Field(description="width, height, fx, fy, cx, cy and dist of the camera")
+    provenance: _Provenance | None = Field(None, description="where the numbers come from: a section, for people")
 
 
 class _RigFile(_CameraFile):
     ball: _Ball = Field(description="radius of the ball, and what else is known of it")
+    scale: Literal["metric", "free"] = Field(
+        "metric", description="metric: lengths are in m; free: in a unit of their own, such as the ball's radius"
+    )
     disc_radius: Positive = Field(description="radius of a disc in m, along the ball's surface")
     readout_s: float | None = Field(
         None, ge=0, lt=1, description="time a rolling shutter takes over all rows in s; 0: global; null: unknown"
@@ -73,8 +86,17 @@ class _RigFile(_CameraFile):
         None, description="[inner disc, middle ring, outer ring] in m"
     )
     targets: tuple[_Target, ...] = Field((), description="list of {id, code, position}")
+    targets_covariance: Matrix | None = Field(
+        None, description="3n x 3n in m², x, y, z of the first target, x, y, z of the second, ..."
+    )
+    targets_ball_covariance: Matrix | None = Field(
+        None, description="3n x 4 in m² of the targets' coordinates with the ball's centre x, y, z and radius"
+    )
     T_obj_cam: Matrix | None = Field(None, description="4 x 4, a point in camera coordinates to obj")
     pose_covariance: Matrix | None = Field(None, description="6 x 6 of camera position (m) and rotation (rad) in obj")
+    pose_ball_covariance: Matrix | None = Field(
+        None, description="6 x 4 of the pose with the ball's centre x, y, z and radius"
+    )
     discs: tuple[Vector3, ...] = Field((), description="list of unit vectors [x, y, z] in ball")
 
 
@@ -90,7 +112,7 @@ def load_rig(path: Path) -> Rig:
             ids=tuple(t.id for t in file.targets),
             codes=tuple(t.code for t in file.targets),
             position=np.array([t.position for t in file.targets]).reshape(-1, 3),
-            covariance=np.array([_matrix(t.covariance, 3) for t in file.targets]).reshape(-1, 3, 3),
+            covariance=_targets_covariance(file),
             radii=np.array(file.target_radii or (0.0, 0.0, 0.0)),
         ),
         disc_radius=file.disc_radius,
@@ -99,6 +121,8 @@ def load_rig(path: Path) -> Rig:
         exposure_s=file.exposure_s,
         pose=_pose(file),
         disc_directions=_unit_rows(file.discs) if file.discs else None,
+        cross_covariance=None if file.targets_ball_covariance is None else np.array(file.targets_ball_covariance),
+        scale_free=file.scale == "free",
     )
 
 
@@ -115,21 +139,27 @@ def with_camera(rig: Rig, camera: InteriorOrientation) -> Rig:
     return dataclasses.replace(rig, camera=camera)
 
 
-def save_rig(path: Path, rig: Rig) -> None:
+def save_rig(path: Path, rig: Rig, provenance: Mapping[str, Any] | None = None) -> None:
     """Write a rig file that reads back to the same rig; whole or not at all."""
-    write_atomically(path, rig_text(rig))
+    write_atomically(path, rig_text(rig, provenance))
 
 
-def save_camera(path: Path, camera: InteriorOrientation) -> None:
+def save_camera(path: Path, camera: InteriorOrientation, provenance: Mapping[str, Any] | None = None) -> None:
     """Write a camera file that reads back to the same interior orientation; whole or not at all."""
-    write_atomically(path, f"schema: {SCHEMA}\n{_camera_text(camera)}")
+    write_atomically(path, f"schema: {SCHEMA}\n{_provenance_text(provenance)}{_camera_text(camera)}")
 
 
-def rig_text(rig: Rig) -> str:
-    """A rig as YAML."""
+def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
+    """A rig as YAML. `provenance` says where it comes from: date, version, photos (file, sha256), notes.
+
+    It is kept for people; reading the file leaves it out.
+    """
+    units = "Pixels, and lengths in a unit of their own" if rig.scale_free else "Metres and pixels"
     lines = [
-        "# A device as calibrated. Metres and pixels; obj: ball centre, X right, Y up, Z towards the camera.",
+        f"# A device as calibrated. {units}; obj: ball centre, X right, Y up, Z towards the camera.",
         f"schema: {SCHEMA}",
+        *_provenance_text(provenance).splitlines(),
+        *(["scale: free  # nobody measured a length: counts are per radian"] if rig.scale_free else []),
         _camera_text(rig.camera).rstrip(),
         "ball:",
         f"  radius: {float(rig.ball.radius)!r}",
@@ -141,17 +171,13 @@ def rig_text(rig: Rig) -> str:
     ]
     if np.any(rig.targets.radii):
         lines.append(f"target_radii: {_flow(rig.targets.radii)}  # inner disc, middle ring, outer ring")
-    lines.append("targets:  # colours inside to outside" if rig.targets.ids else "targets: []")
-    for id_, code, position, covariance in zip(
-        rig.targets.ids, rig.targets.codes, rig.targets.position, rig.targets.covariance, strict=True
-    ):
-        lines += [f"  - id: {int(id_)}", f"    code: {code}", f"    position: {_flow(position)}"]
-        lines += _covariance_lines(covariance, "    covariance", "  # m²")
+    lines += _targets_lines(rig)
     if rig.pose is not None:
         lines += _matrix_lines(rig.pose.matrix(), "T_obj_cam", "  # a point in camera coordinates to obj")
         lines += _covariance_lines(
             rig.pose.covariance, "pose_covariance", "  # m and rad, position and rotation in obj"
         )
+        lines += _covariance_lines(rig.pose.ball_covariance, "pose_ball_covariance", "  # with centre x, y, z, radius")
     if rig.disc_directions is not None and len(rig.disc_directions):
         lines += _matrix_lines(rig.disc_directions, "discs", "  # unit vectors in ball")
     return "\n".join(lines) + "\n"
@@ -163,7 +189,39 @@ def _camera_text(camera: InteriorOrientation) -> str:
         f"  fx: {float(camera.fx)!r}\n  fy: {float(camera.fy)!r}\n"
         f"  cx: {float(camera.cx)!r}\n  cy: {float(camera.cy)!r}\n"
         f"  dist: {_flow(camera.distortion)}  # k1, k2, p1, p2, k3\n"
+    ) + "".join(
+        f"{line}\n"
+        for line in _covariance_lines(camera.covariance, "  covariance", "  # of fx, fy, cx, cy, k1, k2, p1, p2, k3")
     )
+
+
+def _targets_lines(rig: Rig) -> list[str]:
+    """Each target with a covariance of its own where that is all; else what they have in common after the last."""
+    joint, n = rig.targets.covariance, len(rig.targets.ids)
+    own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
+    correlated = bool(np.any(joint != block_diag(*own))) if n else False
+    lines = ["targets:  # colours inside to outside" if n else "targets: []"]
+    for id_, code, position, covariance in zip(
+        rig.targets.ids, rig.targets.codes, rig.targets.position, own, strict=True
+    ):
+        lines += [f"  - id: {int(id_)}", f"    code: {code}", f"    position: {_flow(position)}"]
+        lines += [] if correlated else _covariance_lines(covariance, "    covariance", "  # m²")
+    lines += _matrix_lines(joint, "targets_covariance", "  # m², of x, y, z of each target") if correlated else []
+    if rig.cross_covariance is not None:
+        comment = "  # m², of the same rows with the ball's centre x, y, z and radius"
+        lines += _covariance_lines(rig.cross_covariance, "targets_ball_covariance", comment)
+    return lines
+
+
+def _provenance_text(provenance: Mapping[str, Any] | None) -> str:
+    if not provenance:
+        return ""
+    yaml, stream = YAML(), StringIO()
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    yaml.width = 10_000  # a line each
+    yaml.representer.ignore_aliases = lambda *_: True  # written out: aliases are not read
+    yaml.dump({"provenance": dict(provenance)}, stream)
+    return stream.getvalue()
 
 
 def _readout(rig: Rig) -> str:
@@ -184,17 +242,26 @@ def _covariance_lines(matrix: Array, name: str, comment: str) -> list[str]:
 
 
 def _interior(c: _Camera) -> InteriorOrientation:
-    return InteriorOrientation(c.width, c.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist))
+    covariance = _matrix(c.covariance, 9)
+    return InteriorOrientation(c.width, c.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist), covariance)
 
 
-def _matrix(rows: Matrix | None, n: int) -> Array:
-    return np.zeros((n, n)) if rows is None else np.array(rows, dtype=float)
+def _matrix(rows: Matrix | None, n: int, m: int | None = None) -> Array:
+    return np.zeros((n, m or n)) if rows is None else np.array(rows, dtype=float)
+
+
+def _targets_covariance(file: _RigFile) -> Array:
+    n = len(file.targets)
+    if file.targets_covariance is not None or n == 0:
+        return _matrix(file.targets_covariance, 3 * n)
+    return np.asarray(block_diag(*(_matrix(t.covariance, 3) for t in file.targets)))
 
 
 def _pose(file: _RigFile) -> Pose | None:
     if file.T_obj_cam is None:
         return None
-    return pose_from_matrix(_matrix(file.T_obj_cam, 4), _matrix(file.pose_covariance, 6))
+    pose = pose_from_matrix(_matrix(file.T_obj_cam, 4), _matrix(file.pose_covariance, 6))
+    return dataclasses.replace(pose, ball_covariance=_matrix(file.pose_ball_covariance, 6, 4))
 
 
 def _unit_rows(vectors: tuple[Vector3, ...]) -> Array:
@@ -211,11 +278,21 @@ def _camera_problems(c: _Camera) -> Iterator[Problem]:
 
 
 def _rig_problems(file: _RigFile) -> Iterator[Problem]:
-    yield from _covariance_problems(("ball", "covariance"), file.ball.covariance, 4)
+    ball = list(_covariance_problems(("ball", "covariance"), file.ball.covariance, 4))
+    yield from ball
     if file.disc_radius >= file.ball.radius:
         yield Problem(("disc_radius",), f"is {file.disc_radius:g} m, not smaller than the ball; both are in metres")
     yield from _target_problems(file)
-    yield from _pose_problems(file)
+    targets = list(_targets_covariance_problems(file))
+    yield from targets
+    pose = list(_pose_problems(file))
+    yield from pose
+    if not ball and not targets:
+        key = ("targets_ball_covariance",)
+        yield from _cross_problems(key, _targets_covariance(file), file.targets_ball_covariance, file.ball)
+    if not ball and not pose:
+        key = ("pose_ball_covariance",)
+        yield from _cross_problems(key, _matrix(file.pose_covariance, 6), file.pose_ball_covariance, file.ball)
     for i, disc in enumerate(file.discs):
         if abs(np.linalg.norm(disc) - 1.0) > 1e-3:
             yield Problem(("discs", i), f"has length {np.linalg.norm(disc):.4g}; give a unit vector")
@@ -237,12 +314,22 @@ def _target_problems(file: _RigFile) -> Iterator[Problem]:
             yield Problem(("targets", i, "code"), f"{target.code} is on another target already; each code appears once")
         if target.position in (t.position for t in before):
             yield Problem(("targets", i, "position"), "another target is in this very place; measure one of them again")
-        yield from _covariance_problems(("targets", i, "covariance"), target.covariance, 3)
+
+
+def _targets_covariance_problems(file: _RigFile) -> Iterator[Problem]:
+    for i, target in enumerate(file.targets):
+        key = ("targets", i, "covariance")
+        yield from _covariance_problems(key, target.covariance, 3)
+        if target.covariance is not None and file.targets_covariance is not None:
+            yield Problem(key, "stands in targets_covariance, too; remove one of them")
+    yield from _covariance_problems(("targets_covariance",), file.targets_covariance, 3 * len(file.targets))
 
 
 def _pose_problems(file: _RigFile) -> Iterator[Problem]:
     if file.pose_covariance is not None and file.T_obj_cam is None:
         yield Problem(("pose_covariance",), "belongs to T_obj_cam, which is missing; give both or none")
+    if file.pose_ball_covariance is not None and file.pose_covariance is None:
+        yield Problem(("pose_ball_covariance",), "belongs to pose_covariance, which is missing; give both or none")
     yield from _covariance_problems(("pose_covariance",), file.pose_covariance, 6)
     if file.T_obj_cam is None:
         return
@@ -278,11 +365,29 @@ def _covariance_problems(key: Key, rows: Matrix | None, n: int) -> Iterator[Prob
         yield Problem(
             key, f"is not symmetric: {C[i, j]:g} against {C[j, i]:g} in rows {i + 1} and {j + 1}; make them equal"
         )
-    else:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            correlation = np.where(scale > 0, C / scale, np.where(C == 0, 0.0, np.inf))
-        if not np.isfinite(correlation).all() or np.linalg.eigvalsh(correlation).min() < -1e-6:
-            yield Problem(key, "is not positive semidefinite: some correlation is beyond 1; copy all digits")
+    elif not _is_covariance(C):
+        yield Problem(key, "is not positive semidefinite: some correlation is beyond 1; copy all digits")
+
+
+def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: _Ball) -> Iterator[Problem]:
+    """Of the block between what has the covariance C, (n, n), and the ball: is the whole a covariance?"""
+    if rows is None:
+        return
+    if len(rows) != len(C) or not all(len(row) == 4 for row in rows):
+        yield Problem(key, f"must be {len(C)} rows of 4 numbers, is {_shape(rows)}")
+        return
+    X = np.array(rows)
+    if not _is_covariance(np.block([[C, X], [X.T, _matrix(ball.covariance, 4)]])):
+        text = "does not go with the covariances of its rows and of the ball: some correlation is beyond 1"
+        yield Problem(key, f"{text}; copy all digits")
+
+
+def _is_covariance(C: Array) -> bool:
+    """Is a symmetric matrix with a diagonal >= 0 positive semidefinite, to the digits a file gives?"""
+    scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.where(scale > 0, C / scale, np.where(C == 0, 0.0, np.inf))
+    return bool(np.isfinite(correlation).all() and np.linalg.eigvalsh(correlation).min(initial=0.0) >= -1e-6)
 
 
 def _is_square(rows: Matrix, n: int) -> bool:

@@ -11,7 +11,6 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import pdtrc
 
 from spheremouse import bearing
@@ -37,7 +36,7 @@ from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
 from spheremouse.resect import PoseSettings, gather, predict_targets, resect
-from spheremouse.rig import Rig
+from spheremouse.rig import Rig, considered_covariance
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 from spheremouse.watch import Watch, WatchSettings
@@ -181,9 +180,10 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
         or pose.to_cam(rig.ball.centre)[2] <= rig.ball.radius
         or not ball_mask(rig, pose).any()
     ):
+        unit = "" if rig.scale_free else " m"
         raise PoseError(
-            f"from the camera, {distance:.2f} m from the ball's centre, the ball (radius {rig.ball.radius:g} m) "
-            "is not in the picture: turn the camera towards it, or check the rig's positions and lengths"
+            f"from the camera, {distance:.2f}{unit} from the ball's centre, the ball (radius {rig.ball.radius:g}{unit})"
+            " is not in the picture: turn the camera towards it, or check the rig's positions and lengths"
         )
     stage: Filter[Any]
     if settings.tracker == "so3":
@@ -193,7 +193,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
             rig.ball.radius / distance,
             rig.disc_radius / rig.ball.radius,
             rig.ball.radius,
-            np.asarray(block_diag(pose.covariance, rig.ball.covariance)),
+            considered_covariance(pose, rig.ball),
             rig.readout_sigma_s,
         )
     elif settings.tracker == "ekf2":
@@ -205,7 +205,8 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
         detector = disc_detector(settings.discs, rig, pose)
     else:
         detector = BlobDetector(settings.blobs)
-    return Tracker(settings, rig, pose, detector, stage, settings.motion.matrix(rig.ball.radius))
+    metric = None if rig.scale_free else rig.ball.radius
+    return Tracker(settings, rig, pose, detector, stage, settings.motion.matrix(metric))
 
 
 def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:

@@ -21,7 +21,7 @@ from spheremouse.track import Settings, Tracker, begin, build, disc_map, step
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])
 _CAMERA = InteriorOrientation(160, 120, 160.0, 160.0, 79.5, 59.5, _LENS)
 _POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.2]))
-_NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+_NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 _RIG = Rig(_CAMERA, Ball(0.6), _NO_TARGETS, 0.05, 0.01, 0.005, 0.005, _POSE)
 _TURN = np.array([0.06, 0.05, 0.03])  # rad a frame
 _DT = 1.0 / 30.0

@@ -200,7 +200,7 @@ def moved_pose(shift: Array, rig: Rig, pose: Pose, sigma: float) -> tuple[Pose, 
         new, added, residual = found
         off = np.hypot(*residual.T)
         if off.max() < 5.0 * sigma:
-            return Pose(new.rotation, new.position, pose.covariance + added), added
+            return Pose(new.rotation, new.position, pose.covariance + added, pose.ball_covariance), added
         which = np.delete(which, int(np.argmax(off)))
     return None
 

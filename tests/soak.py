@@ -180,7 +180,7 @@ def _behind(hands: list[PlacedHand], image: NDArray[np.uint8]) -> NDArray[np.uin
 _POINTS_RIG = Rig(
     InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0),
     Ball(0.6),
-    Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)),
+    Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)),
     0.02,
 )
 _POINTS_POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))

@@ -14,7 +14,7 @@ from spheremouse.rotation import exp
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.35]))
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 DISCS = directions(40, 3)
 SIGMA = 0.05  # px
 S = BearingSettings()

@@ -9,6 +9,7 @@ from spheremouse.camera import (
     InteriorOrientation,
     Pose,
     distort,
+    interior_jacobian,
     pose_from_matrix,
     project,
     project_circle,
@@ -62,6 +63,16 @@ def test_distortion_jacobians_are_the_finite_differences():
         _, J = f(xy)
         for p, j in zip(xy, J, strict=True):
             assert_allclose(j, central_differences(lambda x, f=f: f(x[None])[0][0], p, 1e-6), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, PINHOLE])
+def test_interior_jacobian_is_the_finite_difference(camera):
+    def pixels(p):
+        return reduced_to_pixel(xy, InteriorOrientation(camera.width, camera.height, *p[:4], p[4:]))[0]
+
+    xy = points_in_view(50)[:, :2]
+    numeric = central_differences(pixels, np.array([*camera.intrinsic, *camera.distortion]), 1e-4)
+    assert_allclose(interior_jacobian(xy, camera), numeric, atol=1e-6)
 
 
 @pytest.mark.parametrize("camera", [CAMERA, PINHOLE])

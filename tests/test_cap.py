@@ -9,7 +9,7 @@ from spheremouse.camera import InteriorOrientation, Pose, ellipse_to_pixel, proj
 from spheremouse.detect.cap import appearance, ball_mask, ball_outline, largest_disc
 from spheremouse.rig import Ball, Rig, Targets
 
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 STRONG = InteriorOrientation(1920, 1080, 1404.0, 1390.0, 967.0, 540.0, np.array([-0.4, 0.2, 2e-3, -1e-3, -0.05]))
 PLAIN = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 

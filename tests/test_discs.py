@@ -15,7 +15,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import exp
 
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 PLAIN = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 BENT = InteriorOrientation(640, 480, 600.0, 595.0, 325.0, 238.0, np.array([-0.25, 0.1, 1e-3, -1e-3, 0.0]))
 RIG = Rig(PLAIN, Ball(0.6), NO_TARGETS, 0.02)

@@ -29,7 +29,7 @@ RADIUS = 0.6
 DT = 1.0 / 30.0
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(from_euler(np.array([np.pi, 0.0, np.pi / 2])), np.array([0.0, 0.0, 2.35]))  # Wittich 2017, table 2, far
-RIG = Rig(CAMERA, Ball(RADIUS), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+RIG = Rig(CAMERA, Ball(RADIUS), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 BOTH = pytest.mark.parametrize("model", [ConstantDiscsFilter(), StateDiscsFilter()], ids=["ekf1", "ekf2"])
 
 

@@ -48,7 +48,7 @@ from spheremouse.track import Phase
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 620.0, 318.0, 243.0)
 POSE = Pose(Rotation.from_euler("XYZ", [175.0, 4.0, 80.0], degrees=True).as_matrix(), np.array([0.1, -0.05, 2.3]))
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 T, L, S = Phase.TRACKING, Phase.LOST, Phase.SEARCHING
 
 

@@ -14,7 +14,7 @@ from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import exp
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 INCIDENCE = np.radians([0.0, 15.0, 40.0, 60.0, 72.0])  # between ray and normal: from the middle to near the limb
 
 
@@ -26,7 +26,8 @@ def spd(sigmas, seed):
     return C * np.outer(s, s)
 
 
-BALL = Ball(0.6, np.array([0.002, -0.003, 0.001]), spd([5e-4, 4e-4, 6e-4, 3e-4], 1))
+WHOLE = spd([4e-4, 3e-4, 6e-4, 3e-4, 2e-4, 1e-4, 5e-4, 4e-4, 6e-4, 3e-4], 1)  # pose and ball, correlated
+BALL = Ball(0.6, np.array([0.002, -0.003, 0.001]), WHOLE[6:, 6:])
 
 
 def looking_at(target, position):
@@ -38,7 +39,7 @@ def looking_at(target, position):
 
 
 STATION = np.array([0.5, -0.45, 2.2])
-POSE = Pose(looking_at(BALL.centre, STATION), STATION, spd([4e-4, 3e-4, 6e-4, 3e-4, 2e-4, 1e-4], 2))
+POSE = Pose(looking_at(BALL.centre, STATION), STATION, WHOLE[:6, :6], WHOLE[:6, 6:])
 RIG = Rig(CAMERA, BALL, NO_TARGETS, 0.02)
 
 
@@ -191,16 +192,19 @@ def test_image_covariance_is_that_of_the_finite_difference():
 
 def test_covariance_is_the_sum_of_its_sources():
     points = intersect(detections(to_pixels(places())), RIG, POSE)
-    exact = replace(POSE, covariance=np.zeros((6, 6)))
+    exact = replace(POSE, covariance=np.zeros((6, 6)), ball_covariance=np.zeros((6, 4)))
     image_only = intersect(detections(to_pixels(places())), replace(RIG, ball=Ball(0.6, BALL.centre)), exact)
     assert_allclose(image_only.covariance, points.image_covariance, atol=1e-18)
     J, K = points.dposition_dpose, points.dposition_dball
+    shared = J @ POSE.ball_covariance @ K.transpose(0, 2, 1)
     total = (
         points.image_covariance
         + J @ POSE.covariance @ J.transpose(0, 2, 1)
         + K @ BALL.covariance @ K.transpose(0, 2, 1)
     )
-    assert_allclose(points.covariance, total, rtol=1e-12)
+    assert_allclose(points.covariance, total + shared + shared.transpose(0, 2, 1), rtol=1e-10)
+    apart = intersect(detections(to_pixels(places())), RIG, replace(POSE, ball_covariance=np.zeros((6, 4))))
+    assert_allclose(apart.covariance, total, rtol=1e-12)
 
 
 @pytest.mark.parametrize("place", range(len(INCIDENCE)))
@@ -219,8 +223,7 @@ def test_covariance_is_that_of_the_gauss_helmert_model(place):
     A = central_differences(lambda e: conditions(B + e, np.zeros(12)), 3, 1e-6)
     Bm = central_differences(lambda e: conditions(B, e), 12, 1e-6)
     sigma_ll = np.zeros((12, 12))
-    sigma_ll[:6, :6] = POSE.covariance
-    sigma_ll[6:10, 6:10] = BALL.covariance
+    sigma_ll[:10, :10] = WHOLE
     sigma_ll[10:, 10:] = seen.covariance[0]
     sigma_ww = Bm @ sigma_ll @ Bm.T
     N = A.T @ np.linalg.solve(sigma_ww, A)
@@ -237,8 +240,8 @@ def test_covariance_is_the_scatter_of_samples():
     uv = to_pixels(places())
     seen = detections(uv)
     points = intersect(seen, RIG, POSE)
-    pose = rng.multivariate_normal(np.zeros(6), POSE.covariance, n)
-    ball = rng.multivariate_normal(np.append(BALL.centre, BALL.radius), BALL.covariance, n)
+    error = rng.multivariate_normal(np.zeros(10), WHOLE, n)
+    pose, ball = error[:, :6], np.append(BALL.centre, BALL.radius) + error[:, 6:]
     rotation = exp(pose[:, 3:]) @ POSE.rotation
     for k in range(len(uv)):
         xy, _ = unproject(uv[k] + rng.multivariate_normal(np.zeros(2), seen.covariance[k], n), CAMERA)

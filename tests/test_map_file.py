@@ -20,7 +20,7 @@ from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import tangent_basis
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 WHEN = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
 REMEDY = "; mend that, or move the file away: a new map is made as the ball turns"
 

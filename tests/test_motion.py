@@ -112,6 +112,8 @@ def test_scales():
     rho = np.array([1.0, 1.0, 1.0])
     assert_allclose(MotionSettings(counts_per_mm=0.5).matrix(0.25) @ rho, 125.0)
     assert_allclose(MotionSettings(counts_per_radian=700.0).matrix(0.25) @ rho, 700.0)  # whatever the radius
+    assert_allclose(MotionSettings(counts_per_radian=700.0).matrix(None) @ rho, 700.0)
+    assert_allclose(MotionSettings(counts_per_mm=0.5).matrix(None) @ rho, 300.0)  # no metres: a ball of 0.6 m
     scaled = MotionSettings(counts_per_radian=1.0, scale_x=2.0, scale_y=3.0, scale_z=5.0).matrix(1.0)
     assert_allclose(scaled @ rho, [2.0, 3.0, 5.0])
 

@@ -1,18 +1,24 @@
 """The camera's pose from targets: exact projections, Monte-Carlo scatter, eccentricity, ambiguity, refusals."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from spheremouse.camera import InteriorOrientation, Pose, project
+from spheremouse.detect.detections import Detections
 from spheremouse.detect.rings import TargetDetections
 from spheremouse.errors import PoseError
+from spheremouse.intersect import intersect
 from spheremouse.resect import PoseSettings, Sighting, describe, gather, predict_targets, resect
-from spheremouse.rig import CODES, Ball, Rig, Targets
-from spheremouse.rotation import log
+from spheremouse.rig import CODES, Ball, Rig, Targets, considered_covariance
+from spheremouse.rotation import log, tangent_basis
 
 SIGMA = 0.05  # px
 CORNERS = np.array([[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629]])
@@ -39,7 +45,7 @@ views = pytest.mark.parametrize("view", VIEWS)
 
 def rig_of(camera, position=CORNERS, codes=CODES, sigma=0.0):
     n = len(position)
-    covariance = np.tile(sigma**2 * np.eye(3), (n, 1, 1))
+    covariance = sigma**2 * np.eye(3 * n)
     return Rig(camera, Ball(0.6), Targets(tuple(range(n)), codes[:n], position, covariance, RADII), 0.02)
 
 
@@ -144,8 +150,10 @@ def test_uncertain_targets_enlarge_the_covariance_as_their_scatter_does():
         moved = rig_of(camera, CORNERS + sigma * rng.normal(size=CORNERS.shape))
         centres = seen_centroids(moved, pose, 180) + SIGMA * rng.normal(size=(4, 2))
         found = resect(sightings(centres), believed, picture_of_ball(rig, pose) if len(nees) == 0 else BLACK)
-        e = pose_error(found.pose, pose)
-        nees.append(e @ np.linalg.solve(found.pose.covariance / max(found.variance_factor, 1.0), e))
+        if found.variance_factor < 1.0:  # residuals tell nothing of the pose's error: a fair sample
+            e = pose_error(found.pose, pose)
+            nees.append(e @ np.linalg.solve(found.pose.covariance, e))
+    assert len(nees) > 30
     low, high = chi2.ppf([0.005, 0.995], 6 * len(nees)) / len(nees)
     assert low < np.mean(nees) < high
 
@@ -162,6 +170,158 @@ def test_misfit_enlarges_and_never_shrinks_the_covariance():
     sd = np.sqrt(np.diag(exact.pose.covariance))
     ratio = worse.pose.covariance / worse.variance_factor / np.outer(sd, sd)
     assert_allclose(ratio, exact.pose.covariance / np.outer(sd, sd), atol=0.1)
+
+
+# --- what calibration leaves uncertain, in common with the ball ------------------------------------------------------
+
+
+SHIFT = np.array([0.7e-3, 0.9e-3, 3.3e-3])  # m, of all targets against the ball's centre: Wittich 2017, table 11
+UNSURE_RADIUS = 2.7e-3  # m
+OWN = 3e-4  # m, of each target by itself
+
+
+def calibrated(camera):
+    """A rig whose targets share the error of the ball's centre; that in Z and the radius are correlated to 0.998."""
+    shared = np.kron(np.ones((4, 4)), np.diag(SHIFT**2))
+    cross = np.zeros((12, 4))
+    cross[2::3, 3] = 0.998 * SHIFT[2] * UNSURE_RADIUS
+    rig = rig_of(camera)
+    targets = replace(rig.targets, covariance=shared + OWN**2 * np.eye(12))
+    ball = replace(rig.ball, covariance=np.diag([0.0, 0.0, 0.0, UNSURE_RADIUS**2]))
+    return replace(rig, targets=targets, ball=ball, cross_covariance=cross)
+
+
+def sampled(rig, rng):
+    """A device as it may be in truth, and the error of the rig's radius."""
+    R = rig.ball.covariance[3, 3]
+    whole = np.block([[rig.targets.covariance, rig.cross_covariance[:, 3:]], [rig.cross_covariance[:, 3:].T, R]])
+    e = rng.multivariate_normal(np.zeros(13), whole)
+    position = rig.targets.position - e[:12].reshape(4, 3)
+    ball = replace(rig.ball, radius=rig.ball.radius - e[12])
+    return replace(rig, targets=replace(rig.targets, position=position), ball=ball), e[12]
+
+
+def directions_of(d, true, true_pose, rig, pose):
+    """Where directions d, (n, 3), are thought to be, and d_direction_d(pose, ball), (n, 3, 10): without image noise."""
+    uv = project(true_pose.to_cam(true.ball.centre + true.ball.radius * d), true.camera)[0]
+    points = intersect(Detections(uv, np.zeros((len(uv), 2, 2)), np.full(len(uv), 100.0)), rig, pose)
+    J = np.concatenate([points.dposition_dpose, points.dposition_dball], axis=2)
+    J[:, :, 6:9] -= np.eye(3)
+    J[:, :, 9] -= points.direction
+    return points.direction, J / rig.ball.radius
+
+
+def chi_square_band(freedom, n):
+    return chi2.ppf([0.025, 0.975], freedom * n) / n
+
+
+def test_a_calibrated_rig_gives_a_pose_and_directions_with_true_covariances():
+    """Targets shifted in common, correlated with the radius: pose, its covariance with the ball, and what both give."""
+    camera, pose = VIEWS["far"]
+    rig = calibrated(camera)
+    picture = picture_of_ball(rig, pose)
+    rng = np.random.default_rng(6)
+    seen = np.array([[0.35, -0.4, 0.0], [0.0, 0.1, 0.0]])
+    seen[:, 2] = np.sqrt(1.0 - np.sum(seen**2, axis=1))
+    errors, nees, apart, found = [], [], [], None
+    for _ in range(250):
+        true, radius_error = sampled(rig, rng)
+        found = resect(sightings(seen_centroids(true, pose, 90) + SIGMA * rng.normal(size=(4, 2))), rig, picture)
+        if found.variance_factor > 1.0:  # then the covariance is enlarged; residuals tell nothing of the pose's error
+            continue
+        e = np.append(pose_error(found.pose, pose), radius_error)
+        errors.append(e)
+        P = considered_covariance(found.pose, rig.ball)
+        direction, J = directions_of(seen, true, pose, rig, found.pose)
+        off = tangent_basis(seen[0]).T @ (direction[0] - seen[0])
+        D = tangent_basis(seen[0]).T @ J[0]
+        nees.append([e[:6] @ np.linalg.solve(P[:6, :6], e[:6]), off @ np.linalg.solve(D @ P @ D.T, off)])
+        block = block_diag(P[:6, :6], P[6:, 6:])
+        apart.append(off @ np.linalg.solve(D @ block @ D.T, off))
+    n = len(nees)
+    assert n > 120
+    pose_nees, direction_nees = np.mean(nees, axis=0)
+    low, high = chi_square_band(6, n)
+    assert low < pose_nees < high
+    low, high = chi_square_band(2, n)
+    assert low < direction_nees < high
+    assert np.mean(apart) < 0.9 * low  # without the correlation the directions pass for less certain than they are
+    errors = np.array(errors)
+    P = considered_covariance(found.pose, rig.ball)
+    sd = np.sqrt(np.diag(P))[[0, 1, 2, 3, 4, 5, 9]]
+    expected = P[:6, 9] / sd[:6] / sd[6]
+    assert expected[2] > 0.95
+    assert_allclose(np.corrcoef(errors.T)[:6, 6], expected, atol=3.5 / np.sqrt(n))
+    assert_allclose(np.mean(errors[:, :6] * errors[:, 6:], axis=0) / sd[:6] / sd[6], expected, atol=4.0 / np.sqrt(n))
+
+
+@views
+def test_a_wrong_scale_turns_no_direction(view):
+    """All lengths too long by the same part, by a stretched tape: camera and ball follow, the rays do not."""
+    camera, pose = VIEWS[view]
+    rig = rig_of(camera)
+    sigma = 0.01
+    grown = np.append(rig.targets.position.ravel(), rig.ball.radius)
+    C = sigma**2 * np.outer(grown, grown)
+    cross = np.hstack([np.zeros((12, 3)), C[:12, 12:]])
+    stretched = replace(
+        rig,
+        targets=replace(rig.targets, covariance=C[:12, :12]),
+        ball=replace(rig.ball, covariance=np.diag([0, 0, 0, C[12, 12]])),
+        cross_covariance=cross,
+    )
+    centres = seen_centroids(rig, pose)
+    sharp = resect(sightings(centres), rig, picture_of_ball(rig, pose))
+    found = resect(sightings(centres), stretched, picture_of_ball(rig, pose))
+    position = found.pose.position
+    assert_allclose(found.pose.ball_covariance[:3, 3], sigma**2 * rig.ball.radius * position, rtol=1e-3, atol=1e-6)
+    moved = np.append(position, np.zeros(3))
+    more = found.pose.covariance - sharp.pose.covariance
+    assert_allclose(more, sigma**2 * np.outer(moved, moved), atol=1e-3 * sigma**2 * (position @ position))
+    towards = position / np.linalg.norm(position)
+    d = towards + np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.0], [-0.2, 0.4, 0.1]])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    _, J = directions_of(d, rig, pose, stretched, found.pose)
+    turned, still = (
+        J @ considered_covariance(f.pose, r.ball) @ J.transpose(0, 2, 1) for f, r in ((found, stretched), (sharp, rig))
+    )
+    assert_allclose(turned, still, atol=0.02 * np.trace(still, axis1=1, axis2=2).max())
+    apart = replace(found.pose, ball_covariance=np.zeros((6, 4)))
+    loose = J @ considered_covariance(apart, stretched.ball) @ J.transpose(0, 2, 1)
+    assert np.trace(loose[1]) > 10.0 * np.trace(still[1])
+
+
+def test_a_common_shift_adds_to_the_pose_and_is_not_enlarged_by_residuals():
+    """Least squares with the covariance Q + A M Aᵀ: the same pose, and M on top (Rao's identity), whatever misfits."""
+    camera, pose = VIEWS["far"]
+    rig = rig_of(camera)
+    M = np.diag(SHIFT**2)
+    shifted = replace(rig, targets=replace(rig.targets, covariance=np.kron(np.ones((4, 4)), M)))
+    centres = seen_centroids(rig, pose) + np.array([[0.4, 0], [-0.4, 0], [0.4, 0], [-0.4, 0]])
+    sharp, found = (resect(sightings(centres), r, BLACK) for r in (rig, shifted))
+    assert found.variance_factor > 10.0
+    sd = np.sqrt(np.diag(found.pose.covariance))
+    assert_allclose(pose_error(found.pose, sharp.pose) / sd, 0.0, atol=1e-6)
+    expected = sharp.pose.covariance + block_diag(M, np.zeros((3, 3)))
+    assert_allclose(found.pose.covariance / np.outer(sd, sd), expected / np.outer(sd, sd), atol=1e-6)
+
+
+def test_misfit_of_uncertain_targets_is_laid_to_the_image():
+    """Between the covariance with the weights as given, and all of it enlarged; the residuals are then as expected."""
+    camera, pose = VIEWS["far"]
+    centres = seen_centroids(rig_of(camera), pose) + np.array([[0.4, 0], [-0.4, 0], [0.4, 0], [-0.4, 0]])
+    believed = rig_of(camera, sigma=OWN)
+    found = resect(sightings(centres), believed, BLACK)
+    assert found.variance_factor > 3.0
+    exact = resect(sightings(seen_centroids(rig_of(camera), pose)), believed, BLACK).pose.covariance
+    ratio = np.diag(found.pose.covariance) / np.diag(exact)
+    assert np.all(ratio > 1.5)
+    # with image noise that makes the residuals fit, the weights as given make the covariance as it is found
+    component = brentq(
+        lambda f: resect(sightings(centres, sigma=SIGMA * f**0.5), believed, BLACK).variance_factor - 1.0, 1.0, 1e4
+    )
+    fitting = resect(sightings(centres, sigma=SIGMA * component**0.5), believed, BLACK).pose.covariance
+    assert_allclose(np.diag(found.pose.covariance), np.diag(fitting), rtol=0.05)
 
 
 def test_eccentricity_matters_in_the_near_view_and_is_corrected():
@@ -361,7 +521,7 @@ def test_describe_reads_like_table_12():
     camera, pose = VIEWS["far"]
     rig = rig_of(camera)
     found = resect(sightings(seen_centroids(rig, pose)), rig, picture_of_ball(rig, pose))
-    text = describe(found)
+    text = describe(found, rig)
     lines = text.split("\n")
     assert lines[0].startswith("targets CMY, CYM, MCY, MYC; residual RMS 0.0")
     sigma = np.sqrt(np.diag(found.pose.covariance))

@@ -1,11 +1,13 @@
 """Rig and camera files: what is saved reads back the same, and what a person may get wrong is said with its line."""
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from spheremouse.camera import InteriorOrientation, Pose
@@ -13,6 +15,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.recording import open_dataset
 from spheremouse.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rig_file import load_camera, load_rig, rig_text, save_camera, save_rig, with_camera
+from spheremouse.yaml_file import read_document
 
 TEXT = """\
 schema: 1
@@ -46,26 +49,32 @@ def random_covariance(rng, n):
     return A @ A.T / 2 + (A @ A.T).T / 2
 
 
-def random_rig(seed, targets, known_pose, discs):
-    """A rig with something in every field."""
+def random_rig(seed, targets, known_pose, discs, correlated=True):
+    """A rig with something in every field; all that is uncertain but the camera is correlated, or each by itself."""
     rng = np.random.default_rng(seed)
-    pose = Pose(Rotation.random(rng=rng).as_matrix(), np.array([0.1, 0.2, 2.5]) + rng.normal(size=3) / 9)
-    pose = Pose(pose.rotation, pose.position, random_covariance(rng, 6))
+    place = Rotation.random(rng=rng).as_matrix(), np.array([0.1, 0.2, 2.5]) + rng.normal(size=3) / 9
     directions = rng.normal(size=(discs, 3))
+    n = 3 * targets
+    whole = random_covariance(rng, 10 + n)  # pose, ball, targets
+    if not correlated:
+        whole = np.asarray(block_diag(whole[:6, :6], whole[6:10, 6:10], *(random_covariance(rng, 3),) * targets))
+    interior = rng.uniform(100, 900, 4).tolist(), rng.normal(size=5) / 9, random_covariance(rng, 9)
     return Rig(
-        camera=InteriorOrientation(640, 480, *rng.uniform(100, 900, 4).tolist(), rng.normal(size=5) / 9),
-        ball=Ball(rng.uniform(0.5, 0.7), rng.normal(size=3) / 100, random_covariance(rng, 4)),
+        camera=InteriorOrientation(640, 480, *interior[0], *interior[1:]),
+        ball=Ball(rng.uniform(0.5, 0.7), rng.normal(size=3) / 100, whole[6:10, 6:10]),
         targets=Targets(
             ids=tuple(range(3, 3 + targets)),
             codes=CODES[:targets],
             position=rng.normal(size=(targets, 3)),
-            covariance=np.array([random_covariance(rng, 3) for _ in range(targets)]).reshape(-1, 3, 3),
+            covariance=whole[10:, 10:],
             radii=np.sort(rng.uniform(0.01, 0.1, 3)),
         ),
         disc_radius=rng.uniform(0.01, 0.03),
         **shutter(rng),
-        pose=pose if known_pose else None,
+        pose=Pose(*place, whole[:6, :6], whole[:6, 6:10]) if known_pose else None,
         disc_directions=directions / np.linalg.norm(directions, axis=1, keepdims=True) if discs else None,
+        cross_covariance=whole[10:, 6:10] if correlated and targets else None,
+        scale_free=bool(rng.random() < 0.5),
     )
 
 
@@ -85,11 +94,19 @@ def same(a, b):
     return type(a) is type(b) and a == b
 
 
+PROVENANCE = {
+    "date": "2026-01-31",
+    "version": "1.0",
+    "photos": [{"file": "a: b.jpg", "sha256": "0" * 64}, {"file": "ä #2.jpg", "sha256": "12e4"}],
+    "notes": "two lines\n'quoted', and: \"so\"",
+}
+
+
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.booleans(), st.integers(0, 5))
-def test_a_rig_reads_back_as_it_was_saved(tmp_path_factory, seed, targets, known_pose, discs):
+@given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.booleans(), st.integers(0, 5), st.booleans())
+def test_a_rig_reads_back_as_it_was_saved(tmp_path_factory, seed, targets, known_pose, discs, correlated):
     path = tmp_path_factory.mktemp("rig") / "rig.yaml"
-    rig = random_rig(seed, targets, known_pose, discs)
+    rig = random_rig(seed, targets, known_pose, discs, correlated)
     save_rig(path, rig)
     assert same(load_rig(path), rig)
     assert os.listdir(path.parent) == ["rig.yaml"]
@@ -113,7 +130,9 @@ def test_a_rig_written_by_hand(tmp_path):
     rig = load_rig(tmp_path / "rig.yaml")
     assert rig.camera.fx == 900.0
     assert rig.targets.ids == (1, 2, 5)
-    np.testing.assert_array_equal(rig.targets.covariance[:, 0, 0], [0, 1e-6, 0])
+    np.testing.assert_array_equal(rig.targets.covariance, np.diag([0, 0, 0, 1e-6, 1e-6, 1e-6, 0, 0, 0]))
+    assert rig.cross_covariance is None
+    assert not rig.scale_free
     np.testing.assert_array_equal(rig.ball.centre, [0, 0, 0])
     assert rig.pose is not None
     np.testing.assert_allclose(rig.pose.to_cam(np.zeros((1, 3))), [[0, 0, 2.4]], atol=1e-15)
@@ -156,11 +175,34 @@ def test_cameras_are_saved_and_replaced(tmp_path):
     camera = InteriorOrientation(1280, 960, 1800.25, 1801.0, 640.5, 480.25, np.array([-0.1, 1e-17, 0, 0, 3]))
     save_camera(tmp_path / "camera.yaml", camera)
     assert same(load_camera(tmp_path / "camera.yaml"), camera)
+    camera = replace(camera, covariance=random_covariance(np.random.default_rng(3), 9))
+    save_camera(tmp_path / "camera.yaml", camera, PROVENANCE)
+    assert same(load_camera(tmp_path / "camera.yaml"), camera)
+    assert read_document(tmp_path / "camera.yaml").data["provenance"]["version"] == "1.0"
     rig = random_rig(1, 4, True, 3)
     changed = with_camera(rig, camera)
     assert changed.camera is camera
     assert changed.targets is rig.targets
     assert changed.pose is rig.pose
+
+
+def test_provenance_is_kept_in_the_file_and_out_of_the_rig(tmp_path):
+    path, rig = tmp_path / "rig.yaml", random_rig(4, 4, True, 3)
+    twice = [PROVENANCE["photos"][0]] * 2  # one object, written out twice
+    for provenance in (PROVENANCE, {**PROVENANCE, "photos": twice}):
+        save_rig(path, rig, provenance)
+        found = read_document(path).data["provenance"]
+        assert {**found, "photos": list(found["photos"])} == provenance
+        assert same(load_rig(path), rig)
+    assert rig_text(rig, {}) == rig_text(rig)
+
+
+def test_targets_without_correlation_keep_their_covariances_by_themselves():
+    alone, together = (rig_text(random_rig(5, 3, False, 0, correlated)) for correlated in (False, True))
+    assert alone.count("    covariance:") == 3
+    assert "targets_covariance" not in alone
+    assert "    covariance:" not in together
+    assert "targets_covariance" in together
 
 
 def test_the_rig_of_a_dataset_survives(far26, tmp_path):
@@ -169,6 +211,10 @@ def test_the_rig_of_a_dataset_survives(far26, tmp_path):
     assert same(load_rig(tmp_path / "rig.yaml"), rig)
 
 
+BEYOND = "does not go with the covariances of its rows and of the ball: some correlation is beyond 1; copy all digits"
+NINE = " of 9 numbers, is 1 rows of 1"
+PEOPLE = ", is 'yesterday'; where the numbers come from: a section, for people"
+SCALE = "metric: lengths are in m; free: in a unit of their own, such as the ball's radius"
 ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0, 1]\n"
 
 
@@ -287,6 +333,40 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "pose_covariance: [[1]]\n",
             "17: pose_covariance: belongs to T_obj_cam, which is missing; give both or none",
         ),
+        ("ball:", "scale: metres\nball:", "3: scale: must be 'metric' or 'free', is 'metres'; " + SCALE),
+        ("T_obj_cam:", "targets_covariance: [[0]]\nT_obj_cam:", "17: targets_covariance: must be 9 rows" + NINE),
+        (
+            "T_obj_cam:",
+            f"targets_covariance: {np.diag([1e-6] * 9).tolist()}\nT_obj_cam:",
+            "15: targets[1].covariance: stands in targets_covariance, too; remove one of them",
+        ),
+        (
+            "T_obj_cam:",
+            f"targets_ball_covariance: {[[0] * 4] * 8}\nT_obj_cam:",
+            "17: targets_ball_covariance: must be 9 rows of 4 numbers, is 8 rows of 4",
+        ),
+        (
+            "T_obj_cam:",
+            f"targets_ball_covariance: {[[0] * 4] * 5 + [[0, 0, 0, 1.1e-6]] + [[0] * 4] * 3}\nT_obj_cam:",
+            "17: targets_ball_covariance: " + BEYOND,
+        ),
+        (
+            "T_obj_cam:",
+            f"targets_ball_covariance: {[[0, 0, 0, 1e-9]] + [[0] * 4] * 8}\nT_obj_cam:",  # with what is exact
+            "17: targets_ball_covariance: " + BEYOND,
+        ),
+        (
+            "T_obj_cam:",
+            f"pose_ball_covariance: {[[0] * 4] * 6}\nT_obj_cam:",
+            "17: pose_ball_covariance: belongs to pose_covariance, which is missing; give both or none",
+        ),
+        (
+            "T_obj_cam:",
+            f"pose_covariance: {np.diag([1e-6] * 6).tolist()}\n"
+            f"pose_ball_covariance: {[[0, 0, 0, 1.1e-6]] + [[0] * 4] * 5}\nT_obj_cam:",
+            "18: pose_ball_covariance: " + BEYOND,
+        ),
+        ("ball:", "provenance: yesterday\nball:", "3: provenance: must be a section of `key: value` lines" + PEOPLE),
         ("[0, 0.8, 0.6]", "[0, 8, 6]", "22: discs[1]: has length 10; give a unit vector"),
         ("[0, 0.8, 0.6]", "[0, 0, 0]", "22: discs[1]: has length 0; give a unit vector"),
         ("ball:", "bal:", "3: bal: unknown key; did you mean ball?"),

@@ -11,7 +11,7 @@ from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.detect.search import Hunt, hunt, went
 from spheremouse.rig import Ball, Rig, Targets
 
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
 BALL, INK, ROOM = 190.0, 30.0, 90.0
 OVER = 6  # subpixels along each side of a pixel

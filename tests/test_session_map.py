@@ -19,7 +19,7 @@ from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.session_map import MapKeeper, changed, succession
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 BALL, OTHER_BALL = directions(26, 1), directions(24, 2)
 R = Rotation.from_rotvec([0.4, -1.0, 2.0]).as_matrix()
 

@@ -10,7 +10,7 @@ from spheremouse.rotation import exp
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
-NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3))
+NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 RIG = Rig(CAMERA, Ball(0.6), NO_TARGETS, 0.02)
 SETTINGS = StaticSettings()
 DT = 1.0 / 30.0

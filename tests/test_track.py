@@ -21,7 +21,7 @@ from spheremouse.track import Phase, Settings, TrackState, advance, begin, build
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
-RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(3)), 0.02)
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
 DT = 1.0 / 30.0
 SIGMA = 0.05  # px
 BOLTS = np.array([[300.0, 100.0], [250.0, 380.0], [420.0, 250.0], [200.0, 200.0]])
@@ -291,6 +291,43 @@ def test_a_clock_that_starts_again_does_not_make_motion_up(name):
         counts.append(motion.counts)
     assert not np.any(counts)
     assert state.phase is Phase.LOST
+
+
+def test_what_pose_and_ball_are_wrong_in_together_reaches_the_filter():
+    A = np.random.default_rng(1).normal(size=(10, 12)) * 1e-4
+    whole = A @ A.T
+    rig = replace(RIG, ball=replace(RIG.ball, covariance=whole[6:, 6:]))
+    tracker = build(rig, replace(POSE, covariance=whole[:6, :6], ball_covariance=whole[:6, 6:]), SO3)
+    assert_allclose(begin(tracker, 0.0).filter.joint[9:19, 9:19], whole, atol=1e-20)
+
+
+@trackers
+def test_lengths_in_another_unit_change_the_counts_alone(name):
+    """A device in radii of its ball: the same attitudes; counts per radian are those of a ball of 0.6 m, or as set."""
+    settings = replace(SO3, tracker=name)
+    r = 0.3
+    ball = replace(RIG, ball=Ball(r), disc_radius=0.01)
+    halved = replace(POSE, position=POSE.position / 2)
+    radii = replace(RIG, ball=Ball(1.0), disc_radius=0.01 / r, scale_free=True)
+    far = replace(POSE, position=POSE.position / 2 / r)
+    rng = np.random.default_rng(3)
+    turned = [exp(ROLL * DT * k) for k in range(40)]
+    seen = [photo(R, rng) for R in turned]
+    films = []
+    for rig, pose in ((ball, halved), (radii, far)):
+        tracker = build(rig, pose, settings)
+        state, sent, attitudes = begin(tracker, 0.0), np.zeros(3), []
+        for k, d in enumerate(seen):
+            state, motion = advance(state, k * DT, d, tracker)
+            attitudes.append(state.filter.attitude)
+            sent += motion.counts
+        films.append((sent, np.array(attitudes), tracker.counts))
+    assert_allclose(films[1][1], films[0][1], atol=1e-6 if name == "so3" else 1e-3)
+    assert_allclose(films[1][2], 2.0 * films[0][2])
+    assert np.abs(films[1][0] - 2.0 * films[0][0]).max() <= 2.0
+    assert np.abs(films[1][0]).max() > 200
+    own = replace(settings, motion=replace(settings.motion, counts_per_radian=100.0))
+    assert_allclose(build(radii, far, own).counts.max(), 100.0)
 
 
 def test_frames_of_another_size_are_refused_in_one_line():

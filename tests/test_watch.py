@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse import watch as watching
 from spheremouse.camera import Pose
@@ -131,7 +131,7 @@ def test_what_is_no_target_is_not_kept(near):
 
 def test_fewer_than_three_targets_are_no_watch(near):
     t = near.rig.targets
-    two = replace(t, ids=t.ids[:2], codes=t.codes[:2], position=t.position[:2], covariance=t.covariance[:2])
+    two = replace(t, ids=t.ids[:2], codes=t.codes[:2], position=t.position[:2], covariance=t.covariance[:6, :6])
     assert watching.begin(replace(near.rig, targets=two), near.before) is None
 
 
@@ -160,6 +160,13 @@ def test_the_covariance_is_the_scatter(near):
         nees.append(e @ np.linalg.solve(added, e))
     assert len(nees) > 290
     assert 5.2 < np.mean(nees) < 6.9  # 6 degrees of freedom, 300 samples: +- 4 sigma is 0.8
+
+
+def test_what_pose_and_ball_are_wrong_in_together_stays(near):
+    """The shifts say nothing of it: the covariance with the ball is that of the pose before."""
+    shared = np.random.default_rng(4).normal(size=(6, 4))
+    pose, _ = watching.moved_pose(near.shift, near.rig, replace(near.before, ball_covariance=shared), 0.02)
+    assert_array_equal(pose.ball_covariance, shared)
 
 
 def test_a_target_that_moved_by_itself_is_left_out(near):

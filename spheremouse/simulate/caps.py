@@ -180,7 +180,7 @@ class Caps:
         on_ball = (edge.cosine > 0.0).reshape(-1, n)
         # At the very limb g is no linear function of the pixel: there the middle of a part stands for all of it.
         steep = edge.cosine < np.sqrt(self._pixel)
-        part = np.where(steep, edge.g > 0.0, _half_plane(edge.g, edge.slope / fine)).reshape(-1, n) * on_ball
+        part = np.where(steep, edge.g > 0.0, half_plane(edge.g, edge.slope / fine)).reshape(-1, n) * on_ball
         return part.sum(axis=1) / np.maximum(on_ball.sum(axis=1), 1)
 
     def _edge(self, ray: Array, dray: Array, toward: Array) -> _Edge:
@@ -236,10 +236,10 @@ def _ball_bounds(scene: Scene, radius: float) -> tuple[NDArray[np.intp], NDArray
     return low, high
 
 
-def _half_plane(g: Array, slope: Array) -> Array:
+def half_plane(g: Array, slope: Array) -> Array:
     """Share of a unit square where a linear function is positive: value `g` in the middle (k,), |gradient| (k, 2)."""
-    wide = np.maximum(slope.max(axis=1), 1e-15)
-    narrow = np.maximum(slope.min(axis=1), 1e-15)
+    wide = np.maximum(np.maximum(slope[:, 0], slope[:, 1]), 1e-15)
+    narrow = np.maximum(np.minimum(slope[:, 0], slope[:, 1]), 1e-15)
     t = np.abs(g)
     low, high = 0.5 * (wide - narrow), 0.5 * (wide + narrow)
     share = np.where(t <= low, 0.5 + t / wide, 1.0 - 0.5 * np.maximum(high - t, 0.0) ** 2 / (wide * narrow))

@@ -55,8 +55,8 @@ class Lighting:
     def on_room(self, points: Array, normals: Array) -> Array:
         """Light that falls on points of the room, (n, 3); the ball and the struts stand in its way."""
         towards = -points
-        distance = np.linalg.norm(towards, axis=1)
-        facing = np.sum(normals * towards, axis=1) / distance
+        distance = _length(towards)
+        facing = _dot(normals, towards) / distance
         hidden = np.clip(facing, 0.0, 1.0) * np.minimum(1.0, (self.ball_radius / distance) ** 2)
         light = _ambient(normals) * (1.0 - 0.8 * hidden)[:, None]
         for lamp in self.lamps:
@@ -78,8 +78,8 @@ class Lighting:
         """Light thrown back by the coat of the ball towards `eye`, (n, 3): blurred lamps, room at the limb."""
         normals = points / self.ball_radius
         view = eye - points
-        view /= np.linalg.norm(view, axis=1, keepdims=True)
-        cosine = np.clip(np.sum(normals * view, axis=1), 0.0, 1.0)
+        view /= _length(view)[:, None]
+        cosine = np.clip(_dot(normals, view), 0.0, 1.0)
         fresnel = 0.04 + 0.96 * (1.0 - cosine) ** 5
         away = 2.0 * cosine[:, None] * normals - view
         seen = 0.55 * _ambient(away)
@@ -118,8 +118,8 @@ class Lighting:
     def _past_ball(self, points: Array, lamp: Lamp) -> Array:
         """Share of the lamp that the ball does not hide, (n,)."""
         to_lamp = np.array(lamp.centre) - points
-        s = np.clip(-np.sum(points * to_lamp, axis=1) / np.sum(to_lamp * to_lamp, axis=1), 0.0, 1.0)
-        miss = np.linalg.norm(points + s[:, None] * to_lamp, axis=1)
+        s = np.clip(-_dot(points, to_lamp) / _dot(to_lamp, to_lamp), 0.0, 1.0)
+        miss = _length(points + s[:, None] * to_lamp)
         return 1.0 - _step(self.ball_radius - miss, 0.05 + 0.35 * s)
 
 
@@ -137,6 +137,16 @@ def reflectance(colour: Colour) -> Colour:
     return float(b), float(g), float(r)
 
 
+def _dot(a: Array, b: Array) -> Array:
+    """Of vectors, (n, 3), row by row: (n,); faster than a sum over a short axis."""
+    return np.einsum("ni,ni->n", a, b)
+
+
+def _length(a: Array) -> Array:
+    """Of vectors, (n, 3): (n,)."""
+    return np.sqrt(_dot(a, a))
+
+
 def _ambient(normals: Array) -> Array:
     up = 0.5 + 0.5 * normals[:, 1:2]
     return up * _SKY + (1.0 - up) * _FLOOR
@@ -151,12 +161,12 @@ def _step(x: Array, width: Array | float) -> Array:
 def _form_factor(points: Array, normals: Array, corners: Array) -> Array:
     """Share of the half-space over each point that a polygon fills, weighted by the cosine, (n,)."""
     total = np.zeros(len(points))
-    to = corners[None] - points[:, None]
-    to /= np.maximum(np.linalg.norm(to, axis=2, keepdims=True), 1e-9)
+    to = [corner - points for corner in corners]
+    to = [v / np.maximum(_length(v), 1e-9)[:, None] for v in to]
     for i in range(len(corners)):
-        a, b = to[:, i], to[:, (i + 1) % len(corners)]
+        a, b = to[i], to[(i + 1) % len(corners)]
         cross = np.cross(a, b)
-        length = np.maximum(np.linalg.norm(cross, axis=1), 1e-12)
-        angle = np.arctan2(length, np.sum(a * b, axis=1))
-        total += angle / length * np.sum(cross * normals, axis=1)
+        length = np.maximum(_length(cross), 1e-12)
+        angle = np.arctan2(length, _dot(a, b))
+        total += angle / length * _dot(cross, normals)
     return np.maximum(0.0, -total / (2.0 * np.pi))

@@ -90,7 +90,7 @@ def default_scene(
         height / 2.0,
         np.zeros(5) if distortion is None else np.asarray(distortion, dtype=float),
     )
-    targets = Targets((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), _TARGET_POSITIONS, np.zeros((4, 3, 3)), _TARGET_RADII)
+    targets = Targets((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), _TARGET_POSITIONS, np.zeros((12, 12)), _TARGET_RADII)
     ball_radius, disc_radius = 0.6, 0.02
     bolt_radius = 0.0105  # as far26: the size of a disc that lies a little aslant
     return Scene(

@@ -86,7 +86,7 @@ class Ring:
         with np.errstate(divide="ignore", invalid="ignore"):
             s = ((self.centre - origin) @ self.across) / (rays @ self.across)
             offset = origin - self.centre
-            r2 = s * s * np.sum(rays * rays, axis=1) + 2.0 * s * (rays @ offset) + offset @ offset
+            r2 = s * s * np.einsum("ni,ni->n", rays, rays) + 2.0 * s * (rays @ offset) + offset @ offset
             inside = (s > 0.0) & (r2 < self.outer**2) & (r2 >= self.inner**2)
         return np.where(inside, s, np.inf)
 
@@ -107,7 +107,7 @@ class Sphere:
     def hit(self, origin: Array, rays: Array) -> Array:
         """Distance in units of each ray, (n,); inf where it misses."""
         offset = self.centre - origin
-        a = np.sum(rays * rays, axis=1)
+        a = np.einsum("ni,ni->n", rays, rays)
         b = rays @ offset
         root = b * b - a * (offset @ offset - self.radius**2)
         return np.where((root >= 0.0) & (b > 0.0), (b - np.sqrt(np.maximum(root, 0.0))) / a, np.inf)
