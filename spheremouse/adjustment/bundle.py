@@ -1,0 +1,284 @@
+"""Bundle adjustment: image points of targets and discs in, poses of all photos and coordinates of all points out.
+
+Wittich 2017, sections 2.4.4 and 4.3. Lengths in m, in the frame that the targets define (`Axes`), its origin in one of
+them: that one keeps its place, the next its direction, the third its plane (the weights of table 8, taken to their
+limit). The interior orientation takes part as far as its calibration leaves it open. Without distances the scale is
+free; then the first two targets keep their distance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from spheremouse.adjustment.device import Device
+from spheremouse.adjustment.solve import Adjusted, Jacobian, adjust, cofactors
+from spheremouse.camera import (
+    InteriorOrientation,
+    Pose,
+    ellipse_to_pixel,
+    interior_jacobian,
+    project,
+    project_circle,
+)
+from spheremouse.rotation import Array, exp, hat, left_jacobian
+
+INTERIOR = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePoints:
+    """What was measured in the photos: n points, targets and discs alike."""
+
+    photo: NDArray[np.intp]  # (n,)
+    point: NDArray[np.intp]  # (n,) targets come first, discs after them
+    centre: Array  # (n, 2) px: of a target the mean centroid of its circles, of a disc its centre
+    covariance: Array  # (n, 2, 2) px²
+
+    def __len__(self) -> int:
+        return len(self.photo)
+
+    def take(self, keep: NDArray[np.bool_]) -> "ImagePoints":
+        """Those of a mask."""
+        return ImagePoints(self.photo[keep], self.point[keep], self.centre[keep], self.covariance[keep])
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What the bundle adjustment estimates."""
+
+    camera: InteriorOrientation
+    poses: tuple[Pose, ...]  # of the photos, in the frame of the targets
+    points: Array  # (m, 3) m: targets, then discs
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Observations and what holds the frame."""
+
+    device: Device
+    camera: InteriorOrientation  # as calibrated, with the covariance that lets it move
+    image: ImagePoints
+    scale_free: bool
+    depth: Array | None = None  # (n, 2) m: depth of each point in cam and its standard deviation, where it is guessed
+
+    @property
+    def targets(self) -> int:
+        """How many points are targets."""
+        return len(self.device.ids)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Where the unknowns are: interior, six for each pose (position, rotation), three for each point."""
+
+    photos: int
+    points: int
+    free: NDArray[np.intp]  # those that are adjusted
+
+    @property
+    def all(self) -> int:
+        """Unknowns and those held."""
+        return INTERIOR + 6 * self.photos + 3 * self.points
+
+    def pose(self, photo: NDArray[np.intp] | int) -> NDArray[np.intp]:
+        """(..., 6)"""
+        return INTERIOR + 6 * np.asarray(photo)[..., None] + np.arange(6)
+
+    def point(self, point: NDArray[np.intp] | int) -> NDArray[np.intp]:
+        """(..., 3)"""
+        return INTERIOR + 6 * self.photos + 3 * np.asarray(point)[..., None] + np.arange(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A block adjusted."""
+
+    block: Block
+    columns: Columns
+    covariance: Array  # (all, all) of all columns at unit variance factor; 0 where they are held
+    adjusted: Adjusted  # residuals: two for each image point, one for each distance, those of the interior orientation
+
+
+def columns_of(problem: Problem, photos: int, points: int) -> Columns:
+    """What is adjusted, and what the definition of the frame holds."""
+    device = problem.device
+    row = {id_: i for i, id_ in enumerate(device.ids)}
+    axes = device.axes
+    everything = Columns(photos, points, np.zeros(0, dtype=np.intp))
+    held = [*everything.point(row[axes.origin]), *everything.point(row[axes.up])[[0, 2]]]
+    held.append(everything.point(row[axes.plane])[2])
+    if problem.scale_free:
+        held.append(everything.point(row[axes.up])[1])
+    held += np.flatnonzero(np.diag(problem.camera.covariance) == 0.0).tolist()
+    return replace(everything, free=np.setdiff1d(np.arange(everything.all), held))
+
+
+def solve_block(problem: Problem, block: Block, robust: float | None = None) -> Solution:
+    """Adjust a block from an approximation; LinAlgError where something hangs in the air."""
+    columns = columns_of(problem, len(block.poses), len(block.points))
+    adjusted = None
+    for _ in range(2):  # the second time from the solution, where rotations are zero and their Jacobian is exact
+        adjusted = adjust(
+            lambda x, start=block: _evaluate(problem, _moved(start, columns, x), columns, x),
+            np.zeros(len(columns.free)),
+            robust,
+        )
+        block = _moved(block, columns, adjusted.x)
+    assert adjusted is not None
+    residual, jacobian = _evaluate(problem, block, columns, np.zeros(len(columns.free)))
+    adjusted = replace(adjusted, x=np.zeros(len(columns.free)), residual=residual, jacobian=jacobian)
+    covariance = np.zeros((columns.all, columns.all))
+    covariance[np.ix_(columns.free, columns.free)] = cofactors(jacobian)
+    return Solution(block, columns, covariance, adjusted)
+
+
+def design(problem: Problem, block: Block) -> tuple[Jacobian, Columns]:
+    """Jacobian of the residuals over their standard deviations, of what is free, at a block: no measurement needed."""
+    columns = columns_of(problem, len(block.poses), len(block.points))
+    return _evaluate(problem, block, columns, np.zeros(len(columns.free)))[1], columns
+
+
+def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:
+    """Where the points should be seen, (n, 2) px, and d by the point in cam (n, 2, 3), by interior (n, 2, 9); in cam.
+
+    A target is seen at the mean centroid of its circles, which face Z: the eccentricity is in it.
+    """
+    R = np.array([p.rotation for p in block.poses])[image.photo]
+    P = np.array([p.position for p in block.poses])[image.photo]
+    cam = np.einsum("nji,nj->ni", R, block.points[image.point] - P)
+    uv, J = project(cam, block.camera)
+    ring = np.flatnonzero(image.point < problem.targets)
+    xy = cam[:, :2] / cam[:, 2:]
+    if len(ring) and np.all(np.isfinite(uv[ring])):
+        normal = R[ring, 2]
+        try:
+            seen = [
+                ellipse_to_pixel(*project_circle(cam[ring], normal, float(r)), block.camera)[0]
+                for r in problem.device.target_radii
+            ]
+            uv = uv.copy()
+            uv[ring] = np.mean(seen, axis=0)
+        except np.linalg.LinAlgError:  # edge-on: its centre must do until the pose is better
+            pass
+    return uv, J, interior_jacobian(xy, block.camera), cam
+
+
+def _moved(block: Block, columns: Columns, x: Array) -> Block:
+    full = np.zeros(columns.all)
+    full[columns.free] = x
+    c = block.camera
+    camera = replace(
+        c,
+        fx=c.fx + full[0],
+        fy=c.fy + full[1],
+        cx=c.cx + full[2],
+        cy=c.cy + full[3],
+        distortion=c.distortion + full[4:INTERIOR],
+    )
+    steps = full[INTERIOR : INTERIOR + 6 * columns.photos].reshape(-1, 6)
+    poses = tuple(
+        Pose(exp(s[3:]) @ pose.rotation, pose.position + s[:3]) for pose, s in zip(block.poses, steps, strict=True)
+    )
+    return Block(camera, poses, block.points + full[INTERIOR + 6 * columns.photos :].reshape(-1, 3))
+
+
+def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array) -> tuple[Array, Jacobian]:
+    """Residuals (predicted minus measured, over standard deviations) and their Jacobian by the free unknowns."""
+    full = np.zeros(columns.all)
+    full[columns.free] = x
+    turned = full[INTERIOR : INTERIOR + 6 * columns.photos].reshape(-1, 6)[:, 3:]
+    image = problem.image
+    uv, by_cam, by_interior, cam = predicted(block, image, problem)
+    uv = np.where(np.isfinite(uv), uv, image.centre + 1e3)  # behind the camera: far off, so that the step is refused
+    by_cam = np.where(np.isfinite(by_cam), by_cam, 0.0)
+    by_interior = np.where(np.isfinite(by_interior), by_interior, 0.0)
+    R = np.array([p.rotation for p in block.poses])[image.photo]
+    P = np.array([p.position for p in block.poses])[image.photo]
+    by_point = by_cam @ R.transpose(0, 2, 1)
+    by_turn = by_point @ hat(block.points[image.point] - P) @ left_jacobian(turned)[image.photo]
+    L = np.linalg.inv(np.linalg.cholesky(image.covariance))
+    blocks = np.concatenate([by_interior, -by_point, by_turn, by_point], axis=2)
+    where = np.concatenate(
+        [
+            np.broadcast_to(np.arange(INTERIOR), (len(image), INTERIOR)),
+            columns.pose(image.photo),
+            columns.point(image.point),
+        ],
+        axis=1,
+    )
+    parts = [(np.einsum("nij,nj->ni", L, uv - image.centre).ravel(), *_rows(L @ blocks, where))]
+    parts.append(_distances(problem, block, columns))
+    if problem.depth is not None:
+        z, sigma = problem.depth.T
+        axis = R[:, :, 2]
+        turn = np.cross(axis, block.points[image.point] - P)[:, None] @ left_jacobian(turned)[image.photo]
+        towards = np.concatenate([-axis, turn[:, 0], axis], axis=1)
+        parts.append(((cam[:, 2] - z) / sigma, *_rows((towards / sigma[:, None])[:, None], where[:, INTERIOR:])))
+    if np.any(problem.camera.covariance):
+        parts.append(_prior(block.camera, problem.camera))
+    residual = np.concatenate([p[0] for p in parts])
+    offsets = np.cumsum([0, *(len(p[0]) for p in parts)])
+    rows = np.concatenate([p[1] + o for p, o in zip(parts, offsets, strict=False)])
+    J = sparse.csr_array(
+        (np.concatenate([p[3] for p in parts]), (rows, np.concatenate([p[2] for p in parts]))),
+        shape=(len(residual), columns.all),
+    )
+    return residual, sparse.csr_array(J[:, columns.free])
+
+
+def _rows(blocks: Array, where: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Row, column and value of Jacobian blocks, (n, k, c), with their columns, (n, c)."""
+    n, k, c = blocks.shape
+    row = np.broadcast_to(np.arange(n * k).reshape(n, k, 1), (n, k, c))
+    return row.ravel(), np.broadcast_to(where[:, None], (n, k, c)).ravel(), blocks.ravel()
+
+
+def distances(problem: Problem, points: Array) -> tuple[Array, Array]:
+    """Distances between targets, (k,) m, as their coordinates have it, and d by (start, end), (k, 6)."""
+    row = {id_: i for i, id_ in enumerate(problem.device.ids)}
+    way = np.array([points[row[d.end]] - points[row[d.start]] for d in problem.device.distances], dtype=float).reshape(
+        -1, 3
+    )
+    length = np.linalg.norm(way, axis=1)
+    along = way / np.maximum(length, 1e-12)[:, None]
+    return length, np.concatenate([-along, along], axis=1)
+
+
+def _distances(
+    problem: Problem, block: Block, columns: Columns
+) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], Array]:
+    """Tape distances (Wittich 2017, eq. 90)."""
+    row = {id_: i for i, id_ in enumerate(problem.device.ids)}
+    ends = np.array([[row[d.start], row[d.end]] for d in problem.device.distances], dtype=np.intp).reshape(-1, 2)
+    sigma = np.array([d.sigma for d in problem.device.distances])
+    length, J = distances(problem, block.points)
+    measured = np.array([d.metres for d in problem.device.distances])
+    where = columns.point(ends).reshape(-1, 6)
+    return ((length - measured) / sigma, *_rows((J / sigma[:, None])[:, None], where))
+
+
+def _prior(
+    camera: InteriorOrientation, prior: InteriorOrientation
+) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], Array]:
+    """The interior orientation as calibrated, as far as its covariance goes."""
+    known = np.flatnonzero(np.diag(prior.covariance))
+    size = np.sqrt(np.diag(prior.covariance))[known]
+    value, vector = np.linalg.eigh(prior.covariance[np.ix_(known, known)] / np.outer(size, size))
+    whiten = (vector / np.sqrt(np.maximum(value, 1e-12))).T / size
+    off = (interior_vector(camera) - interior_vector(prior))[known]
+    return (whiten @ off, *_rows(whiten[:, None], np.tile(known, (len(known), 1))))
+
+
+def interior_vector(camera: InteriorOrientation) -> Array:
+    """fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,)."""
+    return np.array([*camera.intrinsic, *camera.distortion])
+
+
+def rest(problem: Problem, solution: Solution) -> tuple[Array, Sequence[slice]]:
+    """Residuals in their groups: image points of targets, of discs, distances."""
+    n = len(problem.image)
+    k = len(problem.device.distances)
+    return solution.adjusted.residual, (slice(0, 2 * n), slice(2 * n, 2 * n + k))

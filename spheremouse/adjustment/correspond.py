@@ -1,0 +1,254 @@
+"""Which dark spot is which disc, across photos: first by rays that nearly meet, then by where they meet the ball.
+
+Wittich 2017, section 3.3.1, finds points by the distance of rays (eq. 93, 94). Such points hold false ones: rays also
+meet by chance, and frame and room have dark spots. Discs are told from them by the sphere they lie on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.adjustment.sphere import through_four
+from spheremouse.camera import InteriorOrientation, Pose, unproject
+from spheremouse.errors import CalibrationError
+from spheremouse.rig import Ball, Rig, Targets, directions_at
+from spheremouse.rotation import Array
+
+_TRIES = 3000  # samples of two points: with six false points of seven, 60 of them are clean
+_PROMISING = 60  # of those, the ones looked into
+_FOURS = 100  # samples of four among the points that go with one: half of these may still be false
+_LOOSE = 0.15  # of the radius: what a sphere guessed from the size of two dark spots is good for
+_ALIKE = 2.0  # factor by which a dark spot's area may differ from what the sphere says: threshold, shade, a cut
+_CAP = 0.6  # of the radius: least extent of the discs seen, a cap of 17 degrees; bolts in a plane are no large ball
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """Dark spots of all photos."""
+
+    photo: NDArray[np.intp]  # (n,)
+    centre: Array  # (n, 2) px
+    area: Array  # (n,) px²
+
+    def __len__(self) -> int:
+        return len(self.photo)
+
+
+@dataclass(frozen=True, slots=True)
+class _Points:
+    """Where rays of k photos nearly meet: m points, false ones among them."""
+
+    position: Array  # (m, 3) m
+    towards: Array  # (m, k, 3) unit vectors to the cameras
+    cosine: Array  # (m, k) area of the spot over that of a disc seen straight on; nan where the photo shows none
+
+    @property
+    def support(self) -> Array:
+        """Photos that show each."""
+        return np.sum(np.isfinite(self.cosine), axis=1)
+
+    def take(self, keep: NDArray[np.bool_]) -> "_Points":
+        return _Points(self.position[keep], self.towards[keep], self.cosine[keep])
+
+
+def near_sphere(
+    spots: Spots,
+    poses: Sequence[Pose],
+    camera: InteriorOrientation,
+    disc_radius: float,
+    tolerance: float,
+    seed: int = 0,
+) -> tuple[Array, float]:
+    """Centre (3,) m and radius m of the ball on which discs of `disc_radius` m lie; good to about `tolerance` m.
+
+    `tolerance`: how far rays may pass each other. Two spots tell a sphere roughly by their areas alone, for a disc seen
+    aslant is small: (P - K) . v = R cos, v towards the camera. Those that go with it tell it exactly. Raises
+    CalibrationError where no five points lie on a sphere.
+    """
+    points = _meeting_points(spots, poses, camera, disc_radius, tolerance)
+    points = points.take(_disc_like(points))
+    if len(points.position) < 5:
+        raise CalibrationError(
+            f"{len(points.position)} dark spots are seen alike in several photos, at least 5 discs are needed: is the "
+            "ball in the photos, did it stay still between them, are its discs dark?"
+        )
+    rng = np.random.default_rng(seed)
+    largest = float(np.linalg.norm(np.ptp(points.position, axis=0))) / _CAP
+    rough = []
+    for _ in range(_TRIES):
+        K, R = _by_areas(points, rng.choice(len(points.position), 2, replace=False))
+        if 0.0 < R < largest:
+            rough.append((_score(points, K, R, _LOOSE * R), K, R))
+    rough.sort(key=lambda r: -r[0])
+    best, centre, radius = 0.0, np.full(3, np.nan), np.nan
+    for _, K, R in rough[:_PROMISING]:
+        near = np.flatnonzero(_inside(points, K, R, _LOOSE * R))
+        for _ in range(_FOURS if len(near) >= 5 else 0):
+            four, its_radius = through_four(points.position[rng.choice(near, 4, replace=False)])
+            score = _score(points, four, its_radius, tolerance) if its_radius < largest else 0.0
+            if score > best:
+                best, centre, radius = score, four, its_radius
+    for _ in range(5):
+        inside = _inside(points, centre, radius, tolerance)
+        if np.count_nonzero(inside) < 5:
+            raise CalibrationError(
+                "fewer than 5 dark spots lie on a sphere: light the ball so that its discs stand out, and photograph "
+                "it from places further apart"
+            )
+        centre, radius = through_four(points.position[inside])
+    return centre, radius
+
+
+def numbered(photo: NDArray[np.intp], directions: Array, angle: float, fewest: int = 2) -> NDArray[np.intp]:
+    """Number of the disc that each of n spots on the ball is, (n,); -1 for one seen in fewer than `fewest` photos.
+
+    `directions` (n, 3) unit vectors from the ball's centre; those within `angle` rad are one disc. Of two spots of one
+    photo the one nearer to the disc's middle counts.
+    """
+    number = np.full(len(photo), -1)
+    free = np.ones(len(photo), dtype=bool)
+    cosine = directions @ directions.T > np.cos(angle)
+    for disc in range(len(photo)):
+        support = np.array([len(np.unique(photo[row & free])) if free[i] else 0 for i, row in enumerate(cosine)])
+        if support.max(initial=0) < fewest:
+            break
+        members = np.flatnonzero(cosine[int(np.argmax(support))] & free)
+        middle = np.median(directions[members], axis=0)
+        off = np.linalg.norm(directions[members] - middle, axis=1)
+        taken = [m for m, o in zip(members, off, strict=True) if o == off[photo[members] == photo[m]].min()]
+        number[taken] = disc
+        free[members] = False
+    return number
+
+
+def on_ball(
+    spots: Spots, poses: Sequence[Pose], camera: InteriorOrientation, centre: Array, radius: float
+) -> tuple[Array, NDArray[np.intp]]:
+    """Directions from the ball's centre, (k, 3), where the rays of spots meet it, and the k indices."""
+    directions, index = [], []
+    rig = ball_rig(camera, centre, radius, 0.1 * radius)
+    for k, pose in enumerate(poses):
+        mine = np.flatnonzero(spots.photo == k)
+        found, which = directions_at(spots.centre[mine], rig, pose)
+        directions.append(found)
+        index.append(mine[which])
+    return np.concatenate(directions), np.concatenate(index)
+
+
+def ball_rig(camera: InteriorOrientation, centre: Array, radius: float, disc_radius: float) -> Rig:
+    """A rig of which only camera, ball and size of the discs are known; any frame."""
+    none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
+    return Rig(camera, Ball(radius, centre), none, disc_radius)
+
+
+def _meeting_points(
+    spots: Spots, poses: Sequence[Pose], camera: InteriorOrientation, disc_radius: float, tolerance: float
+) -> _Points:
+    """Points where rays of different photos nearly meet, one of those within `tolerance` of each other (eq. 94)."""
+    xy, dxy_duv = unproject(spots.centre, camera)
+    real = np.isfinite(xy[:, 0])
+    photo, xy, dxy_duv, area = spots.photo[real], xy[real], dxy_duv[real], spots.area[real]
+    cam = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    length = np.linalg.norm(cam, axis=1)
+    R = np.array([p.rotation for p in poses])[photo]
+    direction = np.einsum("nij,nj->ni", R, cam) / length[:, None]
+    origin = np.array([p.position for p in poses])
+    # a small area A seen straight on from D covers A |x|^3 / D^2 in reduced coordinates, x = (x, y, 1)
+    face = np.pi * disc_radius**2 * length**3 / np.abs(np.linalg.det(dxy_duv))
+    found = [
+        _meet(origin[a], direction[photo == a], origin[b], direction[photo == b], tolerance)
+        for a, b in combinations(range(len(poses)), 2)
+    ]
+    points = np.concatenate(found)
+    offs, alongs, nearests = [], [], []
+    for k in range(len(poses)):
+        mine = np.flatnonzero(photo == k)
+        if len(points) == 0 or len(mine) == 0:
+            offs.append(np.full(len(points), np.inf))
+            alongs.append(np.ones(len(points)))
+            nearests.append(np.zeros(len(points), dtype=np.intp))
+            continue
+        way = points - origin[k]
+        along = way @ direction[mine].T
+        square = np.sum(way**2, axis=1)[:, None] - along**2
+        square = np.where(along > 0.0, square, np.inf)
+        which = np.argmin(square, axis=1)
+        rows = np.arange(len(points))
+        offs.append(np.sqrt(np.maximum(square[rows, which], 0.0)))
+        alongs.append(along[rows, which])
+        nearests.append(mine[which])
+    off, along, nearest = (np.stack(part, axis=1) for part in (offs, alongs, nearests))
+    sees = off < tolerance
+    cosine = np.where(sees, area[nearest] * along**2 / face[nearest], np.nan)
+    towards = -direction[nearest]
+    foot = origin[None] + along[..., None] * direction[nearest]
+    count = np.maximum(np.sum(sees, axis=1), 1)
+    points = np.sum(np.where(sees[..., None], foot, 0.0), axis=1) / count[:, None]
+    kept: list[int] = []
+    for i in np.argsort(-np.sum(sees, axis=1), kind="stable"):
+        if np.sum(sees[i]) >= 2 and (not kept or np.min(np.linalg.norm(points[kept] - points[i], axis=1)) > tolerance):
+            kept.append(int(i))
+    return _Points(points[kept], towards[kept], cosine[kept])
+
+
+def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
+    """Middles of the gaps between rays from o along u, (a, 3), and from p along v, (b, 3), that nearly meet, (k, 3)."""
+    base = p - o
+    uv = u @ v.T
+    sine2 = 1.0 - uv**2
+    bu, bv = (u @ base)[:, None], (v @ base)[None]
+    crossing = sine2 > np.sin(np.radians(10.0)) ** 2
+    safe = np.where(crossing, sine2, 1.0)
+    s, t = (bu - uv * bv) / safe, (uv * bu - bv) / safe
+    first = o + s[..., None] * u[:, None]
+    second = p + t[..., None] * v[None]
+    gap = np.linalg.norm(first - second, axis=2)
+    # rays nearly alike meet anywhere: ten degrees apart the place is six times worse than the gap
+    good = crossing & (gap < tolerance) & (s > 0) & (t > 0)
+    return (0.5 * (first + second))[good]
+
+
+def _disc_like(points: _Points) -> NDArray[np.bool_]:
+    """Whether the areas in different photos may be those of one disc: of a normal n with n . v = cos, |n| = 1."""
+    fine = np.ones(len(points.position), dtype=bool)
+    for i, (v, c) in enumerate(zip(points.towards, points.cosine, strict=True)):
+        sees = np.isfinite(c)
+        normal, _, rank, _ = np.linalg.lstsq(v[sees], c[sees], rcond=0.1)
+        size = np.linalg.norm(normal)
+        # photos from two directions leave the normal's third part open: it may only be missing
+        fine[i] = size < _ALIKE and (rank < 3 or size > 1.0 / _ALIKE)
+    return fine
+
+
+def _by_areas(points: _Points, which: NDArray[np.intp]) -> tuple[Array, float]:
+    """Sphere by the areas of some points: P . v = K . v + R cos, least squares."""
+    sees = np.isfinite(points.cosine[which])
+    v = points.towards[which][sees]
+    P = np.broadcast_to(points.position[which][:, None], points.towards[which].shape)[sees]
+    A = np.concatenate([v, points.cosine[which][sees][:, None]], axis=1)
+    solution, _, rank, _ = np.linalg.lstsq(A, np.sum(P * v, axis=1), rcond=1e-3)
+    return solution[:3], float(solution[3]) if rank == 4 else np.nan
+
+
+def _inside(points: _Points, centre: Array, radius: float, tolerance: float) -> NDArray[np.bool_]:
+    """Those on the sphere, and of the areas that discs have there."""
+    way = points.position - centre
+    length = np.linalg.norm(way, axis=1)
+    near = np.abs(length - radius) < tolerance
+    cosine = np.einsum("mi,mki->mk", way / length[:, None], points.towards)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unlike = np.abs(np.log(points.cosine / np.maximum(cosine, 1e-3))) > np.log(_ALIKE)
+    wrong = np.sum(unlike & np.isfinite(points.cosine), axis=1)
+    return near & (wrong <= 0.34 * points.support)
+
+
+def _score(points: _Points, centre: Array, radius: float, tolerance: float) -> float:
+    """What speaks for a sphere: photos that see its points, less the nearer those are to the tolerance."""
+    inside = _inside(points, centre, radius, tolerance)
+    if np.count_nonzero(inside) < 5 or np.linalg.norm(np.ptp(points.position[inside], axis=0)) < _CAP * radius:
+        return 0.0
+    off = (np.linalg.norm(points.position[inside] - centre, axis=1) - radius) / tolerance
+    return float(np.sum(points.support[inside] * (1.0 - off**2)))

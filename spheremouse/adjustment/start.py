@@ -1,0 +1,240 @@
+"""Where targets and cameras are, roughly: one photo after the other, from nothing but the apparent size of the rings.
+
+A ring of known radius r that appears with the semi-major axis a (in reduced coordinates) is r / a away in depth, at
+whatever slant: a percent or so, enough to begin with. Wittich 2017, section 3.3.1, takes measured coordinates here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted, solve_block
+from spheremouse.adjustment.device import Device, DistanceError
+from spheremouse.camera import InteriorOrientation, Pose, unproject
+from spheremouse.detect.rings import TargetDetections
+from spheremouse.errors import CalibrationError
+from spheremouse.rotation import Array, align
+
+_DEPTH = 0.02  # of the depth, by which a ring's size may mislead: half a pixel of a ring of 25 px
+_CENTRE = 0.5  # px, of a ring's centre in so rough a start
+_FITS = 0.3  # px RMS per axis: six standard deviations of a ring's centre
+_MOST_NAMED = 3
+_DOUBTFUL = 0.05  # part of a distance by which a wrong one, or wrong ids, are told from the rings' few percent
+
+
+@dataclass(frozen=True, slots=True)
+class TargetViews:
+    """The targets of a device in the photos that show at least three of them."""
+
+    photos: tuple[int, ...]  # which photos
+    image: ImagePoints  # `photo` counts those
+    depth: Array  # (n, 2) m: depth by apparent size, and its standard deviation
+    skipped: tuple[tuple[int, str], ...]  # photos left out, and why
+    ring_scale: float = 1.0  # by which the rings' size misjudges lengths, where distances tell
+
+
+def target_views(
+    seen: Sequence[TargetDetections], device: Device, camera: InteriorOrientation, sigma: float
+) -> TargetViews:
+    """Which target is where; `sigma` px is the standard deviation of a centre.
+
+    A photo with fewer than 3 is left out.
+    """
+    row = {code: i for i, code in enumerate(device.codes)}
+    photos: list[int] = []
+    parts: list[tuple[int, int, Array, float]] = []
+    skipped = []
+    for k, found in enumerate(seen):
+        codes = [c for c in found.codes if c in row]
+        twice = sorted({c for c in codes if codes.count(c) > 1})
+        here = []
+        for code, centre, contour, radius in zip(found.codes, found.centre, found.contours, found.radius, strict=True):
+            if code in row and code not in twice:
+                depth = _depth(centre, contour, radius, device, camera)
+                if np.isfinite(depth):
+                    here.append((row[code], centre, depth))
+        if len(here) < 3:
+            missing = ", ".join(c for c in device.codes if c not in codes)
+            why = f"{len(here)} of {len(device.codes)} targets found, 3 are needed"
+            why += f"; {', '.join(twice)} seen twice: cover the copy" if twice else f"; missing: {missing}"
+            skipped.append((k, why))
+            continue
+        parts += [(len(photos), i, centre, depth) for i, centre, depth in here]
+        photos.append(k)
+    n = len(parts)
+    image = ImagePoints(
+        np.array([p[0] for p in parts], dtype=np.intp),
+        np.array([p[1] for p in parts], dtype=np.intp),
+        np.array([p[2] for p in parts]).reshape(-1, 2),
+        np.broadcast_to(sigma**2 * np.eye(2), (n, 2, 2)).copy(),
+    )
+    z = np.array([p[3] for p in parts])
+    return TargetViews(tuple(photos), image, np.stack([z, _DEPTH * z], axis=1), tuple(skipped))
+
+
+def first_block(
+    views: TargetViews, device: Device, camera: InteriorOrientation, names: Sequence[str]
+) -> tuple[Block, TargetViews]:
+    """Poses of all photos and coordinates of all targets, in the frame of the targets, good to some mm.
+
+    Photos whose targets do not fit the others are left out. Raises CalibrationError where too little remains, and
+    DistanceError where a distance is far from what the others say.
+    """
+    while True:
+        _enough(views, device, names)
+        block = _adjusted(views, device, camera)
+        behind = [i for i, pose in enumerate(block.poses) if pose.position[2] < 0.0]
+        if behind:
+            why = "its targets are seen from behind: the photo is mirrored, as some cameras save them; switch that off"
+            views = _without(views, behind[0], why)
+            continue
+        strange = _strange(views, block, device, camera)
+        if strange is None:
+            return _scaled(views, block, device)
+        photo, off = strange
+        why = f"its targets do not fit the other photos ({off:.0f} px): another device, or a target was moved"
+        views = _without(views, photo, why)
+
+
+def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> tuple[int, float] | None:
+    """The photo without which the others fit together, and how far off it is in px; None where all do, or none."""
+    all_off = _rms(views, block, device, camera)
+    if np.max(all_off) <= _FITS or len(views.photos) < 3:
+        return None
+    rest = []
+    for i in range(len(views.photos)):
+        others = _without(views, i, "")
+        try:
+            rest.append(float(np.max(_rms(others, _adjusted(others, device, camera), device, camera))))
+        except CalibrationError:
+            rest.append(np.inf)
+    best = int(np.argmin(rest))
+    return (best, float(np.max(all_off))) if rest[best] < max(_FITS, 0.3 * float(np.max(all_off))) else None
+
+
+def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, TargetViews]:
+    """By the distances, where there are any; DistanceError for one that is far from what the others say."""
+    if not device.distances:
+        return block, views
+    row = {id_: i for i, id_ in enumerate(device.ids)}
+    ratio = np.array(
+        [d.metres / np.linalg.norm(block.points[row[d.start]] - block.points[row[d.end]]) for d in device.distances]
+    )
+    scale = float(np.median(ratio))
+    off = np.abs(ratio / scale - 1.0)
+    worst = int(np.argmax(off))
+    if off[worst] > _DOUBTFUL:
+        raise DistanceError(device, worst, device.distances[worst].metres / ratio[worst] * scale)
+    poses = tuple(Pose(p.rotation, scale * p.position) for p in block.poses)
+    views = replace(views, depth=scale * views.depth, ring_scale=scale)
+    return Block(block.camera, poses, scale * block.points), views
+
+
+def _depth(centre: Array, contour: Array, radius: float, device: Device, camera: InteriorOrientation) -> float:
+    """Depth of a ring, m; nan where no ray maps to its place."""
+    (_, axes, angle) = cv2.fitEllipse(np.asarray(contour, dtype=np.float32))
+    ratio = np.sqrt(max(axes) / max(min(axes), 1.0))
+    turn = np.deg2rad(angle if axes[0] >= axes[1] else angle + 90.0)  # of the longer axis
+    along, across = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+    shape = radius**2 * (ratio**2 * np.outer(along, along) + np.outer(across, across) / ratio**2)
+    _, J = unproject(centre[None], camera)
+    value = np.linalg.eigvalsh(J[0] @ shape @ J[0].T)[-1]
+    return float(device.target_radii[2] / np.sqrt(value)) if value > 0 else np.nan
+
+
+def _enough(views: TargetViews, device: Device, names: Sequence[str]) -> None:
+    if len(views.photos) < 2:
+        whys = [f"{names[k]}: {w}" for k, w in views.skipped]
+        more = f"; and {len(whys) - _MOST_NAMED} more" if len(whys) > _MOST_NAMED else ""
+        photos = "1 photo shows" if len(views.photos) == 1 else "no photo shows"
+        raise CalibrationError(
+            f"{photos} targets of this device that fit together, at least 2 must"
+            + (f" ({'; '.join(whys[:_MOST_NAMED])}{more})" if whys else ": give more photos")
+        )
+    missing = [c for i, c in enumerate(device.codes) if np.count_nonzero(views.image.point == i) < 2]
+    if missing:
+        raise CalibrationError(
+            f"target {', '.join(missing)} is seen in fewer than 2 of {len(views.photos)} photos: uncover it, or take "
+            "it out of device.yaml"
+        )
+
+
+def _adjusted(views: TargetViews, device: Device, camera: InteriorOrientation) -> Block:
+    image = views.image
+    xy, _ = unproject(image.centre, camera)
+    cam = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) * views.depth[:, :1]
+    n, m = len(views.photos), len(device.ids)
+    # the photo that shows most targets is the first frame; the others join where they share three with what is known
+    counts = np.bincount(image.photo, minlength=n)
+    points = np.full((m, 3), np.nan)
+    poses: list[Pose | None] = [None] * n
+    first = int(np.argmax(counts))
+    poses[first] = Pose(np.eye(3), np.zeros(3))
+    mine = image.photo == first
+    points[image.point[mine]] = cam[mine]
+    for _ in range(n):
+        for k in range(n):
+            mine = image.photo == k
+            known = np.isfinite(points[image.point[mine], 0])
+            if poses[k] is None and np.count_nonzero(known) >= 3:
+                a, b = cam[mine][known], points[image.point[mine]][known]
+                R = align(a - a.mean(axis=0), b - b.mean(axis=0))
+                P = b.mean(axis=0) - R @ a.mean(axis=0)
+                poses[k] = Pose(R, P)
+                points[image.point[mine][~known]] = cam[mine][~known] @ R.T + P
+    if any(p is None for p in poses) or not np.all(np.isfinite(points)):
+        raise CalibrationError("the photos share too few targets: each must show three that another shows too")
+    found = [p for p in poses if p is not None]
+    block = _in_axes(Block(camera, tuple(found), points), device)
+    rough = ImagePoints(
+        image.photo, image.point, image.centre, np.broadcast_to(_CENTRE**2 * np.eye(2), (len(image), 2, 2)).copy()
+    )
+    sure = replace(camera, covariance=np.zeros((9, 9)))
+    # the size of the rings gives a scale to begin with
+    problem = Problem(replace(device, distances=()), sure, rough, False, views.depth)
+    try:
+        block = solve_block(problem, block, robust=2.0).block
+    except np.linalg.LinAlgError:
+        raise CalibrationError("the photos do not fix the targets: take them from places further apart") from None
+    return _in_axes(block, device)
+
+
+def _in_axes(block: Block, device: Device) -> Block:
+    """The block in the frame that the targets define, Z on the side of the cameras.
+
+    Raises CalibrationError where the three targets of the axes lie in a line.
+    """
+    row = {id_: i for i, id_ in enumerate(device.ids)}
+    origin, up, plane = (block.points[row[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
+    y = (up - origin) / np.linalg.norm(up - origin)
+    z = np.cross(plane - origin, y)
+    if np.linalg.norm(z) < 0.02 * np.linalg.norm(plane - origin):
+        raise CalibrationError(
+            f"the targets {device.axes.origin}, {device.axes.up} and {device.axes.plane} of `axes` lie in a line: "
+            "choose three that span a plane"
+        )
+    z /= np.linalg.norm(z)
+    if np.mean([(p.position - origin) @ z for p in block.poses]) < 0.0:
+        z = -z
+    R = np.stack([np.cross(y, z), y, z])  # rows: the new axes
+    poses = tuple(Pose(R @ p.rotation, R @ (p.position - origin)) for p in block.poses)
+    return Block(block.camera, poses, (block.points - origin) @ R.T)
+
+
+def _rms(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> Array:
+    """px, RMS per axis of each photo's targets."""
+    image, n = views.image, len(block.poses)
+    problem = Problem(device, camera, image, not device.distances)
+    off = np.sum((predicted(block, image, problem)[0] - image.centre) ** 2, axis=1)
+    return np.sqrt(np.bincount(image.photo, off, minlength=n) / (2.0 * np.bincount(image.photo, minlength=n)))
+
+
+def _without(views: TargetViews, photo: int, why: str) -> TargetViews:
+    keep = views.image.photo != photo
+    image = views.image.take(keep)
+    image = replace(image, photo=image.photo - (image.photo > photo))
+    photos = tuple(p for i, p in enumerate(views.photos) if i != photo)
+    skipped = (*views.skipped, (views.photos[photo], why))
+    return replace(views, photos=photos, image=image, depth=views.depth[keep], skipped=skipped)

@@ -1,0 +1,1 @@
+"""`spheremouse calibrate`: photos and recordings in, camera.yaml and rig.yaml out, with reports."""

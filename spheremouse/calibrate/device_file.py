@@ -1,0 +1,241 @@
+"""device.yaml: what a person knows of a device and measured with a tape, from a file and checked line by line.
+
+Metres throughout. A length that only makes sense in mm or cm, ids and codes that occur twice, and distances that
+cannot all be true are refused here, each with its line and what to do, so that the adjustment need not ask.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from spheremouse.adjustment.device import Axes, Device, Distance
+from spheremouse.rig_file import Code
+from spheremouse.validate import validated
+from spheremouse.yaml_file import SCHEMA, Document, Problem, read_document, without_schema
+
+UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
+
+_FEWEST = 3  # targets; fewer define no axes
+_LARGEST_PART = 0.5  # m; a target or disc with a larger radius would be as large as a ball: mm or cm were meant
+_LONGEST = 10.0  # m between targets of one frame that a camera sees at once: mm or cm were meant
+_SMALLEST_SEEN = 400  # distance over radius: in a photo 4000 px wide the target is 20 px, too few for its rings
+_COARSEST = 0.1  # sigma over distance: a tape is never as bad
+_SIGMAS = 5.0  # by chance once in two million
+
+Id = Annotated[int, Field(ge=0, le=10**6, description="the id of a target, one of those under `targets`")]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Target(_Part):
+    id: int = Field(ge=0, le=10**6, description="a whole number of your choice that names the target")
+    code: Code = Field(description="colours inside to outside: C cyan, M magenta, Y yellow")
+
+
+class _Axes(_Part):
+    origin: Id
+    up: Id
+    plane: Id
+
+
+_TapeDistance = create_model(
+    "_TapeDistance",
+    __base__=_Part,
+    **{"from": (Id, ...), "to": (Id, ...)},  # type: ignore[call-overload]  `from` is no name in Python
+    metres=(Positive, Field(description="from centre to centre in metres, as in 0.750")),
+    sigma=(Positive, Field(description="how exactly it was measured in metres; a tape held taut: 0.001")),
+)
+
+
+class _DeviceFile(_Part):
+    targets: tuple[_Target, ...] = Field(min_length=_FEWEST, description="list of {id, code}, one for each target")
+    target_radii: tuple[Positive, Positive, Positive] = Field(
+        description="[inner disc, middle ring, outer ring] in metres, each from the target's centre outwards"
+    )
+    disc_radius: Positive = Field(description="radius of a disc on the ball in metres, along the surface")
+    axes: _Axes = Field(description="{origin, up, plane}: ids of three targets")
+    distances: tuple[_TapeDistance, ...] = Field(  # type: ignore[valid-type]
+        (), description="list of {from, to, metres, sigma}; [] where nothing was measured"
+    )
+
+
+def load_device(path: Path) -> Device:
+    """The device of a file; ConfigurationError with a line per problem."""
+    document = read_document(path)
+    if not isinstance(document.data, dict) or "schema" in document.data:
+        document = without_schema(document)
+    file = validated(document, _DeviceFile)
+    distances = tuple(_distance(d) for d in file.distances)
+    if problems := [*_problems(file, distances), *_contradictions(document, distances)]:
+        raise document.error(problems)
+    return Device(
+        ids=tuple(t.id for t in file.targets),
+        codes=tuple(t.code for t in file.targets),
+        target_radii=np.array(file.target_radii),
+        disc_radius=file.disc_radius,
+        axes=Axes(file.axes.origin, file.axes.up, file.axes.plane),
+        distances=distances,
+    )
+
+
+def untouched(path: Path) -> bool:
+    """Whether a device file still has the line that `calibrate init` puts first."""
+    try:
+        return UNTOUCHED in path.read_text("utf-8", errors="replace")
+    except OSError:
+        return False
+
+
+def device_template() -> str:
+    """A device file to fill in, every line explained; it loads as it stands."""
+    return _TEMPLATE
+
+
+def _distance(part: Any) -> Distance:
+    return Distance(getattr(part, "from"), part.to, part.metres, part.sigma)
+
+
+def _problems(file: _DeviceFile, distances: Sequence[Distance]) -> Iterator[Problem]:
+    ids = [t.id for t in file.targets]
+    for i, target in enumerate(file.targets):
+        if target.id in ids[:i]:
+            yield Problem(("targets", i, "id"), f"{target.id} names another target already; give each its own")
+        if target.code in (t.code for t in file.targets[:i]):
+            text = f"{target.code} is on another target already; each code may hang on the frame once only"
+            yield Problem(("targets", i, "code"), text)
+    yield from _size_problems(file, max((d.metres for d in distances), default=0.0))
+    if len(set(ids)) == len(ids):  # else nobody knows which target is meant
+        yield from _axes_problems(file.axes, ids)
+    for i, d in enumerate(distances):
+        yield from _distance_problems(i, d, ids if len(set(ids)) == len(ids) else None, file.target_radii[2])
+
+
+def _size_problems(file: _DeviceFile, longest: float) -> Iterator[Problem]:
+    radii = file.target_radii
+    if max(radii) > _LARGEST_PART:
+        yield Problem(("target_radii",), f"are {_listed(radii)} m; give {_in_metres(radii, _LARGEST_PART)}")
+    elif not radii[0] < radii[1] < radii[2]:
+        text = f"are {_listed(radii)}; they must grow: inner disc, middle ring, outer ring, each from the centre"
+        yield Problem(("target_radii",), text)
+    elif _SMALLEST_SEEN * radii[2] < longest <= _LONGEST:
+        text = f"are {_listed(radii)} m, too small to be seen in one picture with {longest:g} m; give metres"
+        yield Problem(("target_radii",), text)
+    if file.disc_radius > _LARGEST_PART:
+        text = f"is {file.disc_radius:g} m; give {_in_metres([file.disc_radius], _LARGEST_PART)}"
+        yield Problem(("disc_radius",), text)
+
+
+def _axes_problems(axes: _Axes, ids: Sequence[int]) -> Iterator[Problem]:
+    named: list[int] = []
+    for name in ("origin", "up", "plane"):
+        id_ = getattr(axes, name)
+        if id_ not in ids:
+            yield Problem(("axes", name), f"{id_} is no target; there are {_listed(ids)}")
+        elif id_ in named:
+            yield Problem(("axes", name), f"{id_} is named for another axis already; name three different targets")
+        named.append(id_)
+
+
+def _distance_problems(i: int, d: Distance, ids: Sequence[int] | None, outer: float) -> Iterator[Problem]:
+    for name, id_ in (("from", d.start), ("to", d.end)):
+        if ids is not None and id_ not in ids:
+            yield Problem(("distances", i, name), f"{id_} is no target; there are {_listed(ids)}")
+    if d.start == d.end:
+        yield Problem(("distances", i, "to"), f"target {d.end} to itself; name the other target")
+    key = ("distances", i, "metres")
+    if d.metres > _LONGEST:
+        yield Problem(key, f"is {d.metres:g} m; give {_in_metres([d.metres], _LONGEST)}")
+    elif outer <= _LARGEST_PART and d.metres < 2.0 * outer:
+        text = f"is {d.metres:g} m, and targets of radius {outer:g} m would overlap; check it and target_radii: metres"
+        yield Problem(key, text)
+    if d.metres <= _LONGEST and d.sigma > _COARSEST * d.metres:
+        text = f"is {d.sigma:g} m for a length of {d.metres:g} m; give it in metres: a tape held taut is 0.001"
+        yield Problem(("distances", i, "sigma"), text)
+
+
+def _contradictions(document: Document, distances: Sequence[Distance]) -> Iterator[Problem]:
+    """Lengths that are longer than a way round, and pairs measured twice with two results."""
+    pairs = [frozenset((d.start, d.end)) for d in distances]
+    for i, d in enumerate(distances):
+        key = ("distances", i, "metres")
+        for j, other in enumerate(distances[:i]):
+            if pairs[i] == pairs[j] and abs(d.metres - other.metres) > _SIGMAS * np.hypot(d.sigma, other.sigma):
+                where = document.line(("distances", j))
+                text = (
+                    f"is {d.metres:g} m, but {other.metres:g} m in line {where}; measure again, or enlarge the sigmas"
+                )
+                yield Problem(key, text)
+        for a, b in itertools.combinations(range(len(distances)), 2):
+            if pairs[a] == pairs[b] or pairs[a] ^ pairs[b] != pairs[i]:
+                continue
+            way = distances[a].metres + distances[b].metres
+            if d.metres - way > _SIGMAS * np.linalg.norm([d.sigma, distances[a].sigma, distances[b].sigma]):
+                (third,) = pairs[a] & pairs[b]
+                text = f"is {d.metres:g} m, but only {way:g} m by way of target {third}; measure these three again"
+                yield Problem(key, text)
+                break
+
+
+def _in_metres(values: Sequence[float], limit: float) -> str:
+    """`metres: 0.075 if that was mm, 0.75 if cm`, of the units in which the values make sense."""
+    meant = [
+        f"{_listed([v * factor for v in values])} if that was {unit}"
+        for unit, factor in (("mm", 1e-3), ("cm", 1e-2))
+        if max(values) * factor <= limit
+    ]
+    return "metres" + (": " if meant else "") + ", or ".join(meant)
+
+
+def _listed(values: Sequence[float]) -> str:
+    return ", ".join(f"{v:g}" for v in values)
+
+
+_TEMPLATE = f"""\
+{UNTOUCHED}
+# What you know of the device and measured with a tape. All lengths in metres: 750 mm is 0.750, 12 mm is 0.012.
+# Read by `spheremouse calibrate device PHOTOS... --device device.yaml`.
+schema: {SCHEMA}
+
+# The ring targets on the frame: 3 to 6, each with another code. Number and code are printed on the target. The code is
+# its three colours from the inside to the outside: C cyan, M magenta, Y yellow. The id names the target in the rest of
+# this file: its number, or any other of your choice. Targets hang flat, face the camera, and do not move from now on.
+# Far apart is good: near the corners of what the camera sees. Strike out those that you do not use.
+targets:
+  - {{id: 1, code: MCY}}  # here: top left, seen from the camera
+  - {{id: 2, code: CYM}}  # bottom left
+  - {{id: 3, code: YMC}}  # bottom right
+  - {{id: 4, code: CMY}}  # top right
+# - {{id: 5, code: MYC}}
+# - {{id: 6, code: YCM}}
+
+# Radii of the targets: inner disc, middle ring, outer ring, each from the target's centre to where the colour ends.
+# Measure a printed one across, halve it, to 0.5 mm: printers scale.
+target_radii: [0.012, 0.024, 0.036]
+
+# Radius of the discs on the ball, along its surface (half of what a tape laid over a disc reads), to 1 mm.
+disc_radius: 0.020
+
+# Which targets define the axes: Y (up) runs from `origin` to `up`, so take two of which one hangs above the other;
+# X lies in the plane with `plane`, a third target well off that line; Z comes towards the camera. In the end all is
+# counted from the ball's centre, so nothing needs to be measured here.
+axes: {{origin: 2, up: 1, plane: 3}}
+
+# Distances between targets, from centre to centre in a straight line (do not let the tape sag or bend), as many as you
+# like; a pair may be measured twice, and both count. `sigma` is how exactly: one standard deviation, so that two of
+# three measurements are off by less. A steel tape held taut and read to the mm: 0.001; a soft or bent tape: 0.003.
+# One distance gives the scale, four find a wrong one. Centre to centre is easiest from the left edge of one target to
+# the left edge of the other. Without any ([]), all works but metres: mouse counts are per angle instead of per mm.
+distances: []
+# distances:
+#   - {{from: 1, to: 2, metres: 0.750, sigma: 0.001}}
+#   - {{from: 1, to: 4, metres: 0.650, sigma: 0.001}}
+#   - {{from: 2, to: 3, metres: 0.650, sigma: 0.001}}
+#   - {{from: 3, to: 4, metres: 0.749, sigma: 0.001}}
+"""

@@ -1,0 +1,351 @@
+"""Where an evening of calibration stands: a folder in, a checklist out whose first open step is the next thing to do.
+
+The folder is all there is: photos, the files made from them, their times and the hashes in their provenance. So a
+session can be left at any time and continued by somebody else.
+"""
+
+import hashlib
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from spheremouse.calibrate.device_file import UNTOUCHED, load_device, untouched
+from spheremouse.calibrate.lengths import parse_board
+from spheremouse.calibrate.photos import Photo, check_size, read_photos
+from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.rig_file import load_camera, load_rig
+from spheremouse.yaml_file import read_document
+
+DEFAULT = Path("cabinet")
+# Photos, as in the printed recipe. Three views of a plane fix a lens (Zhang 2000); four tilts and near and far and four
+# corners of the picture want more. Of the device: front, both sides, above, below, and one between.
+BOARD_ENOUGH, BOARD_MOST = 15, 20
+DEVICE_ENOUGH, DEVICE_MOST = 6, 12
+_BOARD, _DEVICE, _CAMERA_FILE, _DEVICE_FILE, _RIG_FILE = "board", "device", "camera.yaml", "device.yaml", "rig.yaml"
+_USUAL_BOARD = "--board 11x8 --square 20mm"  # as `calibrate print` makes it on A4
+
+State = Literal["done", "not needed", "next", "later"]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A line of the checklist; all but the first three are for whoever is at it."""
+
+    name: str
+    state: State
+    found: str  # what is there
+    todo: tuple[str, ...] = ()
+    command: str = ""  # to copy into the terminal
+    otherwise: tuple[tuple[str, str], ...] = ()  # other ways on: what, and its command
+
+
+@dataclass(frozen=True, slots=True)
+class _Photos:
+    """What lies in a folder of photos."""
+
+    folder: Path
+    photos: tuple[Photo, ...] = ()
+    problem: tuple[str, ...] = ()  # why they cannot be used
+
+    @property
+    def found(self) -> str:
+        if self.problem:
+            return "cannot be used as they are"
+        if not self.photos:
+            return "none yet"
+        width, height = self.photos[0].size
+        return f"{_count(len(self.photos), 'photo')} of {width}x{height} in {self.folder}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Result:
+    """A file made from others, and what it says of its making."""
+
+    path: Path
+    found: str  # in words
+    problem: tuple[str, ...] = ()  # why it cannot be used
+    hashes: frozenset[str] = frozenset()  # of all it was made from
+    photo_hashes: frozenset[str] = frozenset()
+    board: str = ""  # options of the camera command
+
+    def precedes(self, path: Path, sha256: str) -> bool:
+        """Whether a file came later than this result, and is not what it was made from."""
+        if sha256 in self.hashes:
+            return False
+        state = path.stat()
+        return max(state.st_mtime_ns, state.st_ctime_ns) > self.path.stat().st_mtime_ns  # ctime: when it was copied
+
+
+def default_folder() -> Path:
+    """The folder meant where none is named: the one we are in where that has begun, else `cabinet`."""
+    begun = any(Path(name).exists() for name in (_DEVICE_FILE, _CAMERA_FILE, _BOARD))
+    return Path() if begun and not DEFAULT.exists() else DEFAULT
+
+
+def checklist(folder: Path) -> list[Step]:
+    """All steps from nothing to a running mouse; exactly one is next."""
+    camera, rig = _camera(folder / _CAMERA_FILE), _rig(folder / _RIG_FILE)
+    have_rig = rig is not None and not rig.problem
+    have_camera = camera is not None and not camera.problem
+    board = _photos(folder / _BOARD)
+    shots = _photos(folder / _DEVICE, folder / _CAMERA_FILE if have_camera else None)
+    rolling = (("Without photos of the device, roll the ball for a minute:", rolling_command(folder)),)
+    return _in_turn(
+        [
+            _folder_step(folder, have_rig),
+            _board_step(folder, board, have_camera or have_rig),
+            _camera_step(folder, camera, board, have_rig),
+            _device_file_step(folder, have_rig, rolling),
+            _shots_step(folder, shots, have_rig, rolling),
+            _rig_step(folder, rig, shots),
+            _run_step(folder),
+        ]
+    )
+
+
+def camera_command(folder: Path, board: str = "", *, again: bool = False) -> str:
+    """How camera.yaml is made of the photos in the folder."""
+    return _command(
+        "camera", folder / _BOARD, *(board or _USUAL_BOARD).split(), "--out", folder / _CAMERA_FILE, again=again
+    )
+
+
+def device_command(folder: Path, *, again: bool = False) -> str:
+    """How rig.yaml is made of the photos in the folder."""
+    given = ("--device", folder / _DEVICE_FILE, "--camera", folder / _CAMERA_FILE)
+    return _command("device", folder / _DEVICE, *given, "--out", folder / _RIG_FILE, again=again)
+
+
+def rolling_command(folder: Path, *, again: bool = False) -> str:
+    """How rig.yaml is made without photos of the device."""
+    given = ("--source", "opencv:0", "--camera", folder / _CAMERA_FILE)
+    return _command("rolling", *given, "--out", folder / _RIG_FILE, again=again)
+
+
+def init_command(folder: Path) -> str:
+    """How the folder is made."""
+    return _command("init", folder)
+
+
+def next_command(folder: Path) -> str:
+    """How to be told what comes next."""
+    return _command("next", *([] if folder == default_folder() else [folder]))
+
+
+def _command(*words: str | Path, again: bool = False) -> str:
+    return shlex.join(["spheremouse", "calibrate", *map(str, words), *(["--force"] if again else [])])
+
+
+# ---- the steps; one that something made later has overtaken is not needed ----
+
+
+def _folder_step(folder: Path, overtaken: bool) -> Step:
+    name = "folder"
+    if not folder.is_dir():
+        todo = ("Make a folder for all that belongs to this device:",)
+        return Step(name, "next", f"{folder}: no such folder", todo, init_command(folder))
+    if (folder / _DEVICE_FILE).exists():
+        return Step(name, "done", str(folder))
+    todo = ("Add the file that describes the device; what is there already is kept:",)
+    return Step(name, _open(overtaken), f"{folder}, without {_DEVICE_FILE}", todo, init_command(folder))
+
+
+def _board_step(folder: Path, board: _Photos, overtaken: bool) -> Step:
+    name, n = "photos of the board", len(board.photos)
+    if board.problem:
+        return Step(name, _open(overtaken), board.found, board.problem)
+    if n >= BOARD_ENOUGH or (n and overtaken):
+        return Step(name, "done", board.found)
+    todo = (
+        "Set the camera's mode, zoom and focus, and change none of them from now on. Fix the board to something flat "
+        "(to print one: `spheremouse calibrate print`).",
+        f"Take {BOARD_ENOUGH} to {BOARD_MOST} sharp photos, the whole board in each; put them into {board.folder}.",
+        "Tilt the board by 30 to 45 degrees to every side, come near and go far, and reach all corners of the picture.",
+    )
+    if n < 3:
+        return Step(name, _open(overtaken), board.found, todo)
+    so_far = (f"{n} so far, of {BOARD_ENOUGH} to {BOARD_MOST} sharp ones with the whole board in each.", todo[2])
+    return Step(name, "next", board.found, so_far, otherwise=(("Or go on with these:", camera_command(folder)),))
+
+
+def _camera_step(folder: Path, camera: _Result | None, board: _Photos, overtaken: bool) -> Step:
+    name = _CAMERA_FILE
+    if camera is None:
+        todo = ("Say how many inner corners the board has (one less than squares, each way) and how long a square is:",)
+        return Step(name, _open(overtaken), "not there yet", todo, camera_command(folder))
+    again = camera_command(folder, camera.board, again=True)
+    if camera.problem:
+        return Step(name, "next", camera.found, (*camera.problem, "Mend the file, or make it anew:"), again)
+    if changed := _changed(camera, board.photos):
+        return Step(name, "next", changed, ("Calibrate the camera again:",), again)
+    return Step(name, "done", camera.found)
+
+
+def _device_file_step(folder: Path, overtaken: bool, otherwise: tuple[tuple[str, str], ...]) -> Step:
+    name, path = _DEVICE_FILE, folder / _DEVICE_FILE
+    if not path.exists():
+        return Step(name, _open(overtaken), "not there yet", ("It describes the device:",), init_command(folder))
+    try:
+        device = load_device(path)
+    except ConfigurationError as e:
+        return Step(name, "next", "has mistakes", (*str(e).splitlines(), f"Correct this in {path}."))
+    if untouched(path):
+        todo = (
+            "Hang up the targets and put the discs on the ball (to print them: `spheremouse calibrate print`).",
+            f"Open {path} in an editor and go through it: codes, sizes, and distances between targets by tape.",
+            f"At last delete its first line ({UNTOUCHED.partition(':')[0]} ...).",
+        )
+        return Step(name, _open(overtaken), "not filled in yet", todo, otherwise=otherwise)
+    n = len(device.distances)
+    measured = _count(n, "distance") if n else "no distances: the scale is free"
+    return Step(name, "done", f"{len(device.ids)} targets, {measured}")
+
+
+def _shots_step(folder: Path, shots: _Photos, overtaken: bool, otherwise: tuple[tuple[str, str], ...]) -> Step:
+    name, n = "photos of the device", len(shots.photos)
+    if shots.problem:
+        return Step(name, _open(overtaken), shots.found, shots.problem, otherwise=otherwise)
+    if n >= DEVICE_ENOUGH or (n and overtaken):
+        return Step(name, "done", shots.found)
+    todo = (
+        "Wedge the ball so that it cannot turn, and touch nothing until the last photo. Mode, zoom and focus as with "
+        "the board.",
+        f"Take {DEVICE_ENOUGH} to {DEVICE_MOST} sharp photos from the front, both sides, above and below; put them "
+        f"into {shots.folder}.",
+        "Three targets or more in each, and as much of the ball as possible.",
+    )
+    if n < 2:
+        return Step(name, _open(overtaken), shots.found, todo, otherwise=otherwise)
+    so_far = (f"{n} so far, of {DEVICE_ENOUGH} to {DEVICE_MOST}: from the front, both sides, above and below.", todo[2])
+    return Step(name, "next", shots.found, so_far, otherwise=(("Or go on with these:", device_command(folder)),))
+
+
+def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
+    name = _RIG_FILE
+    if rig is None:
+        return Step(name, "next", "not there yet", ("Put it all together:",), device_command(folder))
+    again = (device_command if shots.photos else rolling_command)(folder, again=True)
+    if rig.problem:
+        return Step(name, "next", rig.found, (*rig.problem, "Mend the file, or make it anew:"), again)
+    changed = [_changed(rig, shots.photos)]
+    for path in (folder / _CAMERA_FILE, *([folder / _DEVICE_FILE] if shots.photos else [])):
+        if path.is_file() and rig.precedes(path, _sha256(path)):
+            changed.append(f"{path.name} is newer")
+    if found := "; ".join(filter(None, changed)):
+        return Step(name, "next", found, ("Calibrate the device again:",), again)
+    return Step(name, "done", rig.found)
+
+
+def _run_step(folder: Path) -> Step:
+    todo = ("All is calibrated. Watch what the ball does; with `--output uinput` it is the mouse:",)
+    command = shlex.join(
+        ["spheremouse", "run", "--rig", str(folder / _RIG_FILE), "--source", "opencv:0", "--output", "text:-"]
+    )
+    return Step("run", "next", "", todo, command)
+
+
+def _open(overtaken: bool) -> State:
+    return "not needed" if overtaken else "next"
+
+
+def _in_turn(steps: Sequence[Step]) -> list[Step]:
+    """The first open step stays next, those behind it are for later; only what is open says what to do."""
+    found, waiting = [], False
+    for step in steps:
+        if step.state == "next":
+            found.append(replace(step, state="later") if waiting else step)
+            waiting = True
+        else:
+            found.append(Step(step.name, step.state, step.found))
+    return found
+
+
+# ---- what is there ----
+
+
+def _photos(folder: Path, camera_path: Path | None = None) -> _Photos:
+    """The photos in a folder, and whether they are of the mode of a camera file."""
+    try:
+        there = any(p.is_file() and not p.name.startswith(".") for p in folder.iterdir())
+        photos = read_photos([folder], note=lambda _: None) if there else []
+        if photos and camera_path is not None:
+            check_size(photos, load_camera(camera_path), camera_path)
+    except OSError:
+        return _Photos(folder)
+    except CalibrationError as e:
+        return _Photos(folder, problem=tuple(str(e).splitlines()))
+    return _Photos(folder, tuple(photos))
+
+
+def _camera(path: Path) -> _Result | None:
+    if not path.exists():
+        return None
+    try:
+        camera = load_camera(path)
+    except ConfigurationError as e:
+        return _Result(path, "cannot be used", tuple(str(e).splitlines()))
+    made = _provenance(path)
+    words = f"{camera.width}x{camera.height}, focal length {camera.fx:.1f} px"
+    return _Result(path, words, (), _hashes(made), _hashes(made.get("photos")), _board_options(made))
+
+
+def _rig(path: Path) -> _Result | None:
+    if not path.exists():
+        return None
+    try:
+        rig = load_rig(path)
+    except ConfigurationError as e:
+        return _Result(path, "cannot be used", tuple(str(e).splitlines()))
+    made = _provenance(path)
+    size = "scale free" if rig.scale_free else f"ball of {rig.ball.radius:.3f} m radius"
+    words = f"{size}, {_count(len(rig.targets.ids), 'target')}"
+    return _Result(path, words, (), _hashes(made), _hashes(made.get("photos")))
+
+
+def _provenance(path: Path) -> dict[str, Any]:
+    data = read_document(path).data
+    made = data.get("provenance") if isinstance(data, dict) else None
+    return made if isinstance(made, dict) else {}
+
+
+def _hashes(part: Any) -> frozenset[str]:
+    """All SHA-256 in a part of a file, wherever they stand."""
+
+    def walk(value: Any) -> Iterator[str]:
+        if isinstance(value, str) and re.fullmatch(r"[0-9a-f]{64}", value):
+            yield value
+        for inner in value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ():
+            yield from walk(inner)
+
+    return frozenset(walk(part))
+
+
+def _board_options(made: dict[str, Any]) -> str:
+    """`--board 11x8 --square 0.086m` as they were at the last time, or nothing."""
+    board, square = made.get("board"), made.get("square")
+    try:
+        columns, rows = parse_board(board) if isinstance(board, str) else board  # type: ignore[misc]
+        return f"--board {int(columns)}x{int(rows)} --square {float(square):g}m"  # type: ignore[arg-type]
+    except (CalibrationError, TypeError, ValueError):
+        return ""
+
+
+def _changed(result: _Result, photos: Sequence[Photo]) -> str:
+    """How the photos differ from those a result was made from; nothing where they do not, or where none are left."""
+    new = sum(result.precedes(p.path, p.sha256) for p in photos)
+    here = {p.sha256 for p in photos}
+    gone = len(result.photo_hashes - here) if result.photo_hashes & here else 0
+    words = [f"{_count(new, 'photo')} came later"] if new else []
+    words += [f"{_count(gone, 'photo')} it was made from {'is' if gone == 1 else 'are'} gone"] if gone else []
+    return ", ".join(words)
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _count(n: int, thing: str) -> str:
+    return f"{n} {thing}{'' if n == 1 else 's'}"

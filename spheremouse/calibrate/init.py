@@ -1,0 +1,41 @@
+"""`spheremouse calibrate init`: a folder for one device, and the file a person fills in."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spheremouse.calibrate.device_file import device_template
+from spheremouse.calibrate.evening import default_folder, next_command
+from spheremouse.errors import CalibrationError
+from spheremouse.yaml_file import write_atomically
+
+EXAMPLE = "Example: spheremouse calibrate init cabinet"
+
+
+def init(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="One folder for each device.  [default: cabinet]")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write device.yaml anew, even if filled in. Photos are never touched.")
+    ] = False,
+) -> None:
+    """Make a folder with room for photos, and device.yaml to fill in."""
+    folder = default_folder() if folder is None else folder
+    for place in (folder / "board", folder / "device"):
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise CalibrationError(f"{place}: is a file where a folder should be; choose another name") from None
+        except OSError as e:
+            raise CalibrationError(f"{place}: cannot be made: {e.strerror or e}; choose another place") from None
+    path = folder / "device.yaml"
+    if path.exists() and not force:
+        typer.echo(f"{path}: there already, kept as it is (--force writes it anew)")
+    else:
+        write_atomically(path, device_template())
+        typer.echo(f"{path}: written; open it in an editor: it says what to measure")
+    typer.echo(f"{folder / 'board'}, {folder / 'device'}: put photos of the board and of the device here")
+    typer.echo("To print board, targets and discs: spheremouse calibrate print")
+    typer.echo(f"What to do next, now and at any time: {next_command(folder)}")

@@ -1,0 +1,72 @@
+"""`spheremouse calibrate next`: how far the evening is, and the one thing to do now."""
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from spheremouse.calibrate.evening import Step, checklist, default_folder
+from spheremouse.errors import ConfigurationError
+from spheremouse.yaml_file import write_atomically
+
+EXAMPLE = "Example: spheremouse calibrate next cabinet"
+
+_STYLES = {"done": "green", "not needed": "dim", "next": "bold yellow", "later": "dim"}
+
+
+def next_(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="What `calibrate init` made.  [default: cabinet]")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the steps as JSON; - prints them instead.")
+    ] = None,
+) -> None:
+    """Say where a calibration stands, and what to do next.
+
+    One thing at a time, with its command. It looks at the folder alone, so an evening can be left and continued.
+    """
+    if json_file is not None and json_file != Path("-") and not json_file.parent.is_dir():
+        raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
+    folder = default_folder() if folder is None else folder
+    if folder.exists() and not folder.is_dir():
+        raise ConfigurationError(f"{folder}: is a file; name the folder that `spheremouse calibrate init` made")
+    steps = checklist(folder)
+    if json_file is not None:
+        described = {"folder": str(folder), "steps": [dataclasses.asdict(s) for s in steps]}
+        text = json.dumps(described, indent=1, ensure_ascii=False) + "\n"
+        if json_file == Path("-"):
+            typer.echo(text, nl=False)
+            return
+        write_atomically(json_file, text)
+    _show(steps)
+
+
+def _show(steps: Sequence[Step]) -> None:
+    console = Console(soft_wrap=True, highlight=False, markup=False)
+    if not console.is_terminal:
+        console.width = 1000
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for step in steps:
+        style = _STYLES[step.state]
+        table.add_row(Text(step.state, style), Text(step.name, style), step.found)
+    console.print(table)
+    step = next(s for s in steps if s.state == "next")
+    console.print(f"\nNext: {step.name}", style="bold")
+    for line in step.todo:
+        console.print(line)
+    _commands(console, step.command)
+    for what, command in step.otherwise:
+        console.print(what)
+        _commands(console, command)
+
+
+def _commands(console: Console, command: str) -> None:
+    if command:
+        console.print(f"    {command}", style="cyan")

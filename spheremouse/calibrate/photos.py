@@ -1,0 +1,253 @@
+"""Photos of a board or a device: paths and folders in, photos of one camera mode out, checked before anything is found.
+
+Pixels are those the sensor read, whatever a rotation flag says: a lens is calibrated on the sensor. Nothing is kept in
+memory: `image` reads a photo when it is looked at.
+"""
+
+import hashlib
+import io
+import re
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ExifTags, Image, UnidentifiedImageError
+
+from spheremouse.camera import InteriorOrientation
+from spheremouse.errors import CalibrationError
+
+ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
+_FORMATS = ("JPEG", "PNG", "TIFF", "BMP")
+_OTHER_ENDINGS = (".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
+_HEIF = (b"heic", b"heix", b"heif", b"hevc", b"mif1", b"msf1", b"avif", b"avis")  # ISO 23008-12, brands of `ftyp`
+_MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # ITU-T T.81, B.1.1: what ends entropy-coded data
+_MOST_NAMED = 6
+
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Photo:
+    """A photo that can be read; its pixels are had by `image`."""
+
+    path: Path
+    size: Size  # px, width and height as the sensor read them
+    sha256: str  # of the file
+    rotated: bool  # it carries a rotation flag (EXIF orientation other than 1), which is ignored
+
+
+def on_stderr(text: str) -> None:
+    """Where notes go unless somebody wants them."""
+    print(f"note: {text}", file=sys.stderr)
+
+
+def read_photos(paths: Sequence[Path], note: Callable[[str], None] = on_stderr) -> list[Photo]:
+    """The photos named, and those in folders named, all of one size; CalibrationError with a line per problem.
+
+    Photos keep the order in which they were named, those of a folder in natural order (2 before 10). What is not
+    wrong but worth knowing (the same photo twice, rotation flags, files passed over) goes to `note`.
+    """
+    if not paths:
+        raise CalibrationError("no photos; name photos or a folder with photos")
+    photos, problems = [], []
+    for path in _expanded(paths, note):
+        try:
+            photos.append(_read(path))
+        except CalibrationError as e:
+            problems.append(str(e))
+    if problems:
+        more = [f"and {len(problems) - _MOST_NAMED} more photos like these"] if len(problems) > _MOST_NAMED else []
+        raise CalibrationError("\n".join(problems[:_MOST_NAMED] + more))
+    photos = _without_duplicates(photos, note)
+    _check_one_size(photos)
+    if flagged := [p.path for p in photos if p.rotated]:
+        note(f"{_named(flagged)}: with a rotation flag, which is ignored: pixels are taken as the sensor read them")
+    return photos
+
+
+def image(photo: Photo) -> NDArray[np.uint8]:
+    """Pixels of a photo, (h, w, 3) BGR, as the sensor read them; CalibrationError where the file has changed."""
+    data = _bytes(photo.path)
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if decoded is None or decoded.shape[1::-1] != photo.size:
+        raise CalibrationError(f"{photo.path}: cannot be decoded; save it anew as JPEG or PNG, or leave it out")
+    return np.asarray(decoded, np.uint8)
+
+
+def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path: Path) -> None:
+    """Raise CalibrationError where photos are not of the mode that the camera file is for."""
+    mode = camera.width, camera.height
+    other = next((p for p in photos if p.size != mode), None)
+    if other is None:
+        return
+    begin = f"{other.path}: is {_px(other.size)}, and {camera_path} is for the mode {_px(mode)}"
+    if other.size == mode[::-1]:
+        raise CalibrationError(f"{begin}: the photo was turned by software; take the original from the camera")
+    todo = f"take photos in the mode {_px(mode)}, or calibrate the mode you use from board photos of that mode"
+    if mode[0] * other.size[1] == mode[1] * other.size[0]:
+        raise CalibrationError(
+            f"{begin}: same shape, but a rescaled mode is a mode of its own (a camera may crop, skip or join pixels): "
+            f"{todo}"
+        )
+    raise CalibrationError(f"{begin}: another cut of the sensor; {todo}")
+
+
+# ---- which files ----
+
+
+def _expanded(paths: Iterable[Path], note: Callable[[str], None]) -> list[Path]:
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            found += _in_folder(path, note)
+        else:
+            found.append(path)
+    return found
+
+
+def _in_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
+    try:
+        files = [p for p in folder.iterdir() if not p.name.startswith(".") and p.is_file()]
+    except OSError as e:
+        raise CalibrationError(f"{folder}: cannot be read: {e.strerror or e}") from None
+    found = sorted((p for p in files if p.suffix.lower() in ENDINGS), key=_natural)
+    other = sorted((p for p in files if p.suffix.lower() in _OTHER_ENDINGS), key=_natural)
+    if other and found:
+        note(f"{_named(other)}: passed over; convert to JPEG to use {'it' if len(other) == 1 else 'them'}")
+    if found:
+        return found
+    if other:
+        kinds = "/".join(sorted({p.suffix.lower() for p in other}))
+        raise CalibrationError(
+            f"{folder}: {len(other)} photos in {kinds}, which is not read here; convert them to JPEG at full size, or "
+            "let the camera save JPEG"
+        )
+    raise CalibrationError(f"{folder}: no photos in it ({', '.join(ENDINGS)}); put them there, or name another folder")
+
+
+def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
+    """Sorts IMG_2 before IMG_10."""
+    parts = re.split(r"(\d+)", path.name.lower())
+    return [(int(p), "") if i % 2 else (0, p) for i, p in enumerate(parts)], path.name
+
+
+def _without_duplicates(photos: list[Photo], note: Callable[[str], None]) -> list[Photo]:
+    first: dict[str, Photo] = {}
+    for photo in photos:
+        before = first.setdefault(photo.sha256, photo)
+        if before is not photo and photo.path.absolute() != before.path.absolute():
+            note(f"{photo.path}: the same photo as {before.path}; used once")
+    return list(first.values())
+
+
+def _check_one_size(photos: Sequence[Photo]) -> None:
+    sizes = Counter(p.size for p in photos).most_common()
+    if len(sizes) == 1:
+        return
+    (size, count), others = sizes[0], sizes[1:]
+    lines = []
+    for other, _ in others:
+        paths = [p.path for p in photos if p.size == other]
+        rest = "1 other is" if count == 1 else f"{count} others are"
+        begin = f"{_named(paths)}: {'is' if len(paths) == 1 else 'are'} {_px(other)}, {rest} {_px(size)}"
+        if other == size[::-1]:
+            lines.append(f"{begin}: turned by software; take the {_originals(paths)} from the camera")
+        else:
+            lines.append(f"{begin}: another mode or zoom; calibrate the mode you use and leave the rest out")
+    raise CalibrationError("\n".join(lines))
+
+
+def _originals(paths: Sequence[Path]) -> str:
+    return "original" if len(paths) == 1 else "originals"
+
+
+# ---- one file ----
+
+
+def _read(path: Path) -> Photo:
+    data = _bytes(path)
+    size, orientation = _header(path, data)
+    if data.startswith(b"\xff\xd8") and not _reaches_its_end(data):
+        raise CalibrationError(f"{path}: ends before the picture does; copy it from the camera again, or leave it out")
+    if orientation != 1 and data[:2] in (b"II", b"MM"):  # the decoders turn a TIFF whatever they are told
+        raise CalibrationError(f"{path}: a TIFF with a rotation flag; save it without one, or take the JPEG")
+    return Photo(path, size, hashlib.sha256(data).hexdigest(), orientation != 1)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if path.exists() and not path.is_file():
+            raise CalibrationError(f"{path}: is not a file; name photos or folders with photos")
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise CalibrationError(f"{path}: no such photo or folder; check the path") from None
+    except OSError as e:
+        raise CalibrationError(f"{path}: cannot be read: {e.strerror or e}") from None
+    except ValueError:  # a NUL in the name
+        raise CalibrationError(f"{str(path)!r}: no such photo or folder; check the path") from None
+    if not data:
+        raise CalibrationError(f"{path}: an empty file; copy it from the camera again, or leave it out")
+    return data
+
+
+def _header(path: Path, data: bytes) -> tuple[Size, int]:
+    """Size in px and EXIF orientation; decodes once, coarsely where the format allows, to see that all of it is there.
+
+    OpenCV would decode half a photo without a word.
+    """
+    if data[4:8] == b"ftyp" and data[8:12] in _HEIF:
+        despite = f" in spite of {path.suffix}" if path.suffix.lower() in ENDINGS else ""
+        raise CalibrationError(
+            f"{path}: is HEIC or AVIF{despite}; convert it to JPEG at full size, or let the camera save JPEG"
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of large photos and untidy tags
+        Image.init()  # else some formats are unknown until others have failed
+        try:
+            with Image.open(io.BytesIO(data), formats=_FORMATS) as picture:
+                size, orientation = picture.size, picture.getexif().get(ExifTags.Base.Orientation, 1)
+                picture.draft("L", (1, 1))
+                picture.load()
+        except UnidentifiedImageError:
+            raise CalibrationError(f"{path}: not a photo that can be read; name JPEG, PNG, TIFF or BMP files") from None
+        except Image.DecompressionBombError:
+            raise CalibrationError(f"{path}: too large to be a photo of a camera; leave it out") from None
+        except MemoryError:
+            raise
+        except Exception as e:  # damaged files bring all sorts of errors out of decoders
+            what = " ".join(str(e).split())[:80] or type(e).__name__
+            raise CalibrationError(
+                f"{path}: damaged ({what}); copy it from the camera again, or leave it out"
+            ) from None
+    return size, orientation if orientation in range(1, 9) else 1
+
+
+def _reaches_its_end(jpeg: bytes) -> bool:
+    """Whether the (first) picture of a JPEG has its end marker, whatever stands behind it (ITU-T T.81, annex B)."""
+    at = 2
+    while found := _MARKER.search(jpeg, at):
+        kind, at = jpeg[found.start() + 1], found.end()
+        if kind == 0xD9:
+            return True
+        if kind not in (0x01, 0xD8):
+            at += int.from_bytes(jpeg[at : at + 2])  # a segment and its length; data after a scan's are searched
+    return False
+
+
+# ---- words ----
+
+
+def _named(paths: Sequence[Path]) -> str:
+    names = [str(paths[0]), *(p.name for p in paths[1:_MOST_NAMED])]
+    more = f" and {len(paths) - _MOST_NAMED} more" if len(paths) > _MOST_NAMED else ""
+    return ", ".join(names) + more
+
+
+def _px(size: Size) -> str:
+    return f"{size[0]}x{size[1]}"

@@ -1,0 +1,242 @@
+"""`spheremouse calibrate practice`: a folder of simulated calibration photos with the truth, to try calibration on.
+
+The folder has board/*.jpg, device/*.jpg, device.yaml (what a person would know and measure) and truth.json.
+"""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import isfinite
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from spheremouse.errors import CalibrationError
+from spheremouse.progress import progress_bar
+from spheremouse.recording import open_dataset
+from spheremouse.rotation import Array
+from spheremouse.simulate.stills import DeviceShape, Stills, StillsOptions, photos, prepare_stills, truth_of
+
+EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"
+
+_DEFAULT = StillsOptions()
+_PARTS = ("board", "device", "device.yaml", "truth.json")
+_TAPE = 0.001  # m, standard deviation of a tape measure held by hand
+_MOST = 99  # photos of a kind
+# as in the reference sets: at half the resolution the colours of narrow rings mix
+_FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+
+
+def practice(
+    folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the photos; made, or empty.")],
+    like: Annotated[
+        Path | None,
+        typer.Option(metavar="DATASET", help="Photograph this dataset's device: ball, discs and targets as there."),
+    ] = None,
+    n_photos: Annotated[
+        int, typer.Option("--photos", metavar="N", min=0, max=_MOST, help="Photos of the device.")
+    ] = _DEFAULT.photos,
+    boards: Annotated[
+        int, typer.Option(metavar="N", min=0, max=_MOST, help="Photos of the chessboard, 11x8 corners, 86 mm.")
+    ] = _DEFAULT.boards,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of the photos in px.")] = "1920x1080",
+    focal: Annotated[
+        float | None, typer.Option(metavar="PX", help="Focal length in px.  [default: 1404 at 1920x1080]")
+    ] = None,
+    dist: Annotated[
+        str, typer.Option(metavar="k1,k2,p1,p2,k3", help="Lens distortion in OpenCV's order.")
+    ] = "-0.49,0.3,-0.0001,-0.0001,-0.11",
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of places, errors of the tape and noise.")] = 0,
+    noise: Annotated[
+        float, typer.Option(metavar="S", min=0, max=50, help="Standard deviation of the noise in grey values.")
+    ] = _DEFAULT.noise,
+    discs: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Discs on the ball.  [default: 50, or as --like]")
+    ] = None,
+    jpeg: Annotated[int, typer.Option(metavar="Q", min=50, max=100, help="Quality of the JPEG files.")] = 95,
+    force: Annotated[bool, typer.Option("--force", help="Replace a practice set that is there.")] = False,
+) -> None:
+    """Photograph a simulated device and board, with the truth: to try calibration before the real evening.
+
+    Six photos are from front, left, right, high, low and turned by 90 degrees; more stand between and beside them.
+    """
+    if like is not None and discs is not None:
+        raise CalibrationError(f"--discs {discs}: the discs are those of --like {like}; leave one of the two out")
+    if n_photos + boards == 0:
+        raise CalibrationError("--photos 0 --boards 0: nothing to photograph; ask for one or more of a kind")
+    if focal is not None and not 10.0 <= focal <= 100_000.0:
+        raise CalibrationError(f"--focal {focal:g}: must be from 10 to 100000 px")
+    options = StillsOptions(
+        photos=n_photos,
+        boards=boards,
+        size=_size(size),
+        focal=focal,
+        dist=_distortion(dist),
+        seed=seed,
+        noise=noise,
+        discs=_DEFAULT.discs if discs is None else discs,
+    )
+    stills = prepare_stills(options, None if like is None else device_of(like))
+    with _new_folder(folder, force) as made, progress_bar() as bar:
+        task = bar.add_task(f"photographing into {folder}", total=n_photos + boards)
+        for _ in write_stills(made, stills, jpeg):
+            bar.advance(task)
+    what = "a practice device" if like is None else f"the device of {like}"
+    many = "photo" if n_photos == 1 else "photos"
+    print(f"{folder}: {n_photos} {many} of {what}, {boards} of the board, device.yaml, truth.json")
+    print(
+        f"next: spheremouse calibrate camera {folder}/board/*.jpg --board 11x8 --square 86mm --out camera.yaml, then\n"
+        f"      spheremouse calibrate device {folder}/device/*.jpg --device {folder}/device.yaml --camera camera.yaml"
+    )
+
+
+def device_of(dataset: Path) -> DeviceShape:
+    """Ball, targets and discs of a dataset, the ball lying as in its first frame."""
+    recording = open_dataset(dataset)
+    rig, directions = recording.rig, recording.truth_directions
+    if directions is None:
+        raise CalibrationError(f"{dataset}: scene.json says nothing of the discs' places (truth_disc_directions)")
+    if len(rig.targets.ids) < 3:
+        raise CalibrationError(
+            f"{dataset}: {len(rig.targets.ids)} ring targets in scene.json; photos of a device need 3 or more"
+        )
+    attitude = np.eye(3) if recording.truth is None else recording.truth.attitude[0]
+    return DeviceShape(rig.ball.radius, rig.disc_radius, rig.targets, directions @ attitude.T)
+
+
+def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
+    """Write everything into a folder that is there and empty, giving each photo's path when it is done."""
+    (folder / "board").mkdir()
+    (folder / "device").mkdir()
+    for photo in photos(stills):
+        path = folder / f"{photo.name}.jpg"
+        if not cv2.imwrite(str(path), photo.image, [*_FULL_COLOUR, cv2.IMWRITE_JPEG_QUALITY, quality]):
+            raise CalibrationError(f"{path.name}: cannot be written; is the disk full?")
+        yield path
+    (folder / "truth.json").write_text(json.dumps(truth_of(stills), indent=1) + "\n", encoding="utf-8")
+    (folder / "device.yaml").write_text(device_yaml(stills), encoding="utf-8")
+
+
+# ---- device.yaml ----
+
+
+def device_yaml(stills: Stills) -> str:
+    """What a person knows of the device and measures with a tape, whose errors are drawn."""
+    scene, targets = stills.scene, stills.scene.targets
+    rng = np.random.default_rng([stills.seed, 5])
+    lines = ["# what a person knows of the device and measured with a tape", "targets:"]
+    lines += [f"  - {{id: {i}, code: {code}}}" for i, code in zip(targets.ids, targets.codes, strict=True)]
+    inner, middle, outer = targets.radii
+    lines.append(f"target_radii: [{inner:g}, {middle:g}, {outer:g}]  # m, inner disc, middle ring, outer ring")
+    lines.append(f"disc_radius: {scene.disc_radius:g}  # m, along the ball's surface")
+    origin, up, plane = (targets.ids[k] for k in axes_of(targets.position))
+    lines.append(
+        f"axes: {{origin: {origin}, up: {up}, plane: {plane}}}  # Y from target {origin} to target {up}; "
+        f"X in the plane with target {plane}; Z towards the camera; origin moved to the ball's centre"
+    )
+    lines.append("distances:")
+    for a, b in sides(targets.position):
+        true = float(np.linalg.norm(targets.position[a] - targets.position[b]))
+        lines.append(
+            f"  - {{from: {targets.ids[a]}, to: {targets.ids[b]}, metres: {true + rng.normal(0.0, _TAPE):.4f}, "
+            f"sigma: {_TAPE:g}}}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def axes_of(position: Array) -> tuple[int, int, int]:
+    """Which targets, at (n, 3) m in obj, give the axes of obj best: origin, up, and one in the plane."""
+    best, chosen = np.inf, (0, 1, 2)
+    for a in range(len(position)):
+        for b in range(len(position)):
+            for c in range(len(position)):
+                if len({a, b, c}) == 3:
+                    y, x = position[b] - position[a], position[c] - position[a]
+                    z = np.cross(x, y)
+                    area = np.linalg.norm(z)
+                    if area > 1e-3 * np.linalg.norm(x) * np.linalg.norm(y):
+                        # off by the turn of Y, and by that of the plane, which may face either way
+                        off = 2.0 - y[1] / np.linalg.norm(y) - abs(z[2]) / area
+                        if off < best - 1e-9:
+                            best, chosen = float(off), (a, b, c)
+    return chosen
+
+
+def sides(position: Array) -> list[tuple[int, int]]:
+    """Pairs of neighbours going round the targets, (n, 3) m, as one would hold a tape."""
+    away = position - position.mean(axis=0)
+    order = [int(k) for k in np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+    pairs = zip(order, order[1:] + order[:1], strict=True)
+    return sorted((min(a, b), max(a, b)) for a, b in pairs)
+
+
+# ---- words ----
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 64 <= int(width) <= 8192 and 64 <= int(height) <= 8192):
+        raise CalibrationError(f"--size {text}: write WIDTHxHEIGHT in px, as in 1920x1080, each from 64 to 8192")
+    return int(width), int(height)
+
+
+def _distortion(text: str) -> tuple[float, float, float, float, float]:
+    try:
+        k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
+        if not all(isfinite(k) and abs(k) <= 2.0 for k in (k1, k2, p1, p2, k3)):  # no lens bends more
+            raise ValueError(text)
+    except ValueError:
+        raise CalibrationError(
+            f"--dist {text}: write five numbers k1,k2,p1,p2,k3 from -2 to 2, as in -0.49,0.3,0,0,-0.11"
+        ) from None
+    return k1, k2, p1, p2, k3
+
+
+# ---- the folder ----
+
+
+@contextmanager
+def _new_folder(path: Path, replace: bool) -> Iterator[Path]:
+    """A folder beside `path` that takes its name at the end, or vanishes after an exception."""
+    path = path.absolute()
+    _refuse(path, replace)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    except OSError as e:
+        raise CalibrationError(f"{path}: cannot be written ({e.strerror})") from None
+    try:
+        made.chmod(0o755)
+        yield made
+        _refuse(path, replace)  # once more: somebody may have come first
+        if path.exists():
+            old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+            os.replace(path, old)
+            os.replace(made, path)
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            os.replace(made, path)
+    except OSError as e:
+        raise CalibrationError(f"{path}: cannot be written ({e.strerror})") from None
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def _refuse(path: Path, replace: bool) -> None:
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise CalibrationError(f"{path}: is a file; name a folder to write to")
+    content = {p.name for p in path.iterdir()}
+    if content and not replace:
+        raise CalibrationError(f"{path}: is not empty; name another folder or use --force to replace it")
+    if odd := sorted(content - set(_PARTS)):
+        raise CalibrationError(f"{path}: holds {odd[0]}, which is no part of a practice set; it will not be replaced")
+    if content and not (path / "truth.json").is_file():
+        raise CalibrationError(f"{path}: holds no truth.json, so these are real photos; they will not be replaced")

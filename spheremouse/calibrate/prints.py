@@ -1,0 +1,144 @@
+"""`spheremouse calibrate print`: what calibration needs on paper, at true scale, into a folder."""
+
+import os
+import re
+import tempfile
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spheremouse.calibrate.lengths import parse_board, parse_length
+from spheremouse.calibrate.prints_page import pdf
+from spheremouse.calibrate.prints_recipe import recipe
+from spheremouse.calibrate.prints_sheets import (
+    board_pages,
+    charuco,
+    chessboard,
+    disc_pages,
+    largest_square,
+    mm,
+    target_pages,
+)
+from spheremouse.errors import CalibrationError
+from spheremouse.plot import require_matplotlib
+
+EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
+
+_SMALLEST, _LARGEST = 0.5, 1000.0  # mm, of what a printer can do and a person wants
+
+
+class Kind(StrEnum):
+    """What there is to print."""
+
+    TARGETS = "targets"
+    BOARDS = "boards"
+    DISCS = "discs"
+    RECIPE = "recipe"
+
+
+class PaperName(StrEnum):
+    """Sizes of paper, as in prints_page.PAPERS."""
+
+    A4 = "a4"
+    LETTER = "letter"
+    A3 = "a3"
+
+
+def print_(
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the files go.")] = Path("calibration/print"),
+    only: Annotated[list[Kind] | None, typer.Option(help="Print this alone; may be given again.")] = None,
+    paper: Annotated[PaperName, typer.Option(help="Paper of the printer.", case_sensitive=False)] = PaperName.A4,
+    board: Annotated[str, typer.Option(metavar="NxM", help="Inner corners of the boards, along and down.")] = "11x8",
+    square: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="Square of the boards, as in 30mm; large boards take several pages.  [default: as fits one page]",
+        ),
+    ] = None,
+    ring_radii: Annotated[
+        str, typer.Option(metavar="R/R/R", help="Radii of a target's circles in mm, inside to outside.")
+    ] = "12/24/36mm",
+    discs: Annotated[int, typer.Option(metavar="N", min=1, max=500, help="Discs to cut out.")] = 26,
+    disc_radius: Annotated[str, typer.Option(metavar="LENGTH", help="Radius of a disc along the surface.")] = "20mm",
+    force: Annotated[bool, typer.Option("--force", help="Replace files that differ.")] = False,
+) -> None:
+    """Make the pages to print for a calibration: targets, boards, discs, and the recipe to follow.
+
+    Vector PDFs at true scale, with rulers to check the print; the recipe is HTML. The same options give the same bytes.
+    """
+    kinds, size = set(only or Kind), paper.value
+    corners = parse_board(board)
+    side = largest_square(corners, size) if square is None else _millimetres("--square", square)
+    if side < _SMALLEST:
+        raise CalibrationError(f"--board {board}: too many corners for one page of {size}; give a --square")
+    if kinds != {Kind.RECIPE}:
+        require_matplotlib()
+    made: dict[str, bytes] = {}
+    if Kind.TARGETS in kinds:
+        radii = parse_radii(ring_radii)
+        made[f"targets-{'-'.join(mm(r) for r in radii)}mm-{size}.pdf"] = pdf(target_pages(radii, size), "Ring targets")
+    if Kind.BOARDS in kinds:
+        for pattern in (chessboard(corners, side), charuco(corners, side)):
+            made[f"{pattern.file}-{size}.pdf"] = pdf(board_pages(pattern, corners, size), pattern.name)
+    if Kind.DISCS in kinds:
+        radius = _millimetres("--disc-radius", disc_radius)
+        made[f"discs-{discs}-{mm(radius)}mm-{size}.pdf"] = pdf(disc_pages(discs, radius, size), "Discs")
+    if Kind.RECIPE in kinds:
+        made["recipe.html"] = recipe(corners, side, size).encode()
+    _write(out, made, force)
+    steps = ["print the PDF files at 100 % (actual size) and check the rulers"] if kinds != {Kind.RECIPE} else []
+    steps += [f"print {out / 'recipe.html'} from a browser and follow it"] if Kind.RECIPE in kinds else []
+    typer.echo(f"next: {'; '.join(steps)}")
+
+
+def _millimetres(option: str, text: str) -> float:
+    length = round(1e3 * parse_length(text), 6)
+    if not _SMALLEST <= length <= _LARGEST:
+        raise CalibrationError(f"{option} {text}: must be from {mm(_SMALLEST)} to {mm(_LARGEST)} mm")
+    return length
+
+
+def parse_radii(text: str) -> tuple[float, float, float]:
+    """Inner, middle and outer radius in mm of `12/24/36mm`; CalibrationError for anything else."""
+    found = re.fullmatch(r"([\d.]+)(?:mm)?[/,]([\d.]+)(?:mm)?[/,]([\d.]+)(?:mm)?", re.sub(r"\s", "", text))
+    if not found:
+        raise CalibrationError(f"--ring-radii {text}: must be three radii in mm, as in 12/24/36mm")
+    radii = [_millimetres("--ring-radii", f"{word}mm") for word in found.groups()]
+    if not radii[0] < radii[1] < radii[2]:
+        raise CalibrationError(f"--ring-radii {text}: must grow from the inside to the outside, as in 12/24/36mm")
+    return radii[0], radii[1], radii[2]
+
+
+def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
+    """All files or, where one is there that differs, none."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        differ = [n for n, data in made.items() if (folder / n).exists() and (folder / n).read_bytes() != data]
+        if differ and not force:
+            other = f" (and {len(differ) - 1} more)" if len(differ) > 1 else ""
+            raise CalibrationError(
+                f"{folder / differ[0]}{other}: differs from what would be written; use --force or another --out"
+            )
+        for name, data in made.items():
+            _replace(folder / name, data)
+            typer.echo(f"{folder / name}")
+    except OSError as e:
+        raise CalibrationError(f"{e.filename or folder}: cannot be written: {e.strerror or e}") from None
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """The old file or the new one, whole, at any moment."""
+    umask = os.umask(0o077)
+    os.umask(umask)
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".new")
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+        Path(temporary).chmod(0o666 & ~umask)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,178 @@
+"""A chessboard in a room, and its picture: black squares on white card, anti-aliased through the lens.
+
+The share of a pixel that is black is that of a half plane where one edge crosses, of a product of two near a corner:
+edges are straight within a part of a pixel. What is behind the board is out of focus and rendered coarsely.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import InteriorOrientation, Pose, project, unproject
+from spheremouse.rotation import Array
+from spheremouse.simulate.backdrop import render_backdrop
+from spheremouse.simulate.caps import half_plane
+from spheremouse.simulate.furniture import BLACK, LAMPS, PAPER, room
+from spheremouse.simulate.light import Lighting, develop
+from spheremouse.simulate.scene import Scene
+
+MIDDLE = np.array([0.0, 0.45, 0.6])  # m, obj: where the board hangs, facing +Z
+_FRONT = np.array([0.0, 0.0, 1.0])
+_COARSE = 4  # px, of which the room behind has one
+_FINE = 4  # parts of a pixel's side where an edge runs through it
+_MARGIN = 3  # px around the board that are looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A printed chessboard."""
+
+    columns: int = 11  # inner corners
+    rows: int = 8
+    square: float = 0.086  # m
+    border: float = 0.043  # m, white around the squares
+
+    @property
+    def size(self) -> Array:
+        """m, width and height of all squares, (2,)."""
+        return np.array([(n + 1) * self.square for n in (self.columns, self.rows)])
+
+    def corners(self) -> Array:
+        """Inner corners, (columns * rows, 3) m, obj, row by row from the top left."""
+        x = (np.arange(self.columns) - 0.5 * (self.columns - 1)) * self.square
+        y = (0.5 * (self.rows - 1) - np.arange(self.rows)) * self.square
+        points = np.zeros((self.rows, self.columns, 3))
+        points[..., 0], points[..., 1] = np.meshgrid(x, y)
+        return MIDDLE + points.reshape(-1, 3)
+
+    def outline(self, beyond: float) -> Array:
+        """Corners of a rectangle that reaches `beyond` m past the outermost inner corners, (4, 3) m, obj."""
+        half = 0.5 * self.size - self.square + beyond
+        return MIDDLE + np.array([[x * half[0], y * half[1], 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+
+
+class BoardCoverage(NamedTuple):
+    """What pixels show of a board."""
+
+    place: Array  # (n, 2) m on the board, from its middle; nan where a ray misses its plane
+    card: Array  # (n,) share that shows the card
+    dark: Array  # (n,) black share of that
+
+
+def render_board(board: Board, scene: Scene, pose: Pose) -> NDArray[np.float32]:
+    """The board in an empty room through the scene's camera at `pose`, (h, w, 3) grey values."""
+    camera = scene.camera
+    light = Lighting(LAMPS, (), 1e-3)
+    picture = _room(replace(scene, pose=pose, surroundings=tuple(room()), lighting=light))
+    along = np.linspace(0.0, 1.0, 40)[:, None]
+    corners = board.outline(board.square + board.border)
+    rim = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    uv, _ = project(pose.to_cam(rim), camera)
+    limit = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(uv.min(axis=0)).astype(int) - _MARGIN, 0, limit)
+    high = np.clip(np.ceil(uv.max(axis=0)).astype(int) + _MARGIN + 1, 0, limit)
+    v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    seen = board_coverage(board, camera, pose, np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
+    white, black = _grey(board, light, seen.place.reshape(*u.shape, 2))
+    card, dark = (share.astype(np.float32).reshape(*u.shape, 1) for share in (seen.card, seen.dark))
+    part = picture[low[1] : high[1], low[0] : high[0]]
+    part += card * (white + dark * (black - white) - part)
+    return picture
+
+
+def _room(scene: Scene) -> NDArray[np.float32]:
+    """Without ball and device, coarsely, (h, w, 3)."""
+    camera = scene.camera
+    w, h = -(-camera.width // _COARSE), -(-camera.height // _COARSE)
+    sx, sy = w / camera.width, h / camera.height
+    small = replace(
+        camera,
+        width=w,
+        height=h,
+        fx=camera.fx * sx,
+        fy=camera.fy * sy,
+        cx=(camera.cx + 0.5) * sx - 0.5,
+        cy=(camera.cy + 0.5) * sy - 0.5,
+    )
+    behind = render_backdrop(replace(scene, camera=small), ball=False).white
+    return np.asarray(cv2.resize(behind, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Array) -> BoardCoverage:
+    """What pixels `uv`, (n, 2), that are whole numbers or not, show of the board: a square of 1 px around each."""
+    place, slope = _on_board(uv, camera, pose)
+    reach = np.abs(slope[:, :, 0]) + np.abs(slope[:, :, 1])  # m on the board, from the middle of a pixel to the next
+    lines = place / board.square + 0.5 * np.array([board.columns + 1, board.rows + 1])
+    half = 0.5 * board.size + board.border
+    within = np.abs(place) < half + reach  # nan compares false
+    near = (np.abs(lines - np.rint(lines)) * board.square < reach) | (np.abs(np.abs(place) - half) < reach)
+    inside = within[:, 0] & within[:, 1]
+    edge = inside & (near[:, 0] | near[:, 1])
+    card, black = np.zeros(len(place)), np.zeros(len(place))
+    for pixels, fine in ((np.flatnonzero(inside & ~edge), 1), (np.flatnonzero(edge), _FINE)):
+        offset = (np.arange(fine) + 0.5) / fine - 0.5
+        for du in offset:
+            for dv in offset:
+                part = place[pixels] + slope[pixels] @ np.array([du, dv])
+                shown, dark = _cover(board, part, np.abs(slope[pixels]) / fine)
+                card[pixels] += shown / fine**2
+                black[pixels] += shown * dark / fine**2
+    return BoardCoverage(place, card, black / np.maximum(card, 1e-9))
+
+
+def _on_board(uv: Array, camera: InteriorOrientation, pose: Pose) -> tuple[Array, Array]:
+    """Where rays of pixels (n, 2) meet the board's plane: (n, 2) m from its middle, and dplace_duv, (n, 2, 2)."""
+    xy, dxy_duv = unproject(uv, camera)
+    ray = xy @ pose.rotation[:, :2].T + pose.rotation[:, 2]
+    s = (MIDDLE[2] - pose.position[2]) / ray[:, 2]
+    s = np.where(s > 0.0, s, np.nan)  # nan: beside or behind, as where the lens maps no ray
+    place = pose.position[:2] - MIDDLE[:2] + s[:, None] * ray[:, :2]
+    dray = pose.rotation[:, :2] @ dxy_duv
+    dplace = s[:, None, None] * (dray[:, :2] - ray[:, :2, None] * dray[:, 2:] / ray[:, 2, None, None])
+    return place, dplace
+
+
+def _cover(board: Board, place: Array, slope: Array) -> tuple[Array, Array]:
+    """Shares of card, and of black in it, of parts of pixels around `place`, (n, 2), each crossed by few edges.
+
+    `slope` (n, 2, 2) are absolute values of dplace by the part's sides.
+    """
+    n = np.array([board.columns + 1, board.rows + 1])
+    shown, squares, sign = np.ones(len(place)), np.ones(len(place)), np.ones(len(place))
+    for axis in (0, 1):
+        x, dx = place[:, axis], slope[:, axis]
+        half = 0.5 * board.size[axis]
+        shown *= half_plane(half + board.border - np.abs(x), dx)
+        squares *= half_plane(half - np.abs(x), dx)
+        line = np.clip(np.rint(x / board.square + 0.5 * n[axis]), 1, n[axis] - 1)  # the nearest one between squares
+        beyond = half_plane(x - (line - 0.5 * n[axis]) * board.square, dx)
+        sign *= (1.0 - 2.0 * beyond) * np.where(line % 2 == 0, 1.0, -1.0)
+    return shown, squares * (0.5 + 0.5 * sign)
+
+
+def _grey(board: Board, light: Lighting, place: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Grey values of white and of black at places (h, w, 2) m on the board, (h, w, 3) each.
+
+    The light is smooth: it is computed on a grid and interpolated.
+    """
+    half = 0.5 * board.size + board.border
+    count = np.array([41, 31])
+    x, y = (np.linspace(-h, h, k) for h, k in zip(half, count, strict=True))
+    points = np.stack([*np.meshgrid(x, y), np.zeros((count[1], count[0]))], axis=-1).reshape(-1, 3) + MIDDLE
+    falling = light.on_room(points, np.broadcast_to(_FRONT, points.shape))
+    at = (np.nan_to_num(place / half) * 0.5 + 0.5) * (count - 1)
+    u, v = (at[..., axis].astype(np.float32) for axis in (0, 1))
+    white, black = (
+        cv2.remap(
+            develop(falling * albedo).reshape(count[1], count[0], 3).astype(np.float32),
+            u,
+            v,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        for albedo in (PAPER, BLACK)
+    )
+    return np.asarray(white, np.float32), np.asarray(black, np.float32)

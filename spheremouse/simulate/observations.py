@@ -1,0 +1,165 @@
+"""Calibrations without photos: image points of a device with normal errors, and the truth, to test covariances by.
+
+The device of Wittich 2017, tables 1 and 11 (targets at the corners of a frame, a ball of 0.6 m behind it) and six
+cameras in front of it; camera file, tape and image points are off by what their covariances say.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted
+from spheremouse.adjustment.device import Axes, Device, Distance
+from spheremouse.adjustment.device_photos import DeviceCalibration, DiscViews, adjust_device
+from spheremouse.adjustment.start import TargetViews
+from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.rotation import Array, exp, log
+from spheremouse.simulate.scene import spread_directions
+
+_TARGETS = np.array(
+    [[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629], [0.3256, 0.1546, 0.5629]]
+)
+_RADIUS, _DISCS, _DISC = 0.6, 50, 0.02
+_CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
+_INTERIOR_SIGMA = np.array([0.3, 0.3, 0.3, 0.3, 1e-3, 4e-3, 5e-5, 5e-5, 5e-3])  # as fifteen photos of a board leave it
+_SIGMA, _TAPE = 0.05, 0.001  # px of an image point, m
+_AZIMUTH, _HEIGHT = np.radians([0, -40, 40, -15, 20, 30]), np.radians([5, 10, 0, 35, -10, 30])
+_LEAST = 0.35  # cosine at which a disc is still seen
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedCalibration:
+    """What was observed, where to begin, and what is true, in `obj`."""
+
+    device: Device
+    camera: InteriorOrientation  # as calibrated
+    views: TargetViews
+    discs: DiscViews
+    start: Block
+    poses: tuple[Pose, ...]
+    targets: Array  # (4, 3) m
+    radius: float  # m
+
+
+def simulated_calibration(
+    rng: np.random.Generator, scale_free: bool = False, interior: bool = True
+) -> SimulatedCalibration:
+    """One of them; without `interior` the camera file is exact and says so."""
+    pairs = () if scale_free else ((1, 2), (1, 4), (2, 3), (3, 4))
+    tape = tuple(
+        Distance(a, b, float(np.linalg.norm(_TARGETS[a - 1] - _TARGETS[b - 1]) + _TAPE * rng.standard_normal()), _TAPE)
+        for a, b in pairs
+    )
+    radii = np.array([0.012, 0.024, 0.036])
+    device = Device((1, 2, 3, 4), ("MCY", "CYM", "YMC", "CMY"), radii, _DISC, Axes(2, 1, 3), tape)
+    directions = spread_directions(_DISCS, 3.0 * _DISC / _RADIUS, rng)
+    poses = tuple(_looking(rng, a, h) for a, h in zip(_AZIMUTH, _HEIGHT, strict=True))
+    photo, point = _in_view(poses, directions)
+    shift = -_TARGETS[1]  # from the ball's centre to the frame of the targets
+    points = np.concatenate([_TARGETS, _RADIUS * directions]) + shift
+    true = Block(_CAMERA, tuple(Pose(p.rotation, p.position + shift) for p in poses), points)
+    covariance = np.tile(_SIGMA**2 * np.eye(2), (len(photo), 1, 1))
+    image = ImagePoints(photo, point, np.zeros((len(photo), 2)), covariance)
+    exact = predicted(true, image, Problem(device, _CAMERA, image, scale_free))[0]
+    centre = exact + _SIGMA * rng.standard_normal(exact.shape)
+    camera = _camera_file(rng) if interior else _CAMERA
+    is_target = point < 4
+    seen, number = np.unique(point[~is_target], return_inverse=True)
+    rough = points[seen] + 1e-3 * rng.standard_normal((len(seen), 3))
+    start = tuple(
+        Pose(exp(1e-3 * rng.standard_normal(3)) @ p.rotation, p.position + 2e-3 * rng.standard_normal(3))
+        for p in true.poses
+    )
+    return SimulatedCalibration(
+        device,
+        camera,
+        TargetViews(
+            tuple(range(len(poses))),
+            ImagePoints(photo[is_target], point[is_target], centre[is_target], covariance[is_target]),
+            np.ones((int(np.count_nonzero(is_target)), 2)),
+            (),
+        ),
+        DiscViews(photo[~is_target], number, centre[~is_target], covariance[~is_target], rough),
+        Block(camera, start, points[:4].copy()),
+        poses,
+        _TARGETS,
+        _RADIUS,
+    )
+
+
+def calibrated(simulated: SimulatedCalibration) -> DeviceCalibration:
+    """What the adjustment makes of it."""
+    s = simulated
+    return adjust_device(s.views, s.discs, s.start, s.device, s.camera)
+
+
+def normalised_errors(simulated: SimulatedCalibration, found: DeviceCalibration) -> dict[str, float]:
+    """Squared errors over covariances, each over its degrees of freedom: `ball`, `targets`, `pose` (of all photos).
+
+    Where the scale is free, the ball is its centre from the first target of the axes, in radii.
+    """
+    unit = simulated.radius if found.scale_free else 1.0
+    off = (found.targets - simulated.targets / unit).ravel()
+    # the origin's target has three coordinates, the axis' one more, the plane's two more, the fourth three: the others
+    # are those of the origin again
+    free = np.array([3, 4, 5, 1, 6, 7, 9, 10, 11])
+    ball, error = [3, 4, 5], off[3:6]
+    if not found.scale_free:
+        ball = [*ball, found.block("radius").start]
+        error = np.append(error, found.radius - simulated.radius)
+    poses = [
+        _nees(
+            np.concatenate([p.position - t.position / unit, log(p.rotation @ t.rotation.T)]),
+            p.covariance,
+        )
+        for p, t in zip(found.poses, simulated.poses, strict=True)
+    ]
+    return {
+        "ball": _nees(error, found.covariance[np.ix_(ball, ball)]),
+        "targets": _nees(off[free], found.covariance[np.ix_(free, free)]),
+        "poses": float(np.mean(poses)),
+    }
+
+
+def _nees(error: Array, covariance: Array) -> float:
+    return float(error @ np.linalg.solve(covariance, error)) / len(error)
+
+
+def _looking(rng: np.random.Generator, azimuth: float, height: float) -> Pose:
+    """A camera that looks at the ball, about."""
+    away = np.array([np.sin(azimuth) * np.cos(height), np.sin(height), np.cos(azimuth) * np.cos(height)])
+    position = rng.uniform(2.0, 3.0) * away
+    z = 0.05 * rng.standard_normal(3) - position
+    z /= np.linalg.norm(z)
+    x = np.cross(z, [0.0, 1.0, 0.0])
+    x /= np.linalg.norm(x)
+    return Pose(np.stack([x, np.cross(z, x), z], axis=1), position)
+
+
+def _in_view(poses: tuple[Pose, ...], directions: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which photo shows which point: all targets, and discs of which two photos at least see the face."""
+    away = np.array([p.position for p in poses])[:, None] - _RADIUS * directions
+    cosine = np.sum(away * directions, axis=2) / np.linalg.norm(away, axis=2)
+    sees = cosine > _LEAST
+    sees &= np.sum(sees, axis=0) >= 2
+    photo, disc = np.nonzero(sees)
+    n = len(poses)
+    return (
+        np.concatenate([np.repeat(np.arange(n), 4), photo]),
+        np.concatenate([np.tile(np.arange(4), n), 4 + disc]),
+    )
+
+
+def _camera_file(rng: np.random.Generator) -> InteriorOrientation:
+    e = _INTERIOR_SIGMA * rng.standard_normal(9)
+    c = _CAMERA
+    return replace(
+        c,
+        fx=c.fx + e[0],
+        fy=c.fy + e[1],
+        cx=c.cx + e[2],
+        cy=c.cy + e[3],
+        distortion=c.distortion + e[4:],
+        covariance=np.diag(_INTERIOR_SIGMA**2),
+    )

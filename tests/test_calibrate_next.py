@@ -1,0 +1,322 @@
+"""`calibrate init` and `next`: an evening walked from the empty folder to the running mouse, and left at any point."""
+
+import json
+import os
+import shlex
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from spheremouse.calibrate.device_file import UNTOUCHED, device_template, load_device
+from spheremouse.calibrate.evening import BOARD_ENOUGH, DEVICE_ENOUGH, checklist
+from spheremouse.calibrate.photos import read_photos
+from spheremouse.camera import InteriorOrientation
+from spheremouse.cli import app
+from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rig_file import save_camera, save_rig
+
+SIZE = (64, 48)
+CAMERA = InteriorOrientation(*SIZE, 60.0, 60.0, 31.5, 23.5)
+NAMES = ["folder", "photos of the board", "camera.yaml", "device.yaml", "photos of the device", "rig.yaml", "run"]
+
+
+def run(*words):
+    result = CliRunner().invoke(app, ["calibrate", *map(str, words)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def photograph(folder, n, first=0, size=SIZE):
+    for k in range(first, first + n):
+        pixels = np.random.default_rng(k).integers(0, 256, (size[1] // 8, size[0] // 8, 3)).astype(np.uint8)
+        cv2.imwrite(str(folder / f"{k}.png"), cv2.resize(pixels, size))
+
+
+def provenance(folder):
+    return {"photos": [{"file": str(p.path), "sha256": p.sha256} for p in read_photos([folder], note=lambda _: None)]}
+
+
+def make_camera(folder, **more):
+    save_camera(folder / "camera.yaml", CAMERA, {**provenance(folder / "board"), **more})
+
+
+def make_rig(folder, made=None):
+    targets = Targets((1, 2, 3), ("MCY", "CYM", "YMC"), np.eye(3), np.zeros((9, 9)), np.array([0.01, 0.02, 0.03]))
+    save_rig(folder / "rig.yaml", Rig(CAMERA, Ball(0.6), targets, 0.02), made)
+
+
+def fill_in(folder):
+    path = folder / "device.yaml"
+    path.write_text(path.read_text(encoding="utf-8").replace(UNTOUCHED + "\n", ""), encoding="utf-8")
+
+
+def tick(path, seconds):
+    """A file as if written some time after all others; negative: before."""
+    t = max(p.stat().st_ctime for p in path.parent.rglob("*")) + seconds
+    os.utime(path, (t, t))
+
+
+def next_of(folder):
+    """The open step; the others are behind or before it."""
+    steps = checklist(folder)
+    assert [s.name for s in steps] == NAMES
+    states = [s.state for s in steps]
+    k = states.index("next")
+    assert set(states[:k]) <= {"done", "not needed"}
+    assert states.count("next") == 1
+    assert all(not s.todo and not s.command for s in steps if s.state in {"done", "not needed"})
+    return steps[k]
+
+
+@pytest.fixture
+def evening(tmp_path):
+    folder = tmp_path / "my cabinet"
+    assert run("init", folder).exit_code == 0
+    return folder
+
+
+@pytest.fixture
+def finished(evening):
+    """All done, with provenance."""
+    photograph(evening / "board", BOARD_ENOUGH)
+    make_camera(evening)
+    fill_in(evening)
+    photograph(evening / "device", DEVICE_ENOUGH, 100)
+    make_rig(evening, provenance(evening / "device"))
+    tick(evening / "camera.yaml", 1)
+    tick(evening / "rig.yaml", 2)
+    assert next_of(evening).name == "run"
+    return evening
+
+
+def test_an_evening_from_nothing_to_the_mouse(tmp_path):
+    """Each step is done as its own words say, and leads to the next one."""
+    folder = tmp_path / "my cabinet"
+    step = next_of(folder)
+    assert shlex.split(step.command) == ["spheremouse", "calibrate", "init", str(folder)]
+    run(*shlex.split(step.command)[2:])
+
+    step = next_of(folder)
+    assert (step.name, step.command, len(step.todo)) == ("photos of the board", "", 3)
+    photograph(folder / "board", BOARD_ENOUGH)
+
+    step = next_of(folder)
+    words = shlex.split(step.command)
+    assert words[2:4] == ["camera", str(folder / "board")]
+    assert words[4:] == ["--board", "11x8", "--square", "20mm", "--out", str(folder / "camera.yaml")]
+    make_camera(folder)
+    tick(folder / "camera.yaml", 1)
+
+    step = next_of(folder)
+    assert (step.name, step.found) == ("device.yaml", "not filled in yet")
+    assert "rolling" in step.otherwise[0][1]
+    fill_in(folder)
+
+    step = next_of(folder)
+    assert (step.name, step.found) == ("photos of the device", "none yet")
+    assert "rolling" in step.otherwise[0][1]
+    photograph(folder / "device", DEVICE_ENOUGH, 100)
+
+    words = shlex.split(next_of(folder).command)
+    assert words[2:4] == ["device", str(folder / "device")]
+    files = [str(folder / f"{name}.yaml") for name in ("device", "camera", "rig")]
+    assert words[4:] == ["--device", files[0], "--camera", files[1], "--out", files[2]]
+    make_rig(folder, provenance(folder / "device"))
+    tick(folder / "rig.yaml", 2)
+
+    step = next_of(folder)
+    assert step.name == "run"
+    assert shlex.split(step.command)[:4] == ["spheremouse", "run", "--rig", str(folder / "rig.yaml")]
+
+
+def test_some_photos_are_counted_and_may_do(evening):
+    photograph(evening / "board", 2)
+    assert next_of(evening).otherwise == ()  # two views of a plane are too few
+    photograph(evening / "board", 5)
+    step = next_of(evening)
+    assert (step.name, step.found) == ("photos of the board", f"5 photos of 64x48 in {evening / 'board'}")
+    assert step.todo[0].startswith("5 so far")
+    assert "calibrate camera" in step.otherwise[0][1]
+    make_camera(evening)
+    assert next_of(evening).name == "device.yaml"  # whoever went on is not asked again
+
+
+def test_photos_that_came_later_ask_for_another_run(finished):
+    photograph(finished / "board", 2, 50)
+    for k in (50, 51):
+        tick(finished / "board" / f"{k}.png", 100)
+    step = next_of(finished)
+    assert (step.name, step.found) == ("camera.yaml", "2 photos came later")
+    assert step.command.endswith("--force")
+    make_camera(finished)
+    tick(finished / "camera.yaml", 200)
+    step = next_of(finished)
+    assert (step.name, step.found) == ("rig.yaml", "camera.yaml is newer")
+    assert step.command.endswith("--force")
+    make_rig(finished, provenance(finished / "device"))
+    tick(finished / "rig.yaml", 300)
+    assert next_of(finished).name == "run"
+
+
+def test_copying_the_folder_is_no_change(finished):
+    """Photos newer than what was made of them, as after a copy without times: their hashes are known."""
+    for photo in [*(finished / "board").iterdir(), *(finished / "device").iterdir()]:
+        tick(photo, 1000)
+    assert next_of(finished).name == "run"
+
+
+def test_a_view_without_the_board_is_not_new_for_ever(finished):
+    """Not among the hashes, since it was skipped; but it was there."""
+    photograph(finished / "board", 1, 60)
+    tick(finished / "camera.yaml", 10)
+    tick(finished / "rig.yaml", 20)
+    assert next_of(finished).name == "run"
+
+
+def test_a_photo_thrown_out_asks_for_another_run_and_all_of_them_do_not(finished):
+    (finished / "device" / "100.png").unlink()
+    step = next_of(finished)
+    assert (step.name, step.found) == ("rig.yaml", "1 photo it was made from is gone")
+    for photo in (finished / "device").iterdir():
+        photo.unlink()
+    for photo in (finished / "board").iterdir():
+        photo.unlink()
+    states = {s.name: s.state for s in checklist(finished)}
+    assert states["photos of the board"] == states["photos of the device"] == "not needed"
+    assert next_of(finished).name == "run"
+
+
+def test_a_device_file_changed_later_asks_for_another_run(finished):
+    tick(finished / "device.yaml", 1000)
+    assert next_of(finished).found == "device.yaml is newer"
+
+
+def test_without_provenance_times_tell(evening):
+    photograph(evening / "board", 3)
+    save_camera(evening / "camera.yaml", CAMERA)
+    tick(evening / "camera.yaml", 1)
+    assert next_of(evening).name == "device.yaml"
+    tick(evening / "board" / "1.png", 10)
+    assert next_of(evening).found == "1 photo came later"
+
+
+def test_a_rig_from_rolling_needs_no_photos_of_the_device(evening):
+    photograph(evening / "board", 4)
+    make_camera(evening)
+    tick(evening / "camera.yaml", 1)
+    make_rig(evening)
+    tick(evening / "rig.yaml", 2)
+    states = {s.name: s.state for s in checklist(evening)}
+    assert states["device.yaml"] == states["photos of the device"] == "not needed"
+    assert next_of(evening).name == "run"
+    tick(evening / "camera.yaml", 3)
+    assert "calibrate rolling" in next_of(evening).command
+
+
+@pytest.mark.parametrize(
+    ("board", "square", "options"),
+    [
+        ("9x6", 0.03, "--board 9x6 --square 0.03m"),
+        ([9, 6], 0.0305, "--board 9x6 --square 0.0305m"),
+        ("rubbish", 0.03, "--board 11x8 --square 20mm"),
+        (None, None, "--board 11x8 --square 20mm"),
+        ([9], 0.03, "--board 11x8 --square 20mm"),
+    ],
+)
+def test_another_run_takes_the_board_of_the_first(evening, board, square, options):
+    photograph(evening / "board", 3)
+    make_camera(evening, board=board, square=square)
+    photograph(evening / "board", 1, 9)
+    tick(evening / "board" / "9.png", 100)
+    assert options in next_of(evening).command
+
+
+def test_photos_that_cannot_be_used_are_the_next_thing(evening):
+    photograph(evening / "board", 3)
+    photograph(evening / "board", 1, 3, (32, 24))
+    step = next_of(evening)
+    assert step.name == "photos of the board"
+    assert "3.png" in step.todo[0]
+    assert "3 others are 64x48" in step.todo[0]
+
+
+def test_photos_of_another_mode_than_the_cameras(finished):
+    (finished / "rig.yaml").unlink()
+    for photo in (finished / "device").iterdir():
+        photo.unlink()
+    photograph(finished / "device", DEVICE_ENOUGH, 100, (128, 96))
+    step = next_of(finished)
+    assert step.name == "photos of the device"
+    assert "a mode of its own" in step.todo[0]
+
+
+@pytest.mark.parametrize("name", ["camera.yaml", "rig.yaml", "device.yaml"])
+def test_a_damaged_file_is_the_next_thing_with_its_line(finished, name):
+    (finished / name).write_text("schema: 1\ncamera: {width: no}\n")
+    step = next_of(finished)
+    assert step.name == name
+    assert f"{name}:" in step.todo[0]
+    assert "--force" in step.command or name == "device.yaml"  # what a person wrote is theirs to mend
+
+
+def test_it_goes_on_in_the_folder_itself_and_in_the_usual_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("next").stdout.splitlines()[-1].strip() == "spheremouse calibrate init cabinet"
+    assert "spheremouse calibrate next" in run("init").stdout.splitlines()[-1]
+    assert "cabinet/board" in run("next").stdout
+    monkeypatch.chdir(tmp_path / "cabinet")
+    assert "put them into board." in run("next").stdout
+
+
+def test_the_terminal_shows_the_list_and_one_thing(evening):
+    photograph(evening / "board", BOARD_ENOUGH)
+    lines = run("next", evening).stdout.splitlines()
+    states = [line.split()[0] for line in lines[: len(NAMES)]]
+    assert states == ["done", "done", "next", "later", "later", "later", "later"]
+    assert "Next: camera.yaml" in lines
+    assert sum("spheremouse calibrate" in line for line in lines) == 1
+    command = shlex.split(lines[-1])  # one line, to copy, whatever is in the folder's name
+    assert str(evening / "board") in command
+
+
+def test_json_is_the_same_list(evening, tmp_path):
+    printed = json.loads(run("next", evening, "--json", "-").stdout)
+    result = run("next", evening, "--json", tmp_path / "steps.json")
+    assert json.loads((tmp_path / "steps.json").read_text()) == printed
+    assert "Next: photos of the board" in result.stdout
+    assert printed["folder"] == str(evening)
+    assert [s["name"] for s in printed["steps"]] == NAMES
+    assert [s["state"] for s in printed["steps"]].count("next") == 1
+    with pytest.raises(ConfigurationError, match="no such folder"):
+        run("next", evening, "--json", tmp_path / "nowhere" / "x.json")
+
+
+def test_init_keeps_what_is_there(evening):
+    path = evening / "device.yaml"
+    assert path.read_text(encoding="utf-8") == device_template()
+    assert load_device(path).ids == (1, 2, 3, 4)
+    photograph(evening / "board", 1)
+    path.write_text("mine")
+    result = run("init", evening)
+    assert result.exit_code == 0
+    assert "kept as it is" in result.stdout
+    assert path.read_text() == "mine"
+    run("init", evening, "--force")
+    assert path.read_text(encoding="utf-8") == device_template()
+    assert (evening / "board" / "0.png").exists()
+
+
+def test_a_file_where_the_folder_should_be(tmp_path):
+    (tmp_path / "f").write_text("")
+    with pytest.raises(CalibrationError, match="f"):
+        run("init", tmp_path / "f")
+    with pytest.raises(ConfigurationError, match="is a file"):
+        run("next", tmp_path / "f")
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "board").write_text("")
+    with pytest.raises(CalibrationError, match="board"):
+        run("init", tmp_path / "d")

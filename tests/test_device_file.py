@@ -1,0 +1,208 @@
+"""device.yaml and lengths: what a person writes reads back in metres; what cannot be meant is said with its line."""
+
+from pathlib import Path
+
+import pytest
+from conftest import datasets_dir
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from spheremouse.adjustment.device import Axes, Distance
+from spheremouse.calibrate.device_file import device_template, load_device, untouched
+from spheremouse.calibrate.lengths import parse_board, parse_length
+from spheremouse.calibrate.prints_sheets import TARGETS
+from spheremouse.errors import CalibrationError, ConfigurationError
+
+TEXT = """\
+targets:
+  - {id: 1, code: MCY}
+  - {id: 2, code: CYM}
+  - {id: 7, code: YMC}
+target_radii: [0.012, 0.024, 0.036]
+disc_radius: 0.02
+axes: {origin: 2, up: 1, plane: 7}
+distances:
+  - {from: 1, to: 2, metres: 0.750, sigma: 0.001}
+  - {from: 2, to: 7, metres: 0.650, sigma: 0.002}
+"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    """The device in TEXT with some words replaced."""
+
+    def read_(*changes):
+        text = TEXT
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / "device.yaml"
+        path.write_text(text)
+        return load_device(path)
+
+    return read_
+
+
+def test_all_of_it_is_read(read):
+    device = read()
+    assert device.ids == (1, 2, 7)
+    assert device.codes == ("MCY", "CYM", "YMC")
+    assert_allclose(device.target_radii, [0.012, 0.024, 0.036])
+    assert device.disc_radius == 0.02
+    assert device.axes == Axes(origin=2, up=1, plane=7)
+    assert device.distances == (Distance(1, 2, 0.75, 0.001), Distance(2, 7, 0.65, 0.002))
+
+
+def test_a_schema_may_stand_there_and_must_be_ours(read):
+    assert read(("targets:", "schema: 1\ntargets:")).ids == (1, 2, 7)
+    with pytest.raises(ConfigurationError, match=":1: schema: is 2"):
+        read(("targets:", "schema: 2\ntargets:"))
+
+
+def test_without_distances_the_scale_is_free(read):
+    assert read((TEXT[TEXT.index("distances") :], "")).distances == ()
+    assert read((TEXT[TEXT.index("distances") :], "distances: []\n")).distances == ()
+
+
+def test_a_pair_measured_twice_counts_twice(read):
+    again = "{from: 2, to: 1, metres: 0.752, sigma: 0.001}"
+    assert len(read(("{from: 2, to: 7, metres: 0.650, sigma: 0.002}", again)).distances) == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("id: 2", "id: 1", 3, ["targets[1].id", "1 names another target"]),
+        ("CYM", "MCY", 3, ["targets[1].code", "MCY is on another target", "once"]),
+        ("CYM", "cym", 3, ["must be 'CMY'", "is 'cym'"]),
+        ("  - {id: 7, code: YMC}\n", "", 1, ["targets", "at least 3"]),
+        ("plane: 7", "plane: 3", 7, ["axes.plane", "3 is no target", "1, 2, 7"]),
+        ("plane: 7", "plane: 1", 7, ["axes.plane", "1 is named for another axis", "three different"]),
+        ("0.012, 0.024", "0.024, 0.012", 5, ["must grow"]),
+        ("0.024, 0.036", "0.036, 0.036", 5, ["must grow"]),
+        ("[0.012, 0.024, 0.036]", "[12, 24, 36]", 5, ["give metres: 0.012, 0.024, 0.036 if that was mm"]),
+        ("[0.012, 0.024, 0.036]", "[1.2, 2.4, 3.6]", 5, ["0.012, 0.024, 0.036 if that was cm"]),
+        ("[0.012, 0.024, 0.036]", "[1.2e-4, 2.4e-4, 3.6e-4]", 5, ["too small to be seen", "0.75 m"]),
+        ("[0.012, 0.024, 0.036]", "[0.12, 0.24, 0.36]", 10, ["0.65 m", "would overlap", "target_radii"]),
+        ("disc_radius: 0.02", "disc_radius: 20", 6, ["0.02 if that was mm"]),
+        ("disc_radius: 0.02", "disc_radius: -1", 6, ["greater than 0", "metres"]),
+        ("0.750", "750", 9, ["distances[0].metres", "0.75 if that was mm"]),
+        ("0.750", "75", 9, ["0.75 if that was cm"]),
+        ("0.750", "0.75 m", 9, ["must be a number"]),
+        ("from: 1, to: 2", "from: 1, to: 1", 9, ["target 1 to itself"]),
+        ("from: 1, to: 2", "from: 9, to: 2", 9, ["distances[0].from", "9 is no target"]),
+        ("sigma: 0.001", "sigma: 0", 9, ["distances[0].sigma", "greater than 0"]),
+        ("sigma: 0.001", "sigma: 1", 9, ["sigma", "is 1 m for a length of 0.75 m"]),
+        (", sigma: 0.001", "", 9, ["distances[0].sigma: missing", "0.001"]),
+        ("{from: 1", "{form: 1", 9, ["unknown key", "did you mean from?"]),
+        ("{from: 2, to: 7, metres: 0.650", "{from: 2, to: 1, metres: 0.762", 10, ["0.75 m in line 9", "measure again"]),
+    ],
+)
+def test_what_cannot_be_meant_is_said_with_its_line(read, old, new, line, words):
+    with pytest.raises(ConfigurationError) as e:
+        read((old, new))
+    text = "\n".join(text for text in str(e.value).splitlines() if f"device.yaml:{line}: " in text)
+    for word in words:
+        assert word in text
+
+
+def test_a_way_round_is_never_shorter(read):
+    """0.75 and 0.65 m allow up to 1.40 m between targets 1 and 7, and the sigmas a little more."""
+    third = "sigma: 0.002}\n  - {from: 7, to: 1, metres: %s, sigma: 0.001}"
+    assert len(read(("sigma: 0.002}", third % "1.41")).distances) == 3  # 4.1 standard deviations
+    with pytest.raises(ConfigurationError, match=r":11: .* is 1.42 m, but only 1.4 m by way of target 2"):
+        read(("sigma: 0.002}", third % "1.42"))
+    with pytest.raises(ConfigurationError, match=r":9: .* is 0.75 m, but only 0.73 m by way of target 7"):
+        read(("sigma: 0.002}", third % "0.08"))
+
+
+def test_all_problems_come_at_once(read):
+    with pytest.raises(ConfigurationError) as e:
+        read(("CYM", "MCY"), ("plane: 7", "plane: 3"), ("0.750", "750"))
+    assert [int(text.split(":")[1]) for text in str(e.value).splitlines()] == [3, 7, 9]
+
+
+@pytest.mark.parametrize("text", ["", "just words", "- 1\n- 2\n", "targets: {", "targets: 3\n"])
+def test_what_is_no_device_file_is_one_of_our_errors(tmp_path, text):
+    path = tmp_path / "device.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=r"device\.yaml:"):
+        load_device(path)
+    with pytest.raises(ConfigurationError, match="no such file"):
+        load_device(tmp_path / "other.yaml")
+
+
+def test_the_template_loads_and_its_examples_do_too(tmp_path):
+    path = tmp_path / "device.yaml"
+    path.write_text(device_template())
+    assert load_device(path).distances == ()  # nothing that nobody measured
+    assert untouched(path)
+    filled = "\n".join(device_template().splitlines()[1:]).replace("distances: []\n# ", "")
+    path.write_text(filled.replace("\n#   - {", "\n  - {").replace("\n# - {", "\n  - {"))
+    device = load_device(path)
+    assert not untouched(path)
+    assert len(device.distances) == 4
+    assert dict(zip(device.ids, device.codes, strict=True)) == TARGETS  # the numbers on the printed ones
+
+
+def test_the_example_to_look_at_is_the_template():
+    example = Path(__file__).parents[1] / "calibration" / "device.yaml"
+    assert example.read_text(encoding="utf-8") == device_template()
+
+
+def test_the_reference_device_reads():
+    device = load_device(datasets_dir() / "stills" / "device.yaml")
+    assert device.ids == (1, 2, 3, 4)
+    assert [d.metres for d in device.distances] == [0.75, 0.65, 0.65, 0.749]
+
+
+# ---- lengths and boards of the command line ----
+
+
+@pytest.mark.parametrize("text", ["86mm", "86 mm", "8.6cm", "0.086m", ".086 m", "86.0MM", " 8.6e1mm "])
+def test_a_length_is_the_same_in_any_unit(text):
+    assert parse_length(text) == 0.086
+
+
+@given(st.integers(1, 99_999))
+def test_tenths_of_a_millimetre_are_exact(tenths):
+    assert parse_length(f"{tenths / 10}mm") == float(f"{tenths}e-4")
+
+
+def test_an_inch_is_an_inch():
+    assert parse_length("2in") == pytest.approx(0.0508, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("86", "86mm or 86cm"),
+        ("0.086", "with its unit"),
+        ("86km", "'km' is not a unit"),
+        ("8,6cm", "a point, not a comma"),
+        ("mm", "no length"),
+        ("", "no length"),
+        ("-3mm", "no length"),
+        ("0mm", "longer than 0"),
+        ("750m", "check the unit"),
+        ("1e999mm", "check the unit"),
+        ("nanmm", "no length"),
+    ],
+)
+def test_a_length_that_is_none_says_how_to_write_one(text, words):
+    with pytest.raises(CalibrationError) as e:
+        parse_length(text)
+    assert words in str(e.value)
+
+
+@pytest.mark.parametrize("text", ["11x8", "11X8", " 11 x 8", "11×8"])
+def test_a_board_is_columns_and_rows(text):
+    assert parse_board(text) == (11, 8)
+    assert parse_board(text).rows == 8
+
+
+@pytest.mark.parametrize("text", ["11", "11x", "axb", "11x8x2", "-11x8", "2x8", "11x2000", "", "1 1x8"])
+def test_a_board_that_is_none_says_how_to_write_one(text):
+    with pytest.raises(CalibrationError, match="inner corners"):
+        parse_board(text)

@@ -1,0 +1,170 @@
+"""A device from its photos: against the truth of rendered ones, covariances over many calibrations, and bad photos."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from conftest import datasets_dir
+from scipy.stats import chi2
+
+from spheremouse.adjustment.device import DistanceError
+from spheremouse.adjustment.device_photos import calibrate_device
+from spheremouse.calibrate.device_file import load_device
+from spheremouse.camera import InteriorOrientation, pose_from_matrix
+from spheremouse.errors import CalibrationError
+from spheremouse.rotation import log
+from spheremouse.simulate.observations import calibrated, normalised_errors, simulated_calibration
+
+RUNS = 24
+
+
+@pytest.fixture(scope="module")
+def stills():
+    """Photos, device, camera and truth of the shared stills."""
+    folder = datasets_dir() / "stills"
+    truth = json.loads((folder / "truth.json").read_text())
+    c = truth["camera"]
+    camera = InteriorOrientation(
+        truth["width"], truth["height"], c["fx"], c["fy"], c["cx"], c["cy"], np.array(c["dist"])
+    )
+    images = [cv2.imread(str(p)) for p in sorted((folder / "device").glob("*.jpg"))]
+    return images, load_device(folder / "device.yaml"), camera, truth
+
+
+@pytest.fixture(scope="module")
+def found(stills):
+    images, device, camera, _ = stills
+    return calibrate(images, device, camera)
+
+
+def calibrate(images, device, camera):
+    return calibrate_device([lambda im=im: im for im in images], device, camera)
+
+
+def test_targets_ball_and_discs_are_where_they_are(stills, found):
+    truth = stills[3]
+    targets = np.array([t["position"] for t in truth["targets"]])
+    discs = np.array(truth["discs_obj"])
+    nearest = discs[np.argmin(np.linalg.norm(found.discs[:, None] - discs[None], axis=2), axis=1)]
+    true_centre = -targets[1]  # from the first target of the axes
+    sigma = np.sqrt(np.diag(found.covariance))
+    assert found.photos == (0, 1, 2, 3, 4, 5)
+    assert np.max(np.linalg.norm(found.targets - targets, axis=1)) < 1e-3
+    assert np.linalg.norm(found.centre - true_centre) < 3e-3
+    assert found.radius == pytest.approx(0.6, abs=3e-3)
+    assert np.sqrt(np.mean(np.sum((found.discs - nearest) ** 2, axis=1))) < 1.5e-3
+    assert len(found.discs) >= 15
+    for off, name in (
+        ((found.targets - targets).ravel(), "targets"),
+        (np.array([found.radius - 0.6]), "radius"),
+        ((found.discs - nearest).ravel(), "discs"),
+    ):
+        assert np.all(np.abs(off) < 3.5 * sigma[found.block(name)])
+    assert np.all(np.abs(found.centre - true_centre) < 3.5 * np.sqrt(np.diag(found.ball_covariance))[:3])
+
+
+def test_cameras_are_where_they_were(stills, found):
+    for pose, T in zip(found.poses, stills[3]["device_poses"].values(), strict=True):
+        true = pose_from_matrix(np.array(T))
+        off = np.concatenate([pose.position - true.position, log(pose.rotation @ true.rotation.T)])
+        assert np.all(np.abs(off) < 3.5 * np.sqrt(np.diag(pose.covariance)))
+        assert np.linalg.norm(off[:3]) < 5e-3
+
+
+def test_radius_and_depth_of_the_ball_are_correlated_as_all_photos_from_the_front_make_them(found):
+    d = np.sqrt(np.diag(found.ball_covariance))
+    assert found.ball_covariance[2, 3] / (d[2] * d[3]) < -0.9  # Wittich 2017, table 11: -0.998
+
+
+def test_rig_and_map_hold_what_was_found(found):
+    rig, disc_map = found.rig(), found.disc_map()
+    n = 3 * len(found.targets)
+    np.testing.assert_array_equal(rig.targets.covariance, found.covariance[:n, :n])
+    np.testing.assert_array_equal(rig.cross_covariance[:, 3], found.covariance[:n, n])
+    assert rig.ball.covariance[3, 3] == found.covariance[n, n]
+    assert np.count_nonzero(rig.ball.covariance) == 1  # the centre's lives in the targets: once, not twice
+    np.testing.assert_allclose(np.linalg.norm(disc_map.directions, axis=1), 1.0)
+    assert np.linalg.eigvalsh(disc_map.covariance).min() > 0.0
+    np.testing.assert_array_equal(disc_map.sightings, found.sightings)
+
+
+def test_without_distances_lengths_are_radii_of_the_ball(stills, found):
+    images, device, camera, truth = stills
+    free = calibrate(images, replace(device, distances=()), camera)
+    assert free.scale_free
+    assert free.radius == 1.0
+    assert free.rig().scale_free
+    targets = np.array([t["position"] for t in truth["targets"]]) / 0.6
+    sigma = np.sqrt(np.diag(free.covariance))
+    assert np.all(np.abs(free.targets - targets).ravel() < 3.5 * sigma[free.block("targets")])
+    assert free.covariance[free.block("radius"), free.block("radius")].item() == pytest.approx(0.0, abs=1e-15)
+    assert free.rig().disc_radius == pytest.approx(0.02 / 0.6, rel=0.01)  # by the rings' size
+    # no tape, no error of the tape
+    assert np.sqrt(sigma[:12] @ sigma[:12]) * 0.6 < np.sqrt(np.trace(found.covariance[:12, :12]))
+
+
+def test_three_targets_are_enough(stills):
+    images, device, camera, _ = stills
+    three = replace(device, ids=(1, 2, 3), codes=device.codes[:3], distances=(device.distances[0], device.distances[2]))
+    result = calibrate(images, three, camera)
+    assert abs(result.radius - 0.6) < 3.5 * np.sqrt(result.covariance[result.block("radius")].ravel()[9])
+
+
+@pytest.mark.parametrize(("metres", "words"), [(0.756, "0.7496"), (0.95, "ids are right")])
+def test_wrong_distance_is_named(stills, metres, words):
+    images, device, camera, _ = stills
+    wrong = (replace(device.distances[0], metres=metres), *device.distances[1:])
+    with pytest.raises(DistanceError, match="from target 1 to 2") as e:
+        calibrate(images, replace(device, distances=wrong), camera)
+    assert e.value.index == 0
+    assert words in str(e.value)
+
+
+def test_photo_of_another_device_is_left_out_and_named(stills):
+    images, device, camera, _ = stills
+    stretched = np.ascontiguousarray(cv2.resize(images[2], None, fx=1.12, fy=1.0)[:, 100:2020])
+    result = calibrate([*images[:2], stretched, *images[3:]], device, camera)
+    assert [k for k, _ in result.skipped] == [2]
+    assert "another device" in result.skipped[0][1]
+    assert result.radius == pytest.approx(0.6, abs=3e-3)
+
+
+def test_mirrored_and_dark_photos_are_left_out_and_named(stills):
+    images, device, camera, _ = stills
+    mirrored, dark = np.ascontiguousarray(images[2][:, ::-1]), np.zeros_like(images[0])
+    result = calibrate([*images[:2], mirrored, images[3], images[4], dark], device, camera)
+    assert dict(result.skipped)[2].startswith("its targets are seen from behind")
+    assert dict(result.skipped)[5].startswith("0 of 4 targets")
+
+
+@pytest.mark.parametrize(("factor", "words"), [(2.0, "half as large"), (0.5, "twice as large")])
+def test_diameter_for_radius_is_found_out(stills, factor, words):
+    images, device, camera, _ = stills
+    with pytest.raises(CalibrationError, match=words):
+        calibrate(images, replace(device, disc_radius=factor * device.disc_radius), camera)
+
+
+@pytest.mark.parametrize(
+    ("which", "words"),
+    [((), "no photo"), ((0,), "1 photo shows"), ((0, 0), "at least 5 discs"), ((1, 2), "photos that overlap")],
+)
+def test_too_few_photos_are_refused(stills, which, words):
+    images, device, camera, _ = stills
+    with pytest.raises(CalibrationError, match=words):
+        calibrate([images[k] for k in which], device, camera)
+
+
+@pytest.mark.parametrize("scale_free", [False, True])
+def test_covariances_are_true_over_many_calibrations(scale_free):
+    """The 95 % band for 200 is in docs/calibration; this many find a factor of 1.3."""
+    errors = {"ball": [], "targets": [], "poses": []}
+    for seed in range(RUNS):
+        simulated = simulated_calibration(np.random.default_rng([seed, scale_free]), scale_free)
+        for name, value in normalised_errors(simulated, calibrated(simulated)).items():
+            errors[name].append(value)
+    for name, freedom in (("ball", 3 if scale_free else 4), ("targets", 9), ("poses", 6)):
+        low, high = chi2.ppf([0.001, 0.999], freedom * RUNS) / (freedom * RUNS)
+        # poses of one calibration share most of their errors: as many degrees of freedom as one of them has
+        assert low < np.mean(errors[name]) < high, name

@@ -1,0 +1,400 @@
+"""Simulated calibration photos: what detectors find in them is where the truth says, and the folder is usable.
+
+The board is checked against rays cast one by one through OpenCV's lens, corners against OpenCV's finder; targets and
+discs against the detectors of this project, which other tests check against pictures that are not from here.
+"""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from conftest import datasets_dir
+from numpy.testing import assert_allclose
+
+from spheremouse.calibrate import practice as shell
+from spheremouse.calibrate.device_file import load_device
+from spheremouse.calibrate.practice import axes_of, device_of, device_yaml, practice, sides
+from spheremouse.camera import InteriorOrientation, project
+from spheremouse.detect.discs import DiscSettings, disc_detector
+from spheremouse.detect.rings import RingSettings, detect_targets
+from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError
+from spheremouse.recording import open_dataset
+from spheremouse.resect import predict_targets
+from spheremouse.rotation import exp
+from spheremouse.simulate.board import Board, board_coverage
+from spheremouse.simulate.stations import board_stations, device_stations, looking, seen_targets
+from spheremouse.simulate.stills import Photo, StillsOptions, photos, prepare_stills, truth_of
+
+LENS = np.array([-0.49, 0.3, -0.0001, -0.0001, -0.11])
+CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 535.0, LENS)
+SMALL = (1280, 720)
+
+
+@pytest.fixture(scope="module")
+def evening():
+    return prepare_stills(StillsOptions(photos=2, boards=1, size=SMALL, seed=2))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The same evening as the command leaves it."""
+    path = tmp_path_factory.mktemp("practice") / "set"
+    practice(path, n_photos=2, boards=1, size="1280x720", seed=2)
+    return path
+
+
+@pytest.fixture(scope="module")
+def taken(evening, folder):
+    """Its photos with their poses."""
+    poses = {f"device/device_{k}": pose for k, pose in enumerate(evening.device_poses)}
+    poses |= {f"board/chess_{k:02d}": pose for k, pose in enumerate(evening.board_poses)}
+    return [Photo(name, cv2.imread(str(folder / f"{name}.jpg")), pose) for name, pose in poses.items()]
+
+
+def of_kind(taken, kind):
+    return [photo for photo in taken if photo.name.startswith(kind)]
+
+
+def rms(a):
+    return float(np.sqrt(np.mean(np.square(a))))
+
+
+# ---- the board ----
+
+
+def pattern(board, camera, pose, uv):
+    """Card and black, (n,) booleans, where single rays end: a lens with radial terms only is undone by a table."""
+    k1, k2, p1, p2, k3 = camera.distortion
+    assert p1 == p2 == 0.0
+    r = np.linspace(0.0, np.sqrt(camera.fold_r2), 100_000)
+    bent = (uv - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    length = np.linalg.norm(bent, axis=1)
+    table = r * (1.0 + k1 * r**2 + k2 * r**4 + k3 * r**6)
+    xy = bent * (np.interp(length, table, r, right=np.nan) / np.maximum(length, 1e-12))[:, None]
+    ray = np.column_stack([xy, np.ones(len(xy))]) @ pose.rotation.T
+    middle = board.corners().mean(axis=0)
+    place = (pose.position + ((middle - pose.position)[2] / ray[:, 2])[:, None] * ray - middle)[:, :2]
+    card = np.all(np.abs(place) <= 0.5 * board.size + board.border, axis=1)
+    column, row = np.floor(place / board.square + 0.5 * board.size / board.square).T
+    squares = (column >= 0) & (column <= board.columns) & (row >= 0) & (row <= board.rows)
+    return card, squares & ((column + row) % 2 == 0)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_the_board_covers_pixels_as_rays_cast_one_by_one_say(turn):
+    camera = InteriorOrientation(160, 120, 130.0, 130.0, 81.0, 58.0, np.array([-0.4, 0.2, 0.0, 0.0, -0.05]))
+    board = Board()
+    middle = board.corners().mean(axis=0)
+    pose = looking(middle + np.array([0.6, -0.3, 1.3]), middle, turn)
+    v, u = np.mgrid[0:120, 0:160]
+    uv = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)
+    fine = 12
+    offset = (np.arange(fine) + 0.5) / fine - 0.5
+    card, black = np.zeros(len(uv)), np.zeros(len(uv))
+    for du in offset:
+        for dv in offset:
+            on_card, on_black = pattern(board, camera, pose, uv + np.array([du, dv]))
+            card += on_card / fine**2
+            black += on_black / fine**2
+    seen = board_coverage(board, camera, pose, uv)
+    off = seen.card - card, seen.card * seen.dark - black
+    assert np.count_nonzero((black > 0.02) & (black < 0.98)) > 1000
+    assert max(np.max(np.abs(d)) for d in off) < 0.05  # rays in rows of 12 along an edge know no better
+    assert max(rms(d) for d in off) < 0.005
+    assert max(abs(np.mean(d)) for d in off) < 2e-4
+
+
+def test_opencv_finds_the_corners_where_they_are():
+    stills, off = prepare_stills(StillsOptions(photos=0, boards=2)), []
+    for photo in photos(stills):
+        grey = cv2.cvtColor(photo.image, cv2.COLOR_BGR2GRAY)
+        found, corners = cv2.findChessboardCornersSB(grey, (11, 8))
+        assert found, photo.name
+        true = project(photo.pose.to_cam(stills.board.corners()), stills.scene.camera)[0]
+        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
+        corners = cv2.cornerSubPix(grey, corners, (7, 7), (-1, -1), stop).reshape(-1, 2)
+        off.append(min(corners - true, corners[::-1] - true, key=rms))
+    assert rms(off) < 0.05
+    assert np.max(np.abs(np.mean(off, axis=(0, 1)))) < 0.01  # they are not all shifted
+
+
+def test_the_boards_fill_the_picture_aslant_and_turned():
+    board = Board()
+    poses = board_stations(board, CAMERA, 15, np.random.default_rng(0))
+    tilts, turns, reached = [], [], np.zeros((9, 16), dtype=bool)
+    for pose in poses:
+        uv, _ = project(pose.to_cam(board.corners()), CAMERA)
+        assert np.all((uv > 0.0) & (uv < (1919.0, 1079.0)))
+        tilts.append(np.degrees(np.arccos(-pose.rotation[2, 2])))
+        x = project(pose.to_cam(board.corners()[[0, 10]]), CAMERA)[0]
+        turns.append(np.degrees(np.arctan2(*(x[1] - x[0])[::-1])))
+        column, row = (uv / (120.0, 120.0)).astype(int).T
+        reached[row, column] = True
+    # the corners of the picture lie beyond what this lens maps; all else has been reached
+    v, u = np.mgrid[0:9, 0:16] * 120.0 + 60.0
+    inner = np.hypot(u - CAMERA.cx, v - CAMERA.cy) < 850.0
+    assert np.mean(reached[inner]) > 0.97
+    assert np.mean(reached) > 0.85
+    assert np.ptp(turns) > 180.0
+
+
+def test_the_boards_are_tilted_in_several_directions():
+    poses = board_stations(Board(), CAMERA, 15, np.random.default_rng(1))
+    middle = Board().corners().mean(axis=0)
+    away = np.array([pose.position - middle for pose in poses])
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    tilt = np.degrees(np.arccos(away[:, 2]))
+    assert np.max(tilt) < 55.0
+    assert np.sum(tilt > 30.0) >= 5
+    quarter = np.floor(np.degrees(np.arctan2(away[:, 1], away[:, 0])) / 90.0)[tilt > 10.0]
+    assert {*quarter} == {-2.0, -1.0, 0.0, 1.0}
+
+
+# ---- the device ----
+
+
+def test_targets_are_found_where_they_are(evening, taken):
+    rig, off = evening.scene.rig(), []
+    for photo in of_kind(taken, "device/"):
+        found = detect_targets(photo.image, rig.targets.radii, RingSettings())
+        true = predict_targets(photo.pose, rig)
+        seen = seen_targets(replace(evening.scene, pose=photo.pose), photo.pose)
+        assert set(found.codes) >= {rig.targets.codes[k] for k in np.flatnonzero(seen)}
+        assert np.sum(seen) >= 3
+        off += [c - true[rig.targets.codes.index(code)] for code, c in zip(found.codes, found.centre, strict=True)]
+    assert rms(off) < 0.05
+
+
+def test_discs_are_found_where_they_are(evening, taken):
+    scene, off, scaled = evening.scene, [], []
+    for photo in of_kind(taken, "device/"):
+        found = disc_detector(DiscSettings(), scene.rig(), photo.pose).detect(photo.image)
+        points = scene.ball_radius * scene.disc_directions
+        front = np.sum((photo.pose.position - points) * points, axis=1) > 0.0
+        true = project(photo.pose.to_cam(points[front]), scene.camera)[0]
+        apart = found.centre[:, None] - true[None]
+        nearest = np.argmin(np.linalg.norm(apart, axis=2), axis=1)
+        off_here = apart[np.arange(len(found)), nearest]
+        sigma = np.sqrt(found.covariance[:, [0, 1], [0, 1]])
+        mine = np.linalg.norm(off_here, axis=1) < 2.0
+        assert np.sum(mine) >= 8  # of which that number lies free
+        sure = mine & (found.area >= 60.0) & (sigma.max(axis=1) < 0.1)  # neither at the limb nor at a strut
+        off.append(off_here[sure])
+        scaled.append((off_here / sigma)[mine])
+    assert len(np.concatenate(off)) >= 16
+    assert rms(np.concatenate(off)) < 0.05
+    assert np.max(np.abs(np.concatenate(scaled))) < 4.5
+
+
+def test_noise_is_as_ordered_and_what_the_lens_does_not_reach_is_black():
+    quiet = prepare_stills(StillsOptions(photos=0, boards=1, size=(320, 240), focal=300.0))
+    quiet = replace(quiet, scene=replace(quiet.scene, camera=replace(quiet.scene.camera, fx=200.0, fy=200.0)))
+    clean = next(photos(replace(quiet, noise=0.0))).image.astype(float)
+    noisy = next(photos(replace(quiet, noise=6.0))).image.astype(float)
+    plain = (clean > 40) & (clean < 215)
+    assert rms((noisy - clean)[plain]) == pytest.approx(6.0, rel=0.02)
+    assert abs(np.mean((noisy - clean)[plain])) < 0.05
+    assert clean[0, 0].max() == 0.0
+
+
+@pytest.mark.parametrize("n", [1, 6, 16])
+def test_the_device_is_seen_whole_and_from_all_sides(n):
+    scene = prepare_stills(StillsOptions(photos=0, boards=0)).scene
+    poses = device_stations(scene, n, np.random.default_rng(0))
+    assert len(poses) == n
+    away = np.array([pose.position for pose in poses])
+    assert np.all((np.linalg.norm(away, axis=1) > 1.8) & (np.linalg.norm(away, axis=1) < 3.3))
+    for pose in poses:
+        assert np.sum(seen_targets(scene, pose)) >= 3
+        limb = scene.ball_radius * np.array([np.cross(pose.rotation[:, 2], axis) for axis in np.eye(3)])
+        uv, _ = project(pose.to_cam(np.concatenate([limb, -limb])), scene.camera)
+        assert np.all((uv > 0.0) & (uv < (1919.0, 1079.0)))
+    if n >= 6:
+        azimuth = np.degrees(np.arctan2(away[:, 0], away[:, 2]))
+        elevation = np.degrees(np.arcsin((away[:, 1] + 0.17) / np.linalg.norm(away, axis=1)))
+        assert azimuth.min() < -35.0
+        assert azimuth.max() > 35.0
+        assert np.ptp(elevation) > 35.0
+        up = np.array([pose.rotation[1] for pose in poses])  # Y of obj in cam
+        assert np.any(np.abs(up[:, 0]) > 0.7)  # one at least is turned
+        away /= np.linalg.norm(away, axis=1, keepdims=True)
+        angle = np.degrees(np.arccos(np.clip(away @ away.T, -1.0, 1.0))) + 180.0 * np.eye(n)
+        assert angle.min() > 6.0  # no two from the same place
+
+
+def test_a_camera_looks_at_what_it_is_told_to_and_turns():
+    at = np.array([0.1, -0.2, 0.3])
+    for turn in (0.0, 0.5, -2.0):
+        pose = looking(np.array([1.0, 0.8, 2.5]), at, turn)
+        assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(pose.rotation) > 0.0
+        assert_allclose(pose.to_cam(at)[:2], 0.0, atol=1e-12)
+        up = pose.to_cam(at + np.array([0.0, 1e-3, 0.0]))
+        # the camera turns clockwise, so that what is above leans to the left
+        assert_allclose(np.arctan2(-up[0], -up[1]), turn, atol=1e-3)
+
+
+# ---- the folder ----
+
+KEYS = {
+    *("made_by", "width", "height", "camera", "board", "ball", "disc_radius", "target_radii", "targets"),
+    *("discs_obj", "device_poses"),
+}
+
+
+def little(path, **options):
+    practice(path, **{"n_photos": 0, "boards": 1, "size": "320x240", "focal": 300.0, **options})
+
+
+def test_the_folder_has_what_a_calibration_needs(folder, evening):
+    assert sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()) == [
+        "board/chess_00.jpg",
+        "device.yaml",
+        *(f"device/device_{k}.jpg" for k in range(2)),
+        "truth.json",
+    ]
+    truth = json.loads((folder / "truth.json").read_text())
+    assert truth == truth_of(evening)
+    assert truth["device_poses"].keys() == {"device_0", "device_1"}
+    assert np.shape(truth["discs_obj"]) == (50, 3)
+    assert_allclose(np.linalg.norm(truth["discs_obj"], axis=1), truth["ball"]["radius"])
+    device = load_device(folder / "device.yaml")
+    assert device.codes == tuple(t["code"] for t in truth["targets"])
+    assert len(device.distances) == 4
+    assert list(folder.parent.iterdir()) == [folder]  # nothing half-made is left behind
+
+
+def test_it_says_what_it_wrote_and_what_is_next(tmp_path, capsys):
+    practice(tmp_path / "set", n_photos=0, boards=1, size="320x240", focal=300.0)
+    said = capsys.readouterr().out
+    assert said.startswith(f"{tmp_path / 'set'}: 0 photos of a practice device, 1 of the board")
+    assert "next: spheremouse calibrate camera" in said
+
+
+def test_keys_are_those_of_the_reference_set():
+    assert json.loads((datasets_dir() / "stills" / "truth.json").read_text()).keys() == KEYS
+    assert truth_of(prepare_stills(StillsOptions(photos=1, boards=0))).keys() == KEYS
+
+
+def test_the_same_seed_gives_the_same_evening_and_another_another():
+    a, b, c = (prepare_stills(StillsOptions(boards=3, photos=2, seed=seed)) for seed in (4, 4, 5))
+    assert truth_of(a) == truth_of(b) != truth_of(c)
+    assert device_yaml(a) == device_yaml(b) != device_yaml(c)
+    assert all(np.array_equal(p.matrix(), q.matrix()) for p, q in zip(a.board_poses, b.board_poses, strict=True))
+
+
+def test_the_tape_errs_by_its_sigma(tmp_path):
+    stills = prepare_stills(StillsOptions(photos=1, boards=0))
+    position = dict(zip(stills.scene.targets.ids, stills.scene.targets.position, strict=True))
+    off = []
+    for seed in range(100):
+        (tmp_path / "device.yaml").write_text(device_yaml(replace(stills, seed=seed)))
+        for d in load_device(tmp_path / "device.yaml").distances:
+            off.append((d.metres - np.linalg.norm(position[d.start] - position[d.end])) / d.sigma)
+    n = len(off)
+    assert n == 400
+    assert abs(np.mean(off)) < 4.0 / np.sqrt(n)
+    assert abs(np.std(off) - 1.0) < 4.0 / np.sqrt(2.0 * n)
+
+
+def test_axes_and_sides_suit_the_targets():
+    position = prepare_stills(StillsOptions(photos=0, boards=0)).scene.targets.position
+    assert axes_of(position) in ((1, 0, 2), (1, 0, 3), (2, 3, 0), (2, 3, 1))  # upwards along a strut
+    assert sides(position) == [(0, 1), (0, 3), (1, 2), (2, 3)]
+    origin, up, plane = axes_of(position[:3])
+    assert (origin, up) == (1, 0)
+    assert plane == 2
+
+
+def test_like_takes_ball_discs_and_targets_from_a_dataset(far26, monkeypatch):
+    recording = open_dataset(far26)
+    turned = exp(np.array([0.4, -0.3, 0.8]))
+    attitude = recording.truth.attitude.copy()
+    attitude[0] = turned
+    recording = replace(recording, truth=replace(recording.truth, attitude=attitude))
+    monkeypatch.setattr(shell, "open_dataset", lambda path: recording)
+    stills = prepare_stills(StillsOptions(photos=2, boards=0), device_of(far26))
+    truth = truth_of(stills)
+    scene = json.loads((far26 / "scene.json").read_text())
+    assert truth["ball"]["radius"] == scene["ball"]["radius"]
+    assert [truth[k] for k in ("disc_radius", "target_radii", "targets")] == [
+        scene[k] for k in ("disc_radius", "target_radii", "targets")
+    ]
+    # R_obj_ball turns a direction in `ball` to `obj`
+    expected = [scene["ball"]["radius"] * turned @ np.array(d) for d in scene["truth_disc_directions"]]
+    assert_allclose(truth["discs_obj"], expected, atol=1e-12)
+
+
+# ---- refusals ----
+
+
+def test_nothing_that_is_there_is_lost(tmp_path):
+    there = tmp_path / "set"
+    there.mkdir()
+    (there / "letter.txt").write_text("dear")
+    for force in (False, True):
+        with pytest.raises(CalibrationError, match=r"set: (is not empty; name another|holds letter.txt, which is no)"):
+            little(there, force=force)
+    assert [p.name for p in there.iterdir()] == ["letter.txt"]
+    real = tmp_path / "real"
+    (real / "board").mkdir(parents=True)
+    with pytest.raises(CalibrationError, match=r"holds no truth\.json, so these are real photos"):
+        little(real, force=True)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CalibrationError, match="is a file; name a folder"):
+        little(tmp_path / "file")
+
+
+def test_force_replaces_a_set_and_only_when_the_new_one_is_whole(tmp_path, monkeypatch):
+    def broken(stills):
+        raise CalibrationError("out of film")
+        yield
+
+    little(tmp_path / "set")
+    before = (tmp_path / "set" / "device.yaml").read_text()
+    monkeypatch.setattr(shell, "photos", broken)
+    with pytest.raises(CalibrationError, match="out of film"):
+        little(tmp_path / "set", force=True)
+    assert (tmp_path / "set" / "device.yaml").read_text() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["set"]
+    monkeypatch.setattr(shell, "photos", lambda stills: iter(()))
+    little(tmp_path / "set", seed=3, force=True)
+    assert (tmp_path / "set" / "device.yaml").read_text() != before
+    assert [p.name for p in tmp_path.iterdir()] == ["set"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"size": "big"}, "--size big: write WIDTHxHEIGHT"),
+        ({"dist": "1,2"}, "--dist 1,2: write five numbers"),
+        ({"dist": "nan,0,0,0,0"}, "--dist .*: write five numbers"),
+        ({"focal": -3.0}, "--focal -3: must be from 10"),
+        ({"focal": 9000.0, "n_photos": 1}, "--focal 9000: no place in the room shows"),
+        ({"focal": 9000.0}, "--focal 9000: the board does not fit"),
+        ({"n_photos": 0, "boards": 0}, "nothing to photograph"),
+        ({"discs": 5000}, "--discs: 5000 discs do not fit"),
+        ({"like": "elsewhere", "discs": 5}, "--discs 5: the discs are those of --like"),
+    ],
+)
+def test_options_that_make_no_picture_are_refused_in_one_line(tmp_path, options, message):
+    with pytest.raises(SpheremouseError, match=message) as e:
+        little(tmp_path / "set", **options)
+    assert isinstance(e.value, CalibrationError | ConfigurationError)
+    assert "\n" not in str(e.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_like_needs_targets_and_discs(far26, monkeypatch):
+    recording = open_dataset(far26)
+    rig = recording.rig
+    few = replace(rig.targets, ids=rig.targets.ids[:2])
+    for changed, message in (
+        (replace(recording, truth_directions=None), "nothing of the discs' places"),
+        (replace(recording, rig=replace(rig, targets=few)), "2 ring targets"),
+    ):
+        monkeypatch.setattr(shell, "open_dataset", lambda path, changed=changed: changed)
+        with pytest.raises(CalibrationError, match=message):
+            device_of(far26)
