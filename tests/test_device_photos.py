@@ -9,12 +9,14 @@ import pytest
 from conftest import datasets_dir
 from scipy.stats import chi2
 
+from spheremouse.adjustment.correspond import ball_rig
 from spheremouse.adjustment.device import DistanceError
 from spheremouse.adjustment.device_photos import calibrate_device
 from spheremouse.calibrate.device_file import load_device
 from spheremouse.camera import InteriorOrientation, pose_from_matrix
+from spheremouse.detect.cap import appearance
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import log
+from spheremouse.rotation import exp, log
 from spheremouse.simulate.observations import calibrated, normalised_errors, simulated_calibration
 
 RUNS = 24
@@ -168,3 +170,35 @@ def test_covariances_are_true_over_many_calibrations(scale_free):
         low, high = chi2.ppf([0.001, 0.999], freedom * RUNS) / (freedom * RUNS)
         # poses of one calibration share most of their errors: as many degrees of freedom as one of them has
         assert low < np.mean(errors[name]) < high, name
+
+
+def repainted(image, pose, camera, discs, turn):
+    """A photo with its discs painted over, and others painted as if the ball had turned."""
+    rig = ball_rig(camera, np.zeros(3), 0.6, 0.02)
+    size = image.shape[:2]
+
+    def rims(directions):
+        seen = appearance(directions, rig, pose)
+        rim = np.stack([np.cos(a := np.linspace(0, 2 * np.pi, 40)), np.sin(a)])
+        for k in np.flatnonzero(seen.whole):
+            yield (seen.centroid[k] + (np.linalg.cholesky(seen.shape[k]) @ rim).T, seen.centroid[k])
+
+    mask = np.zeros(size, np.uint8)
+    for rim, middle in rims(discs):
+        cv2.fillPoly(mask, [np.rint(middle + 1.4 * (rim - middle)).astype(np.int32)], 255)
+    plain = cv2.inpaint(image, mask, 3, cv2.INPAINT_TELEA)
+    for rim, _ in rims(discs @ turn.T):
+        cv2.fillPoly(plain, [np.rint(rim * 16).astype(np.int32)], (25, 25, 25), lineType=cv2.LINE_AA, shift=4)
+    return plain
+
+
+def test_ball_that_turned_between_photos_is_told(stills):
+    """One photo of six: its targets count, its discs do not, and the others do not suffer."""
+    images, device, camera, truth = stills
+    pose = pose_from_matrix(np.array(truth["device_poses"]["device_0"]))
+    other = repainted(images[0], pose, camera, np.array(truth["discs_obj"]) / 0.6, exp(np.array([0.2, 0.3, 0.1])))
+    result = calibrate([other, *images[1:]], device, camera)
+    assert [k for k, _ in result.doubtful] == [0]
+    assert "did the ball turn" in result.doubtful[0][1]
+    assert result.photos == (0, 1, 2, 3, 4, 5)
+    assert result.radius == pytest.approx(0.6, abs=3e-3)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.adjustment.device import Axes, Device, Distance
-from spheremouse.adjustment.device_photos import DeviceCalibration, DiscViews, adjust_device
+from spheremouse.adjustment.device_adjustment import DeviceCalibration, DiscViews, adjust_device
 from spheremouse.adjustment.start import TargetViews
 from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.rotation import Array, exp, log

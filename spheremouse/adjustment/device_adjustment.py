@@ -1,0 +1,366 @@
+"""Image points of a device -> where its targets, its ball and the ball's discs are, with all covariances.
+
+Wittich 2017, sections 2.4.4, 3.7 and 4.3: a bundle adjustment, a sphere through its discs, and everything moved to the
+sphere's centre (eq. 91, 92).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.stats import chi2
+
+from spheremouse.adjustment.bundle import (
+    INTERIOR,
+    Block,
+    ImagePoints,
+    Problem,
+    Solution,
+    columns_of,
+    distances,
+    predicted,
+    solve_block,
+)
+from spheremouse.adjustment.device import Device, DistanceError
+from spheremouse.adjustment.solve import redundancy, snooped, variance_factors
+from spheremouse.adjustment.sphere import Sphere, fit_sphere, off_sphere
+from spheremouse.adjustment.start import TargetViews
+from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.disc_map import DiscMap
+from spheremouse.errors import CalibrationError
+from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.rotation import Array, exp, tangent_basis
+
+DOUBTFUL_RMS = 0.5  # px RMS that sharp photos with a camera file of their own stay far below
+_FALSE = float(chi2.ppf(1.0 - 1e-4, 2))  # an image point further off than chance puts one of ten thousand
+_HUBER = 2.0  # standard deviations from which on residuals count less, before false ones are known
+_CONTRADICTS = 3.5  # standard deviations by which a distance must not miss what the photos say
+
+
+@dataclass(frozen=True, slots=True)
+class DiscViews:
+    """Image points of the ball."""
+
+    photo: NDArray[np.intp]  # (n,) counts those of TargetViews
+    disc: NDArray[np.intp]  # (n,) from 0
+    centre: Array  # (n, 2) px
+    covariance: Array  # (n, 2, 2) px²
+    position: Array  # (m, 3) m of the discs in the frame of the targets, roughly
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One image point, and what became of it."""
+
+    photo: NDArray[np.intp]  # (n,) in the order of the photos given
+    point: NDArray[np.intp]  # (n,) targets first, then discs; -1 for a false one
+    centre: Array  # (n, 2) px
+    residual: Array  # (n, 2) px, predicted minus measured
+    used: NDArray[np.bool_]  # (n,) False for a false one
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceCalibration:
+    """Everything in `obj`, whose origin is the ball's centre; where the scale is free, in radii of the ball.
+
+    `covariance` is joint, of [targets (3n), radius, poses (6 each: position, rotation), discs (3 each)].
+    """
+
+    device: Device
+    camera: InteriorOrientation  # adjusted, with covariance
+    photos: tuple[int, ...]  # those used, in the order of the photos given
+    poses: tuple[Pose, ...]
+    targets: Array  # (n, 3)
+    radius: float
+    discs: Array  # (m, 3), on the ball
+    sightings: NDArray[np.intp]  # (m,) photos that show each
+    covariance: Array
+    centre: Array  # (3,) of the ball in the frame of the bundle, whose origin is the first target of the axes
+    ball_covariance: Array  # (4, 4) of that centre and the radius
+    out_of_round: float  # standard deviation that the discs ask for; 0: round
+    measured: Measured
+    rms_px: float  # of all image points used, per axis
+    variance_factors: tuple[float, float]  # of targets and discs: found over assumed
+    distance_residuals: Array  # (k,) m, adjusted minus measured
+    ring_scale: float  # size of the rings in the photos over `target_radii`; 1 but for a percent
+    scale_free: bool
+    unit: float  # m (by the rings' size) that 1 stands for; 1 where the scale is metric
+    skipped: tuple[tuple[int, str], ...]  # photos left out, and why
+    doubtful: tuple[tuple[int, str], ...]  # photos of which only the targets could be used, and why
+    problem: Problem  # for what-if questions: the observations as they were weighted
+    solution: Solution  # the bundle, before the sphere, in its own frame and in m
+    sphere: Sphere  # in that frame
+
+    @property
+    def directions(self) -> Array:
+        """Unit vectors to the discs, (m, 3), in `ball`, which is `obj` as the ball lay in the photos."""
+        return self.discs / np.linalg.norm(self.discs, axis=1, keepdims=True)
+
+    def block(self, name: str) -> slice:
+        """Where `targets`, `radius`, `poses` or `discs` are in `covariance`."""
+        ends = np.cumsum([0, 3 * len(self.targets), 1, 6 * len(self.poses), 3 * len(self.discs)])
+        i = ("targets", "radius", "poses", "discs").index(name)
+        return slice(int(ends[i]), int(ends[i + 1]))
+
+    def rig(self) -> Rig:
+        """What a tracker needs."""
+        targets, radius = self.block("targets"), self.block("radius")
+        ball = np.zeros((4, 4))
+        ball[3, 3] = self.covariance[radius, radius].item()
+        cross = np.zeros((3 * len(self.targets), 4))
+        cross[:, 3] = self.covariance[targets, radius][:, 0]
+        d = self.device
+        return Rig(
+            self.camera,
+            Ball(self.radius, np.zeros(3), ball),
+            Targets(d.ids, d.codes, self.targets, self.covariance[targets, targets].copy(), d.target_radii / self.unit),
+            d.disc_radius / self.unit,
+            readout_sigma_s=UNKNOWN_READOUT,
+            disc_directions=self.directions,
+            cross_covariance=cross,
+            scale_free=self.scale_free,
+        )
+
+    def disc_map(self) -> DiscMap:
+        """The discs with the joint covariance of their directions, for the first run to begin with."""
+        m = len(self.discs)
+        across = tangent_basis(self.directions) / np.linalg.norm(self.discs, axis=1)[:, None, None]  # (m, 3, 2)
+        J = np.zeros((2 * m, 3 * m))
+        for i in range(m):
+            J[2 * i : 2 * i + 2, 3 * i : 3 * i + 3] = across[i].T
+        discs = self.block("discs")
+        return DiscMap(self.directions, J @ self.covariance[discs, discs] @ J.T, self.sightings)
+
+
+@dataclass(frozen=True, slots=True)
+class Bundled:
+    problem: Problem  # of the image points used
+    everything: ImagePoints
+    used: NDArray[np.bool_]
+    solution: Solution
+    sphere: Sphere
+    factors: tuple[float, float]
+
+
+def adjust_device(
+    views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation
+) -> DeviceCalibration:
+    """Calibrate a device from image points whose correspondence is known, from an approximate block.
+
+    Raises what `calibrate_device` raises.
+    """
+    return moved_to_ball(bundled(views, discs, block, device, camera), views, device)
+
+
+def bundled(views: TargetViews, discs: DiscViews, block: Block, device: Device, camera: InteriorOrientation) -> Bundled:
+    """Bundle and sphere: robust, then without what is false, then with the variances that the residuals show."""
+    n = len(device.ids)
+    image = ImagePoints(
+        np.concatenate([views.image.photo, discs.photo]),
+        np.concatenate([views.image.point, n + discs.disc]),
+        np.concatenate([views.image.centre, discs.centre]),
+        np.concatenate([views.image.covariance, discs.covariance]),
+    )
+    is_disc = image.point >= n
+    points = np.concatenate([block.points[:n], discs.position])
+    used = np.ones(len(image), dtype=bool)
+    factors, robust = np.ones(2), _HUBER
+    for _ in range(40):
+        used &= np.bincount(image.point, used, minlength=len(points))[image.point] >= 2
+        kept, index = np.unique(image.point[used], return_inverse=True)
+        _all_there(kept, device)
+        factor = np.where(is_disc[used], factors[1], factors[0])[:, None, None]
+        weighted = ImagePoints(image.photo[used], index, image.centre[used], factor * image.covariance[used])
+        problem = Problem(device, camera, weighted, not device.distances)
+        try:
+            solution = solve_block(problem, replace(block, points=points[kept]), robust)
+        except np.linalg.LinAlgError as e:
+            used &= ~(image.point == _loose(e, problem, kept))
+            continue
+        block, points[kept], robust = solution.block, solution.block.points, None
+        residual, cofactor = image_residuals(solution, len(weighted))
+        number = np.diagonal(cofactor, axis1=1, axis2=2)
+        groups = [~is_disc[used], is_disc[used]]
+        now = variance_factors(residual, number, groups, factors)
+        spread = now / factors
+        off = snooped(residual, cofactor) / np.where(is_disc[used], spread[1], spread[0])
+        worst = np.zeros(len(kept))
+        np.maximum.at(worst, index, off)
+        false = (off > _FALSE) & (off == worst[index])
+        if np.any(false):
+            used[np.flatnonzero(used)[false]] = False
+        elif np.any(np.abs(np.log(spread)) > 0.02):
+            factors = now
+        else:
+            sphere = _sphere(solution, n)
+            outside = _outside(solution, sphere, n)
+            if not np.any(outside):
+                return Bundled(problem, image, used, solution, sphere, (float(factors[0]), float(factors[1])))
+            used &= ~np.isin(image.point, kept[n:][outside])
+    raise CalibrationError(
+        "the photos do not agree among themselves: are they all of this camera, in the mode of the camera file, and "
+        "did the ball stay still between them?"
+    )
+
+
+def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> DeviceCalibration:
+    """Everything counted from the ball's centre (eq. 91, 92), with the joint covariance that it then has."""
+    solution, sphere, columns = result.solution, result.sphere, result.solution.columns
+    block, n = solution.block, len(device.ids)
+    k, m = len(block.poses), len(block.points) - n
+    unit = 1.0 if device.distances else sphere.radius
+    joint = np.block(
+        [
+            [sphere.observation_covariance, sphere.cross_covariance],
+            [sphere.cross_covariance.T, sphere.covariance],
+        ]
+    )
+    l = sphere.observations
+    centre_at = columns.all + np.arange(3)
+    rows: list[tuple[NDArray[np.intp], bool]] = [(columns.point(i), True) for i in range(n)]
+    rows.append((np.array([columns.all + 3]), False))
+    for i in range(k):
+        rows += [(columns.pose(i)[:3], True), (columns.pose(i)[3:], False)]
+    rows += [(columns.point(n + i), True) for i in range(m)]
+    J = np.zeros((3 * n + 1 + 6 * k + 3 * m, columns.all + 4))
+    at = 0
+    for which, length in rows:
+        J[at + np.arange(len(which)), which] = 1.0
+        if length:
+            J[at + np.arange(3), centre_at] = -1.0
+        at += len(which)
+    turns = 3 * n + 1 + (np.arange(k)[:, None] * 6 + np.arange(3, 6)).ravel()
+    lengths = np.setdiff1d(np.arange(len(J)), turns)
+    if not device.distances:  # in radii: y = x / R
+        values = np.concatenate([l, sphere.centre, [sphere.radius]])
+        y = J[lengths] @ values
+        J[lengths] /= unit
+        J[lengths, columns.all + 3] -= y / unit**2
+    covariance = J @ joint @ J.T
+    covariance = 0.5 * (covariance + covariance.T)
+    K = sphere.centre
+    poses = []
+    for i, pose in enumerate(block.poses):
+        here = slice(3 * n + 1 + 6 * i, 3 * n + 7 + 6 * i)
+        step = l[columns.pose(i)]
+        poses.append(Pose(exp(step[3:]) @ pose.rotation, (step[:3] - K) / unit, covariance[here, here].copy()))
+    points = l[columns.point(np.arange(n + m))]
+    interior = solution.covariance[:INTERIOR, :INTERIOR]
+    index = np.full(len(result.everything), -1)
+    index[result.used] = np.unique(result.everything.point[result.used], return_inverse=True)[1]
+    uv = predicted(block, result.problem.image, result.problem)[0]
+    residual = np.full((len(result.everything), 2), np.nan)
+    residual[result.used] = uv - result.problem.image.centre
+    return DeviceCalibration(
+        device=device,
+        camera=replace(block.camera, covariance=interior),
+        photos=views.photos,
+        poses=tuple(poses),
+        targets=(points[:n] - K) / unit,
+        radius=sphere.radius / unit,
+        discs=(points[n:] - K) / unit,
+        sightings=np.bincount(result.problem.image.point, minlength=n + m)[n:],
+        covariance=covariance,
+        centre=K / unit,
+        ball_covariance=sphere.covariance / unit**2,
+        out_of_round=sphere.out_of_round / unit,
+        measured=Measured(result.everything.photo, index, result.everything.centre, residual, result.used),
+        rms_px=float(np.sqrt(np.mean(residual[result.used] ** 2))),
+        variance_factors=result.factors,
+        distance_residuals=distances(result.problem, points[:n])[0] - np.array([d.metres for d in device.distances]),
+        ring_scale=_ring_scale(views, block),
+        scale_free=not device.distances,
+        unit=unit,
+        skipped=views.skipped,
+        doubtful=(),
+        problem=result.problem,
+        solution=solution,
+        sphere=sphere,
+    )
+
+
+def check_distances(result: Bundled, device: Device) -> None:
+    """Refuse a distance that the photos and the others contradict; raises DistanceError."""
+    k, at = len(device.distances), 2 * len(result.problem.image)
+    residual = result.solution.adjusted.residual[at : at + k]
+    free = result.solution.columns.free
+    Q = result.solution.covariance[np.ix_(free, free)]
+    number = redundancy(sparse.csr_array(result.solution.adjusted.jacobian[at : at + k]), Q)[:, 0, 0]
+    checked = number > 1e-3
+    if not np.any(checked):
+        return
+    sigmas = np.where(checked, np.abs(residual) / np.sqrt(np.where(checked, number, 1.0)), 0.0)
+    worst = int(np.argmax(sigmas))
+    if sigmas[worst] <= _CONTRADICTS:
+        return
+    rms = image_rms(result.problem, result.solution)
+    if rms > DOUBTFUL_RMS:
+        raise CalibrationError(
+            f"photos and distances contradict each other, and the photos themselves are {rms:.1f} px off: is the "
+            "camera file of this camera, mode and focus?"
+        )
+    says = device.distances[worst].metres + residual[worst] / number[worst] * device.distances[worst].sigma
+    raise DistanceError(device, worst, says, float(sigmas[worst]))
+
+
+def image_residuals(solution: Solution, n: int) -> tuple[Array, Array]:
+    """Residuals of n image points over their standard deviations, (n, 2), and their cofactors, (n, 2, 2)."""
+    free = solution.columns.free
+    Q = solution.covariance[np.ix_(free, free)]
+    rows = sparse.csr_array(solution.adjusted.jacobian[: 2 * n])
+    return solution.adjusted.residual[: 2 * n].reshape(n, 2), redundancy(rows, Q, 2)
+
+
+def image_rms(problem: Problem, solution: Solution) -> float:
+    """px, RMS per axis of the image points."""
+    off = predicted(solution.block, problem.image, problem)[0] - problem.image.centre
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def _loose(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp]) -> int:
+    """The disc that hangs in the air: rays nearly alike. Raises CalibrationError where it is something else."""
+    columns = columns_of(problem, int(problem.image.photo.max()) + 1, len(kept))
+    column = int(columns.free[error.args[0]]) - int(columns.point(0)[0])
+    if column < 3 * problem.targets:
+        raise CalibrationError("the photos do not fix the targets: take them from places further apart") from None
+    return int(kept[column // 3])
+
+
+def _all_there(kept: NDArray[np.intp], device: Device) -> None:
+    lost = [c for i, c in enumerate(device.codes) if i not in kept]
+    if lost:
+        raise CalibrationError(
+            f"target {', '.join(lost)} is not where the photos before say: it, or another, was moved between photos"
+        )
+
+
+def _sphere(solution: Solution, n: int) -> Sphere:
+    """Through all points but the first n."""
+    return fit_sphere(_vector(solution.block), solution.covariance, _where(solution, n))
+
+
+def _where(solution: Solution, n: int) -> NDArray[np.intp]:
+    return solution.columns.point(np.arange(n, len(solution.block.points)))
+
+
+def _vector(block: Block) -> Array:
+    """All columns as observations: interior orientation and rotations as what they are off, 0."""
+    poses = [np.concatenate([pose.position, np.zeros(3)]) for pose in block.poses]
+    return np.concatenate([np.zeros(INTERIOR), *poses, block.points.ravel()])
+
+
+def _outside(solution: Solution, sphere: Sphere, n: int) -> NDArray[np.bool_]:
+    """Which discs are none: bolts, dark spots of frame and room."""
+    where = _where(solution, n)
+    blocks = np.stack([solution.covariance[np.ix_(w, w)] for w in where])
+    return off_sphere(solution.block.points[n:], blocks, sphere)
+
+
+def _ring_scale(views: TargetViews, block: Block) -> float:
+    """Size of the rings in the photos over what device.yaml says of them; 1 but for a percent."""
+    image = views.image
+    R = np.array([p.rotation for p in block.poses])[image.photo]
+    P = np.array([p.position for p in block.poses])[image.photo]
+    z = np.einsum("ni,ni->n", R[:, :, 2], block.points[image.point] - P)
+    return float(np.median(z / views.depth[:, 0])) * views.ring_scale
