@@ -90,7 +90,7 @@ def test_normalised_residuals_of_points_are_chi_square():
 
 def test_false_observation_has_the_largest_normalised_residual():
     rng = np.random.default_rng(5)
-    A, x, b = linear(rng, 24, 5)
+    A, _, b = linear(rng, 24, 5)
     b[7] += 12.0
     found = adjust(problem(A, b), np.zeros(5))
     test = snooped(found.residual.reshape(-1, 2), redundancy(found.jacobian, cofactors(found.jacobian), 2))

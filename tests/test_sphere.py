@@ -68,9 +68,7 @@ def test_covariances_are_the_scatter_of_samples():
     L = np.linalg.cholesky(full)
     found = [fit_sphere(truth + L @ rng.standard_normal(len(truth)), full, where(n)) for _ in range(1500)]
     found = [f for f in found if f.out_of_round == 0.0]
-    errors = np.array(
-        [np.concatenate([f.observations - truth, f.centre - CENTRE, [f.radius - RADIUS]]) for f in found]
-    )
+    errors = np.array([np.concatenate([f.observations - truth, f.centre - CENTRE, [f.radius - RADIUS]]) for f in found])
     f = fit_sphere(truth, full, where(n))
     said = np.block([[f.observation_covariance, f.cross_covariance], [f.cross_covariance.T, f.covariance]])
     assert len(found) > 1400

@@ -1,0 +1,387 @@
+"""A ball that rolls tells where it is: sightings of its discs in, the camera's place and the map of the discs out.
+
+Discs fixed on a rigid sphere that turns about its centre are a bundle adjustment of their own: unknown are the
+direction to the centre, its distance over the radius, the direction of every disc, the attitude in every frame, and
+the time a rolling shutter takes. The length of the radius stays open, and so does the turn of the ball's own axes,
+which is taken out (free network). Each frame's attitude is eliminated (Schur complement; Förstner, Wrobel 2016,
+section 15.2), so that a minute of video costs no more than its discs.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from spheremouse.adjustment.solve import snooped, variance_factors
+from spheremouse.camera import InteriorOrientation, interior_jacobian, project, row_of
+from spheremouse.errors import CalibrationError
+from spheremouse.rotation import Array, exp, hat, log, tangent_basis
+
+_OUTLIER = 18.4  # squared normalised residual: of points with normal errors one in ten thousand goes beyond
+_WORST = 0.25  # of the largest: what is set aside at a time
+_KNEE = 2.0  # standard deviations beyond which a residual weighs less while outliers are still in
+_MEDIAN = 1.386  # of chi-square with 2 degrees of freedom
+_GLOBAL, _READOUT = 4, 3  # unknowns before the discs: direction 2, log ratio, readout
+_MOST = 40  # iterations
+_STILL = 1e-9  # rad: a step so short is the last
+_LEAST_SEEN = 5  # frames that must show a disc
+_LEAST_DISCS = 5
+_CELLS = 12  # the ball's image is parted into so many rows and columns, for errors that depend on the place
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Discs seen, each with the frame and the disc it belongs to."""
+
+    frame: NDArray[np.intp]  # (n,) 0 .. f - 1
+    disc: NDArray[np.intp]  # (n,) 0 .. m - 1
+    centre: Array  # (n, 2) px
+    covariance: Array  # (n, 2, 2) px²
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def take(self, keep: NDArray[np.bool_]) -> "Sightings":
+        """Those of a mask, with the numbers they have."""
+        return Sightings(self.frame[keep], self.disc[keep], self.centre[keep], self.covariance[keep])
+
+
+@dataclass(frozen=True, slots=True)
+class Rolling:
+    """Where ball, camera and discs are, in units of the ball's radius."""
+
+    direction: Array  # (3,) unit vector in cam, to the ball's centre
+    ratio: float  # distance of the centre over the radius
+    discs: Array  # (m, 3) unit vectors in ball
+    stamp: Array  # (f,) s
+    attitude: Array  # (f, 3, 3) R_cam_ball at the stamps
+    readout: float = 0.0  # s, time a rolling shutter takes over all rows
+
+
+@dataclass(frozen=True, slots=True)
+class Rolled:
+    """An adjusted `Rolling` with what is known of its errors; the sightings are those that were used."""
+
+    rolling: Rolling
+    covariance: Array  # (4, 4) of direction (3 along its tangent plane, rad) and ratio
+    disc_covariance: Array  # (2m, 2m) rad², of errors along rotation.tangent_basis(discs), free network
+    readout_sigma: float  # s
+    sightings: Sightings
+    residual: Array  # (n, 2) px
+    rejected: int  # sightings that contradict the others
+    variance_factor: float  # of the sightings, over what was assumed
+    correlation: float  # by how much the variances of the result grow because errors last, or belong to a place
+
+    @property
+    def rms(self) -> float:
+        """px per axis."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Equations:
+    """Residuals and Jacobians of unit variance; shared unknowns: direction 2, log ratio, readout, discs 2 each."""
+
+    residual: Array  # (n, 2)
+    shared: sparse.csr_array  # (2n, 4 + 2m)
+    turn: Array  # (n, 2, 3) by the frame's attitude, left error in cam
+    camera: Array  # (n, 2, 9) by the interior orientation
+
+
+def adjust_rolling(
+    sightings: Sightings,
+    start: Rolling,
+    camera: InteriorOrientation,
+    readout_sigma: float = 0.0,
+) -> Rolled:
+    """Adjust all unknowns to all sightings; sightings that contradict the rest are set aside.
+
+    `readout_sigma` s is how well the start's readout is known: 0 exactly. Frames and discs that say nothing are left
+    out of the result. CalibrationError where too little is left.
+    """
+    known = start.readout, readout_sigma
+    at, used = _compact(start, sightings)
+    at, normal = _minimum(at, used, camera, known, _KNEE)
+    robust = True
+    while True:
+        test = snooped(normal.equations.residual, normal.residual_cofactors())
+        limit = _OUTLIER * max(float(np.median(test)) / _MEDIAN, 1.0)
+        # gross errors drag others along: the worst go first
+        fits = test <= max(limit, _WORST * float(test.max()))
+        if not robust and fits.all():
+            break
+        at, used = _compact(at, used.take(fits))
+        at, normal = _minimum(at, used, camera, known, np.inf)
+        robust = False
+    return _result(at, used, len(sightings) - len(used), normal, camera)
+
+
+def _compact(at: Rolling, s: Sightings) -> tuple[Rolling, Sightings]:
+    """Without discs seen too rarely, frames that show fewer than two, and what hangs together with neither the rest."""
+    while True:
+        seen = np.bincount(s.disc, minlength=len(at.discs))
+        shown = np.bincount(s.frame, minlength=len(at.attitude))
+        fine = (seen[s.disc] >= _LEAST_SEEN) & (shown[s.frame] >= 2) & _in_largest(at, s)
+        if fine.all():
+            break
+        s = s.take(fine)
+    frames, frame = np.unique(s.frame, return_inverse=True)
+    discs, disc = np.unique(s.disc, return_inverse=True)
+    if len(discs) < _LEAST_DISCS:
+        raise CalibrationError(
+            f"{len(discs)} discs were followed on the ball, at least {_LEAST_DISCS} are needed: "
+            "stick on more discs, and roll the ball so that all of it is seen"
+        )
+    at = replace(at, discs=at.discs[discs], stamp=at.stamp[frames], attitude=at.attitude[frames])
+    return at, Sightings(frame, disc, s.centre, s.covariance)
+
+
+def _in_largest(at: Rolling, s: Sightings) -> NDArray[np.bool_]:
+    """Which sightings belong to the largest set of frames and discs that are linked, (n,)."""
+    f, m = len(at.attitude), len(at.discs)
+    links = sparse.coo_array((np.ones(len(s)), (s.frame, f + s.disc)), shape=(f + m, f + m))
+    _, label = connected_components(links, directed=False)
+    mine = label[s.frame]
+    return mine == np.bincount(mine).argmax() if len(s) else np.zeros(0, dtype=bool)
+
+
+def _equations(at: Rolling, s: Sightings, camera: InteriorOrientation) -> _Equations:
+    """Of a point p = ratio c + R d, that a rolling shutter sees late: R = exp(readout row w) R_cam_ball."""
+    n, m = len(s), len(at.discs)
+    row = row_of(s.centre[:, 1], camera.height)
+    rate = _rates(at)[s.frame]
+    late = exp(rate * (at.readout * row)[:, None])
+    d = np.einsum("nij,njk,nk->ni", late, at.attitude[s.frame], at.discs[s.disc])
+    points = at.ratio * at.direction + d
+    uv, by_point = project(points, camera)
+    W = _whitening(s.covariance)
+    residual = np.einsum("nij,nj->ni", W, s.centre - uv)
+    A = W @ by_point
+    basis = tangent_basis(at.discs)[s.disc]
+    by_disc = A @ late @ at.attitude[s.frame] @ basis
+    turned = np.einsum("nij,nj->ni", late.transpose(0, 2, 1), d)  # at the frame's own time
+    by_turn = A @ late @ -hat(turned)
+    by_global = np.concatenate(
+        [
+            at.ratio * A @ tangent_basis(at.direction),
+            at.ratio * (A @ at.direction)[:, :, None],
+            np.einsum("nij,nj->ni", A, np.cross(rate, d) * row[:, None])[:, :, None],
+        ],
+        axis=2,
+    )
+    rows = np.arange(2 * n).reshape(n, 2, 1)
+    columns = np.broadcast_to(_GLOBAL + 2 * s.disc[:, None, None] + np.arange(2), (n, 2, 2))
+    places = np.concatenate([np.broadcast_to(np.arange(_GLOBAL), (n, 2, _GLOBAL)), columns], axis=2)
+    values = np.concatenate([by_global, by_disc], axis=2)
+    shared = sparse.csr_array(
+        (values.ravel(), (np.broadcast_to(rows, places.shape).ravel(), places.ravel())), shape=(2 * n, _GLOBAL + 2 * m)
+    )
+    return _Equations(residual, shared, by_turn, W @ interior_jacobian(points[:, :2] / points[:, 2:], camera))
+
+
+def _rates(at: Rolling) -> Array:
+    """Angular velocities in cam, (f, 3) rad/s, from the attitudes around each frame; 0 beside a gap.
+
+    Differences over four frames, of fourth order; over two where one of the four is missing.
+    """
+    f = len(at.stamp)
+    rate = np.zeros((f, 3))
+    if f < 3:
+        return rate
+    usual = float(np.median(np.diff(at.stamp)))
+    mean, fine = np.zeros((f, 2, 3)), np.zeros((f, 2), dtype=bool)
+    for k in (1, 2):
+        span = at.stamp[2 * k :] - at.stamp[: -2 * k]
+        turn = log(at.attitude[2 * k :] @ at.attitude[: -2 * k].transpose(0, 2, 1))
+        mean[k:-k, k - 1] = turn / np.maximum(span, 1e-9)[:, None]
+        fine[k:-k, k - 1] = (span > 0.0) & (span < (2.0 * k + 1.0) * usual)
+    rate[fine[:, 0]] = mean[fine[:, 0], 0]
+    both = fine.all(axis=1)
+    rate[both] = (4.0 * mean[both, 0] - mean[both, 1]) / 3.0
+    rate[0], rate[-1] = rate[1], rate[-2]
+    return rate
+
+
+def _whitening(covariance: Array) -> Array:
+    """W with W' W the inverse, (n, 2, 2)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=float)
+
+
+class _Normal:
+    """Normal equations with the attitudes eliminated; the turn of the ball's axes, which nothing fixes, is held."""
+
+    def __init__(
+        self, at: Rolling, s: Sightings, equations: _Equations, weight: Array, readout: tuple[float, float]
+    ) -> None:
+        """`weight` (n,) of the sightings; `readout` the expected one and its standard deviation, s."""
+        f = len(at.attitude)
+        root = np.sqrt(weight)
+        self.equations, self.frame = equations, s.frame
+        self.turn = equations.turn * root[:, None, None]
+        self.shared = sparse.csr_array(sparse.diags_array(np.repeat(root, 2)) @ equations.shared)
+        r = equations.residual * root[:, None]
+        rows = np.arange(2 * len(s)).reshape(-1, 2, 1)
+        columns = 3 * s.frame[:, None, None] + np.arange(3)
+        at_frame = sparse.csr_array(
+            (
+                self.turn.ravel(),
+                (np.broadcast_to(rows, self.turn.shape).ravel(), np.broadcast_to(columns, self.turn.shape).ravel()),
+            ),
+            shape=(2 * len(s), 3 * f),
+        )
+        own = np.zeros((f, 3, 3))
+        np.add.at(own, s.frame, self.turn.transpose(0, 2, 1) @ self.turn)
+        self.inverse = np.linalg.inv(own + 1e-9 * np.trace(own, axis1=1, axis2=2)[:, None, None] * np.eye(3))
+        self.cross = (at_frame.T @ self.shared).toarray().reshape(f, 3, -1)
+        self.by_frame = (at_frame.T @ r.ravel()).reshape(f, 3)
+        gain = self.inverse @ self.cross
+        N = (self.shared.T @ self.shared).toarray() - np.einsum("fik,fil->kl", self.cross, gain)
+        b = self.shared.T @ r.ravel() - np.einsum("fik,fi->k", gain, self.by_frame)
+        expected, sigma = readout
+        hold = 1.0 / max(sigma, 1e-7) ** 2
+        N[_READOUT, _READOUT] += hold
+        b[_READOUT] += hold * (expected - at.readout)
+        scale = 1.0 / np.sqrt(np.diag(N))
+        # the ball's axes may turn by any e, R follows: a disc moves by e x d. Held where its discs are on the mean
+        free = np.zeros((len(b), 3))
+        free[_GLOBAL:] = -(tangent_basis(at.discs).transpose(0, 2, 1) @ hat(at.discs)).reshape(-1, 3)
+        self.free = np.linalg.qr(free)[0]
+        size = float(np.median(np.diag(N)[_GLOBAL:]))
+        self.N, self.b, self.scale, self.held = N, b, scale, size * self.free @ self.free.T
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Corrections of the shared unknowns, (4 + 2m,), and of the attitudes, (f, 3)."""
+        M = (self.N + self.held) * np.outer(self.scale, self.scale)
+        M[np.diag_indices_from(M)] *= 1.0 + damping
+        dx = self.scale * np.linalg.solve(M, self.scale * self.b)
+        de = np.einsum("fij,fj->fi", self.inverse, self.by_frame - self.cross @ dx)
+        return dx, de
+
+    def cofactors(self) -> Array:
+        """Of the shared unknowns, (4 + 2m, 4 + 2m)."""
+        M = (self.N + self.held) * np.outer(self.scale, self.scale)
+        Q = np.linalg.inv(M) * np.outer(self.scale, self.scale)
+        # inner constraints: what the held turn itself added is taken off again
+        P = np.eye(len(Q)) - self.free @ self.free.T
+        Q = P @ Q @ P
+        return 0.5 * (Q + Q.T)
+
+    def reduced(self) -> Array:
+        """Jacobian by the shared unknowns with the attitudes eliminated, (n, 2, 4 + 2m)."""
+        n = len(self.turn)
+        return self.shared.toarray().reshape(n, 2, -1) - self.turn @ (self.inverse @ self.cross)[self.frame]
+
+    def residual_cofactors(self) -> Array:
+        """I - A Q A' of each sighting, (n, 2, 2)."""
+        J = self.reduced()
+        Q = self.cofactors()
+        own = self.turn @ self.inverse[self.frame] @ self.turn.transpose(0, 2, 1)
+        return np.eye(2) - own - (J.reshape(-1, J.shape[2]) @ Q).reshape(J.shape) @ J.transpose(0, 2, 1)
+
+
+def _minimum(
+    at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], knee: float
+) -> tuple[Rolling, _Normal]:
+    """Levenberg and Marquardt's way to the least sum of squares, or of Huber's function with its knee."""
+    damping, dx = 1e-6, np.full(_GLOBAL, np.inf)
+    equations = _equations(at, s, camera)
+    for _ in range(_MOST):
+        length = np.linalg.norm(equations.residual, axis=1)
+        weight = np.minimum(1.0, knee / np.maximum(length, 1e-12))
+        cost = _cost(length, knee)
+        normal = _Normal(at, s, equations, weight, readout)
+        dx, de = normal.step(damping)
+        tried = _moved(at, dx, de)
+        there = _equations(tried, s, camera) if tried.ratio > 1.0 else None
+        better = there is not None and _cost(np.linalg.norm(there.residual, axis=1), knee) <= cost * (1.0 + 1e-12)
+        if better and there is not None:
+            at, equations, damping = tried, there, max(0.1 * damping, 1e-9)
+        else:
+            damping = max(10.0 * damping, 1e-4)
+        if np.abs(np.delete(dx, _READOUT)).max() < _STILL or damping > 1e6:
+            break
+    else:
+        if np.abs(dx[:3]).max() > 1e-6:
+            raise CalibrationError("the adjustment does not come to rest: roll the ball longer, and about more axes")
+    return at, _Normal(at, s, equations, np.ones(len(s)), readout)
+
+
+def _cost(length: Array, knee: float) -> float:
+    return (
+        float(np.sum(np.where(length < knee, length**2, 2.0 * knee * length - knee**2)))
+        if np.isfinite(knee)
+        else float(length @ length)
+    )
+
+
+def _moved(at: Rolling, dx: Array, de: Array) -> Rolling:
+    c = at.direction + tangent_basis(at.direction) @ dx[:2]
+    d = at.discs + np.einsum("mij,mj->mi", tangent_basis(at.discs), dx[_GLOBAL:].reshape(-1, 2))
+    return replace(
+        at,
+        direction=c / np.linalg.norm(c),
+        ratio=at.ratio * float(np.exp(np.clip(dx[2], -0.5, 0.5))),
+        readout=at.readout + float(dx[_READOUT]),
+        discs=d / np.linalg.norm(d, axis=1, keepdims=True),
+        attitude=exp(de) @ at.attitude,
+    )
+
+
+def _result(at: Rolling, s: Sightings, rejected: int, normal: _Normal, camera: InteriorOrientation) -> Rolled:
+    equations = normal.equations
+    Q, J = normal.cofactors(), normal.reduced()
+    number = np.full(2 * len(s), 1.0 - (3.0 * len(at.attitude) + Q.shape[0] - 3.0) / (2.0 * len(s)))
+    factor = float(variance_factors(equations.residual.ravel(), number, [np.ones(2 * len(s), dtype=bool)])[0])
+    gradient = np.einsum("nik,ni->nk", J, equations.residual)
+    correlation = max(1.0, *(_lasting(gradient, Q, group) / factor for group in (_passes(s), _places(s))))
+    # the interior orientation is wrong by the same in every frame
+    by_camera = np.einsum("nik,nij->kj", J, equations.camera)
+    G = -Q @ by_camera
+    # what the detector says of a centre holds what all frames share: a factor below 1 does not take that away
+    C = max(factor, 1.0) * correlation * Q + G @ camera.covariance @ G.T
+    T = np.zeros((4, len(C)))
+    T[:3, :2] = tangent_basis(at.direction)
+    T[3, 2] = at.ratio
+    residual = np.einsum("nij,nj->ni", np.linalg.inv(_whitening(s.covariance)), equations.residual)
+    return Rolled(
+        at,
+        T @ C @ T.T,
+        C[_GLOBAL:, _GLOBAL:],
+        float(np.sqrt(C[_READOUT, _READOUT])),
+        s,
+        residual,
+        rejected,
+        factor,
+        correlation,
+    )
+
+
+def _lasting(gradient: Array, Q: Array, group: NDArray[np.intp]) -> float:
+    """Variance of direction and ratio, over that of white noise, where errors within a group last (White 1980).
+
+    The sum of g g' over groups is what the normal matrix would be if errors were independent; the mean over the three
+    is taken, since a hundred groups tell no more.
+    """
+    sums = np.zeros((int(group.max()) + 1, gradient.shape[1]))
+    np.add.at(sums, group, gradient)
+    influence = sums @ Q[:, :3]
+    number = len(np.unique(group))
+    return float(np.trace(np.linalg.solve(Q[:3, :3], influence.T @ influence))) / 3.0 * number / max(number - 1, 1)
+
+
+def _passes(s: Sightings) -> NDArray[np.intp]:
+    """Each sighting's pass, (n,): a disc comes into view, crosses the ball and leaves."""
+    order = np.lexsort((s.frame, s.disc))
+    new = (np.diff(s.disc[order]) != 0) | (np.diff(s.frame[order]) > 1)
+    group = np.empty(len(s), dtype=np.intp)
+    group[order] = np.concatenate([[0], np.cumsum(new)])
+    return group
+
+
+def _places(s: Sightings) -> NDArray[np.intp]:
+    """Each sighting's cell of the ball's image, (n,)."""
+    low, high = s.centre.min(axis=0), s.centre.max(axis=0)
+    cell = np.minimum((s.centre - low) / np.maximum(high - low, 1e-9) * _CELLS, _CELLS - 1).astype(np.intp)
+    return cell[:, 0] * _CELLS + cell[:, 1]

@@ -1,0 +1,356 @@
+"""What rolling leaves open: which way is up, and how long a metre is. The axes of `obj` in the camera, and the scale.
+
+From ring targets whose places are known, from the sizes and places of targets that are not surveyed, or from two
+gestures: the ball rolled forward and to the right. All with covariances of the rotation R_obj_cam, error exp(e) R with
+e in `obj`, as Pose has it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from spheremouse.adjustment.device import Device
+from spheremouse.adjustment.rolling import Rolled, Rolling
+from spheremouse.camera import InteriorOrientation, Pose, ellipse_to_pixel, project_circle, unproject
+from spheremouse.errors import CalibrationError
+from spheremouse.resect import Sighting, predict_targets
+from spheremouse.rig import Ball, Rig, Targets
+from spheremouse.rotation import Array, align, exp, hat, left_jacobian, log
+
+_SIZE = 0.005, 0.002  # part by which printed rings may be off in size: all of them alike, and each by itself
+_RIM = 0.05, 0.02  # px, of a ring's radius as seen: colours that run do so alike on all
+_PLACE = 0.05  # px, of a ring's centre
+_MISFIT = 16.0  # square of normalised residuals, per degree of freedom, from which targets are not those of the rig
+_STEADY = 0.3  # s over which a turn is taken while a gesture lasts
+_SLOW = 0.1  # rad/s: slower turns have no direction
+_SQUARE = 20.0  # degrees that two gestures may be off a right angle
+_GUESS = np.deg2rad(3.0)  # no one rolls a ball straighter than this, nor knows better what straight is
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """The axes of `obj` in the camera, and what came with them."""
+
+    rotation: Array  # (3, 3) R_obj_cam
+    covariance: Array  # (3, 3) rad², obj
+    distance: float | None = None  # m, to the ball's centre, where targets tell
+    distance_sigma: float = 0.0  # m
+    targets_cam: Array | None = None  # (n, 3) m in cam, where targets were measured and not known
+    targets_cam_covariance: Array | None = None  # (3n + 3, 3n + 3) m², rad²: of those and of the rotation
+    misfit: float = 0.0  # of the targets, px
+    codes: tuple[str, ...] = field(default=())
+
+
+def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling) -> Axes:
+    """From targets whose coordinates about the ball's centre are known: the turn, and the distance of the centre.
+
+    The direction to the centre is held as rolling has it. Of the rig its targets and its camera are taken, no more.
+    CalibrationError where fewer than three are seen, or where they do not fit.
+    """
+    known = {code: k for k, code in enumerate(rig.targets.codes)}
+    seen = {c: [s for s in sightings if s.code == c] for c in known}
+    seen = {c: s for c, s in seen.items() if s}
+    if len(seen) < 3:
+        raise CalibrationError(
+            f"{len(seen)} of {len(known)} targets are seen ({', '.join(seen) or 'none'}), the axes need 3: light and "
+            "uncover them, or roll two gestures (--forward, --right)"
+        )
+    best: tuple[float, Array, tuple[Sighting, ...]] | None = None
+    for combination in product(*([*s, None] if len(s) > 1 else s for s in seen.values())):
+        used = tuple(s for s in combination if s is not None)
+        if len(used) < 3:
+            continue
+        for x0 in _starts(used, rig, rolling, known):
+            found = least_squares(_target_residuals, x0, args=(used, rig, rolling, known), x_scale="jac")
+            cost = 2.0 * found.cost / (2 * len(used) - 4)
+            if best is None or (-len(used), cost) < (-len(best[2]), best[0]):
+                best = cost, found.x, used
+    if best is None:
+        raise CalibrationError(
+            f"no camera position fits the targets {', '.join(seen)} and the ball that turns: their positions are those "
+            "of another device, or count from another place than the ball's centre"
+        )
+    _, x, used = best
+    J = _jacobian(lambda y: _target_residuals(y, used, rig, rolling, known), x)
+    Q = np.linalg.inv(J.T @ J)
+    by_targets = _jacobian(
+        lambda p: _target_residuals(x, used, _with_places(rig, p), rolling, known), rig.targets.position.ravel()
+    )
+    G = -Q @ J.T @ by_targets
+    C = Q + G @ rig.targets.covariance @ G.T
+    r = _target_residuals(x, used, rig, rolling, known)
+    weight = np.linalg.inv(np.eye(len(r)) + by_targets @ rig.targets.covariance @ by_targets.T)
+    cost = float(r @ weight @ r) / (2 * len(used) - 4)
+    sigma = float(np.mean([np.sqrt(np.trace(s.covariance) / 2.0) for s in used]))
+    misfit = float(np.sqrt(np.mean(r**2))) * sigma
+    if cost > _MISFIT and misfit > 1.0:
+        raise CalibrationError(
+            f"the targets {', '.join(s.code for s in used)} lie {misfit:.1f} px off where the rig and the ball that "
+            "turns put them: they are those of another device, or were moved; calibrate it, or leave them out"
+        )
+    D = float(np.exp(x[3]))
+    C = C * max(cost, 1.0)
+    turn = left_jacobian(x[:3])
+    return Axes(
+        exp(x[:3]),
+        turn @ C[:3, :3] @ turn.T,
+        D,
+        D * float(np.sqrt(C[3, 3])),
+        misfit=misfit,
+        codes=tuple(s.code for s in used),
+    )
+
+
+def _pose_at(x: Array, rolling: Rolling) -> Pose:
+    """Of a rotation vector (R_obj_cam) and the logarithm of the distance."""
+    R = exp(x[:3])
+    return Pose(R, -np.exp(x[3]) * (R @ rolling.direction))
+
+
+def _target_residuals(x: Array, used: Sequence[Sighting], rig: Rig, rolling: Rolling, known: dict[str, int]) -> Array:
+    try:
+        predicted = predict_targets(_pose_at(x, rolling), rig)
+    except np.linalg.LinAlgError:
+        return np.full(2 * len(used), 1e6)
+    way = [np.linalg.solve(np.linalg.cholesky(s.covariance), s.centre - predicted[known[s.code]]) for s in used]
+    return np.nan_to_num(np.concatenate(way), nan=1e6, posinf=1e6, neginf=-1e6)
+
+
+def _starts(used: Sequence[Sighting], rig: Rig, rolling: Rolling, known: dict[str, int]) -> list[Array]:
+    """Rotation vector and log distance of the poses that the targets alone allow, the ball's centre about right."""
+    X = rig.targets.position[[known[s.code] for s in used]]
+    xy, _ = unproject(np.array([s.centre for s in used]), rig.camera)
+    if not np.all(np.isfinite(xy)):
+        return []
+    methods = [cv2.SOLVEPNP_P3P] if len(X) == 3 else [cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_IPPE]
+    found: list[Array] = []
+    for method in methods:
+        try:
+            if method == cv2.SOLVEPNP_P3P:
+                _, rvecs, tvecs = cv2.solveP3P(X, xy[:, None], np.eye(3), None, flags=method)
+            else:
+                _, rvecs, tvecs, _ = cv2.solvePnPGeneric(X, xy[:, None], np.eye(3), None, flags=method)
+        except cv2.error:  # IPPE takes planes alone
+            continue
+        for rvec, tvec in zip(rvecs, tvecs, strict=True):
+            centre = np.asarray(tvec, dtype=float).ravel()  # of obj, in cam
+            D = float(np.linalg.norm(centre))
+            R = exp(np.asarray(rvec, dtype=float).ravel()).T
+            facing = np.all((X - (-R @ centre))[:, 2] < 0.0)
+            if D > 0.0 and facing and centre @ rolling.direction > 0.9 * D:
+                found.append(np.concatenate([log(R), [np.log(D)]]))
+    return found
+
+
+def _with_places(rig: Rig, places: Array) -> Rig:
+    return replace(rig, targets=replace(rig.targets, position=places.reshape(-1, 3)))
+
+
+def _jacobian(f: Callable[[Array], Array], x: Array) -> Array:
+    """By central differences, (n, u)."""
+    columns = []
+    for k in range(len(x)):
+        h = np.zeros(len(x))
+        h[k] = 1e-6
+        columns.append((f(x + h) - f(x - h)) / 2e-6)
+    return np.asarray(np.stack(columns, axis=1), dtype=float)
+
+
+def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Device, camera: InteriorOrientation) -> Axes:
+    """From targets of known size at unknown places: how large each is seen tells how far it is.
+
+    `sightings` are code, centre (2,) px and radius px of the outer ring of each. Distances measured with a tape help.
+    CalibrationError where one of the three targets that define the axes is not seen.
+    """
+    code_of = dict(zip(device.ids, device.codes, strict=True))
+    seen = {code: (centre, radius) for code, centre, radius in sightings}
+    a = device.axes
+    missing = [f"{i} ({code_of[i]})" for i in (a.origin, a.up, a.plane) if code_of[i] not in seen]
+    if missing:
+        raise CalibrationError(
+            f"the axes are defined by target {', '.join(missing)}, not seen by the camera: uncover and light it, "
+            "name others under `axes` in the device file, or roll two gestures (--forward, --right)"
+        )
+    ids = [i for i in device.ids if code_of[i] in seen]
+    at = {i: k for k, i in enumerate(ids)}
+    uv = np.array([seen[code_of[i]][0] for i in ids])
+    size = np.array([seen[code_of[i]][1] for i in ids])
+    alike = np.stack([np.full(len(ids), _SIZE[0]), _RIM[0] / size], axis=1)
+    alone = np.hypot(_SIZE[1], _RIM[1] / size)
+    n = len(ids)
+
+    def moved(x: Array) -> Array:
+        """Places, (n, 3), if observations were off by: two of the size of all, one of each size, two of each centre."""
+        sizes = size * np.exp(-(alike @ x[:2]) - alone * x[2 : 2 + n])
+        return _by_size(uv + _PLACE * x[2 + n :].reshape(n, 2), sizes, at, device, camera)
+
+    taped = [d for d in device.distances if d.start in at and d.end in at]
+
+    def residuals(x: Array) -> Array:
+        p = moved(x)
+        tape = [(np.linalg.norm(p[at[d.start]] - p[at[d.end]]) - d.metres) / d.sigma for d in taped]
+        return np.asarray(np.concatenate([x, tape]), dtype=float)
+
+    x = np.zeros(2 + 3 * n)
+    if taped:
+        x = np.asarray(least_squares(residuals, x, x_scale="jac").x)
+    places = moved(x)
+    R = _axes_of(places, at, device)
+
+    def told(y: Array) -> Array:
+        there = moved(y)
+        return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
+
+    by_x = _jacobian(told, x)
+    J, r = np.eye(len(x)), residuals(x)
+    for d in taped:
+        i, j = at[d.start], at[d.end]
+        along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
+        J = np.vstack([J, along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])])
+    factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
+    C = np.asarray(np.linalg.inv(J.T @ J) * factor, dtype=float)
+    joint = by_x @ C @ by_x.T
+    return Axes(
+        R,
+        joint[-3:, -3:],
+        targets_cam=places,
+        targets_cam_covariance=joint,
+        codes=tuple(code_of[i] for i in ids),
+    )
+
+
+def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera: InteriorOrientation) -> Array:
+    """Places, (n, 3) m in cam, of targets seen at `uv`, (n, 2) px, as large as `size`, (n,) px, facing along Z."""
+    outer = float(device.target_radii[2])
+    xy, by_uv = unproject(uv, camera)
+    depth = outer * np.sqrt(camera.fx * camera.fy) / size
+    R = np.diag([1.0, -1.0, -1.0])
+    places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
+    for _ in range(50):  # foreshortening shows once the axes are known, and they once the places are
+        normal = np.broadcast_to(R[2], places.shape)
+        centre, shape = ellipse_to_pixel(*project_circle(places, normal, outer), camera)
+        seen = np.linalg.det(shape) ** 0.25
+        xy = xy + np.einsum("nij,nj->ni", by_uv, uv - centre)
+        depth = depth * seen / size
+        places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
+        R = _axes_of(places, at, device)
+        if np.abs(seen / size - 1.0).max() < 1e-10:
+            break
+    return places
+
+
+def _axes_of(places: Array, at: dict[int, int], device: Device) -> Array:
+    """R_obj_cam of the three targets that define the axes, (n, 3) in cam; Z towards the camera."""
+    origin, up, plane = (places[at[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
+    y = up - origin
+    y = y / np.linalg.norm(y)
+    z = np.cross(y, plane - origin)
+    if np.linalg.norm(z) < 1e-3 * np.linalg.norm(plane - origin):
+        raise CalibrationError("the three targets of `axes` lie in a line: name another for `plane` in the device file")
+    z = z / np.linalg.norm(z)
+    z = -z if z @ origin > 0.0 else z
+    return np.array([np.cross(y, z), y, z])
+
+
+def axes_from_gestures(rolling: Rolling, forward: tuple[float, float], right: tuple[float, float]) -> Axes:
+    """From the ball rolled forward (its top away from the camera, w_obj = -X) and to the right (its top to +X, -Z).
+
+    Each a span of time in s, by the stamps. What the two are off a right angle is shared; that, the scatter within
+    each, and what no one does better are the covariance. CalibrationError where the ball hardly turns, or turns about
+    one axis in both.
+    """
+    axis, spread = np.empty((2, 3)), np.empty(2)
+    for k, (name, span) in enumerate((("forward", forward), ("right", right))):
+        axis[k], spread[k] = _turn(rolling, span, name)
+    x, z = -axis[0], -axis[1]
+    off = np.rad2deg(np.arcsin(np.clip(x @ z, -1.0, 1.0)))
+    if abs(off) > _SQUARE:
+        raise CalibrationError(
+            f"`forward` and `right` are {90.0 - abs(off):.0f}° apart and not 90°: roll the ball straight away from "
+            "you, then straight to the right, and look up the times again"
+        )
+    sigma = np.maximum(np.hypot(spread, 0.5 * np.deg2rad(abs(off))), _GUESS)
+    R = align(np.stack([x, z]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 1.0 / sigma**2)
+    # each axis tells of the turns across itself: about X nothing from X
+    N = np.diag([0.0, 1.0, 1.0]) / sigma[0] ** 2 + np.diag([1.0, 1.0, 0.0]) / sigma[1] ** 2
+    return Axes(R, np.linalg.inv(N))
+
+
+def _turn(rolling: Rolling, span: tuple[float, float], name: str) -> tuple[Array, float]:
+    """Mean axis in cam that the ball turns about, (3,), and the scatter of its direction per axis, rad."""
+    inside = np.flatnonzero((rolling.stamp >= span[0]) & (rolling.stamp <= span[1]))
+    rates, weights = [], []
+    for i in inside:
+        j = int(np.searchsorted(rolling.stamp, rolling.stamp[i] + _STEADY))
+        if j >= len(rolling.stamp) or rolling.stamp[j] > span[1] or rolling.stamp[j] > rolling.stamp[i] + 2 * _STEADY:
+            continue
+        turn = log(rolling.attitude[j] @ rolling.attitude[i].T)
+        angle = float(np.linalg.norm(turn))
+        if angle > _SLOW * _STEADY:
+            rates.append(turn / angle)
+            weights.append(angle)
+    if len(rates) < 5:
+        raise CalibrationError(
+            f"the ball is not seen to roll {name} from {span[0]:g} to {span[1]:g} s: look up the times, "
+            "or roll it again"
+        )
+    u, w = np.array(rates), np.array(weights)
+    mean = w @ u
+    length = float(np.linalg.norm(mean)) / w.sum()
+    if length < 0.8:
+        raise CalibrationError(
+            f"from {span[0]:g} to {span[1]:g} s the ball rolls to and fro, not {name} alone: give a span of one roll"
+        )
+    mean = mean / np.linalg.norm(mean)
+    across = u - (u @ mean)[:, None] * mean
+    return mean, float(np.sqrt(w @ np.sum(across**2, axis=1) / (2.0 * w.sum())))
+
+
+def placed(rolled: Rolled, axes: Axes, radius: float, radius_sigma: float) -> tuple[Pose, Ball]:
+    """The camera in `obj` and the ball, with their covariances and how the two hang together, for a radius."""
+    rolling = rolled.rolling
+    R, c = axes.rotation, rolling.direction
+    P = -radius * rolling.ratio * (R @ c)
+    by = np.zeros((6, 3 + 4 + 1))  # of axes, direction and ratio, radius
+    by[:3, :3], by[3:, :3] = -hat(P), np.eye(3)
+    by[:3, 3:6] = -radius * rolling.ratio * R
+    by[:3, 6] = P / rolling.ratio
+    by[:3, 7] = P / radius
+    C = np.zeros((8, 8))
+    C[:3, :3], C[3:7, 3:7], C[7, 7] = axes.covariance, rolled.covariance, radius_sigma**2
+    with_ball = np.zeros((6, 4))
+    with_ball[:, 3] = by[:, 7] * radius_sigma**2
+    ball = Ball(radius, covariance=np.diag([0.0, 0.0, 0.0, radius_sigma**2]))
+    return Pose(R, P, by @ C @ by.T, with_ball), ball
+
+
+def placed_targets(
+    axes: Axes, device: Device, rolled: Rolled, radius: float, radius_sigma: float
+) -> tuple[Targets, Array]:
+    """Targets measured in cam, in `obj`, and their covariance with the ball's centre and radius, (3n, 4)."""
+    assert axes.targets_cam is not None
+    assert axes.targets_cam_covariance is not None
+    c, ratio, R = rolled.rolling.direction, rolled.rolling.ratio, axes.rotation
+    X = (axes.targets_cam - radius * ratio * c) @ R.T
+    n = len(X)
+    by = np.zeros((3 * n, 3 * n + 3 + 5))
+    for k in range(n):
+        rows = slice(3 * k, 3 * k + 3)
+        by[rows, rows] = R
+        by[rows, 3 * n : 3 * n + 3] = -hat(X[k])
+        by[rows, 3 * n + 3 : 3 * n + 6] = -radius * ratio * R
+        by[rows, 3 * n + 6] = -radius * (R @ c)
+        by[rows, 3 * n + 7] = -ratio * (R @ c)
+    C = np.zeros((3 * n + 8, 3 * n + 8))
+    C[: 3 * n + 3, : 3 * n + 3] = axes.targets_cam_covariance
+    C[3 * n + 3 : 3 * n + 7, 3 * n + 3 : 3 * n + 7] = rolled.covariance
+    C[-1, -1] = radius_sigma**2
+    cross = np.zeros((3 * n, 4))
+    cross[:, 3] = by[:, -1] * radius_sigma**2
+    number: dict[str, int] = dict(zip(device.codes, device.ids, strict=True))
+    ids = tuple(number[code] for code in axes.codes)
+    return Targets(ids, axes.codes, X, by @ C @ by.T, np.asarray(device.target_radii, dtype=float)), cross

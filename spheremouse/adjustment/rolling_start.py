@@ -1,0 +1,390 @@
+"""Where a ball that rolls is, from nothing but its picture: dark spots that turn together, and the sphere they lie on.
+
+Takes frames and the interior orientation; gives the direction to the ball's centre, its distance over its radius and
+the size of its discs, all roughly: a start for the tracker and the adjustment. Spots are followed from frame to frame;
+between two frames those on a ball turn by one rotation about its centre (Wahba's problem), if the ball is where it is
+supposed to be. A search over the three unknowns finds where that is so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from spheremouse.camera import InteriorOrientation, Pose, unproject
+from spheremouse.detect.cap import appearance
+from spheremouse.detect.detections import Image
+from spheremouse.errors import CalibrationError
+from spheremouse.rig import Ball, Rig, Targets, directions_at
+from spheremouse.rotation import Array
+
+_SCALES = (9, 17, 33, 65)  # px, widths of the closing: discs up to two thirds of that are found
+_DARKER = 0.2  # least depth of a spot, of what surrounds it: print is 0.8, haze and gloss halve it
+_NOISE = 5.0  # standard deviations of a pixel's noise that it must be deeper, too
+_LEAST_AREA = 12.0  # px²
+_ROUND = 0.12  # a spot's area differs from its moments' ellipse by no more than this part, beside a pixel's
+_SLIM = 0.2  # least ratio of an ellipse's axes: slimmer ones are at the limb, or are lines
+_REACH = 0.045  # of the picture's width: no spot goes further in a frame (4 rad/s at 30 Hz)
+_LONG = 5  # frames a spot is followed at least
+_GAP = 3  # frames after which a spot that is not seen again is another one
+_STILL = 3.0  # px: what stays within this does not move
+_FAR = 0.01  # of the picture's width: what goes less tells nothing
+_PAIRS = 120  # pairs of frames that are compared
+_FEW_PAIRS = 5  # fewer say nothing
+_LAGS = (1, 2, 4, 8, 16, 32, 64)
+_FIT = 1.0  # px: spots' places are good to a few tenths, and the model to the rest
+_SHARE = 0.3  # part of the spots that move that must be on the ball
+_CENTRES, _SIZES = 11, 15  # nodes of the search
+_COARSE = 4  # of so many pairs one is taken while searching
+_REWEIGHTED = 3  # times the rotation between two frames is found, with weights by what the last one left
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """Dark spots in one frame."""
+
+    centre: Array  # (n, 2) px
+    area: Array  # (n,) px²
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """One spot, followed."""
+
+    frame: NDArray[np.intp]  # (k,) index of the frames it was seen in
+    centre: Array  # (k, 2) px
+    area: Array  # (k,) px²
+
+    @property
+    def extent(self) -> float:
+        """px, diagonal of the box it moved in."""
+        return float(np.linalg.norm(np.ptp(self.centre, axis=0)))
+
+    @property
+    def smooth(self) -> bool:
+        """Does it go on as it went? Noise that happens to be linked goes to and fro."""
+        way = np.diff(self.centre, axis=0) / np.diff(self.frame)[:, None]
+        turn = np.diff(way, axis=0)
+        return bool(np.mean(turn**2) < 0.25 * np.mean(way**2) + 0.1)
+
+
+@dataclass(frozen=True, slots=True)
+class RollingStart:
+    """The ball in units of its radius, roughly."""
+
+    direction: Array  # (3,) unit vector in cam, to the ball's centre
+    ratio: float  # distance of the centre over the radius
+    disc_angle: float  # rad, radius of a disc over that of the ball
+    misfit: float  # px, median of what is left between two frames
+    paths: tuple[Path, ...] = field(repr=False)  # those that moved
+
+
+def dark_spots(image: Image) -> Spots:
+    """Compact dark regions of any size in an image (h, w, 3) BGR or (h, w)."""
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = cv2.GaussianBlur(grey, (0, 0), 0.8)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(grey[::4].astype(np.float32), axis=1))))
+    found: list[tuple[float, float, float]] = []  # u, v, area
+    for width in _SCALES:
+        if width > min(grey.shape) // 4:
+            break
+        background = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
+        depth = cv2.subtract(background, grey)
+        level = cv2.add(cv2.convertScaleAbs(background, alpha=_DARKER), np.array(_NOISE * noise + 2.0))
+        contours, _ = cv2.findContours(cv2.compare(depth, level, cv2.CMP_GT), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            if len(contour) >= 6 and (spot := _spot(contour, depth, 0.8 * width)) is not None:
+                found.append(spot)
+    kept: list[tuple[float, float, float]] = []
+    for spot in sorted(found, key=lambda f: -f[2]):  # in a large one the narrow closings see its rim as spots
+        if all(np.hypot(spot[0] - k[0], spot[1] - k[1]) > 1.2 * np.sqrt(k[2] / np.pi) for k in kept):
+            kept.append(spot)
+    a = np.array(kept).reshape(-1, 3)
+    return Spots(a[:, :2], a[:, 2])
+
+
+def _spot(contour: Image, depth: Image, largest: float) -> tuple[float, float, float] | None:
+    """Centroid and area of a dark region; None where it is no ellipse."""
+    x, y, w, h = cv2.boundingRect(contour)
+    if max(w, h) > largest:
+        return None
+    x0, y0 = max(x - 1, 0), max(y - 1, 0)
+    patch = depth[y0 : y + h + 1, x0 : x + w + 1].astype(np.float32)
+    inside = np.zeros(patch.shape, np.uint8)
+    cv2.drawContours(inside, [contour], 0, 1, thickness=cv2.FILLED, offset=(-x0, -y0))
+    if inside[[0, -1]].any() and (y0 == 0 or y + h + 1 > depth.shape[0]):
+        return None
+    deep = float(np.median(patch[inside > 0]))
+    near = cv2.dilate(inside, np.ones((3, 3), np.uint8))
+    cover = np.clip(patch / max(deep, 1.0), 0.0, 1.0) * near  # how much of each pixel is disc
+    m = cv2.moments(cover)
+    area = m["m00"]
+    if area < _LEAST_AREA:
+        return None
+    xx, xy, yy = (m[k] / area for k in ("mu20", "mu11", "mu02"))
+    root = np.hypot(0.5 * (xx - yy), xy)
+    minor, major = np.sqrt(max(0.5 * (xx + yy) - root, 1e-6)), np.sqrt(0.5 * (xx + yy) + root)
+    off = abs(area / (4.0 * np.pi * minor * major) - 1.0)
+    if minor < _SLIM * major or off > _ROUND + 1.0 / np.sqrt(area):
+        return None
+    return x0 + m["m10"] / area, y0 + m["m01"] / area, float(area)
+
+
+def follow(spots: Sequence[Spots], width: int) -> list[Path]:
+    """Spots of frames in a row, linked where each is the other's nearest and the size is alike."""
+    gate = _REACH * width
+    done: list[_Open] = []
+    alive: list[_Open] = []
+    for k, seen in enumerate(spots):
+        done += [p for p in alive if k - p.frame[-1] > _GAP]
+        alive = [p for p in alive if k - p.frame[-1] <= _GAP]
+        expected = np.array([p.expected(k) for p in alive]).reshape(-1, 2)
+        reach = np.array([(0.35 * gate + 2.0 if len(p.frame) > 1 else gate) * (k - p.frame[-1]) for p in alive])
+        area = np.array([p.area[-1] for p in alive])
+        distance = np.linalg.norm(expected[:, None] - seen.centre[None], axis=2)
+        unlike = np.abs(np.log(area[:, None] / np.maximum(seen.area[None], 1e-9))) > 0.7
+        distance = np.where(unlike | (distance > reach[:, None]), np.inf, distance)
+        taken = np.zeros(len(seen.centre), dtype=bool)
+        for i, path in enumerate(alive):
+            j = int(np.argmin(distance[i])) if distance.shape[1] else -1
+            if j >= 0 and np.isfinite(distance[i, j]) and np.argmin(distance[:, j]) == i:
+                path.add(k, seen, j)
+                taken[j] = True
+        for j in np.flatnonzero(~taken):
+            alive.append(_Open([], [], []))
+            alive[-1].add(k, seen, int(j))
+    return [
+        Path(np.array(p.frame), np.array(p.centre), np.array(p.area)) for p in done + alive if len(p.frame) >= _LONG
+    ]
+
+
+@dataclass(slots=True)
+class _Open:
+    """A path that may go on."""
+
+    frame: list[int]
+    centre: list[Array]
+    area: list[float]
+
+    def add(self, k: int, seen: Spots, j: int) -> None:
+        """The spot j of frame k."""
+        self.frame.append(k)
+        self.centre.append(seen.centre[j])
+        self.area.append(float(seen.area[j]))
+
+    def expected(self, k: int) -> Array:
+        """Where it is in frame k, if it goes on as it went, (2,) px."""
+        if len(self.frame) < 2:
+            return self.centre[-1]
+        way = (self.centre[-1] - self.centre[-2]) / (self.frame[-1] - self.frame[-2])
+        return self.centre[-1] + way * (k - self.frame[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """What moved between two frames, p times up to n spots."""
+
+    before: Array  # (p, n, 3) unit rays in cam
+    after: Array  # (p, n, 3)
+    there: NDArray[np.bool_]  # (p, n)
+    path: NDArray[np.intp]  # (p, n) index of the spot's path
+
+    def every(self, step: int) -> "_Pairs":
+        """One of so many."""
+        return _Pairs(self.before[::step], self.after[::step], self.there[::step], self.path[::step])
+
+
+def start(spots: Sequence[Spots], camera: InteriorOrientation) -> RollingStart:
+    """Find the ball that turns. CalibrationError where nothing moves, or nothing that turns as one ball."""
+    least = max(_FAR * camera.width, _STILL)
+    far = [p for p in follow(spots, camera.width) if p.extent > least and p.smooth]
+    if len(far) < 3:
+        raise CalibrationError(
+            f"{len(far)} dark spot{'s' if len(far) != 1 else ''} moved: no ball with discs is seen to turn; "
+            "light it, put discs on it, and roll it on in all directions"
+        )
+    found = _turning(far, camera)
+    if found is None:
+        raise CalibrationError(
+            "the dark spots that move do not turn as one ball about its centre: keep hands and all else that moves "
+            "out of the picture, leave the camera where it is, and roll the ball on, slowly"
+        )
+    direction, ratio, misfit, fitting = found
+    rig = start_rig(RollingStart(direction, ratio, 0.02, 0.0, ()), camera)
+    pose = Pose(np.eye(3), -direction * ratio)
+    beside = [p for p in far if len(directions_at(p.centre, rig, pose)[1]) == 0]
+    if len(beside) >= 4 and _turning(beside, camera) is not None:
+        raise CalibrationError("two balls turn in the picture: roll one alone, and cover the other")
+    return RollingStart(direction, ratio, _disc_angle(fitting, rig, pose), misfit, tuple(fitting))
+
+
+def _turning(paths: Sequence[Path], camera: InteriorOrientation) -> tuple[Array, float, float, list[Path]] | None:
+    """Direction, ratio misfit in px of the ball that spots turn with, and which do; None where there is none."""
+    pairs = _pairs(paths, camera)
+    if len(pairs.there) < _FEW_PAIRS:
+        return None
+    found = _search(pairs, paths, camera)
+    residual = _residuals(found[None], pairs, camera.fx)[0]
+    on = pairs.there & np.isfinite(residual)  # what moves beside the ball is something else
+    if np.count_nonzero(on) < _SHARE * np.count_nonzero(pairs.there):
+        return None
+    misfit = float(np.median(residual[on]))
+    if misfit > _FIT or np.mean(residual[on] < 3.0 * _FIT) < 0.5:
+        return None
+    fits = pairs.there & (residual < 3.0 * _FIT)
+    good, all_ = (np.bincount(pairs.path[m], minlength=len(paths)) for m in (fits, pairs.there))
+    return *_unpacked(found), misfit, [p for p, g, n in zip(paths, good, all_, strict=True) if 2 * g > n]
+
+
+def start_rig(found: RollingStart, camera: InteriorOrientation) -> Rig:
+    """A rig of the ball with radius 1 (no targets, no pose) as the detectors take it."""
+    no_targets = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
+    return Rig(camera, Ball(1.0), no_targets, found.disc_angle, scale_free=True)
+
+
+def _pairs(paths: Sequence[Path], camera: InteriorOrientation) -> _Pairs:
+    """Pairs of frames that show most: many spots in common that went far."""
+    last = max(int(p.frame[-1]) for p in paths) + 1
+    at = np.full((last, len(paths), 2), np.nan)
+    for i, p in enumerate(paths):
+        at[p.frame, i] = p.centre
+    far = 0.15 * camera.width
+    scored: list[tuple[float, int, int]] = []
+    for f in range(0, last - 1, max(1, last // 600)):
+        best = (0.0, 0, 0)
+        for lag in _LAGS:
+            if f + lag >= last:
+                break
+            way = np.linalg.norm(at[f + lag] - at[f], axis=1)
+            n = np.count_nonzero(np.isfinite(way))
+            if n >= 3:
+                went = float(np.nanmedian(way))
+                best = max(best, ((n - 2.5) * min(went, far), f, f + lag))
+        if best[0] > 0.0:
+            scored.append(best)
+    # the best of each stretch of time, so that every way the ball was rolled has its say
+    stretches = np.array_split(np.arange(len(scored)), min(_PAIRS, len(scored))) if scored else []
+    chosen = [max(scored[i] for i in stretch) for stretch in stretches]
+    most = max((int(np.isfinite(at[g, :, 0] + at[f, :, 0]).sum()) for _, f, g in chosen), default=0)
+    before, after = np.zeros((len(chosen), most, 3)), np.zeros((len(chosen), most, 3))
+    before[..., 2] = after[..., 2] = 1.0
+    there = np.zeros((len(chosen), most), dtype=bool)
+    path = np.zeros((len(chosen), most), dtype=np.intp)
+    for k, (_, f, g) in enumerate(chosen):
+        both = np.flatnonzero(np.isfinite(at[g, :, 0] + at[f, :, 0]))
+        before[k, : len(both)], after[k, : len(both)] = _rays(at[f, both], camera), _rays(at[g, both], camera)
+        there[k, : len(both)], path[k, : len(both)] = True, both
+    there &= np.isfinite(before[..., 0] + after[..., 0])
+    return _Pairs(np.nan_to_num(before), np.nan_to_num(after), there, path)
+
+
+def _rays(uv: Array, camera: InteriorOrientation) -> Array:
+    xy, _ = unproject(uv, camera)
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    return ray / np.linalg.norm(ray, axis=1, keepdims=True)
+
+
+def _unpacked(x: Array) -> tuple[Array, float]:
+    """Direction and distance over radius of (x/z, y/z, log of the angular radius)."""
+    c = np.array([x[0], x[1], 1.0])
+    return c / np.linalg.norm(c), float(1.0 / np.sin(np.exp(x[2])))
+
+
+def _residuals(x: Array, pairs: _Pairs, focal: float) -> Array:
+    """Of h hypotheses, (h, 3) as `_unpacked`: px between where a spot went and where a rotation takes it, (h, p, n).
+
+    inf for a ray that misses the ball. The rotation is that of most spots: reweighted.
+    """
+    c = np.concatenate([x[:, :2], np.ones((len(x), 1))], axis=1)
+    c /= np.linalg.norm(c, axis=1, keepdims=True)
+    D = 1.0 / np.sin(np.exp(np.minimum(x[:, 2], np.log(1.5))))
+    centre = (c * D[:, None])[:, None, None, :]
+    on, hit = [], np.broadcast_to(pairs.there, (len(x), *pairs.there.shape)).copy()
+    for ray in (pairs.before, pairs.after):
+        b = np.einsum("pnj,hj->hpn", ray, c) * D[:, None, None]
+        root = b * b - (D * D - 1.0)[:, None, None]
+        hit &= root > 0.0
+        on.append((b - np.sqrt(np.maximum(root, 0.0)))[..., None] * ray[None] - centre)
+    u, v = on
+    weight = hit.astype(float)
+    residual = np.full(hit.shape, np.inf)
+    for _ in range(_REWEIGHTED):
+        B = np.einsum("hpn,hpni,hpnj->hpij", weight, v, u)
+        left, _, right = np.linalg.svd(B)
+        left[..., :, 2] *= np.linalg.det(left @ right)[..., None]
+        turned = u @ (left @ right).swapaxes(-1, -2) + centre
+        z = np.maximum(turned[..., 2], 1e-3)
+        way = turned[..., :2] / z[..., None] - (pairs.after[..., :2] / pairs.after[..., 2:])[None]
+        residual = np.where(hit, focal * np.linalg.norm(way, axis=-1), np.inf)
+        weight = hit / (1.0 + np.where(hit, residual / (2.0 * _FIT), 0.0) ** 2)
+    return residual
+
+
+def _cost(x: Array, pairs: _Pairs, focal: float, scale: float) -> Array:
+    """Of h hypotheses, (h,): a mean over all spots that gross errors hardly touch, and a miss is one.
+
+    Three spots and three of a rotation's angles leave half of the freedom: pairs count by what they check.
+    """
+    residual = _residuals(x, pairs, focal)
+    freedom = np.maximum(pairs.there.sum(axis=1) - 1.5, 0.1)
+    share = freedom / pairs.there.sum(axis=1)
+    far = np.minimum(residual, 10.0 * scale) / scale
+    value = np.where(pairs.there, np.log1p(far**2), 0.0)
+    return np.einsum("hpn,p->h", value, 1.0 / np.maximum(share, 0.1)) / pairs.there.sum()
+
+
+def _search(pairs: _Pairs, paths: Sequence[Path], camera: InteriorOrientation) -> Array:
+    """The best (x/z, y/z, log of the angular radius): nodes over all that is possible, then the best few refined."""
+    everywhere = np.concatenate([p.centre for p in paths])
+    low, high = np.quantile(everywhere, [0.02, 0.98], axis=0)
+    xy = np.nan_to_num(_rays(np.array([low, high]), camera))
+    xy = xy[:, :2] / xy[:, 2:]
+    middle, half = xy.mean(axis=0), 0.5 * np.ptp(xy, axis=0)
+    half = np.maximum(half, 0.3 * half.max())
+    largest = float(np.arctan(half.max()))
+    sizes = np.log(np.minimum(largest * np.geomspace(0.35, 3.0, _SIZES), 1.2))
+    nodes = np.linspace(-0.9, 0.9, _CENTRES)
+    grid = np.array(
+        [[middle[0] + a * half[0], middle[1] + b * half[1], s] for s in sizes for a in nodes for b in nodes]
+    )
+    few = pairs.every(max(1, min(_COARSE, len(pairs.there) // 20)))
+    cost = np.concatenate([_cost(g, few, camera.fx, 4.0 * _FIT) for g in np.array_split(grid, len(grid) // 100 + 1)])
+    tried: list[Array] = []
+    for k in np.argsort(cost)[:40]:
+        if all(np.abs(grid[k] - x).max() > 0.25 * half.max() for x in tried) and len(tried) < 4:
+            tried.append(grid[k])
+    near = [_refined(x, few, camera.fx, 4.0 * _FIT, 0.1 * half.max()) for x in tried]
+    best = near[int(np.argmin(_cost(np.array(near), pairs, camera.fx, _FIT)))]
+    for scale, reach in ((_FIT, 0.02), (0.3 * _FIT, 0.004)):
+        best = _refined(best, pairs, camera.fx, scale, reach * half.max())
+    return best
+
+
+def _refined(x: Array, pairs: _Pairs, focal: float, scale: float, reach: float) -> Array:
+    """The least cost near x."""
+    found = minimize(
+        lambda y: float(_cost(y[None], pairs, focal, scale)[0]),
+        x,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": x + np.vstack([np.zeros(3), np.diag([reach, reach, 2.0 * reach])]),
+            "xatol": 1e-5,
+            "fatol": 1e-6,
+            "maxfev": 200,
+        },
+    )
+    return np.asarray(found.x)
+
+
+def _disc_angle(paths: Sequence[Path], rig: Rig, pose: Pose) -> float:
+    """Radius of the discs over the ball's, from the areas of the spots that moved."""
+    uv, area = np.concatenate([p.centre for p in paths]), np.concatenate([p.area for p in paths])
+    directions, index = directions_at(uv, rig, pose)
+    share = area[index] / appearance(directions, rig, pose).area
+    share = share[np.isfinite(share)]
+    if len(share) == 0:
+        raise CalibrationError("the dark spots that move are not on the ball that they turn with: roll the ball alone")
+    return rig.disc_radius * float(np.sqrt(np.median(share)))

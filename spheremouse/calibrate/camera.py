@@ -1,0 +1,384 @@
+"""`spheremouse calibrate camera`: photos of a board, or a live session before it, in; camera.yaml and a report out."""
+
+import importlib.util
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from spheremouse import __version__
+from spheremouse.errors import CalibrationError
+from spheremouse.progress import progress_bar
+from spheremouse.rotation import Array
+from spheremouse.yaml_file import write_atomically
+
+if TYPE_CHECKING:
+    from spheremouse.adjustment.board import BoardAdjustment, View
+    from spheremouse.adjustment.coverage import Coverage
+    from spheremouse.calibrate.photos import Photo
+    from spheremouse.detect.board import Pattern, Sighting
+
+EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
+
+_TERMS = (0, 2, 4, 5)
+_NEAR, _FAR = 0.02, 30.0  # m: no webcam is sharp nearer, and no board that a person holds is of use farther away
+_RATIO = 0.1  # part by which a marker may seem to differ from what was said: blur makes small ones smaller
+_LOOSE = 0.1  # of the focal length: a standard deviation from which on it is not determined
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """Everything a camera's calibration found, for files and report."""
+
+    photos: tuple["Photo", ...]  # all, in the order given
+    pattern: "Pattern"
+    index: tuple[int, ...]  # of the photos that are views
+    views: tuple["View", ...]
+    found: "BoardAdjustment"
+    held_out: Array  # (v,) px RMS of each view, calibrated without it; nan where not
+    coverage: "Coverage"
+    skipped: dict[int, str]  # photo: why it is no view
+
+    @property
+    def names(self) -> list[str]:
+        """File names of the views."""
+        return [self.photos[i].path.name for i in self.index]
+
+
+def camera(
+    photos: Annotated[
+        list[Path] | None, typer.Argument(metavar="PHOTOS...", help="Photos of the board, or their folder.")
+    ] = None,
+    board: Annotated[
+        str, typer.Option(metavar="CxR", help="Inner corners along and down: one less than squares.")
+    ] = "11x8",
+    square: Annotated[
+        str | None, typer.Option(metavar="LENGTH", help="Side of a square, measured on the print, as in 86mm.")
+    ] = None,
+    marker: Annotated[
+        str | None, typer.Option(metavar="LENGTH", help="Side of a marker, as in 60mm: it is a ChArUco board.")
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option(metavar="NAME", help="ChArUco markers, as printed on the board.")
+    ] = "DICT_5X5_100",
+    source: Annotated[
+        str | None, typer.Option(metavar="KIND:ARG", help="Take views live, as `run --source` names a camera.")
+    ] = None,
+    keep: Annotated[Path, typer.Option(metavar="FOLDER", help="Where a live session keeps its views.")] = Path("board"),
+    distortion: Annotated[
+        int, typer.Option(metavar="0|2|4|5", help="Terms of the lens: k1 k2, also p1 p2, also k3.")
+    ] = 5,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The camera file to write.")] = Path("camera.yaml"),
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+) -> None:
+    """Find focal lengths, principal point and lens distortion from photos of a chessboard or ChArUco board.
+
+    10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
+    reaching into all corners of the picture. With --source it watches the camera and takes the views that are wanted.
+    """
+    from spheremouse.calibrate.camera_report import camera_json, camera_text, write_camera_report
+    from spheremouse.calibrate.photos import read_photos
+    from spheremouse.rig_file import save_camera
+
+    pattern = _pattern(board, square, marker, dictionary)
+    if distortion not in _TERMS:
+        raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
+    if source is None and not photos:
+        raise CalibrationError("no photos; name photos or a folder with photos, or a camera with --source opencv:0")
+    if source is not None and photos:
+        raise CalibrationError("photos and --source: give one of the two; a live session keeps its views in --keep")
+    page = _page(report, out)
+    _check_free([out, *([page] if page else []), *([json_file] if json_file not in (None, Path("-")) else [])], force)
+    if source is not None:
+        from spheremouse.calibrate.live import take_views
+
+        take_views(source, pattern, keep)
+        photos = [keep]
+    done = calibrate(read_photos(photos or [], note), pattern, distortion)
+    provenance = _provenance(done)
+    figures = camera_json(done)
+    if page is not None:
+        write_camera_report(page, done, provenance)
+    if json_file is not None and json_file != Path("-"):
+        write_atomically(json_file, json.dumps(figures, indent=1, allow_nan=False) + "\n")
+    save_camera(out, done.found.camera, provenance)
+    if json_file == Path("-"):
+        typer.echo(json.dumps(figures, indent=1, allow_nan=False))
+        return
+    camera_text(done)
+    typer.echo(f"{out}: the camera" + (f"; {page}: the report" if page else ""))
+    typer.echo(f"next: spheremouse calibrate device device/ --device device.yaml --camera {out}")
+
+
+def note(text: str) -> None:
+    """Something worth knowing, on standard error."""
+    typer.echo(f"note: {text}", err=True)
+
+
+# ---- what is asked for ----
+
+
+def _pattern(board: str, square: str | None, marker: str | None, dictionary: str) -> "Pattern":
+    from spheremouse.calibrate.lengths import parse_board, parse_length
+    from spheremouse.detect.board import DICTIONARIES, Pattern, markers_in, markers_of
+
+    columns, rows = parse_board(board)
+    if square is None:
+        raise CalibrationError("--square: measure the side of a square on the print, and give it, as in --square 86mm")
+    side = parse_length(square)
+    if marker is None:
+        return Pattern(columns, rows, side)
+    inner = parse_length(marker)
+    if inner >= side:
+        raise CalibrationError(f"--marker {marker}: must be smaller than the square around it, which is {square}")
+    name = dictionary.upper()
+    name = name if name.startswith("DICT_") else f"DICT_{name}"
+    if name not in DICTIONARIES:
+        raise CalibrationError(f"--dictionary {dictionary}: not known; one of {', '.join(DICTIONARIES)}")
+    pattern = Pattern(columns, rows, side, inner, name)
+    if markers_of(pattern) > markers_in(name):
+        raise CalibrationError(
+            f"--dictionary {name}: has {markers_in(name)} markers, and a board of {columns}x{rows} inner corners "
+            f"carries {markers_of(pattern)}; name the dictionary that is printed on the board"
+        )
+    return pattern
+
+
+def _page(report: Path | None, out: Path) -> Path | None:
+    from spheremouse.plot import require_matplotlib
+
+    if report is not None:
+        require_matplotlib()
+        return report
+    if importlib.util.find_spec("matplotlib") is None:
+        note("no report with pictures without matplotlib: pip install 'spheremouse[plot]'")
+        return None
+    return out.with_suffix(".html")
+
+
+def _check_free(paths: Sequence[Path], force: bool) -> None:
+    """Refuse, before anything is calculated, what could not be written in the end."""
+    for path in paths:
+        if path.is_dir():
+            raise CalibrationError(f"{path}: is a folder; name a file")
+        if not path.parent.is_dir():
+            raise CalibrationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+    if there := [str(p) for p in paths if p.exists() and not force]:
+        raise CalibrationError(f"{', '.join(there)}: there already; name another file with --out, or use --force")
+
+
+# ---- the calibration ----
+
+
+def calibrate(photos: "Sequence[Photo]", pattern: "Pattern", terms: int = 5) -> Calibrated:
+    """The camera that took the photos of a board; CalibrationError where they do not tell it."""
+    from spheremouse.adjustment.board import MIN_VIEWS, calibrate_board, held_out
+    from spheremouse.adjustment.coverage import coverage
+    from spheremouse.calibrate.photos import image
+    from spheremouse.detect.board import find_board, rectified
+
+    size = photos[0].size
+    with progress_bar() as bar:
+        task = bar.add_task("finding the board", total=2 * len(photos))
+        seen = []
+        for photo in photos:
+            seen.append(find_board(image(photo), pattern))
+            bar.advance(task)
+        index = [i for i, s in enumerate(seen) if len(s.ids)]
+        _check_markers(photos, seen, pattern)
+        if len(index) < MIN_VIEWS:
+            raise _too_few(photos, seen, pattern)
+        first = calibrate_board([_view(pattern, seen[i]) for i in index], size, terms)
+        bar.update(task, description="measuring corners")
+        fine = {i: seen[i] for i in index}
+        for k, i in enumerate(index):
+            if first.used[k]:
+                R, t = first.rotations[k], first.translations[k]
+                better = rectified(image(photos[i]), pattern, seen[i], first.camera, R, t)
+                fine[i] = better if len(better.ids) >= 0.8 * len(seen[i].ids) else seen[i]
+            bar.advance(task)
+    views = [_view(pattern, fine[i]) for i in index]
+    found = calibrate_board(views, size, terms)
+    _check_plausible(found, pattern)
+    used = np.flatnonzero(found.used).tolist()
+    covered = coverage(size, [views[k].uv for k in used], found.rotations[found.used])
+    skipped = {i: _why(s, pattern) for i, s in enumerate(seen) if i not in fine}
+    return Calibrated(
+        tuple(photos), pattern, tuple(index), tuple(views), found, held_out(views, found), covered, skipped
+    )
+
+
+def _view(pattern: "Pattern", seen: "Sighting") -> "View":
+    from spheremouse.adjustment.board import View
+
+    return View(pattern.corners()[seen.ids], seen.uv)
+
+
+def _why(seen: "Sighting", pattern: "Pattern") -> str:
+    """Why a photo is no view."""
+    if pattern.marker is not None:
+        if seen.misplaced:
+            return "its markers do not lie as on this board"
+        return f"shows {seen.markers} markers, too few" if seen.markers else "shows no marker of this board"
+    if seen.grid is None:
+        return "shows no chessboard"
+    wanted = max(pattern.columns, pattern.rows), min(pattern.columns, pattern.rows)
+    if seen.grid == wanted:
+        return "the board cannot be made out sharply"
+    return f"shows {seen.grid[0]}x{seen.grid[1]} corners of a chessboard, not {_words(pattern)}"
+
+
+def _words(pattern: "Pattern") -> str:
+    return f"{pattern.columns}x{pattern.rows}"
+
+
+def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pattern") -> CalibrationError:
+    """Why there are hardly any views, as far as the photos tell."""
+    from spheremouse.calibrate.photos import image
+    from spheremouse.detect.board import dictionary_seen, find_board
+
+    n = sum(1 for s in seen if len(s.ids))
+    if pattern.marker is None:
+        grids = Counter(s.grid for s in seen if s.grid is not None and not len(s.ids))
+        wanted = max(pattern.columns, pattern.rows), min(pattern.columns, pattern.rows)
+        grids.pop(wanted, None)
+        if grids:
+            (grid, times), *_ = grids.most_common()
+            name = next(p.path.name for p, s in zip(photos, seen, strict=True) if s.grid == grid and not len(s.ids))
+            if times >= 2 and times > n and times >= 0.5 * grids.total():
+                return CalibrationError(
+                    f"the board in {name} has {grid[0]}x{grid[1]} inner corners, not {_words(pattern)}"
+                    f" ({times} of {len(photos)} photos agree); give --board {grid[0]}x{grid[1]}, or photos of the "
+                    "other board"
+                )
+    if pattern.marker is not None and not any(s.markers for s in seen):
+        plain = replace(pattern, marker=None)
+        grid = next((g for p in photos[:5] if (g := find_board(image(p), plain).grid)), None)
+        if grid is not None:
+            return CalibrationError(
+                f"no marker found, but a chessboard with {grid[0]}x{grid[1]} inner corners; leave --marker out"
+            )
+    if pattern.marker is not None or not any(s.grid for s in seen):
+        name = next((d for p in photos[:5] if (d := dictionary_seen(image(p)))), None)
+        if name is not None and pattern.marker is None:
+            return CalibrationError(
+                f"no chessboard found, but markers of {name}: a ChArUco board? give --marker LENGTH --dictionary {name}"
+            )
+        if name is not None and name.rpartition("_")[0] != pattern.dictionary.rpartition("_")[0]:
+            return CalibrationError(
+                f"the markers in the photos are of {name}, not {pattern.dictionary}; give --dictionary {name}"
+            )
+    whole = "the whole board" if pattern.marker is None else "the board"
+    return CalibrationError(
+        f"{whole} ({_words(pattern)} inner corners) is seen in {n} of {len(photos)} photos, and 3 are the least; take "
+        f"10 to 20 that show it from different sides{_reasons(photos, seen, pattern)}"
+    )
+
+
+def _reasons(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pattern") -> str:
+    """Why photos are no views, those with the same reason together."""
+    because: dict[str, list[str]] = {}
+    for photo, s in zip(photos, seen, strict=True):
+        if not len(s.ids):
+            because.setdefault(_why(s, pattern), []).append(photo.path.name)
+    return "".join(f". {', '.join(names)}: {why}" for why, names in because.items())
+
+
+def _check_markers(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pattern") -> None:
+    """Whether a ChArUco board is the one that was described; each marker tells its place and its share of a square."""
+    if pattern.marker is None:
+        return
+    with_markers = [s for s in seen if s.markers >= 4]
+    misplaced = [p.path.name for p, s in zip(photos, seen, strict=True) if s.misplaced]
+    if len(misplaced) > 0.5 * len(with_markers):
+        raise CalibrationError(
+            f"the markers in {misplaced[0]} do not lie as on a board of {_words(pattern)} inner corners with "
+            f"{pattern.dictionary}; count the squares ({_words(pattern)} inner corners are {pattern.columns + 1} by "
+            f"{pattern.rows + 1} squares), along first, and give --board"
+        )
+    ratios = np.array([s.ratio for s in with_markers])
+    if not np.any(np.isfinite(ratios)):
+        return
+    ratio, said = float(np.nanmedian(ratios)), pattern.marker / pattern.square
+    if abs(ratio / said - 1.0) > _RATIO:
+        raise CalibrationError(
+            f"the markers are {ratio:.2f} of a square in the photos, and {said:.2f} as given; measure both, as in "
+            f"--square {1e3 * pattern.square:g}mm --marker {1e3 * pattern.square * ratio:.0f}mm"
+        )
+
+
+def _check_plausible(found: "BoardAdjustment", pattern: "Pattern") -> None:
+    """Refuse what no adjustment can see wrong, and what it cannot determine."""
+    from spheremouse.adjustment.board import MIN_VIEWS
+
+    camera, sigma = found.camera, found.deviations
+    loose = float(np.max(sigma[:2] / np.array([camera.fx, camera.fy])))
+    if loose > _LOOSE or not np.isfinite(loose):
+        tilt = float(np.degrees(found.tilts()[found.used].max()))
+        raise CalibrationError(
+            f"the focal length stays open ({camera.fx:.0f} px with a standard deviation of {sigma[0]:.0f}): the board "
+            f"is never tilted by more than {tilt:.0f} degrees, or always to the same side; add photos with the board "
+            "tilted by 20 to 45 degrees to the left, right, up and down"
+        )
+    if int(found.used.sum()) < MIN_VIEWS:
+        raise CalibrationError("the photos contradict each other; are they of one camera, one zoom and one board?")
+    distance = float(np.median(np.linalg.norm(found.camera_positions()[found.used], axis=1)))
+    if not _NEAR < distance < _FAR:
+        raise CalibrationError(
+            f"--square {_length(pattern.square)} puts the camera {_length(distance)} from the board; measure a square, "
+            "and give it with its unit"
+        )
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.3g} m" if metres >= 1.0 else f"{1e3 * metres:.3g} mm"
+
+
+def _provenance(done: Calibrated) -> dict[str, Any]:
+    pattern = done.pattern
+    left_out = done.skipped | false_views(done)
+    made: dict[str, Any] = {
+        "made_by": f"spheremouse {__version__}, calibrate camera",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "board": _words(pattern),
+        "square": pattern.square,
+    }
+    if pattern.marker is not None:
+        made |= {"marker": pattern.marker, "dictionary": pattern.dictionary}
+    made["rms_px"] = round(done.found.rms, 4)
+    made["photos"] = [{"file": p.path.name, "sha256": p.sha256} for i, p in enumerate(done.photos) if i not in left_out]
+    made["left_out"] = [
+        {"file": done.photos[i].path.name, "why": why, "sha256": done.photos[i].sha256} for i, why in left_out.items()
+    ]
+    return made
+
+
+def false_views(done: Calibrated) -> dict[int, str]:
+    """Photos whose board does not fit the camera of the others, and how badly."""
+    rms = done.found.view_rms()
+    return {
+        i: f"does not fit the others ({rms[k]:.2f} px, they {done.found.rms:.2f}): another zoom, focus or board?"
+        for k, i in enumerate(done.index)
+        if not done.found.used[k]
+    }
+
+
+def thumbnail(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    """The image made `width` px wide."""
+    import cv2
+
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,0 +1,20 @@
+"""The commands of `spheremouse calibrate`."""
+
+import typer
+
+from spheremouse.calibrate import camera, device, init, next, practice, prints, rolling
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Turn photos, or a minute of rolling, into a rig file with covariances.",
+)
+
+app.command("print", epilog=prints.EXAMPLE)(prints.print_)
+app.command(epilog=init.EXAMPLE)(init.init)
+app.command(epilog=camera.EXAMPLE)(camera.camera)
+app.command(epilog=device.EXAMPLE)(device.device)
+app.command("next", epilog=next.EXAMPLE)(next.next_)
+app.command(epilog=practice.EXAMPLE)(practice.practice)
+app.command(epilog=rolling.EXAMPLE)(rolling.rolling)

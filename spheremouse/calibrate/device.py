@@ -1,0 +1,152 @@
+"""`spheremouse calibrate device`: photos of a device in, rig.yaml with its map of discs and a report out."""
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from spheremouse import __version__
+from spheremouse.errors import CalibrationError
+from spheremouse.progress import progress_bar
+from spheremouse.yaml_file import read_document, write_atomically
+
+if TYPE_CHECKING:
+    from spheremouse.adjustment.device import Device
+    from spheremouse.adjustment.device_adjustment import DeviceCalibration
+    from spheremouse.calibrate.photos import Photo
+    from spheremouse.camera import InteriorOrientation
+    from spheremouse.track import Settings
+
+EXAMPLE = "Example: spheremouse calibrate device device/ --device device.yaml --camera camera.yaml --out rig.yaml"
+
+_STEPS = 100
+
+
+def device(
+    photos: Annotated[list[Path], typer.Argument(metavar="PHOTOS...", help="Photos of the device, or their folder.")],
+    device_file: Annotated[
+        Path, typer.Option("--device", metavar="FILE", help="What is known of it; `calibrate init` writes one.")
+    ] = Path("device.yaml"),
+    camera_file: Annotated[
+        Path, typer.Option("--camera", metavar="FILE", help="The photos' camera, from `calibrate camera`.")
+    ] = Path("camera.yaml"),
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The rig file to write; its map goes beside it.")] = Path(
+        "rig.yaml"
+    ),
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Configuration: colours of targets (rings), discs.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter, as rings.* or discs.*.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+) -> None:
+    """Find targets, ball and discs from photos of the device, with covariances, and write rig.yaml.
+
+    Six to twelve photos from as many sides as targets allow; the ball must not turn between them. Tape distances in
+    the device file give metres; without any the scale is free and counts are per radian.
+    """
+    from spheremouse.adjustment.device_adjustment import DOUBTFUL_RMS
+    from spheremouse.calibrate.device_file import load_device, untouched
+    from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
+    from spheremouse.calibrate.photos import check_size, read_photos
+    from spheremouse.cli_config import root, settings_of
+    from spheremouse.map_file import map_path, save_map, saved_now
+    from spheremouse.rig_file import load_camera, save_rig
+
+    page = report or out.with_suffix(".html")
+    the_map = map_path(out)
+    _free([out, the_map, page, *([json_file] if json_file not in (None, Path("-")) else [])], force)
+    known = load_device(device_file)
+    camera = load_camera(camera_file)
+    chosen = settings_of(config, settings, root())
+    found = read_photos(photos, note=_note)
+    check_size(found, camera, camera_file)
+    if untouched(device_file):
+        _note(f"{device_file}: still as `calibrate init` wrote it; check every line, then delete its first")
+    calibration = _calibrated(found, known, camera, device_file, chosen)
+    for k, why in (*calibration.skipped, *calibration.doubtful):
+        _note(f"{found[k].path}: {why}")
+    if calibration.rms_px > DOUBTFUL_RMS:
+        _note(
+            f"the photos are {calibration.rms_px:.2f} px off, ten times what sharp ones are: is {camera_file} of this "
+            "camera, mode and focus?"
+        )
+    rig = calibration.rig()
+    provenance = _provenance(found, calibration, device_file, camera_file)
+    write_device_report(page, calibration, found, provenance)
+    save_map(the_map, saved_now(calibration.disc_map(), rig))
+    save_rig(out, rig, provenance)  # last: where it is, the rest is
+    figures = device_json(calibration, [p.path.name for p in found])
+    if json_file == Path("-"):
+        typer.echo(json.dumps(figures, indent=1, allow_nan=False))
+        return
+    if json_file is not None:
+        write_atomically(json_file, json.dumps(figures, indent=1, allow_nan=False) + "\n")
+    device_text(calibration, [p.path.name for p in found])
+    typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
+    typer.echo(f"next: spheremouse run --rig {out} (with --camera FILE where it runs in another mode than the photos')")
+
+
+def _calibrated(
+    photos: "Sequence[Photo]", known: "Device", camera: "InteriorOrientation", device_file: Path, settings: "Settings"
+) -> "DeviceCalibration":
+    from spheremouse.adjustment.device import DistanceError
+    from spheremouse.adjustment.device_photos import calibrate_device
+    from spheremouse.calibrate.photos import image
+
+    with progress_bar() as bar:
+        task = bar.add_task("reading", total=_STEPS)
+        try:
+            return calibrate_device(
+                [lambda photo=photo: image(photo) for photo in photos],
+                known,
+                camera,
+                settings.rings,
+                settings.discs,
+                [p.path.name for p in photos],
+                lambda what, part: bar.update(task, description=what, completed=round(_STEPS * part)),
+            )
+        except DistanceError as e:
+            line = read_document(device_file).line(("distances", e.index))
+            raise CalibrationError(f"{device_file}:{line}: {e}") from None
+
+
+def _free(paths: Sequence[Path], force: bool) -> None:
+    """Refuse, before anything is calculated, what could not be written in the end."""
+    for path in paths:
+        if path.is_dir():
+            raise CalibrationError(f"{path}: is a folder; name a file")
+        if not path.parent.is_dir():
+            raise CalibrationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+    if there := [str(p) for p in paths if p.exists()]:
+        if force:
+            return
+        raise CalibrationError(f"{', '.join(there)}: there already; name another file with --out, or use --force")
+
+
+def _provenance(
+    photos: "Sequence[Photo]", calibration: "DeviceCalibration", device_file: Path, camera_file: Path
+) -> dict[str, Any]:
+    used = [photos[k] for k in calibration.photos]
+    return {
+        "made_by": f"spheremouse {__version__}, calibrate device",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "device": device_file.name,
+        "camera": camera_file.name,
+        "photos": [{"file": p.path.name, "sha256": p.sha256} for p in used],
+        "left_out": [{"file": photos[k].path.name, "why": why} for k, why in calibration.skipped],
+    }
+
+
+def _note(text: str) -> None:
+    typer.echo(f"note: {text}", err=True)

@@ -1,0 +1,458 @@
+"""What a calibration of a device found: a page with pictures, lines for the terminal, figures for a program.
+
+The tables are those of Wittich 2017 (9-13) in our numbers. Lengths are in mm, or in thousandths of the ball's radius
+where there are no metres.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from spheremouse.adjustment.advice import Advice, advise, coverage, distance_redundancy
+from spheremouse.adjustment.device_adjustment import DeviceCalibration
+from spheremouse.calibrate import page
+from spheremouse.calibrate.device_pictures import certainty, magnification, overview, photo_picture, side_views
+from spheremouse.calibrate.photos import Photo, image
+from spheremouse.errors import ConfigurationError
+from spheremouse.rotation import Array
+from spheremouse.yaml_file import write_atomically
+
+_MARKS = {"good": ("✓", "green"), "note": ("·", "cyan"), "warning": ("!", "red")}
+_AXES = ("X", "Y", "Z")
+
+
+# ---- for a program ----
+
+
+def device_json(
+    calibration: DeviceCalibration, names: Sequence[str], advice: Sequence[Advice] | None = None
+) -> dict[str, Any]:
+    """As `--json` writes it; lengths in m, or in radii of the ball where the scale is free.
+
+    `names` of all photos; `advice` is what `advise` says, worked out here where it is not given.
+    """
+    c = calibration
+    ball = np.sqrt(np.diag(c.ball_covariance))
+    adjusted = _adjusted_distances(c)
+    return {
+        "targets": [
+            {"id": id_, "code": code, "position": place.tolist(), "sigma": sigma.tolist()}
+            for id_, code, place, sigma in zip(
+                c.device.ids, c.device.codes, c.targets, _sigma(c, "targets"), strict=True
+            )
+        ],
+        "ball": {
+            "center": c.centre.tolist(),
+            "radius": c.radius,
+            "sigma": dict(zip("XYZR", ball.tolist(), strict=True)),
+            "correlation": _correlation(c.ball_covariance).tolist(),
+        },
+        "discs": [
+            {"position": place.tolist(), "sigma": sigma.tolist(), "photos": int(seen)}
+            for place, sigma, seen in zip(c.discs, _sigma(c, "discs"), c.sightings, strict=True)
+        ],
+        "photos": [
+            {
+                "file": names[k],
+                "T_obj_cam": pose.matrix().tolist(),
+                "sigma": np.sqrt(np.diag(pose.covariance)).tolist(),
+                "points": used,
+                "rejected": rejected,
+                "rms_px": rms,
+            }
+            for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, _per_photo(c), strict=True)
+        ],
+        "rms_px": c.rms_px,
+        "variance_factors": dict(zip(("targets", "discs"), c.variance_factors, strict=True)),
+        "distances": [
+            {
+                "from": d.start,
+                "to": d.end,
+                "metres": d.metres,
+                "adjusted": float(length),
+                "residual": float(residual),
+                "sigma": d.sigma,
+                "adjusted_sigma": float(sigma),
+            }
+            for d, length, residual, sigma in zip(c.device.distances, *adjusted, strict=True)
+        ],
+        "scale_free": c.scale_free,
+        "ring_scale": c.ring_scale,
+        "out_of_round": c.out_of_round,
+        "skipped": [{"file": names[k], "why": why} for k, why in c.skipped],
+        "doubtful": [{"file": names[k], "why": why} for k, why in c.doubtful],
+        "advice": [
+            {"kind": a.kind, "text": a.text, "gain": a.gain, "improves": a.improves} for a in _advice(c, names, advice)
+        ],
+    }
+
+
+# ---- for the terminal ----
+
+
+def device_text(
+    calibration: DeviceCalibration,
+    names: Sequence[str],
+    advice: Sequence[Advice] | None = None,
+    console: Console | None = None,
+) -> None:
+    """Print the figures that matter, and the advice; `names` of all photos."""
+    c = calibration
+    console = console or Console(highlight=False)
+    unit, f, digits = _unit(c)
+    ball = np.sqrt(np.diag(c.ball_covariance))
+    lines = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
+    if not c.scale_free:
+        lines.add_row("radius", f"{f * c.radius:.{digits}f} ± {f * ball[3]:.{digits}f} {unit}")
+    where = ", ".join(f"{a} ± {f * s:.{digits}f}" for a, s in zip(_AXES, ball, strict=False))
+    lines.add_row("ball's centre", f"{where} {unit} against the targets")
+    lines.add_row("targets", f"{len(c.targets)}, ± {f * _rms(_sigma(c, 'targets')):.{digits}f} {unit}")
+    often = int(np.count_nonzero(c.sightings >= 3))
+    lines.add_row("discs", f"{len(c.discs)}, ± {f * _rms(_sigma(c, 'discs')):.{digits}f} {unit}; {often} in 3 photos +")
+    lines.add_row("image points", f"{_points(c)}; {c.rms_px:.3f} px RMS")
+    console.print(Padding(lines, (0, 0, 1, 0)))
+    photos = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
+    for head in ("photo", "points", "not used", "px RMS", f"place ± {unit}", "attitude ± °"):
+        photos.add_column(head, justify="left" if head == "photo" else "right")
+    for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, _per_photo(c), strict=True):
+        sigma = np.sqrt(np.diag(pose.covariance))
+        photos.add_row(
+            Text(names[k]), str(used), str(rejected or "-"), _px(rms),
+            f"{f * np.linalg.norm(sigma[:3]):.{digits}f}", f"{np.degrees(np.linalg.norm(sigma[3:])):.3f}",
+        )  # fmt: skip
+    console.print(Padding(photos, (0, 0, 1, 0)))
+    if c.device.distances:
+        tape = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
+        for head in ("distance", "tape mm", "adjusted mm", "residual mm", "over sigma"):
+            tape.add_column(head, justify="left" if head == "distance" else "right")
+        for row in _distance_rows(c):
+            tape.add_row(*(row[i] for i in (0, 1, 3, 5, 6)))
+        console.print(Padding(tape, (0, 0, 1, 0)))
+    for a in _advice(c, names, advice):
+        mark, colour = _MARKS[a.kind]
+        line = Table.grid(padding=(0, 1, 0, 0))
+        line.add_row(Text(mark, style=colour), Text(a.text))
+        console.print(line)
+
+
+# ---- for a browser ----
+
+
+def write_device_report(
+    path: Path,
+    calibration: DeviceCalibration,
+    photos: Sequence[Photo],
+    provenance: Mapping[str, Any],
+    advice: Sequence[Advice] | None = None,
+) -> None:
+    """Write one HTML file that needs nothing beside it; `photos` are all that were given.
+
+    `provenance` as in rig files: date, made_by, files used. Where matplotlib is missing, the drawings are left out.
+    """
+    c = calibration
+    names = [p.path.name for p in photos]
+    blocks = [
+        page.numbers(_headlines(c)),
+        page.advice([(a.kind, a.text) for a in _advice(c, names, advice)]),
+        _places(c),
+        _ball_section(c),
+        _target_section(c),
+        *([_distance_section(c)] if c.device.distances else []),
+        _photo_section(c, photos),
+        _disc_section(c),
+        _weight_section(c),
+        _provenance_section(c, photos, provenance),
+    ]
+    lead = f"{len(c.photos)} of {len(photos)} photos, {len(c.targets)} targets, {len(c.discs)} discs"
+    foot = " · ".join(str(provenance[key]) for key in ("made_by", "date") if key in provenance)
+    write_atomically(path, page.page("Calibration of the device", lead, blocks, foot))
+
+
+def _headlines(c: DeviceCalibration) -> list[tuple[str, str, str]]:
+    unit, f, digits = _unit(c)
+    ball = np.sqrt(np.diag(c.ball_covariance))
+    centre = f"X {f * ball[0]:.{digits}f}, Y {f * ball[1]:.{digits}f}, Z {f * ball[2]:.{digits}f} {unit}"
+    first = (
+        ("Scale", "free", "no tape distance: counts per radian")
+        if c.scale_free
+        else ("Ball's radius", f"{f * c.radius:.1f} {unit}", f"± {f * ball[3]:.{digits}f} {unit}")
+    )
+    return [
+        first,
+        ("Ball's centre", f"± {f * float(ball[:3].max()):.{digits}f} {unit}", centre),
+        ("Discs", str(len(c.discs)), f"on {100.0 * coverage(c.directions):.0f} % of the ball"),
+        ("Image points", f"{c.rms_px:.3f} px", f"RMS; {_points(c)}"),
+    ]
+
+
+def _places(c: DeviceCalibration) -> str:
+    heading = "Where everything is"
+    try:
+        above = page.figure(
+            overview(c),
+            "Cameras (blue, with the number of the photo), targets with their ids, discs, and the ball. Discs on the "
+            "far side are pale. The arrows are the axes from the ball's centre: X right, Y up, Z towards the camera.",
+        )
+        below = page.figure(side_views(c), "The same, all at one scale. The more the cameras surround it, the better.")
+        drawing, times = certainty(c)
+        errors = page.figure(
+            drawing,
+            f"How certain the places of targets (gold) and discs (blue) are: ellipses of one standard deviation, drawn "
+            f"{times:g} times larger. Where all point away from the middle, it is the scale that is uncertain.",
+        )
+    except ConfigurationError as e:
+        return page.section(heading, page.paragraph(f"The drawings are missing: {e}."))
+    return page.section(heading, above, below, errors)
+
+
+def _ball_section(c: DeviceCalibration) -> str:
+    unit, f, digits = _unit(c)
+    sigma, r = np.sqrt(np.diag(c.ball_covariance)), _correlation(c.ball_covariance)
+    values = [*c.centre, c.radius]
+    rows = [
+        [name, f"{f * v:.{digits}f}", f"{f * s:.{digits}f}", *(f"{r[i, j]:+.3f}" if j < i else "" for j in range(3))]
+        for i, (name, v, s) in enumerate(
+            zip(("centre X", "centre Y", "centre Z", "radius"), values, sigma, strict=True)
+        )
+    ]
+    text = (
+        f"The ball's centre as seen from target {c.device.axes.origin}, along the axes that the targets define, and "
+        "its radius. A correlation near 1 or -1 says that two errors come together: a ball a little farther off and "
+        "a little larger looks the same. The tracker is told. (Wittich 2017, table 11.)"
+    )
+    if c.scale_free:
+        text += " Lengths are in thousandths of the radius; the radius' own sigma is against the targets' distances."
+    elif c.out_of_round:
+        text += f" The ball is out of round by {f * c.out_of_round:.{digits}f} {unit} (standard deviation)."
+    head = ["", unit, f"sigma {unit}", "correlation X", "Y", "Z"]
+    return page.section("The ball", page.paragraph(text), page.table(head, rows))
+
+
+def _target_section(c: DeviceCalibration) -> str:
+    unit, f, digits = _unit(c)
+    point = c.measured.point[c.measured.used]
+    rows = [
+        [
+            str(id_),
+            code,
+            *(f"{f * v:.{digits}f}" for v in place),
+            *(f"{f * s:.{digits}f}" for s in sigma),
+            str(int(np.count_nonzero(point == i))),
+        ]
+        for i, (id_, code, place, sigma) in enumerate(
+            zip(c.device.ids, c.device.codes, c.targets, _sigma(c, "targets"), strict=True)
+        )
+    ]
+    text = "Centres of the targets as seen from the ball's centre: by these the camera knows where it is in play."
+    head = ["id", "code", *(f"{a} {unit}" for a in _AXES), *(f"sigma {a}" for a in _AXES), "photos"]
+    return page.section("Targets", page.paragraph(text), page.table(head, rows, text=2))
+
+
+def _distance_section(c: DeviceCalibration) -> str:
+    text = (
+        "Tape distances as measured, and as photos and all distances together have them. Beyond 3 sigma a distance "
+        "would be suspect. Checked: at 0 % nothing would contradict it whatever it says, at 100 % the others know it."
+    )
+    head = ["from - to", "tape mm", "sigma", "adjusted mm", "sigma", "residual mm", "over sigma", "checked"]
+    return page.section("Distances", page.paragraph(text), page.table(head, _distance_rows(c)))
+
+
+def _photo_section(c: DeviceCalibration, photos: Sequence[Photo]) -> str:
+    unit, f, _ = _unit(c)
+    rows, certain, pictures = [], [], []
+    for i, (k, pose, (used, rejected, rms)) in enumerate(zip(c.photos, c.poses, _per_photo(c), strict=True)):
+        name, number = photos[k].path.name, str(k + 1)
+        place = [f"{f * v:.0f}" for v in pose.position]
+        rows.append([number, name, *place, str(used), str(rejected or "-"), _px(rms)])
+        certain.append([number, *_pose_sigma(c, np.diag(pose.covariance))])
+        count = f"{used} points" + (f", {rejected} not used" if rejected else "")
+        pictures.append(
+            page.picture(photo_picture(c, i, image(photos[k])), f"{number}: {name}; {count}, {_px(rms)} px")
+        )
+    certain.append(["RMS", *_pose_sigma(c, np.mean([np.diag(pose.covariance) for pose in c.poses], axis=0))])
+    head = ["", "photo", *(f"{a} {unit}" for a in _AXES), "points", "not used", "px RMS"]
+    spread = ["", *(f"sigma {a} {unit}" for a in _AXES), *(f"about {a} °" for a in _AXES)]
+    times = magnification(c, photos[c.photos[0]].size[0])
+    table = page.paragraph(
+        "Where the camera stood in each photo, as seen from the ball's centre, how certain that is, and how certain "
+        "its attitude about the three axes is, in degrees. (Wittich 2017, tables 10 and 12.)"
+    )
+    drawn = page.paragraph(
+        f"Green: targets; blue: discs; red crosses: seen, but contradicted by the other photos and not used. Arrows "
+        f"show by how much a point is off, {times:g} times longer. Arrows that point alike in one part of the picture "
+        "mean a lens that differs from the camera file's. The white outline is that of the adjusted ball: it must fit."
+    )
+    pairs = [page.beside(*pictures[i : i + 2]) for i in range(0, len(pictures), 2)]  # a pair stays on one printed page
+    tables = page.table(head, rows, text=2), page.table(spread, certain)
+    return page.section("Photos", table, *tables, _left_out(c, photos), drawn, *pairs)
+
+
+def _pose_sigma(c: DeviceCalibration, variance: Array) -> list[str]:
+    _, f, digits = _unit(c)
+    sigma = np.sqrt(variance)
+    return [*(f"{f * s:.{digits}f}" for s in sigma[:3]), *(f"{np.degrees(s):.3f}" for s in sigma[3:])]
+
+
+def _left_out(c: DeviceCalibration, photos: Sequence[Photo]) -> str:
+    rows = [[photos[k].path.name, "nothing", why] for k, why in c.skipped]
+    rows += [[photos[k].path.name, "targets only", why] for k, why in c.doubtful]
+    return page.table(["photo", "used", "why"], rows, faulty=[True] * len(rows), text=3) if rows else ""
+
+
+def _disc_section(c: DeviceCalibration) -> str:
+    unit, f, digits = _unit(c)
+    block, rows = c.block("discs"), []
+    for i, (place, seen) in enumerate(zip(c.discs, c.sightings, strict=True)):
+        here = slice(block.start + 3 * i, block.start + 3 * i + 3)
+        sigma, r = np.sqrt(np.diag(c.covariance[here, here])), _correlation(c.covariance[here, here])
+        rows.append(
+            [
+                str(i + 1),
+                *(f"{f * v:.{digits}f}" for v in place),
+                *(f"{r[a, b]:+.3f}" for a, b in ((0, 1), (0, 2), (1, 2))),
+                *(f"{f * s:.{digits}f}" for s in sigma),
+                str(int(seen)),
+            ]
+        )
+    columns = c.solution.columns.point(np.arange(len(c.targets), len(c.targets) + len(c.discs)))
+    alone = np.sqrt(np.diag(c.solution.covariance)[columns]) / c.unit
+    mean = [
+        [name, *(f"{f * v:.{digits}f}" for v in np.sqrt(np.mean(s**2, axis=0)))]
+        for name, s in (("from the photos alone", alone), ("on the ball, from its centre", _sigma(c, "discs")))
+    ]
+    return page.section(
+        "Discs",
+        page.paragraph("Standard deviations of all discs, root mean square. (Wittich 2017, table 9.)"),
+        page.table(["", *(f"{a} {unit}" for a in _AXES)], mean),
+        page.paragraph(
+            "Each disc as seen from the ball's centre, how its coordinates go together, and how many photos show it: "
+            "the fewer, the less is checked. In play the map is refined. (Wittich 2017, table 13.)"
+        ),
+        page.table(
+            ["", *(f"{a} {unit}" for a in _AXES), "rho XY", "XZ", "YZ", *(f"sigma {a}" for a in _AXES), "photos"], rows
+        ),
+    )
+
+
+def _weight_section(c: DeviceCalibration) -> str:
+    point, used = c.measured.point, c.measured.used
+    is_target = (point >= 0) & (point < len(c.targets))
+    rows = []
+    for name, factor, mine in (
+        ("targets", c.variance_factors[0], used & is_target),
+        ("discs", c.variance_factors[1], used & ~is_target),
+    ):
+        residual = c.measured.residual[mine]
+        rows.append([name, str(int(np.count_nonzero(mine))), f"{np.sqrt(np.mean(residual**2)):.3f}", f"{factor:.2f}"])
+    text = (
+        "How well image points fit, and the variance found over the variance assumed: about 1 or less is as it should "
+        "be; 4 means twice as far off as usual. All uncertainties on this page have it in them."
+    )
+    return page.section(
+        "Weights", page.paragraph(text), page.table(["", "image points", "px RMS", "variance factor"], rows)
+    )
+
+
+def _provenance_section(c: DeviceCalibration, photos: Sequence[Photo], provenance: Mapping[str, Any]) -> str:
+    known = [[str(key).replace("_", " "), str(value)] for key, value in provenance.items() if isinstance(value, str)]
+    files = [
+        [photo.path.name, "used" if k in c.photos else "left out", f"{photo.size[0]}x{photo.size[1]}", photo.sha256]
+        for k, photo in enumerate(photos)
+    ]
+    return page.section(
+        "Where the numbers come from",
+        page.table(["", ""], known, text=2),
+        page.table(["photo", "", "px", "SHA-256"], files, text=4),
+    )
+
+
+# ---- figures for all three ----
+
+
+def _advice(c: DeviceCalibration, names: Sequence[str], given: Sequence[Advice] | None) -> Sequence[Advice]:
+    return advise(c, names) if given is None else given
+
+
+def _unit(c: DeviceCalibration) -> tuple[str, float, int]:
+    """What lengths are shown in, what makes them so, and decimals."""
+    return ("R/1000", 1e3, 3) if c.scale_free else ("mm", 1e3, 2)
+
+
+def _sigma(c: DeviceCalibration, name: str) -> Array:
+    """Standard deviations of the coordinates of `targets` or `discs`, (n, 3)."""
+    here = c.block(name)
+    return np.sqrt(np.diag(c.covariance)[here]).reshape(-1, 3)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _correlation(covariance: Array) -> Array:
+    """0 beside what is known exactly."""
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    r = covariance / np.outer(scale, scale)
+    np.fill_diagonal(r, 1.0)
+    return r
+
+
+def _px(rms: float | None) -> str:
+    return "-" if rms is None else f"{rms:.3f}"
+
+
+def _points(c: DeviceCalibration) -> str:
+    used = c.measured.used
+    left = int(np.count_nonzero(~used))
+    return f"{int(np.count_nonzero(used))} used" + (f", {left} not" if left else "")
+
+
+def _per_photo(c: DeviceCalibration) -> list[tuple[int, int, float | None]]:
+    """Of each photo used: image points used and not, and px RMS per axis of the used ones, None where none is."""
+    m, found = c.measured, []
+    for i in range(len(c.poses)):
+        mine = m.photo == i
+        used = mine & m.used
+        rms = _rms(m.residual[used]) if np.any(used) else None
+        found.append((int(np.count_nonzero(used)), int(np.count_nonzero(mine & ~m.used)), rms))
+    return found
+
+
+def _adjusted_distances(c: DeviceCalibration) -> tuple[Array, Array, Array]:
+    """Of the tape distances: adjusted, residual, standard deviation adjusted, (k,) m."""
+    row = {id_: i for i, id_ in enumerate(c.device.ids)}
+    block = c.block("targets")
+    C = c.covariance[block, block]
+    length, sigma = [], []
+    for d in c.device.distances:
+        a, b = row[d.start], row[d.end]
+        way = c.targets[b] - c.targets[a]
+        J = np.zeros(len(C))
+        J[3 * b : 3 * b + 3] = way / np.linalg.norm(way)
+        J[3 * a : 3 * a + 3] = -J[3 * b : 3 * b + 3]
+        length.append(float(np.linalg.norm(way)))
+        sigma.append(float(np.sqrt(J @ C @ J)))
+    return np.array(length), c.distance_residuals, np.array(sigma)
+
+
+def _distance_rows(c: DeviceCalibration) -> list[list[str]]:
+    number = distance_redundancy(c)
+    return [
+        [
+            f"{d.start} - {d.end}",
+            f"{1e3 * d.metres:.1f}",
+            f"{1e3 * d.sigma:g}",
+            f"{1e3 * length:.2f}",
+            f"{1e3 * sigma:.2f}",
+            f"{1e3 * residual:+.2f}",
+            f"{residual / d.sigma / np.sqrt(r):+.1f}" if r > 1e-3 else "-",
+            f"{100.0 * r:.0f} %",
+        ]
+        for d, length, residual, sigma, r in zip(c.device.distances, *_adjusted_distances(c), number, strict=True)
+    ]

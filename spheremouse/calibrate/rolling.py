@@ -1,0 +1,310 @@
+"""`spheremouse calibrate rolling`: a minute of rolling, and the device is calibrated; no photos, no tape."""
+
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from spheremouse.errors import CalibrationError, ConfigurationError
+
+EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
+
+_TAPE = 0.002  # part by which a length that a person measured on a ball is off: tape, and balls are not rounder
+_READOUT_KNOWN = 1e-3  # s, standard deviation from which a readout is told
+_GESTURE = 5.0  # s for a guided gesture
+_PAUSE = 3.0  # s before it
+
+
+def rolling(
+    source: Annotated[
+        str,
+        typer.Option(metavar="KIND:ARG", help="Where frames come from, as `run --source` takes it."),
+    ],
+    camera: Annotated[Path | None, typer.Option(metavar="FILE", help="Interior orientation (camera.yaml).")] = None,
+    device: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="device.yaml: its targets' sizes give the axes.")
+    ] = None,
+    rig: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A rig: its targets' positions give axes and scale.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", min=3.0, help="Take so much, in s.  [default: all; live: 60]")
+    ] = None,
+    forward: Annotated[
+        str | None, typer.Option(metavar="A:B", help="From A to B s the ball is rolled forward, away from the player.")
+    ] = None,
+    right: Annotated[
+        str | None, typer.Option(metavar="A:B", help="From A to B s the ball is rolled to the right.")
+    ] = None,
+    radius: Annotated[str | None, typer.Option(metavar="LENGTH", help="Radius of the ball, as in 0.6m.")] = None,
+    circumference: Annotated[
+        str | None, typer.Option(metavar="LENGTH", help="A tape around the ball, as in 3770mm.")
+    ] = None,
+    disc_radius: Annotated[
+        str | None, typer.Option(metavar="LENGTH", help="Radius of a disc, as in 20mm; taken with a radius.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The rig file to write.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+) -> None:
+    """Calibrate from a minute of rolling the ball before a fixed camera: no photos, no tape measure.
+
+    Roll it slowly in all directions, so that all sides come by. Targets in view give the axes (--rig, --device, or a
+    dataset's own); without any, roll it forward, then to the right: live you are told when, of a recording say when.
+    Without a length the scale is free: all works, and counts are per radian.
+    """
+    from spheremouse.calibrate.lengths import parse_length
+
+    lengths = [None if text is None else parse_length(text) for text in (radius, circumference, disc_radius)]
+    if radius is not None and circumference is not None:
+        raise ConfigurationError("--radius and --circumference: give one of the two")
+    if (forward is None) != (right is None):
+        raise ConfigurationError("--forward and --right: give both, or none")
+    ball = lengths[0] if lengths[1] is None else lengths[1] / 6.283185307179586
+    given = _Given(
+        source,
+        camera,
+        device,
+        rig,
+        seconds,
+        None if forward is None or right is None else (_span(forward, "--forward"), _span(right, "--right")),
+        ball,
+        lengths[2],
+        out,
+        json_file,
+        force,
+    )
+    _calibrate(given)
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    source: str
+    camera: Path | None
+    device: Path | None
+    rig: Path | None
+    seconds: float | None
+    gestures: tuple[tuple[float, float], tuple[float, float]] | None
+    radius: float | None  # m
+    disc_radius: float | None  # m
+    out: Path | None
+    json_file: Path | None
+    force: bool
+
+
+def _span(text: str, name: str) -> tuple[float, float]:
+    first, colon, last = text.partition(":")
+    try:
+        span = float(first), float(last)
+    except ValueError:
+        span = (0.0, 0.0)
+    if not colon or not 0.0 <= span[0] < span[1] < float("inf"):
+        raise ConfigurationError(f"{name}: {text!r} is no span of time; write seconds as in 45:50")
+    return span
+
+
+def _calibrate(given: _Given) -> None:
+    from spheremouse.calibrate.device_file import load_device
+    from spheremouse.calibrate.rolling_axes_choice import AxesFrom
+    from spheremouse.calibrate.rolling_session import solve
+    from spheremouse.map_file import map_path
+    from spheremouse.rig_file import load_camera, load_rig
+    from spheremouse.session import make_ready
+    from spheremouse.source import open_source
+    from spheremouse.track import Settings
+
+    for name, path in (("--out", given.out), ("--json", given.json_file)):
+        if path is None or path == Path("-"):
+            continue
+        if not path.parent.is_dir():
+            raise ConfigurationError(f"{name}: {path.parent}: no such folder")
+        for file in (path, map_path(path)) if name == "--out" else (path,):
+            if file.exists() and not given.force:
+                raise ConfigurationError(f"{file}: is there already; choose another name, or replace it with --force")
+    interior = None if given.camera is None else load_camera(given.camera)
+    known = None if given.rig is None else load_rig(given.rig)
+    device = None if given.device is None else load_device(given.device)
+    with open_source(given.source) as stream:
+        live, count = stream.live, stream.count
+        known = known or stream.rig
+    if interior is None and known is not None:
+        interior = known.camera
+    if interior is None:
+        raise ConfigurationError(
+            "the lens must be known: give --camera camera.yaml (`spheremouse calibrate camera` makes it)"
+        )
+    axes = AxesFrom(known if known is not None and known.targets.ids else None, device, given.gestures, interior)
+    if not live:
+        axes.check()
+    make_ready(Settings())
+    footage, gestures = _footage(given, live, ask=live and not axes.known)
+    if gestures is not None:
+        axes = replace(axes, gestures=gestures)
+    readout = (known.readout_s, known.readout_sigma_s) if known is not None else (0.0, _unknown_readout())
+    with _Bar(count, given.seconds, stream.fps) as bar:
+        solution = solve(footage, interior, readout, lambda r, v: _disc_angle(given, axes, r, v), bar.frames)
+    _conclude(given, solution, axes, known, interior)
+
+
+def _unknown_readout() -> float:
+    from spheremouse.rig import UNKNOWN_READOUT
+
+    return UNKNOWN_READOUT
+
+
+class _Bar:
+    """One progress bar for each way through the frames."""
+
+    def __init__(self, count: int | None, seconds: float | None, fps: float | None) -> None:
+        from spheremouse.progress import progress_bar
+
+        self._progress = progress_bar()
+        self._total = count
+        if seconds is not None and fps:
+            self._total = min(count or 10**9, round(seconds * fps))
+
+    def __enter__(self) -> "_Bar":
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def frames(self, what: str, frames: Iterator[Any]) -> Iterator[Any]:
+        """The frames, counted."""
+        task = self._progress.add_task(what, total=self._total)
+        for frame in frames:
+            yield frame
+            self._progress.advance(task)
+        self._progress.remove_task(task)
+
+
+def _disc_angle(given: _Given, axes: Any, rolled: Any, views: Any) -> float | None:
+    """Radius of a disc over the ball's where lengths tell it."""
+    disc = given.disc_radius or axes.disc_radius
+    if disc is None:
+        return None
+    radius = given.radius
+    if radius is None and axes.rig is not None:
+        radius = axes.find(rolled, views)[2]
+    return None if radius is None else disc / radius
+
+
+def _footage(given: _Given, live: bool, ask: bool) -> Any:
+    from spheremouse.calibrate.footage import Kept, Recorded
+    from spheremouse.source import open_source
+    from spheremouse.stopping import Stopping
+
+    if not live:
+        return Recorded(given.source, given.seconds), None
+    kept, spans = Kept(), []
+    parts = [("roll the ball slowly in all directions, so that all sides come by", given.seconds or 60.0)]
+    if ask:
+        parts += [("now FORWARD: roll the ball straight away from you, on and on", _GESTURE)]
+        parts += [("now RIGHT: roll the ball straight to the right, on and on", _GESTURE)]
+    with Stopping() as stopping, open_source(given.source) as stream:
+        frames = stopping.frames(iter(stream))
+        for k, (text, length) in enumerate(parts):
+            begin: float | None = None
+            said = -1
+            for frame in frames:
+                begin = frame.stamp if begin is None else begin
+                past = frame.stamp - begin - _PAUSE
+                kept.keep(frame)
+                if k and len(spans) < k and past >= 0.0:
+                    spans.append((frame.stamp, frame.stamp + length))
+                left = int(-past) + 1 if past < 0.0 else int(length - past)
+                if left != said and (past < 0.0 or left % 5 == 0):
+                    said = left
+                    print(f"{text}: {'in ' if past < 0.0 else ''}{left} s", file=sys.stderr, flush=True)
+                if past >= length:
+                    break
+            if stopping.asked:
+                break
+    if not kept.stored:
+        raise CalibrationError("the camera gave no frame")
+    if ask and len(spans) < 2:
+        raise CalibrationError("stopped before the ball was rolled forward and right: the axes are open; begin again")
+    # spans in s from the first frame
+    first = kept.stored[0][1]
+    return kept, None if not ask else tuple((a - first, b - first) for a, b in spans)
+
+
+def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any) -> None:
+    import numpy as np
+
+    from spheremouse.adjustment.rolling_advice import advise
+    from spheremouse.adjustment.rolling_axes import placed, placed_targets
+    from spheremouse.calibrate.rolling_report import figures, text
+    from spheremouse.disc_map import DiscMap
+    from spheremouse.map_compare import turned
+    from spheremouse.map_file import map_path, save_map, saved_now
+    from spheremouse.rig import Rig, Targets
+    from spheremouse.rig_file import save_rig
+    from spheremouse.yaml_file import write_atomically
+
+    rolled = solution.rolled
+    found, source, from_targets, from_targets_sigma = axes.find(rolled, solution.views)
+    radius, sigma, free = 1.0, 0.0, True
+    if given.radius is not None:
+        radius, sigma, free = given.radius, _TAPE * given.radius, False
+    elif from_targets is not None:
+        radius, sigma, free = from_targets, from_targets_sigma, axes.rig.scale_free
+    pose, ball = placed(rolled, found, radius, sigma)
+    targets, cross = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), None
+    if source == "targets":
+        targets, cross = axes.rig.targets, axes.rig.cross_covariance
+    elif source == "device" and not free:
+        targets, cross = placed_targets(found, axes.device, rolled, radius, sigma)
+    at_first = found.rotation @ rolled.rolling.attitude[0]
+    seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
+    disc_map = turned(DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen), at_first)
+    readout, readout_sigma = rolled.rolling.readout, rolled.readout_sigma
+    told = readout_sigma < _READOUT_KNOWN and readout > -2.0 * readout_sigma
+    rig = Rig(
+        camera=interior,
+        ball=ball,
+        targets=targets,
+        disc_radius=solution.disc_angle * radius,
+        readout_s=(readout if readout > 2.0 * readout_sigma else 0.0) if told else 0.0,
+        readout_sigma_s=0.0 if told else _unknown_readout(),
+        exposure_s=0.0 if known is None else known.exposure_s,
+        pose=pose,
+        disc_directions=disc_map.directions,
+        cross_covariance=cross,
+        scale_free=free,
+    )
+    result = figures(solution, found, source, rig)
+    if given.out is not None:
+        provenance = {
+            "made_by": "spheremouse calibrate rolling",
+            "date": saved_now(disc_map, rig).saved.isoformat(),
+            "version": saved_now(disc_map, rig).version,
+            "source": given.source,
+            "seconds": round(solution.seconds, 1),
+            "frames": result["frames"],
+            "axes": source,
+        }
+        save_rig(given.out, rig, provenance)
+        save_map(map_path(given.out), saved_now(disc_map, rig))
+    printed = given.json_file == Path("-")
+    if given.json_file is not None:
+        said = json.dumps(result, indent=1, allow_nan=False) + "\n"
+        if printed:
+            typer.echo(said, nl=False)
+        else:
+            write_atomically(given.json_file, said)
+    typer.echo(text(solution, found, source, rig), err=printed)
+    for line in advise(rolled):
+        typer.echo(f"advice: {line}", err=printed)
+    if given.out is None:
+        typer.echo("nothing written: keep it with --out rig.yaml", err=printed)
+    else:
+        typer.echo(f"{given.out}: written, and the map of the discs beside it: {map_path(given.out)}", err=printed)
+        typer.echo(f"Next: spheremouse run --rig {given.out} --source {given.source} --output text:-", err=printed)

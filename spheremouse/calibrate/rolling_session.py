@@ -1,0 +1,185 @@
+"""A rolled calibration from frames to result: looked at several times, each time with a better rig than before.
+
+First dark spots in the first seconds, for a start; then the tracker on those; then the tracker on all, twice where the
+first time changed much; after each an adjustment. Beside that a few views for the targets, and whether the camera
+stood still.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from spheremouse.adjustment.rolling import Rolled, adjust_rolling
+from spheremouse.adjustment.rolling_sightings import Tracked, provisional_pose, track_rolling
+from spheremouse.adjustment.rolling_start import RollingStart, Spots, dark_spots, start, start_rig
+from spheremouse.calibrate.footage import Footage
+from spheremouse.camera import InteriorOrientation
+from spheremouse.detect.cap import ball_mask
+from spheremouse.detect.detections import Image
+from spheremouse.errors import CalibrationError, SourceError
+from spheremouse.frame import Frame
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.track import Settings
+
+BLOCK = 15.0  # s of rolling that a start is sought in, then twice and four times as much
+_LEAST = 3.0  # s of frames
+_CHANGED = 2e-3  # part of the ratio, or rad, by which a rig may be off without spoiling what is measured with it
+_EVERY = 0.5  # s between two views that are kept
+_VIEWS, _COLOURED = 240, 30
+_FEATURES = 150  # places in the room that tell whether the camera stands
+_SHIFTED = 0.5  # px: more is a camera that was moved
+
+
+@dataclass(slots=True)
+class Views:
+    """What is kept of a few frames: for the targets in colour, and grey for the camera's rest."""
+
+    colour: list[Image] = field(default_factory=list)
+    grey: list[tuple[float, Image]] = field(default_factory=list)
+    first: float | None = None  # s, stamp of the first frame
+    last: float = 0.0
+    due: float = -np.inf  # s, when the next grey view is kept
+    colour_due: float = -np.inf
+
+    def add(self, frame: Frame) -> None:
+        """One frame, kept if it is time."""
+        self.first = frame.stamp if self.first is None else self.first
+        self.last = frame.stamp
+        image = frame.image
+        if image.ndim == 3 and frame.stamp >= self.colour_due and len(self.colour) < _COLOURED:
+            self.colour_due = frame.stamp + _EVERY
+            self.colour.append(image.copy())
+        if frame.stamp < self.due or len(self.grey) >= _VIEWS:
+            return
+        self.due = frame.stamp + _EVERY
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        self.grey.append((frame.stamp, grey))
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """What rolling gave."""
+
+    rolled: Rolled
+    tracked: Tracked
+    disc_angle: float  # rad, radius of the discs over the ball's, as seen
+    views: Views
+    seconds: float
+
+
+Progress = Callable[[str, Iterator[Frame]], Iterator[Frame]]
+
+
+def solve(
+    footage: Footage,
+    camera: InteriorOrientation,
+    readout: tuple[float, float],
+    disc_angle: Callable[[Rolled, Views], float | None],
+    progress: Progress,
+) -> Solution:
+    """Ball, camera and discs of a recording; `readout` s and its standard deviation.
+
+    `disc_angle` may say, of a first result, how large the discs are over the ball; None: as seen. `progress` wraps the
+    frames of each way through. CalibrationError in all the ways that a recording can fail.
+    """
+    views, found, block = _first_look(footage, camera, progress)
+    assert views.first is not None
+    _check_still(views, found, camera)
+    settings = Settings()
+    rig = replace(start_rig(found, camera), readout_s=readout[0], readout_sigma_s=readout[1])
+    whole = views.last - views.first
+    rolled, tracked, rig = _round(footage, block, rig, found.direction, found.ratio, camera, settings, progress)
+    given = disc_angle(rolled, views)
+    if given is not None:
+        rig = replace(rig, disc_radius=given)
+    for _ in range(3):
+        before = rolled.rolling
+        rolled, tracked, better = _round(footage, None, rig, before.direction, before.ratio, camera, settings, progress)
+        rig = better if given is None else rig
+        change = abs(np.log(rolled.rolling.ratio / before.ratio)) + np.linalg.norm(
+            rolled.rolling.direction - before.direction
+        )
+        if change < _CHANGED:
+            break
+    return Solution(rolled, tracked, rig.disc_radius, views, whole)
+
+
+def _round(
+    footage: Footage,
+    seconds: float | None,
+    rig: Rig,
+    direction: Array,
+    ratio: float,
+    camera: InteriorOrientation,
+    settings: Settings,
+    progress: Progress,
+) -> tuple[Rolled, Tracked, Rig]:
+    """Track, adjust; and the rig with the size of the discs as they were fitted."""
+    frames = progress("tracking" if seconds is None else "first tracking", footage.frames(seconds))
+    tracked = track_rolling(frames, rig, provisional_pose(direction, ratio), settings)
+    rolled = adjust_rolling(tracked.sightings, tracked.rolling, camera, rig.readout_sigma_s)
+    return rolled, tracked, replace(rig, disc_radius=rig.disc_radius * tracked.size)
+
+
+def _first_look(
+    footage: Footage, camera: InteriorOrientation, progress: Progress
+) -> tuple[Views, RollingStart, float | None]:
+    """All frames once: views kept, and the start from the first seconds, or more where those do not do."""
+    views, spots = Views(), list[Spots]()
+    found: RollingStart | None = None
+    used, limit = 0.0, BLOCK
+    failed: CalibrationError | None = None
+    for frame in progress("looking for the ball", footage.frames()):
+        if (frame.image.shape[1], frame.image.shape[0]) != (camera.width, camera.height):
+            h, w = frame.image.shape[:2]
+            raise SourceError(
+                f"frame {frame.sequence} is {w}x{h}, the camera was calibrated at {camera.width}x{camera.height}: "
+                "set the camera to that mode, or give the calibration of this one (--camera)"
+            )
+        views.add(frame)
+        assert views.first is not None
+        if found is not None:
+            continue
+        spots.append(dark_spots(frame.image))
+        used = frame.stamp - views.first
+        if used > limit:
+            limit *= 2.0
+            try:
+                found = start(spots, camera)
+            except CalibrationError as e:
+                failed = e
+    if views.first is None or views.last - views.first < _LEAST:
+        length = 0.0 if views.first is None else views.last - views.first
+        raise CalibrationError(f"{length:.1f} s are too short: roll the ball for a minute; ten seconds are the least")
+    if found is None:
+        try:
+            found = start(spots, camera)
+        except CalibrationError as e:
+            raise (failed or e) from None
+    return views, found, used
+
+
+def _check_still(views: Views, found: RollingStart, camera: InteriorOrientation) -> None:
+    """CalibrationError where the room, outside of the ball, is seen to shift."""
+    rig, pose = start_rig(found, camera), provisional_pose(found.direction, found.ratio)
+    size = max(3, round(0.03 * camera.width))
+    outside = cv2.bitwise_not(cv2.dilate(ball_mask(rig, pose), np.ones((size, size), np.uint8)))
+    (begin, reference), *later = views.grey
+    places = cv2.goodFeaturesToTrack(reference, _FEATURES, 0.02, 0.015 * camera.width, mask=outside)
+    if places is None or len(places) < 12:
+        return
+    for stamp, image in later:
+        there, ok, _ = cv2.calcOpticalFlowPyrLK(reference, image, places, np.zeros_like(places))
+        way = (there - places)[ok.ravel() > 0].reshape(-1, 2)
+        if len(way) < 12:
+            continue
+        middle = np.median(way, axis=0)
+        alike = np.mean(np.linalg.norm(way - middle, axis=1) < 0.3 * np.linalg.norm(middle) + 0.2)
+        if np.linalg.norm(middle) > _SHIFTED and alike > 0.5:
+            raise CalibrationError(
+                f"the camera was moved by {np.linalg.norm(middle):.1f} px within {stamp - begin:.1f} s: fix it, and "
+                "roll again, or take what was before with --seconds"
+            )

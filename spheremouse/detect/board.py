@@ -1,0 +1,357 @@
+"""Image -> corners of a calibration board with their numbers: chessboards, and ChArUco boards, which may be cut off.
+
+OpenCV finds the board (Duda, Frese 2018; Garrido-Jurado et al. 2014 for markers). Corners are refined by gradients
+in two steps: `find_board` in square windows of the image (`cornerSubPix`), where lens and view bend the edges, and,
+once a first calibration is there, `rectified` in windows of the board's plane, where edges are straight (the idea of
+Datta, Kim, Kanade 2009, without making a new image). The first alone shifts focal lengths by several of their
+standard deviations, by the more the larger the window.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import InteriorOrientation, project, unproject
+from spheremouse.rotation import Array
+
+DICTIONARIES = tuple(f"DICT_{n}X{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000))
+MARKER_SHARE = 0.75  # of a square's side, the marker's of boards that this program prints
+
+_SEARCHED = 2.0e6  # px, to which larger images are reduced before the board is looked for
+_WINDOW = 0.25  # of the way to the next corner: a window turned by 45° and shrunk by the view still holds no other edge
+_REACH = 1.0 / 3.0  # of a square, half a side of a window in the board's plane: blur of the next edge stays outside
+_SMOOTH = 1.0  # px, standard deviation: an edge then reaches over enough pixels to show its direction
+_TURNS = 15  # iterations at most; each takes away all but the share of noise in the gradients
+_AT_REST = 1e-3  # px
+_MIN_WINDOW, _MAX_WINDOW = 2, 40  # px, half a side; the wider averages over no more edge than noise allows
+_ASTRAY = 0.5  # half-windows that a corner may move: beyond, something else attracts it
+_LEAST = 3  # corners a side, the smallest board looked for
+_CHARUCO_LEAST = 12  # corners: twice what a pose needs
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """A board: `marker` makes it a ChArUco board. Its frame: first corner, X along a row, Y down, Z into the board."""
+
+    columns: int  # inner corners in a row
+    rows: int
+    square: float  # m
+    marker: float | None = None  # m, side of a ChArUco marker
+    dictionary: str = "DICT_5X5_100"
+
+    def corners(self) -> Array:
+        """All inner corners row by row, (columns * rows, 3) m."""
+        y, x = np.mgrid[: self.rows, : self.columns]
+        return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """What of a board an image shows. No `ids`: not enough of it, and `grid` says what was there in its place."""
+
+    ids: NDArray[np.intp]  # (k,) corners, row by row
+    uv: Array  # (k, 2) px
+    grid: tuple[int, int] | None = None  # inner corners of the largest chessboard seen, longer side first
+    markers: int = 0  # ChArUco markers seen
+    ratio: float = float("nan")  # side of a marker over side of a square, as the image shows it
+    misplaced: bool = False  # markers do not lie as on the board
+
+
+def find_board(image: NDArray[np.uint8], pattern: Pattern) -> Sighting:
+    """Corners of the board in an image, (h, w) grey or (h, w, 3) BGR; all of a chessboard, or none."""
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+    return _find_chessboard(grey, pattern) if pattern.marker is None else _find_charuco(grey, pattern)
+
+
+def dictionary_seen(image: NDArray[np.uint8]) -> str | None:
+    """The smallest dictionary of which an image shows most markers; None where it shows fewer than four of any."""
+    most, best = 3, None
+    for name in DICTIONARIES:
+        _, ids, _ = cv2.aruco.ArucoDetector(_dictionary(name)).detectMarkers(image)
+        if ids is not None and len(ids) > most:
+            most, best = len(ids), name
+    return best
+
+
+# ---- chessboards ----
+
+
+def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern) -> Sighting:
+    wanted = pattern.rows, pattern.columns
+    scale = min(1.0, float(np.sqrt(_SEARCHED / grey.size)))
+    small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    largest = _grid(small, (_LEAST, _LEAST), cv2.CALIB_CB_LARGER)
+    shape = None if largest is None else largest.shape[:2]
+    found = largest
+    if shape is None or sorted(shape) != sorted(wanted):
+        # a board of this size in a larger one is not the board; a smaller one may be a part of what is there
+        larger = shape is not None and max(shape) >= max(wanted) and min(shape) >= min(wanted)
+        found = None if larger else _exact(small, pattern)
+    seen = None if shape is None else (max(shape), min(shape))
+    if found is None:
+        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), seen)
+    if found.shape[:2] != wanted:
+        found = np.rot90(found)  # keeps the sense of rotation: X along rows, Y down
+    corners = (found + 0.5) / scale - 0.5
+    uv = _refined(grey, corners)
+    ids = np.flatnonzero(np.isfinite(uv).all(axis=1))
+    if len(ids) < 0.9 * len(uv):
+        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), seen)
+    return Sighting(ids, uv[ids], (max(wanted), min(wanted)))
+
+
+def _grid(grey: cv2.typing.MatLike, size: tuple[int, int], flags: int) -> Array | None:
+    """Corners (rows, columns, 2), the board's X to Y turning clockwise as it is looked at."""
+    found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, size, flags)
+    if not found or meta is None or corners is None or len(corners) != meta.size:
+        return None
+    return _facing(np.asarray(corners, float).reshape(*meta.shape, 2))
+
+
+def _exact(grey: cv2.typing.MatLike, pattern: Pattern) -> Array | None:
+    """By the finder for this size, then by the older one, which bears dirt and glare elsewhere than the newer."""
+    size = pattern.columns, pattern.rows
+    grid = _grid(grey, size, cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if grid is not None:
+        return grid
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+    found, corners = cv2.findChessboardCorners(grey, size, flags=flags)
+    return _facing(np.asarray(corners, float).reshape(pattern.rows, pattern.columns, 2)) if found else None
+
+
+def _facing(grid: Array) -> Array:
+    x, y = grid[:, -1] - grid[:, 0], grid[-1] - grid[0]
+    x, y = x.mean(axis=0), y.mean(axis=0)
+    return grid if x[0] * y[1] - x[1] * y[0] > 0.0 else grid[:, ::-1]
+
+
+def _refined(grey: NDArray[np.uint8], grid: Array) -> Array:
+    """Corners, (n, 2), of a grid (rows, columns, 2); nan where the gradients lead elsewhere."""
+    gaps = np.full(grid.shape[:2], np.inf)
+    for axis in (0, 1):
+        step = np.linalg.norm(np.diff(grid, axis=axis), axis=2)
+        for part in (slice(None, -1), slice(1, None)):
+            where = (part, slice(None)) if axis == 0 else (slice(None), part)
+            gaps[where] = np.minimum(gaps[where], step)
+    windows = np.clip((_WINDOW * gaps).astype(int), _MIN_WINDOW, _MAX_WINDOW).ravel()
+    start = grid.reshape(-1, 2).astype(np.float32)
+    uv = np.empty((len(start), 2))
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+    for w in np.unique(windows):
+        same = windows == w
+        corners = start[same].reshape(-1, 1, 2)
+        uv[same] = cv2.cornerSubPix(grey, corners, (int(w), int(w)), (-1, -1), criteria)[:, 0]
+    moved = np.linalg.norm(uv - start, axis=1)
+    return np.where((moved <= np.maximum(1.0, _ASTRAY * windows))[:, None], uv, np.nan)
+
+
+# ---- in the board's plane ----
+
+
+def rectified(
+    image: NDArray[np.uint8], pattern: Pattern, seen: Sighting, camera: InteriorOrientation, R: Array, t: Array
+) -> Sighting:
+    """The corners of a sighting as gradients in the board's plane show them; those that cannot be had are left out.
+
+    `R` (3, 3) R_cam_board and `t` (3,) m are the board's pose from a first calibration. Each edge pixel is carried to
+    the board; a corner is where all gradients there are at right angles to the way to it (Förstner, Gülch 1987).
+    """
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
+    start, _ = _on_plane(seen.uv, camera, R, t)
+    reach = _reach(pattern) * pattern.square * _fitting(start, _reach(pattern) * pattern.square, grey, camera, R, t)
+    good = np.isfinite(start).all(axis=1) & (reach > 0.0)
+    ids, uv, start, reach = seen.ids[good], seen.uv[good], start[good], reach[good]
+    if len(ids):
+        corners = _where_gradients_meet(grey, start, reach, camera, R, t)
+        found, _ = project(_in_cam(corners, R, t), camera)
+        fine = np.linalg.norm(found - uv, axis=1) < 1.0 + 0.1 * reach / pattern.square * _side(uv)  # nan: False
+        ids, uv = ids[fine], found[fine]
+    return Sighting(ids, uv, seen.grid, seen.markers, seen.ratio, seen.misplaced)
+
+
+def _reach(pattern: Pattern) -> float:
+    """Half a side of a window in squares; markers stay outside."""
+    if pattern.marker is None:
+        return _REACH
+    return min(_REACH, 0.5 * (1.0 - pattern.marker / pattern.square))
+
+
+def _side(uv: Array) -> float:
+    """Side of a square in px, about: of the nearest other corner."""
+    distance = np.linalg.norm(uv[:, None] - uv[None], axis=2)
+    return float(np.median(np.partition(distance, 1, axis=1)[:, 1])) if len(uv) > 1 else 0.0
+
+
+def _in_cam(plane: Array, R: Array, t: Array) -> Array:
+    return plane @ R[:, :2].T + t
+
+
+def _on_plane(uv: Array, camera: InteriorOrientation, R: Array, t: Array) -> tuple[Array, Array]:
+    """Where rays of pixels (n, 2) meet the board: (n, 2) m in its plane, and dplane_duv (n, 2, 2)."""
+    xy, dxy = unproject(uv, camera)
+    ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    normal = R[:, 2]
+    across = ray @ normal
+    s = (normal @ t) / across
+    dray = np.zeros((len(xy), 3, 2))
+    dray[:, :2] = dxy
+    slope = np.einsum("i,nij->nj", normal, dray) / across[:, None]
+    dpoint = s[:, None, None] * (dray - ray[:, :, None] * slope[:, None, :])
+    return (ray * s[:, None] - t) @ R[:, :2], np.einsum("ji,njk->nik", R[:, :2], dpoint)
+
+
+def _boxes(plane: Array, reach: Array, camera: InteriorOrientation, R: Array, t: Array) -> tuple[Array, Array]:
+    """Upright boxes of the image, low and high (n, 2) px, that hold square windows of the plane."""
+    ends = np.array(
+        [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]]
+    )
+    rim = plane[:, None] + reach[:, None, None] * ends
+    uv, _ = project(_in_cam(rim.reshape(-1, 2), R, t), camera)
+    uv = uv.reshape(len(plane), -1, 2)
+    return uv.min(axis=1), uv.max(axis=1)
+
+
+def _fitting(
+    plane: Array, reach: float, grey: NDArray[np.uint8], camera: InteriorOrientation, R: Array, t: Array
+) -> Array:
+    """Factors on the reach, (n,), with which windows stay inside the image; 0 where too little is left."""
+    limit = np.array(grey.shape[::-1]) - 2.0
+    factor, fits = np.ones(len(plane)), np.zeros(len(plane), bool)
+    for _ in range(6):
+        low, high = _boxes(plane, reach * factor, camera, R, t)
+        inside = np.all((low >= 1.0) & (high <= limit), axis=1)
+        fits = inside & np.all(high - low >= 2 * _MIN_WINDOW, axis=1)
+        factor = np.where(inside, factor, 0.75 * factor)
+    return np.where(fits, factor, 0.0)
+
+
+def _gradient(grey: NDArray[np.uint8]) -> tuple[cv2.typing.MatLike, cv2.typing.MatLike]:
+    """Along u and v. Unsmoothed differences at a sharp edge lean towards the pixel grid, and corners with them."""
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), _SMOOTH)
+    return cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1)
+
+
+def _where_gradients_meet(
+    grey: NDArray[np.uint8], start: Array, reach: Array, camera: InteriorOrientation, R: Array, t: Array
+) -> Array:
+    """Corners in the plane, (n, 2) m; nan where they do not come to rest in their window."""
+    low, high = _boxes(start, reach, camera, R, t)
+    low, high = np.floor(low).astype(int), np.ceil(high).astype(int) + 1
+    u, v, of = [], [], []
+    for i, ((u0, v0), (u1, v1)) in enumerate(zip(low, high, strict=True)):
+        here = np.mgrid[max(v0, 0) : min(v1, grey.shape[0]), max(u0, 0) : min(u1, grey.shape[1])].reshape(2, -1)
+        v.append(here[0])
+        u.append(here[1])
+        of.append(np.full(here.shape[1], i))
+    u, v, of = np.concatenate(u), np.concatenate(v), np.concatenate(of)
+    place, slope = _on_plane(np.stack([u, v], axis=1).astype(float), camera, R, t)
+    near = np.abs(place - start[of]).max(axis=1) < 1.5 * reach[of]  # nan: False
+    gu, gv = (g[v, u].astype(float) for g in _gradient(grey))
+    u, v, of, place, slope, gu, gv = u[near], v[near], of[near], place[near], slope[near], gu[near], gv[near]
+    det = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+    gx = (gu * slope[:, 1, 1] - gv * slope[:, 1, 0]) / det  # gradient by the plane's coordinates
+    gy = (gv * slope[:, 0, 0] - gu * slope[:, 0, 1]) / det
+    xx, xy, yy = gx * gx, gx * gy, gy * gy
+    corner = start.copy()
+    pixel = np.sqrt(np.bincount(of, np.abs(det), len(start)) / np.maximum(np.bincount(of, minlength=len(start)), 1))
+    for _ in range(_TURNS):
+        d = place - corner[of]
+        weight = np.exp(-2.0 * np.sum(d * d, axis=1) / reach[of] ** 2) * (np.abs(d).max(axis=1) < reach[of])
+        sums = [
+            np.bincount(of, weight * value, len(start))
+            for value in (xx, xy, yy, xx * d[:, 0] + xy * d[:, 1], xy * d[:, 0] + yy * d[:, 1])
+        ]
+        A, B, C, e, f = sums
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.stack([C * e - B * f, A * f - B * e], axis=1) / (A * C - B * B)[:, None]
+        corner = corner + step
+        corner[np.abs(corner - start).max(axis=1) > 0.5 * reach] = np.nan
+        moved = np.abs(step).max(axis=1) / pixel  # m over m in a pixel
+        if np.all(~(moved > _AT_REST)):
+            break
+    return corner
+
+
+# ---- ChArUco ----
+
+
+def _find_charuco(grey: NDArray[np.uint8], pattern: Pattern) -> Sighting:
+    board, detector = _charuco(pattern)
+    corners, ids, marker_corners, marker_ids = detector.detectBoard(grey)
+    n = 0 if marker_ids is None else len(marker_ids)
+    ratio, misplaced = np.nan, False
+    if n:
+        outlines = np.asarray(marker_corners, float).reshape(-1, 4, 2)
+        ratio, misplaced = _as_laid_out(board, outlines, np.ravel(np.asarray(marker_ids)).astype(np.intp))
+    if ids is None or len(ids) < _CHARUCO_LEAST or misplaced:
+        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n, ratio, misplaced)
+    index = np.ravel(np.asarray(ids)).astype(np.intp)
+    uv = np.asarray(corners, float).reshape(-1, 2)
+    if len(np.unique(index % pattern.columns)) < 3 or len(np.unique(index // pattern.columns)) < 3:
+        return Sighting(np.empty(0, np.intp), np.empty((0, 2)), None, n, ratio, misplaced)
+    return Sighting(index, uv, None, n, ratio, misplaced)
+
+
+@cache
+def _charuco(pattern: Pattern) -> tuple[cv2.aruco.CharucoBoard, cv2.aruco.CharucoDetector]:
+    marker = pattern.marker or 0.0
+    size = pattern.columns + 1, pattern.rows + 1
+    board = cv2.aruco.CharucoBoard(size, pattern.square, marker, _dictionary(pattern.dictionary))
+    return board, cv2.aruco.CharucoDetector(board)
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def markers_of(pattern: Pattern) -> int:
+    """How many markers a ChArUco board carries: in every second square."""
+    return (pattern.columns + 1) * (pattern.rows + 1) // 2
+
+
+def markers_in(dictionary: str) -> int:
+    """How many markers a dictionary has."""
+    return int(dictionary.rpartition("_")[2])
+
+
+def _as_laid_out(board: cv2.aruco.CharucoBoard, outlines: Array, ids: NDArray[np.intp]) -> tuple[float, bool]:
+    """Side of a marker over side of a square, and whether markers stand elsewhere than the board says.
+
+    Each marker, (n, 4, 2) px, is measured by the affine map that its nearest neighbours' centres give: the lens and
+    the view stretch both alike. Centres do not depend on the size of the markers.
+    """
+    laid = np.asarray(board.getObjPoints(), float)[:, :, :2] / board.getSquareLength()
+    if np.any(ids >= len(laid)):
+        return np.nan, True
+    places, centres = laid[ids].mean(axis=1), outlines.mean(axis=1)
+    found = list(_local(places, centres, outlines))
+    if not found:
+        return np.nan, False
+    ratio, residual = np.median(np.array(found), axis=0)
+    return float(ratio), bool(residual > 0.25)
+
+
+def _local(places: Array, centres: Array, outlines: Array) -> Iterator[tuple[float, float]]:
+    """Of each marker with neighbours on all sides: side in squares, and how badly neighbours fit, in squares."""
+    for i in range(len(places)):
+        distance = np.linalg.norm(places - places[i], axis=1)
+        near = np.flatnonzero(distance < 2.1)
+        if len(near) < 5:
+            continue
+        A = np.hstack([places[near] - places[i], np.ones((len(near), 1))])
+        solved, *_ = np.linalg.lstsq(A, centres[near], rcond=None)
+        scale = np.sqrt(abs(np.linalg.det(solved[:2])))
+        if scale < 1e-6:
+            yield np.nan, np.inf
+            continue
+        misfit = np.sqrt(np.mean(np.sum((A @ solved - centres[near]) ** 2, axis=1))) / scale
+        yield float(np.sqrt(_area(outlines[i])) / scale), float(misfit)
+
+
+def _area(outline: Array) -> float:
+    x, y = outline.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
