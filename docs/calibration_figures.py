@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from spheremouse.rotation import log
@@ -157,6 +158,7 @@ def tracked(far26: Path, work: Path) -> list[Row]:
         ("radius over distance off by", what, f"{100 * abs(ratio / rolled['ratio'] - 1.0):.4f} %", "0.1 %"),
         ("centre direction off by", what, f"{angle:.4f}°", "0.02°"),
     ]
+    across_rows = len(rows)
     lens = work / "far26-camera.yaml"
     c = scene["camera"]
     lens.write_text(
@@ -170,6 +172,17 @@ def tracked(far26: Path, work: Path) -> list[Row]:
     ):
         result = figures("evaluate", far26, *options, file=work / f"{name}.json")
         ratios = [result[key]["combined"] / right[key]["combined"] for key in ("attitude_rmse_deg", "rate_rmse_deg_s")]
+        if name == "photos":  # the same two by photos, the pose found from the targets
+            position = true[:3, 3] + 1e-3 * np.array(result["pose_error"]["position_mm"])
+            R = np.array(Rotation.from_rotvec(np.radians(result["pose_error"]["angle_deg"])).as_matrix())
+            seen = -(R @ true[:3, :3]).T @ position
+            angle = np.degrees(np.arccos(np.clip(towards @ seen / np.linalg.norm(seen), -1.0, 1.0)))
+            photo_ratio = np.linalg.norm(position) / found["ball"]["radius"]
+            what = "evaluate far26, rig of the photos"
+            rows[across_rows:across_rows] = [
+                ("radius over distance off by", what, f"{100 * abs(ratio / photo_ratio - 1.0):.4f} %", "as by rolling"),
+                ("centre direction off by", what, f"{angle:.4f}°", "as by rolling"),
+            ]
         figure = f"{ratios[0]:.2f} / {ratios[1]:.2f}"
         rows.append((f"attitude / rate error over that with the true rig: {name}", "evaluate far26", figure, limit))
     return rows

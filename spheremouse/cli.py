@@ -6,6 +6,7 @@ import sys
 from typing import Annotated, NoReturn
 
 import typer
+from threadpoolctl import threadpool_limits
 
 from spheremouse import __version__, cli_bench, cli_config, cli_layout, cli_map, cli_run, cli_simulate, demo
 from spheremouse.calibrate import cli as cli_calibrate
@@ -59,7 +60,8 @@ def main() -> NoReturn:
     for number in (signal.SIGTERM, signal.SIGHUP) if hasattr(signal, "SIGHUP") else (signal.SIGTERM,):
         signal.signal(number, lambda n, _: sys.exit(128 + n))  # unwinds, so that nothing is left half
     try:
-        app(prog_name="spheremouse")
+        with threadpool_limits(1):  # our matrices are small: threads of the linear algebra only wait for each other
+            app(prog_name="spheremouse")
     except SpheremouseError as e:
         _complain(str(e))
         sys.exit(_USERS_ERROR)

@@ -5,6 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
+
+
+threadpool_limits(1)  # as the command line does
 
 
 def datasets_dir() -> Path:

@@ -69,12 +69,12 @@ class BoardAdjustment:
     @property
     def rms(self) -> float:
         """Root mean square distance in px of all corners that took part from where they were computed."""
-        square = [np.sum(r[k] ** 2, axis=1) for r, k, u in zip(self.residuals, self.kept, self.used, strict=True) if u]
-        return float(np.sqrt(np.mean(np.concatenate(square))))
+        took_part = [r[k] for r, k, u in zip(self.residuals, self.kept, self.used, strict=True) if u]
+        return _rms(np.concatenate(took_part))
 
     def view_rms(self) -> Array:
-        """The same of each view, (v,) px, of all its corners."""
-        return np.array([np.sqrt(np.mean(np.sum(r**2, axis=1))) for r in self.residuals])
+        """The same of each view, (v,) px; of views not used, of all their corners."""
+        return np.array([_rms(r[k] if u else r) for r, k, u in zip(self.residuals, self.kept, self.used, strict=True)])
 
     @property
     def deviations(self) -> Array:
@@ -175,8 +175,13 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
             continue
         left = [_kept(views[v], found.kept[v]) for v in out.tolist()]
         _, _, residuals = resected(left, _camera(without, size))
-        result[out] = [np.sqrt(np.mean(np.sum(r**2, axis=1))) for r in residuals]
+        result[out] = [_rms(r) for r in residuals]
     return result
+
+
+def _rms(residual: Array) -> float:
+    """Of distances, from residuals (n, 2)."""
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
 # ---- unknowns and observations ----

@@ -19,7 +19,7 @@ _LEAN_VIEWS = 2  # to each side: one alone has nobody to check it
 _LONG, _SHORT = 6, 4  # regions along the image's sides
 _CORNERS = 2  # of the board that a view must show in a region
 _EDGES = {"upper": "top", "lower": "bottom"}
-_ANOTHER = 0.1  # of the image's diagonal by which a view must differ from all others once all regions are covered
+_ANOTHER = 0.1  # of the image's diagonal by which a view must differ from all others to be more than a repetition
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,12 +99,11 @@ def gain(found: Coverage, size: tuple[int, int], uv: Array, R: Array, before: Se
     fresh = regions_of(uv, size) & (found.regions == 0)
     if fresh.any():
         return ", ".join(_places(fresh))
-    few = leans_of(R) & (found.leans < _LEAN_VIEWS)
+    apart = all(_apart(uv, other) > _ANOTHER * float(np.hypot(*size)) for other in before)
+    few = leans_of(R) & (found.leans < (_LEAN_VIEWS if apart else 1))  # the same view again checks nothing
     if few.any():
         return "facing " + " and ".join(way for way, new in zip(LEANS, few, strict=True) if new)
-    if found.views < VIEWS and all(_apart(uv, other) > _ANOTHER * float(np.hypot(*size)) for other in before):
-        return "another view"
-    return None
+    return "another view" if apart and found.views < VIEWS else None
 
 
 def _apart(a: Array, b: Array) -> float:

@@ -53,7 +53,7 @@ class DiscViews:
 class Measured:
     """One image point, and what became of it."""
 
-    photo: NDArray[np.intp]  # (n,) in the order of the photos given
+    photo: NDArray[np.intp]  # (n,) counts DeviceCalibration.photos
     point: NDArray[np.intp]  # (n,) targets first, then discs; -1 for a false one
     centre: Array  # (n, 2) px
     residual: Array  # (n, 2) px, predicted minus measured

@@ -20,6 +20,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.rotation import Array, exp, hat, log, tangent_basis
 
 _OUTLIER = 18.4  # squared normalised residual: of points with normal errors one in ten thousand goes beyond
+_RATES = 0.005  # part by which rates taken from attitudes a frame apart are off when a hand pushes
 _WORST = 0.25  # of the largest: what is set aside at a time
 _KNEE = 2.0  # standard deviations beyond which a residual weighs less while outliers are still in
 _MEDIAN = 1.386  # of chi-square with 2 degrees of freedom
@@ -349,7 +350,7 @@ def _result(at: Rolling, s: Sightings, rejected: int, normal: _Normal, camera: I
         at,
         T @ C @ T.T,
         C[_GLOBAL:, _GLOBAL:],
-        float(np.sqrt(C[_READOUT, _READOUT])),
+        float(np.hypot(np.sqrt(C[_READOUT, _READOUT]), _RATES * at.readout)),
         s,
         residual,
         rejected,

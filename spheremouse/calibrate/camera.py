@@ -264,22 +264,21 @@ def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pa
                     f" ({times} of {len(photos)} photos agree); give --board {grid[0]}x{grid[1]}, or photos of the "
                     "other board"
                 )
-    if pattern.marker is not None and not any(s.markers for s in seen):
-        plain = replace(pattern, marker=None)
-        grid = next((g for p in photos[:5] if (g := find_board(image(p), plain).grid)), None)
+    blind = [image(p) for p, s in zip(photos, seen, strict=True) if not len(s.ids)][:3]
+    name = next((d for picture in blind if (d := dictionary_seen(picture))), None)
+    if name is not None and pattern.marker is None:
+        return CalibrationError(
+            f"no chessboard found, but markers of {name}: a ChArUco board? give --marker LENGTH --dictionary {name}"
+        )
+    if name is not None and name.rpartition("_")[0] != pattern.dictionary.rpartition("_")[0]:
+        return CalibrationError(
+            f"the markers in the photos are of {name}, not {pattern.dictionary}; give --dictionary {name}"
+        )
+    if pattern.marker is not None and name is None:
+        grid = next((g for picture in blind if (g := find_board(picture, replace(pattern, marker=None)).grid)), None)
         if grid is not None:
             return CalibrationError(
                 f"no marker found, but a chessboard with {grid[0]}x{grid[1]} inner corners; leave --marker out"
-            )
-    if pattern.marker is not None or not any(s.grid for s in seen):
-        name = next((d for p in photos[:5] if (d := dictionary_seen(image(p)))), None)
-        if name is not None and pattern.marker is None:
-            return CalibrationError(
-                f"no chessboard found, but markers of {name}: a ChArUco board? give --marker LENGTH --dictionary {name}"
-            )
-        if name is not None and name.rpartition("_")[0] != pattern.dictionary.rpartition("_")[0]:
-            return CalibrationError(
-                f"the markers in the photos are of {name}, not {pattern.dictionary}; give --dictionary {name}"
             )
     whole = "the whole board" if pattern.marker is None else "the board"
     return CalibrationError(

@@ -55,6 +55,7 @@ def device(
     Six to twelve photos from as many sides as targets allow; the ball must not turn between them. Tape distances in
     the device file give metres; without any the scale is free and counts are per radian.
     """
+    from spheremouse.adjustment.advice import advise
     from spheremouse.adjustment.device_adjustment import DOUBTFUL_RMS
     from spheremouse.calibrate.device_file import load_device, untouched
     from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
@@ -74,8 +75,8 @@ def device(
     if untouched(device_file):
         _note(f"{device_file}: still as `calibrate init` wrote it; check every line, then delete its first")
     calibration = _calibrated(found, known, camera, device_file, chosen)
-    for k, why in (*calibration.skipped, *calibration.doubtful):
-        _note(f"{found[k].path}: {why}")
+    names = [p.path.name for p in found]
+    advice = advise(calibration, names)
     if calibration.rms_px > DOUBTFUL_RMS:
         _note(
             f"the photos are {calibration.rms_px:.2f} px off, ten times what sharp ones are: is {camera_file} of this "
@@ -83,16 +84,16 @@ def device(
         )
     rig = calibration.rig()
     provenance = _provenance(found, calibration, device_file, camera_file)
-    write_device_report(page, calibration, found, provenance)
+    write_device_report(page, calibration, found, provenance, advice)
     save_map(the_map, saved_now(calibration.disc_map(), rig))
     save_rig(out, rig, provenance)  # last: where it is, the rest is
-    figures = device_json(calibration, [p.path.name for p in found])
+    figures = device_json(calibration, names, advice)
     if json_file == Path("-"):
         typer.echo(json.dumps(figures, indent=1, allow_nan=False))
         return
     if json_file is not None:
         write_atomically(json_file, json.dumps(figures, indent=1, allow_nan=False) + "\n")
-    device_text(calibration, [p.path.name for p in found])
+    device_text(calibration, names, advice)
     typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
     typer.echo(f"next: spheremouse run --rig {out} (with --camera FILE where it runs in another mode than the photos')")
 

@@ -121,7 +121,9 @@ def device_command(folder: Path, *, again: bool = False) -> str:
 
 def rolling_command(folder: Path, *, again: bool = False) -> str:
     """How rig.yaml is made without photos of the device."""
-    given = ("--source", "opencv:0", "--camera", folder / _CAMERA_FILE)
+    given: list[str | Path] = ["--source", "opencv:0", "--camera", folder / _CAMERA_FILE]
+    if (folder / _DEVICE_FILE).exists() and not untouched(folder / _DEVICE_FILE):  # its targets give the axes
+        given += ["--device", folder / _DEVICE_FILE]
     return _command("rolling", *given, "--out", folder / _RIG_FILE, again=again)
 
 

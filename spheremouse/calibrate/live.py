@@ -102,7 +102,9 @@ def take_views(source: str, pattern: Pattern, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as e:
         raise CalibrationError(f"{folder}: cannot be made: {e.strerror or e}") from None
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = 1000
     session: Session | None = None
     with open_source(source) as stream, Stopping() as stopping, Live(console=console, transient=True) as shown:
         for frame in stopping.frames(iter(stream)):

@@ -61,7 +61,9 @@ def simulated_calibration(
     true = Block(_CAMERA, tuple(Pose(p.rotation, p.position + shift) for p in poses), points)
     covariance = np.tile(_SIGMA**2 * np.eye(2), (len(photo), 1, 1))
     image = ImagePoints(photo, point, np.zeros((len(photo), 2)), covariance)
-    exact = predicted(true, image, Problem(device, _CAMERA, image, scale_free))[0]
+    problem = Problem(device, _CAMERA, image, scale_free)
+    exact, _, _, cam = predicted(true, image, problem)
+    depth = cam[:, 2:] * (1.0, 0.02)
     centre = exact + _SIGMA * rng.standard_normal(exact.shape)
     camera = _camera_file(rng) if interior else _CAMERA
     is_target = point < 4
@@ -77,7 +79,7 @@ def simulated_calibration(
         TargetViews(
             tuple(range(len(poses))),
             ImagePoints(photo[is_target], point[is_target], centre[is_target], covariance[is_target]),
-            np.ones((int(np.count_nonzero(is_target)), 2)),
+            depth[is_target],
             (),
         ),
         DiscViews(photo[~is_target], number, centre[~is_target], covariance[~is_target], rough),

@@ -1,0 +1,299 @@
+"""Corners of a board in an image, and the camera they give: against OpenCV, against truth, against chance."""
+
+import cv2
+import numpy as np
+import pytest
+from boards import CAMERA, PATTERN, picture, places, views
+from conftest import datasets_dir
+from scipy.stats import chi2
+
+from spheremouse.adjustment import board as adjustment
+from spheremouse.adjustment.board import View, calibrate_board, held_out, resected
+from spheremouse.camera import project
+from spheremouse.detect.board import Pattern, dictionary_seen, find_board, rectified
+from spheremouse.errors import CalibrationError
+from spheremouse.rotation import exp, log
+
+SIZE = CAMERA.width, CAMERA.height
+TRUTH = np.concatenate([CAMERA.intrinsic, CAMERA.distortion])
+CHARUCO = Pattern(9, 6, 0.03, 0.0225)
+STILLS = np.array([1404.0, 1404.0, 967.0, 540.0, -0.49, 0.3, -0.0001, -0.0001, -0.11])
+
+
+def nine(camera):
+    return np.concatenate([camera.intrinsic, camera.distortion])
+
+
+# ---- corners ----
+
+
+def test_corners_lie_where_the_board_projects():
+    """Refined in the board's plane they are nearer than `cornerSubPix` leaves them."""
+    rng = np.random.default_rng(1)
+    R, t = places(3, rng)
+    before, after = [], []
+    for k in range(3):
+        image = picture(R[k], t[k], rng=rng, noise=1.5)
+        seen = find_board(image, PATTERN)
+        assert np.array_equal(seen.ids, np.arange(54))
+        truth, _ = project(PATTERN.corners() @ R[k].T + t[k], CAMERA)
+        if np.linalg.norm(seen.uv[0] - truth[0]) > 10.0:  # found from its other end
+            turn = exp(np.array([0.0, 0.0, np.pi]))
+            far = PATTERN.corners()[-1]
+            R[k], t[k] = R[k] @ turn, t[k] + R[k] @ far
+            truth = truth[::-1]
+        fine = rectified(image, PATTERN, seen, CAMERA, R[k], t[k])
+        before.append(seen.uv - truth)
+        after.append(fine.uv - truth[fine.ids])
+        assert len(fine.ids) == 54
+    rms = [np.sqrt(np.mean(np.sum(np.concatenate(e) ** 2, axis=1))) for e in (before, after)]
+    assert rms[0] < 0.1
+    assert rms[1] < 0.75 * rms[0]
+    assert rms[1] < 0.06
+
+
+def test_a_bad_first_camera_does_not_move_the_corners():
+    """`rectified` needs the camera only to bend its windows: 1 % of focal length changes nothing that matters."""
+    from dataclasses import replace
+
+    rng = np.random.default_rng(2)
+    R, t = places(1, rng)
+    image = picture(R[0], t[0], rng=rng, noise=1.0)
+    seen = find_board(image, PATTERN)
+    view = View(PATTERN.corners()[seen.ids], seen.uv)
+    off = replace(CAMERA, fx=1.01 * CAMERA.fx, fy=1.01 * CAMERA.fy)
+    found = []
+    for camera in (CAMERA, off):
+        r, s, _ = resected([view], camera)
+        found.append(rectified(image, PATTERN, seen, camera, r[0], s[0]).uv)
+    assert np.abs(found[0] - found[1]).max() < 0.01
+
+
+def test_another_count_is_no_board_and_is_told():
+    rng = np.random.default_rng(3)
+    R, t = places(1, rng, tilt=(10.0, 25.0))
+    image = picture(R[0], t[0])
+    for columns, rows in ((8, 5), (10, 6), (5, 4), (10, 8)):
+        seen = find_board(image, Pattern(columns, rows, 0.03))
+        assert len(seen.ids) == 0
+        assert seen.grid == (9, 6)
+
+
+def test_rows_and_columns_may_be_exchanged():
+    rng = np.random.default_rng(4)
+    R, t = places(1, rng)
+    image = picture(R[0], t[0])
+    along, across = find_board(image, PATTERN), find_board(image, Pattern(6, 9, 0.03))
+    assert len(across.ids) == 54
+    gap = np.linalg.norm(along.uv[:, None] - across.uv[None], axis=2).min(axis=1)
+    assert gap.max() < 0.1  # the same corners in another order
+    homography, _ = cv2.findHomography(Pattern(6, 9, 0.03).corners()[:, :2], across.uv)
+    assert np.linalg.det(homography) > 0.0  # not mirrored
+
+
+def test_a_board_cut_off_is_no_view():
+    rng = np.random.default_rng(5)
+    R, t = places(1, rng, tilt=(5.0, 10.0))
+    cut = picture(R[0], t[0])
+    uv, _ = project(PATTERN.corners() @ R[0].T + t[0], CAMERA)
+    cut[:, int(np.median(uv[:, 0])) :] = 120
+    assert len(find_board(cut, PATTERN).ids) == 0
+    assert len(find_board(picture(None, None), PATTERN).ids) == 0
+
+
+def test_a_charuco_board_may_be_cut_off():
+    rng = np.random.default_rng(6)
+    R, t = places(1, rng, tilt=(10.0, 30.0))
+    image = picture(R[0], t[0], CHARUCO)
+    truth, _ = project(CHARUCO.corners() @ R[0].T + t[0], CAMERA)
+    whole = find_board(image, CHARUCO)
+    assert len(whole.ids) == 54
+    assert whole.ratio == pytest.approx(0.75, rel=0.06)  # blur takes a part of a pixel
+    assert np.sqrt(np.mean(np.sum((whole.uv - truth) ** 2, axis=1))) < 0.15
+    fine = rectified(image, CHARUCO, whole, CAMERA, R[0], t[0])
+    assert np.sqrt(np.mean(np.sum((fine.uv - truth[fine.ids]) ** 2, axis=1))) < 0.1
+    image[:, int(np.percentile(truth[:, 0], 60)) :] = 120
+    part = find_board(image, CHARUCO)
+    assert 12 <= len(part.ids) < 54
+    assert np.linalg.norm(part.uv - truth[part.ids], axis=1).max() < 0.5
+
+
+def test_a_charuco_board_tells_when_it_is_another():
+    rng = np.random.default_rng(7)
+    R, t = places(1, rng, tilt=(10.0, 30.0))
+    image = picture(R[0], t[0], CHARUCO)
+    assert find_board(image, Pattern(9, 6, 0.03, 0.018)).ratio == pytest.approx(0.75, rel=0.06)
+    assert find_board(image, Pattern(8, 6, 0.03, 0.0225)).misplaced
+    other = find_board(image, Pattern(9, 6, 0.03, 0.0225, "DICT_4X4_100"))
+    assert len(other.ids) == 0
+    assert dictionary_seen(image) == "DICT_5X5_50"  # the same markers as the first of DICT_5X5_100
+
+
+# ---- the adjustment ----
+
+
+def test_jacobian_is_the_finite_difference():
+    rng = np.random.default_rng(8)
+    R, t = places(3, rng)
+    bundle = adjustment._Bundle(views(R, t, rng, 0.5), SIZE, np.ones(9, bool))
+    x = np.concatenate([TRUTH, np.stack([[log(r) for r in R], t], axis=1).ravel()])
+    _, J = bundle.evaluate(x, np.array([0.1, 0.2, 0.3]))
+    steps = np.concatenate([np.full(4, 1e-3), np.full(5, 1e-6), np.full(18, 1e-6)])
+    for k, step in enumerate(steps):
+        d = step * np.eye(len(x))[k]
+        plus, minus = (bundle.evaluate(x + s * d, np.array([0.1, 0.2, 0.3]))[0] for s in (1.0, -1.0))
+        difference = (plus - minus) / (2.0 * step)
+        assert np.allclose(J.toarray()[:, k], difference, rtol=1e-5, atol=1e-5 * np.abs(difference).max())
+
+
+def test_values_and_deviations_are_opencvs():
+    """Exactly with one variance for all views, as OpenCV has it; nearly with those estimated of each."""
+    rng = np.random.default_rng(9)
+    R, t = places(12, rng)
+    given = views(R, t, rng, 0.1)
+    found = calibrate_board(given, SIZE)
+    theirs = cv2.calibrateCameraExtended(
+        [v.points.astype(np.float32) for v in given], [v.uv.astype(np.float32) for v in given], SIZE, None, None
+    )
+    matrix, dist, deviations = theirs[1], np.ravel(theirs[2]), np.ravel(theirs[5])
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *dist[:5]])
+    bundle = adjustment._Bundle(given, SIZE, np.ones(9, bool))
+    equal = bundle.solve(adjustment._start(given, SIZE), np.ones(12))
+    assert np.all(np.abs(equal[:9] - values) < 0.01 * found.deviations)
+    assert np.all(np.abs(nine(found.camera) - values) < 0.4 * found.deviations)
+    assert np.allclose(found.deviations, deviations[:9], rtol=0.1)
+    assert found.rms == pytest.approx(theirs[0], rel=0.01)
+    assert found.contradiction == 1.0
+    assert found.used.all()
+
+
+def test_covariance_is_the_scatter_of_errors():
+    """NEES of the nine unknowns over calibrations with the same noise; and of the poses."""
+    rng = np.random.default_rng(10)
+    runs, camera_nees, pose_nees, spread = 50, 0.0, 0.0, []
+    for _ in range(runs):
+        R, t = places(8, rng)
+        sigma = rng.uniform(0.05, 0.2, 8)
+        given = [views(R[k : k + 1], t[k : k + 1], rng, sigma[k])[0] for k in range(8)]
+        found = calibrate_board(given, SIZE)
+        error = nine(found.camera) - TRUTH
+        camera_nees += error @ np.linalg.solve(found.camera.covariance, error)
+        turn = log(found.rotations[2] @ R[2].T)
+        error = np.concatenate([turn, found.translations[2] - t[2]])
+        pose_nees += error @ np.linalg.solve(found.covariance[21:27, 21:27], error)
+        spread.append(found.sigma / sigma)
+    for value, size in ((camera_nees, 9), (pose_nees, 6)):
+        low, high = chi2.ppf((0.025, 0.975), runs * size)
+        assert low < value < high
+    assert np.mean(spread) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("zoom", [1.1, 1.2, 1.6])
+def test_a_view_of_another_zoom_is_left_out(zoom):
+    rng = np.random.default_rng(11)
+    R, t = places(10, rng)
+    given = views(R, t, rng, 0.08)
+    middle = np.array([CAMERA.cx, CAMERA.cy])
+    given[4] = View(given[4].points, (given[4].uv - middle) * zoom + middle)
+    found = calibrate_board(given, SIZE)
+    assert np.flatnonzero(~found.used).tolist() == [4]
+    assert found.view_rms()[4] > 4.0 * found.rms
+    assert np.all(np.abs(nine(found.camera) - TRUTH) < 3.5 * found.deviations)
+
+
+def test_a_false_corner_is_left_out():
+    rng = np.random.default_rng(12)
+    R, t = places(10, rng)
+    given = views(R, t, rng, 0.08)
+    given[3].uv[17] += (2.0, -1.0)
+    found = calibrate_board(given, SIZE)
+    assert [np.flatnonzero(~k).tolist() for k in found.kept] == [[17] if v == 3 else [] for v in range(10)]
+
+
+def test_errors_common_to_a_view_widen_the_covariance():
+    """A bent print, seen from all sides: its errors are not independent, and corners alone would not tell."""
+    rng = np.random.default_rng(13)
+    beyond, plain = [], []
+    for _ in range(6):
+        R, t = places(10, rng)
+        corners = PATTERN.corners()
+        mean = corners.mean(axis=0)
+        given = []
+        for rotation, translation in zip(R, t, strict=True):
+            along = rng.normal(size=2)
+            bend = 2e-3 * (((corners - mean)[:, :2] @ along / np.linalg.norm(along)) / 0.12) ** 2  # m; as it is held
+            bent = corners + np.array([0.0, 0.0, 1.0]) * bend[:, None]
+            uv, _ = project(bent @ rotation.T + translation, CAMERA)
+            given.append(View(corners, uv + rng.normal(0.0, 0.05, uv.shape)))
+        found = calibrate_board(given, SIZE)
+        error = nine(found.camera) - TRUTH
+        nees = error @ np.linalg.solve(found.camera.covariance, error) / 9.0
+        beyond.append(nees)
+        plain.append(nees * found.contradiction)
+    assert np.mean(plain) > 5.0
+    assert np.mean(beyond) < 0.4 * np.mean(plain)
+
+
+def test_held_out_views_are_a_little_worse():
+    rng = np.random.default_rng(14)
+    R, t = places(6, rng)
+    given = views(R, t, rng, 0.1)
+    found = calibrate_board(given, SIZE)
+    held = held_out(given, found)
+    assert np.all(held >= found.view_rms() * (1.0 - 1e-6))
+    assert np.mean(held) < 1.1 * np.mean(found.view_rms())
+    assert np.isnan(held_out(given[:3], calibrate_board(given[:3], SIZE))).all()
+
+
+def test_terms_that_are_held_stay_zero():
+    rng = np.random.default_rng(15)
+    R, t = places(8, rng)
+    given = views(R, t, rng, 0.1)
+    for terms in (0, 2, 4):
+        found = calibrate_board(given, SIZE, terms)
+        assert np.all(found.camera.distortion[terms:] == 0.0)
+        assert np.all(found.deviations[4 + terms :] == 0.0)
+        assert np.all(found.deviations[: 4 + terms] > 0.0)
+
+
+def test_too_few_views_are_refused():
+    rng = np.random.default_rng(16)
+    R, t = places(2, rng)
+    with pytest.raises(CalibrationError, match="2 views do not determine"):
+        calibrate_board(views(R, t, rng, 0.1), SIZE)
+
+
+def test_parallel_views_leave_the_focal_length_open():
+    rng = np.random.default_rng(17)
+    R, t = places(6, rng, tilt=(0.0, 0.0))
+    with pytest.raises(CalibrationError, match="leave the focal length open"):
+        calibrate_board(views(R, t, rng, 0.1), SIZE)
+
+
+def test_many_views_are_no_matter():
+    rng = np.random.default_rng(18)
+    R, t = places(60, rng)
+    found = calibrate_board(views(R, t, rng, 0.1), SIZE)
+    assert np.all(np.abs(nine(found.camera) - TRUTH) < 4.0 * found.deviations)
+    assert found.deviations[0] < 5e-4 * CAMERA.fx
+
+
+def test_reference_photos():
+    """Nearer to the truth than OpenCV alone, and by no more than the standard deviations say."""
+    folder = datasets_dir() / "stills" / "board"
+    pattern = Pattern(11, 8, 0.086)
+    images = [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in sorted(folder.glob("*.jpg"))]
+    seen = [find_board(image, pattern) for image in images]
+    assert [len(s.ids) for s in seen] == [88] * 15
+    first = calibrate_board([View(pattern.corners()[s.ids], s.uv) for s in seen], (1920, 1080))
+    fine = [
+        rectified(image, pattern, s, first.camera, R, t)
+        for image, s, R, t in zip(images, seen, first.rotations, first.translations, strict=True)
+    ]
+    found = calibrate_board([View(pattern.corners()[s.ids], s.uv) for s in fine], (1920, 1080))
+    error = nine(found.camera) - STILLS
+    assert np.all(np.abs(error[:2]) < 5e-4 * 1404.0)
+    assert np.all(np.abs(error[2:4]) < 0.5)
+    assert found.rms < 0.06
+    assert np.all(np.abs(error) < 3.5 * found.deviations)
+    assert error @ np.linalg.solve(found.camera.covariance, error) < chi2.isf(0.01, 9)

@@ -1,0 +1,296 @@
+"""`spheremouse calibrate camera`: photos and live sessions in, camera.yaml and reports out; what bad input is told."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+from boards import CAMERA, PATTERN, picture, places
+from typer.testing import CliRunner
+
+from spheremouse.calibrate import page
+from spheremouse.calibrate.live import Session
+from spheremouse.camera import project
+from spheremouse.cli import app
+from spheremouse.detect.board import Pattern, find_board
+from spheremouse.errors import CalibrationError, SpheremouseError
+from spheremouse.rig_file import load_camera
+
+SIZE = CAMERA.width, CAMERA.height
+BOARD = ("--board", "9x6", "--square", "30mm")
+
+
+@pytest.fixture(scope="module")
+def poses():
+    return places(8, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, poses):
+    """Photos of a board, and one of the wall."""
+    path = tmp_path_factory.mktemp("board")
+    rng = np.random.default_rng(1)
+    for k, (R, t) in enumerate(zip(*poses, strict=True)):
+        cv2.imwrite(str(path / f"view_{k}.png"), picture(R, t, rng=rng, noise=1.5))
+    cv2.imwrite(str(path / "wall.png"), picture(None, None, rng=rng, noise=1.5))
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, folder):
+    """One calibration of these photos, for all who read its files."""
+    path = tmp_path_factory.mktemp("made")
+    result = run(folder, *BOARD, "--out", path / "camera.yaml", "--json", path / "camera.json")
+    return path, result
+
+
+def run(*words):
+    result = CliRunner().invoke(app, ["calibrate", "camera", *map(str, words)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def refused(*words):
+    """The one line that it is refused with."""
+    with pytest.raises(SpheremouseError) as e:
+        run(*words)
+    assert "\n" not in str(e.value)
+    return str(e.value)
+
+
+def test_photos_give_the_camera(made):
+    path, result = made
+    assert result.exit_code == 0
+    camera = load_camera(path / "camera.yaml")
+    truth = np.concatenate([CAMERA.intrinsic, CAMERA.distortion])
+    found = np.concatenate([camera.intrinsic, camera.distortion])
+    assert (camera.width, camera.height) == SIZE
+    assert np.all(np.abs(found - truth) < 4.0 * np.sqrt(np.diag(camera.covariance)))
+    assert abs(camera.fx / CAMERA.fx - 1.0) < 5e-3
+
+
+def test_figures_agree_with_the_file_and_name_every_photo(made):
+    path, result = made
+    figures = json.loads((path / "camera.json").read_text())
+    camera = load_camera(path / "camera.yaml")
+    assert figures["camera"]["fx"] == camera.fx
+    assert figures["camera"]["dist"] == camera.distortion.tolist()
+    assert np.allclose(figures["camera"]["sigma"], np.sqrt(np.diag(camera.covariance)))
+    assert [v["file"] for v in figures["board_views"]] == [f"view_{k}.png" for k in range(8)] + ["wall.png"]
+    assert [v["used"] for v in figures["board_views"]] == [True] * 8 + [False]
+    rms = np.array([v["rms_px"] for v in figures["board_views"][:8]])
+    assert figures["rms_px"] == pytest.approx(np.sqrt(np.mean(rms**2)), rel=0.01)
+    assert figures["held_out_px"] > 0.999 * figures["rms_px"]
+    assert "wall.png" in result.output
+    assert "shows no chessboard" in result.output
+
+
+def test_the_report_is_whole_and_needs_nothing_beside_it(made):
+    path, _ = made
+    text = (path / "camera.html").read_text()
+    assert text.count("<svg") == 6
+    assert text.count("data:image/jpeg;base64,") == 8
+    assert not re.search(r'(src|href)="(?!data:|#)', text)
+    assert "wall.png" in text
+    assert "<script" not in text
+    for what in ("0.", "held out", "Poses", "k3", "var(--blue)", "prefers-color-scheme: dark"):
+        assert what in text
+
+    class Balance(HTMLParser):
+        def __init__(self):
+            super().__init__()
+            self.open = []
+
+        def handle_starttag(self, tag, attrs):
+            if tag not in ("meta", "img", "br", "path", "use", "rect", "circle"):
+                self.open.append(tag)
+
+        def handle_endtag(self, tag):
+            if tag not in ("path", "use", "rect", "circle"):
+                assert self.open.pop() == tag
+
+    parser = Balance()
+    parser.feed(text)
+    assert parser.open == []
+
+
+def test_nothing_there_is_overwritten(made, folder):
+    path, _ = made
+    before = (path / "camera.yaml").read_bytes()
+    assert "use --force" in refused(folder, *BOARD, "--out", path / "camera.yaml")
+    assert (path / "camera.yaml").read_bytes() == before
+    assert "no folder" in refused(folder, *BOARD, "--out", path / "none" / "camera.yaml")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--board", "8x5", "--square", "30mm"), "has 9x6 inner corners, not 8x5"),
+        (("--board", "10x7", "--square", "30mm"), "has 9x6 inner corners, not 10x7"),
+        (("--board", "9x6", "--square", "30"), "30mm"),
+        (("--board", "9x6", "--square", "30m"), "from the board; measure a square"),
+        (("--board", "9x6", "--square", "0.3mm"), "from the board; measure a square"),
+        (("--board", "9x6"), "--square"),
+        (("--board", "9x6", "--square", "30mm", "--marker", "20mm"), "a chessboard with 9x6 inner corners"),
+        (("--board", "9x6", "--square", "30mm", "--marker", "40mm"), "smaller than the square"),
+        (("--board", "9x6", "--square", "30mm", "--marker", "20mm", "--dictionary", "X"), "DICT_4X4_50"),
+        (("--board", "9x6", "--square", "30mm", "--distortion", "3"), "one of 0, 2, 4, 5"),
+        (("--board", "9x6", "--square", "30mm", "--source", "opencv:0"), "one of the two"),
+    ],
+)
+def test_bad_input_is_told_what_to_do(folder, tmp_path, words, said):
+    assert said in refused(folder, *words, "--out", tmp_path / "camera.yaml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_few_photos_are_named_with_the_reason(folder, tmp_path):
+    said = refused(folder / "view_0.png", folder / "wall.png", *BOARD, "--out", tmp_path / "c.yaml")
+    assert "in 1 of 2 photos" in said
+    assert "wall.png: shows no chessboard" in said
+    assert "no photos" in refused(*BOARD)
+
+
+def test_a_photo_of_another_zoom_is_named_and_left_out(folder, poses, tmp_path):
+    from dataclasses import replace
+
+    R, t = poses
+    zoomed = replace(CAMERA, fx=1.2 * CAMERA.fx, fy=1.2 * CAMERA.fy)
+    middle = PATTERN.corners().mean(axis=0)
+    away = t[0] + R[0] @ middle
+    other = picture(R[0], np.array([0.0, 0.0, away[2]]) - R[0] @ middle, camera=zoomed)
+    cv2.imwrite(str(tmp_path / "zoomed.png"), other)
+    result = run(folder, tmp_path / "zoomed.png", *BOARD, "--out", tmp_path / "c.yaml", "--json", tmp_path / "c.json")
+    assert "zoomed.png does not fit the others" in result.output
+    last = json.loads((tmp_path / "c.json").read_text())["board_views"][-1]
+    assert last["file"] == "zoomed.png"
+    assert not last["used"]
+    assert last["rms_px"] > 4.0 * json.loads((tmp_path / "c.json").read_text())["rms_px"]
+    assert "zoomed.png" in (tmp_path / "c.yaml").read_text()
+
+
+def test_a_charuco_board_that_was_measured_wrongly(poses, tmp_path):
+    pattern = Pattern(9, 6, 0.03, 0.0225)
+    R, t = poses
+    for k in range(3):
+        whole = picture(R[k], t[k], pattern)
+        cv2.imwrite(str(tmp_path / f"{k}.png"), whole)
+        corners, _ = project(pattern.corners() @ R[k].T + t[k], CAMERA)
+        whole[:, int(np.percentile(corners[:, 0], 50 + 20 * k)) :] = 120
+        (tmp_path / "cut").mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / "cut" / f"{k}.png"), whole)
+    given = (tmp_path, "--board", "9x6", "--square", "30mm", "--out", tmp_path / "c.yaml")
+    assert "are 0.7" in refused(*given, "--marker", "15mm")
+    assert "do not lie as on a board of 8x6" in refused(
+        tmp_path, "--board", "8x6", "--square", "30mm", "--marker", "22.5mm", "--out", tmp_path / "c.yaml"
+    )
+    assert "give --dictionary DICT_5X5" in refused(*given, "--marker", "22.5mm", "--dictionary", "6x6_100")
+    assert "a ChArUco board? give --marker" in refused(tmp_path / "cut", *given[1:])
+    assert "has 50 markers" not in refused(*given, "--marker", "22.5mm", "--dictionary", "4x4_50")
+    assert "carries 180" in refused(
+        tmp_path, "--board", "19x17", "--square", "30mm", "--marker", "20mm", "--out", tmp_path / "c.yaml"
+    )
+
+
+# ---- live ----
+
+
+def film(path, poses, rng, still=2, between=1):
+    """A video that rests at each place for some frames, and moves for some between them."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, SIZE)
+    assert writer.isOpened()
+    for R, t in zip(*poses, strict=True):
+        rest = picture(R, t)
+        for k in range(still + between):
+            frame = np.roll(rest, 6, axis=1) if k >= still else rest
+            noisy = np.clip(np.rint(frame + rng.normal(0.0, 1.0, frame.shape)), 0, 255).astype(np.uint8)
+            writer.write(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+
+def test_a_live_session_keeps_views_that_add_something_and_can_be_continued(tmp_path, poses):
+    """Two of the places are shown twice; a session that was left goes on where it was."""
+    rng = np.random.default_rng(3)
+    R, t = poses
+    order = [0, 0, 1, 1]
+    film(tmp_path / "first.mkv", (R[order], t[order]), rng)
+    keep = tmp_path / "views"
+    live = ("--keep", keep, *BOARD, "--out", tmp_path / "camera.yaml")
+    said = refused("--source", f"video:{tmp_path / 'first.mkv'}", *live)
+    assert "2 views in" in said
+    assert "run it again to go on" in said
+    assert sorted(p.name for p in keep.iterdir()) == ["view_000.png", "view_001.png"]
+    film(tmp_path / "second.mkv", (R[2:6], t[2:6]), rng)
+    result = run("--source", f"video:{tmp_path / 'second.mkv'}", *live)
+    assert result.exit_code == 0
+    assert "goes on with 2 views" in result.output
+    assert "stopped with" in result.output
+    assert load_camera(tmp_path / "camera.yaml").fx == pytest.approx(CAMERA.fx, rel=0.02)
+    assert len(list(keep.iterdir())) == 6
+
+
+def test_a_live_session_ends_when_it_is_enough(tmp_path, poses, monkeypatch):
+    """The source goes on; the session does not."""
+    from spheremouse.adjustment import coverage
+    from spheremouse.calibrate import live
+
+    monkeypatch.setattr(live, "enough", lambda found: found.views >= 3)
+    R, t = poses
+    film(tmp_path / "all.mkv", (R[:5], t[:5]), np.random.default_rng(4))
+    live.take_views(f"video:{tmp_path / 'all.mkv'}", PATTERN, tmp_path / "views")
+    assert len(list((tmp_path / "views").iterdir())) == 3
+    assert not coverage.enough(coverage.coverage(SIZE, [], np.empty((0, 3, 3))))
+
+
+def test_a_moving_board_is_no_view(poses):
+    R, t = poses
+    session = Session(PATTERN, SIZE)
+    image = picture(R[0], t[0])
+    seen = find_board(image, PATTERN)
+    moved = find_board(np.roll(image, 3, axis=1), PATTERN)
+    assert not session.still(seen)  # nothing to compare with
+    assert not session.still(moved)
+    assert session.still(moved)
+
+
+def test_a_folder_of_another_mode_is_refused(tmp_path, poses):
+    R, t = poses
+    film(tmp_path / "one.mkv", (R[:1], t[:1]), np.random.default_rng(5))
+    (tmp_path / "views").mkdir()
+    cv2.imwrite(str(tmp_path / "views" / "a.png"), np.full((240, 320, 3), 90, np.uint8))
+    said = refused("--source", f"video:{tmp_path / 'one.mkv'}", "--keep", tmp_path / "views", *BOARD)
+    assert "holds views of 320x240, the camera gives 640x480" in said
+
+
+# ---- the page ----
+
+
+def test_pages_escape_what_they_are_given():
+    text = page.page("<a>", "b & c", [page.table(["x"], [["<i>"]]), page.advice([("note", "`run` <b>")])], "d")
+    assert "<a>" not in text
+    assert "&lt;i&gt;" in text
+    assert "<code>run</code> &lt;b&gt;" in text
+
+
+def test_figures_follow_the_page_and_are_the_same_every_time():
+    from matplotlib.figure import Figure
+
+    def drawn():
+        with page.drawn():
+            figure = Figure(figsize=(2.0, 1.0))
+            figure.subplots().plot([0, 1], [0, 1], color=page.BLUE)
+            return page.svg(figure, 'a "line"')
+
+    text = drawn()
+    assert text.startswith("<svg ")
+    assert "var(--blue)" in text
+    assert page.BLUE not in text
+    assert 'aria-label="a &quot;line&quot;"' in text
+    assert drawn() == text
+
+
+def test_errors_are_calibration_errors(tmp_path):
+    with pytest.raises(CalibrationError):
+        run(tmp_path / "none.jpg", *BOARD)

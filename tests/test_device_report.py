@@ -1,0 +1,233 @@
+"""The report of a device: what it says is what was calibrated, and the page stands alone."""
+
+import io
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from spheremouse.adjustment.advice import advise
+from spheremouse.calibrate import page
+from spheremouse.calibrate.device_pictures import magnification, photo_picture
+from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
+from spheremouse.calibrate.photos import read_photos
+from spheremouse.camera import ellipse_to_pixel, project_sphere
+from spheremouse.errors import ConfigurationError
+from spheremouse.simulate.observations import calibrated, simulated_calibration
+
+PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrated(simulated_calibration(np.random.default_rng(0)))
+
+
+@pytest.fixture(scope="module")
+def free():
+    return calibrated(simulated_calibration(np.random.default_rng(1), scale_free=True))
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("photos")
+    for k in range(7):
+        cv2.imwrite(str(folder / f"shot <{k}> & more.png"), np.full((1080, 1920, 3), 100 + k, np.uint8))
+    return read_photos([folder])
+
+
+def names(photos):
+    return [p.path.name for p in photos]
+
+
+def written(path, calibration, photos):
+    write_device_report(path, calibration, photos, PROVENANCE)
+    return path.read_text("utf-8")
+
+
+def decoded(data):
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    return picture.astype(float)
+
+
+class Elements(HTMLParser):
+    """All elements of a page and their words; fails where they do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.seen, self.words = [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append((tag, dict(attrs)))
+        if tag not in {"meta", "img", "br"}:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.seen.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.mark.parametrize("which", ["calibration", "free"])
+def test_json_is_the_calibration(which, request, photos):
+    c = request.getfixturevalue(which)
+    found = json.loads(json.dumps(device_json(c, names(photos)), allow_nan=False))
+    assert np.array([t["position"] for t in found["targets"]]) == pytest.approx(c.targets)
+    sigma = np.sqrt(np.diag(c.covariance))
+    assert np.ravel([t["sigma"] for t in found["targets"]]) == pytest.approx(sigma[c.block("targets")])
+    assert np.ravel([d["sigma"] for d in found["discs"]]) == pytest.approx(sigma[c.block("discs")])
+    assert [d["photos"] for d in found["discs"]] == c.sightings.tolist()
+    ball = found["ball"]
+    s = np.array([ball["sigma"][axis] for axis in "XYZR"])
+    assert np.array(ball["correlation"]) * np.outer(s, s) == pytest.approx(c.ball_covariance)
+    assert ball["center"] == pytest.approx(c.centre)
+    assert [p["file"] for p in found["photos"]] == names(photos)[:6]
+    for p, pose in zip(found["photos"], c.poses, strict=True):
+        assert np.array(p["T_obj_cam"]) == pytest.approx(pose.matrix())
+        assert np.array(p["sigma"]) ** 2 == pytest.approx(np.diag(pose.covariance))
+    assert sum(p["points"] for p in found["photos"]) == np.sum(c.measured.used)
+    squares = sum(p["points"] * p["rms_px"] ** 2 for p in found["photos"])
+    assert np.sqrt(squares / np.sum(c.measured.used)) == pytest.approx(found["rms_px"])
+    assert found["scale_free"] is (which == "free")
+    assert [a["text"] for a in found["advice"]] == [a.text for a in advise(c, names(photos))]
+
+
+def test_distances_add_up_and_are_better_than_the_tape(calibration, free, photos):
+    found = device_json(calibration, names(photos))["distances"]
+    assert len(found) == 4
+    for d in found:
+        assert d["adjusted"] - d["metres"] == pytest.approx(d["residual"], abs=1e-9)
+        assert 0.3 * d["sigma"] < d["adjusted_sigma"] < d["sigma"]
+    assert device_json(free, names(photos))["distances"] == []
+
+
+def test_text_says_radius_photos_and_advice(calibration, photos):
+    out = io.StringIO()
+    device_text(calibration, names(photos), console=Console(file=out, width=200))
+    text = out.getvalue()
+    sigma = 1e3 * np.sqrt(calibration.ball_covariance[3, 3])
+    assert f"{1e3 * calibration.radius:.2f} ± {sigma:.2f} mm" in text
+    for name in names(photos)[:6]:
+        assert name in text
+    for a in advise(calibration, names(photos)):
+        assert a.text[:60] in text
+
+
+def test_text_without_metres_has_none(free, photos):
+    out = io.StringIO()
+    device_text(free, names(photos), console=Console(file=out, width=200))
+    assert "R/1000" in out.getvalue()
+    assert " mm" not in out.getvalue()
+
+
+@pytest.mark.parametrize("which", ["calibration", "free"])
+def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_path):
+    pytest.importorskip("matplotlib")
+    c = request.getfixturevalue(which)
+    text = written(tmp_path / "r.html", c, photos)
+    elements = Elements(text)
+    links = [a.get(key) for _, a in elements.seen for key in ("src", "href", "xlink:href") if a.get(key)]
+    assert all(link.startswith(("data:", "#")) for link in links)
+    tags = [tag for tag, _ in elements.seen]
+    assert tags.count("svg") == 3
+    assert tags.count("img") == 6
+    assert tags.count("script") == tags.count("link") == 0
+    words = " ".join(elements.words)
+    assert all(name in words for name in names(photos))  # escaped, else they would be elements
+    assert all(photo.sha256 in words for photo in photos)
+    assert all(value in words for value in PROVENANCE.values())
+    assert all(
+        a.text.replace("`", "") in words.replace(" target_radii ", "target_radii") for a in advise(c, names(photos))
+    )
+    assert text.index('class="advice"') < text.index("<table")
+    assert ("Distances" in words) is (which == "calibration")
+    assert "nan" not in words
+
+
+def test_page_without_matplotlib_has_the_tables_and_says_what_to_install(calibration, photos, tmp_path, monkeypatch):
+    def missing():
+        raise ConfigurationError("plots need matplotlib: pip install 'spheremouse[plot]'")
+
+    monkeypatch.setattr(page, "require_matplotlib", missing)
+    elements = Elements(written(tmp_path / "r.html", calibration, photos))
+    tags = [tag for tag, _ in elements.seen]
+    assert tags.count("svg") == 0
+    assert tags.count("img") == 6
+    assert tags.count("table") >= 8
+    assert "pip install" in " ".join(elements.words)
+
+
+def test_photos_left_out_shift_nothing(calibration, photos, tmp_path):
+    c = replace(
+        calibration, photos=(0, 1, 3, 4, 5, 6), skipped=((2, "2 of 4 targets found"),), doubtful=((4, "it was turned"),)
+    )
+    found = device_json(c, names(photos))
+    assert [p["file"] for p in found["photos"]] == [n for k, n in enumerate(names(photos)) if k != 2]
+    assert found["skipped"] == [{"file": names(photos)[2], "why": "2 of 4 targets found"}]
+    assert found["doubtful"] == [{"file": names(photos)[4], "why": "it was turned"}]
+    words = " ".join(Elements(written(tmp_path / "r.html", c, photos)).words)
+    assert f"4: {names(photos)[3]}; " in words
+    assert "2 of 4 targets found" in words
+    assert "it was turned" in words
+
+
+def test_a_photo_of_which_nothing_was_used_has_no_rms(calibration, photos, tmp_path):
+    m = calibration.measured
+    used = m.used & (m.photo != 3)
+    c = replace(calibration, measured=replace(m, used=used))
+    found = device_json(c, names(photos))["photos"][3]
+    assert (found["points"], found["rms_px"]) == (0, None)
+    assert "nan" not in " ".join(Elements(written(tmp_path / "r.html", c, photos)).words)
+
+
+def test_picture_marks_points_where_they_are_and_arrows_reach_the_prediction(calibration):
+    c, m = calibration, calibration.measured
+    i = int(np.flatnonzero(m.photo == 0)[0])
+    far = next(k for k in np.flatnonzero(m.photo == 0) if np.linalg.norm(m.centre[k] - m.centre[i]) > 150.0)
+    used, residual = m.used.copy(), m.residual.copy()
+    used[i], residual[far] = False, (0.5, 0.0)
+    c = replace(c, measured=replace(m, used=used, residual=residual))
+    image = np.full((1080, 1920, 3), 60, np.uint8)
+    picture = decoded(photo_picture(c, 0, image))
+    scale = picture.shape[1] / 1920
+    assert picture.shape[0] == round(1080 * scale)
+
+    def near(at, reach=2):
+        x, y = np.round(scale * at).astype(int)
+        return picture[y - reach : y + reach + 1, x - reach : x + reach + 1].reshape(-1, 3)
+
+    red = near(m.centre[i])
+    assert np.max(red[:, 2] - red[:, 0]) > 80.0
+    tip = m.centre[far] + magnification(c, 1920) * residual[far]
+    assert near(tip).max() > 180.0
+    beyond = m.centre[far] + 1.4 * magnification(c, 1920) * residual[far]
+    assert near(beyond, 1).max() < 120.0
+
+
+def test_picture_outlines_the_ball(calibration):
+    """Against the ellipse that the ball's outline is in the picture, left, right, above, below."""
+    camera = replace(calibration.camera, distortion=np.zeros(5))
+    c = replace(calibration, camera=camera)
+    picture = decoded(photo_picture(c, 0, np.full((1080, 1920, 3), 60, np.uint8))).mean(axis=2)
+    centre, shape = project_sphere(c.poses[0].to_cam(np.zeros(3)), c.radius)
+    uv, S = ellipse_to_pixel(centre[None], shape[None], camera)
+    scale = picture.shape[1] / 1920
+    for axis in range(2):
+        for side in (-1.0, 1.0):
+            extreme = uv[0] + side * S[0][:, axis] / np.sqrt(S[0][axis, axis])
+            x, y = np.round(scale * extreme).astype(int)
+            if 5 < x < picture.shape[1] - 5 and 5 < y < picture.shape[0] - 5:
+                assert picture[y - 2 : y + 3, x - 2 : x + 3].max() > 100.0
+                inner = np.round(scale * (0.85 * extreme + 0.15 * uv[0])).astype(int)
+                assert picture[inner[1], inner[0]] < 100.0
