@@ -255,6 +255,23 @@ def test_a_moving_board_is_no_view(poses):
     assert session.still(moved)
 
 
+def test_the_screen_shows_what_is_missing(poses):
+    from spheremouse.calibrate.live import _screen
+
+    R, t = poses
+    session = Session(PATTERN, SIZE)
+    seen = find_board(picture(R[0], t[0]), PATTERN)
+    before = _screen(session, seen, "").plain
+    assert before.count("·") == 24
+    assert "wanted: a view that shows the board in the upper left corner" in before
+    assert session.gain(seen)
+    session.add(seen)
+    after = _screen(session, seen, "view_000.png").plain
+    assert after.count("·") < 24
+    assert "1 views" in after
+    assert "taken: view_000.png" in after
+
+
 def test_a_folder_of_another_mode_is_refused(tmp_path, poses):
     R, t = poses
     film(tmp_path / "one.mkv", (R[:1], t[:1]), np.random.default_rng(5))

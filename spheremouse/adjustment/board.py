@@ -492,12 +492,13 @@ def _finished(bundle: _Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) 
     Q = _cofactors(J)
     left = len(residual) - len(Q)
     factor = max(float(residual @ residual) / left, (FLOOR / float(sigma[index].max())) ** 2)
-    doubt = contradiction(J, residual / np.sqrt(factor), part.groups, int(bundle.free.sum()))
+    N, g = _on_the_camera(J, residual / np.sqrt(factor), part.groups, int(bundle.free.sum()))
+    doubt = contradiction(N, g)
     x[columns] = y
     camera = _camera(x, bundle.size)
     covariance = np.zeros((9 + 6 * len(index),) * 2)
     is_open = np.concatenate([bundle.free, np.ones(6 * len(index), bool)])
-    covariance[np.ix_(is_open, is_open)] = doubt * factor * Q
+    covariance[np.ix_(is_open, is_open)] = doubt * _estimated_weights(N, part.counts) * factor * Q
     _into_cam(covariance, y)
     camera = replace(camera, covariance=covariance[:9, :9].copy())
     _sigma_of(views, bundle.size, x, used, sigma[used])
@@ -524,13 +525,8 @@ def _cofactors(J: Jacobian) -> Array:
         raise CalibrationError(_OPEN) from None
 
 
-def contradiction(J: Jacobian, residual: Array, groups: Sequence[slice], nine: int) -> float:
-    """Factor on the variances that makes up for views which contradict each other; 1 where they do not significantly.
-
-    Errors of the corners of one view may go together: a bent board, a blur to one side. Then each view is one
-    observation rather than many, and what the camera becomes without a view scatters more than the corners say. That
-    scatter (jackknife over views) is compared with what independent errors give, drawn at random.
-    """
+def _on_the_camera(J: Jacobian, residual: Array, groups: Sequence[slice], nine: int) -> tuple[Array, Array]:
+    """Normal matrices, (v, 9, 9), and gradients, (v, 9), by the camera's unknowns, of each view less its pose."""
     N, g, dense = [], [], J.toarray()
     for group in groups:
         rows = dense[group]
@@ -540,8 +536,31 @@ def contradiction(J: Jacobian, residual: Array, groups: Sequence[slice], nine: i
         A = A - basis @ (basis.T @ A)
         N.append(A.T @ A)
         g.append(A.T @ residual[group])
+    return np.array(N), np.array(g)
+
+
+def _estimated_weights(N: Array, counts: NDArray[np.intp]) -> float:
+    """Factor on the variances because the views' weights are estimated themselves (Meier 1953).
+
+    With a view's share w of what is known and its redundancy r: 1 + 4 sum w (1 - w) / r.
+    """
+    nine = N.shape[1]
+    share = np.einsum("ij,vji->v", np.linalg.pinv(N.sum(axis=0), hermitian=True), N) / max(nine, 1)
+    left = np.maximum(2.0 * counts - 6.0 - nine * share, 1.0)
+    return float(1.0 + 4.0 * np.sum(share * (1.0 - share) / left))
+
+
+def contradiction(N: Array, g: Array) -> float:
+    """Factor on the variances that makes up for views which contradict each other; 1 where they do not significantly.
+
+    `N` (v, 9, 9) and `g` (v, 9) are the views' normal matrices and gradients at the minimum, at unit variance. Errors
+    of the corners of one view may go together: a bent board, a blur to one side. Then each view is one observation
+    rather than many, and what the camera becomes without a view scatters more than the corners say. That scatter
+    (jackknife over views) is compared with what independent errors give, drawn at random.
+    """
+    nine = N.shape[1]
     scale = 1.0 / np.sqrt(np.diagonal(np.sum(N, axis=0)))
-    normals, gradient = np.array(N) * np.outer(scale, scale), np.array(g) * scale
+    normals, gradient = N * np.outer(scale, scale), g * scale
     total = normals.sum(axis=0)
     try:
         without = np.linalg.inv(total - normals)

@@ -78,7 +78,8 @@ def advice(done: Calibrated) -> list[tuple[str, str]]:
             (
                 "note",
                 "The views contradict each other more than their corners say; all standard deviations were "
-                f"made {np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?",
+                f"made {np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
+                + ("" if found.free.all() else " Or does the lens need more terms (`--distortion 5`)?"),
             )
         )
     dropped = int(sum((~k).sum() for k, u in zip(found.kept, found.used, strict=True) if u))
