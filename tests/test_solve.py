@@ -33,14 +33,6 @@ def test_linear_problem_has_its_closed_form(seed, u):
     assert redundancy(found.jacobian, Q).sum() == pytest.approx(len(b) - u)
 
 
-def test_large_sparse_problem_gives_what_the_dense_one_gives(monkeypatch):
-    rng = np.random.default_rng(1)
-    A, _, b = linear(rng, 60, 6)
-    dense = adjust(problem(A, b), np.zeros(6)).x
-    monkeypatch.setattr("spheremouse.adjustment.solve._DENSE", 0.0)
-    np.testing.assert_allclose(adjust(problem(A, b), np.zeros(6)).x, dense, atol=1e-6)
-
-
 def test_nonlinear_problem_reaches_the_truth():
     t = np.linspace(0.0, 2.0, 30)
 

@@ -20,7 +20,6 @@ from spheremouse.rotation import Array
 Jacobian = sparse.csr_array
 Evaluate = Callable[[Array], tuple[Array, Jacobian]]
 
-_DENSE = 2e9  # rows times columns squared up to which a dense decomposition is the faster way
 _FIRM = 1e-12  # least pivot of the scaled normal matrix: below, an unknown hangs in the air
 _PRIOR = 10.0  # redundancy that the assumed variance is worth beside the one found
 
@@ -71,17 +70,15 @@ def _minimised(evaluate: Evaluate, x0: Array, weight: Array | None, most: int) -
             last[:] = [(x.copy(), (r, J) if weight is None else (weight * r, J.multiply(weight[:, None]).tocsr()))]
         return last[0][1]
 
-    n, u = len(at(x0)[0]), len(x0)
-    dense = float(n) * u * u < _DENSE
-
     def jacobian_at(x: Array) -> Any:
-        return at(x)[1].toarray() if dense else at(x)[1]
+        # dense: 60 photos are 8 s, and SciPy's iterative solver for sparse ones does not come to rest on such systems
+        return at(x)[1].toarray()
 
     found = least_squares(
         lambda x: at(x)[0],
         x0,
         jac=jacobian_at,  # pyright: ignore[reportArgumentType]  SciPy's stubs know the names of methods only
-        tr_solver="exact" if dense else "lsmr",
+        tr_solver="exact",
         x_scale="jac",
         xtol=1e-10,
         ftol=1e-10,
