@@ -83,8 +83,17 @@ def test_jacobian_is_the_finite_difference(depth):
     x[bundle.INTERIOR :] = 0.05 * rng.standard_normal(columns.all - bundle.INTERIOR)  # rotations far from zero, too
     x = x[columns.free]
 
+    slopes = bundle._eccentricity_slopes(problem, bundle._moved(start, columns, x))
+
     def at(x):
-        return bundle._evaluate(problem, bundle._moved(start, columns, x), columns, x)
+        return bundle._evaluate(problem, bundle._moved(start, columns, x), columns, x, slopes)
+
+    # what the lens' parameters do to a ring's eccentricity is left out: a thousandth
+    def limit(j):
+        rows = np.full(len(J), 1e-5)
+        if columns.free[j] < bundle.INTERIOR:
+            rows[: 2 * len(problem.image)] = np.repeat(np.where(problem.image.point < 4, 1e-2, 1e-5), 2)
+        return rows
 
     J = at(x)[1].toarray()
     for j in range(len(x)):
@@ -92,23 +101,20 @@ def test_jacobian_is_the_finite_difference(depth):
         step[j] = 1e-6
         difference = (at(x + step)[0] - at(x - step)[0]) / 2e-6
         size = np.abs(difference).max()
-        # a ring's centroid moves nearly as its centre does: the rest is the eccentricity's own derivative
-        limit = np.full(len(J), 1e-5)
-        limit[: 2 * len(problem.image)] = np.repeat(np.where(problem.image.point < 4, 1e-2, 1e-5), 2)
-        assert np.all(np.abs(J[:, j] - difference) <= limit * size + 1e-6)
+        assert np.all(np.abs(J[:, j] - difference) <= limit(j) * size + 1e-6)
 
 
 def test_exact_observations_give_back_the_truth():
-    problem, start, true = simulated(2, interior=False, sigma=1e-6)
+    problem, start, true = simulated(2, interior=False, sigma=1e-4)
     exact = tuple(
         replace(d, metres=float(np.linalg.norm(TARGETS[d.start - 1] - TARGETS[d.end - 1])))
         for d in problem.device.distances
     )
     problem = replace(problem, device=replace(problem.device, distances=exact))
     block = solve_block(problem, start).block
-    np.testing.assert_allclose(block.points, true.points, atol=1e-6)
+    np.testing.assert_allclose(block.points, true.points, atol=2e-6)
     for ours, theirs in zip(block.poses, true.poses, strict=True):
-        np.testing.assert_allclose(ours.matrix(), theirs.matrix(), atol=1e-6)
+        np.testing.assert_allclose(ours.matrix(), theirs.matrix(), atol=5e-6)
 
 
 def test_frame_is_held_by_its_three_targets():

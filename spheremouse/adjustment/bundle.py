@@ -6,7 +6,7 @@ limit). The interior orientation takes part as far as its calibration leaves it 
 free; then the first two targets keep their distance.
 """
 
-from collections.abc import Sequence
+import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,15 +120,17 @@ def solve_block(problem: Problem, block: Block, robust: float | None = None) -> 
     """Adjust a block from an approximation; LinAlgError where something hangs in the air."""
     columns = columns_of(problem, len(block.poses), len(block.points))
     adjusted = None
-    for _ in range(2):  # the second time from the solution, where rotations are zero and their Jacobian is exact
+    for _ in range(2):  # the second time from the solution: rotations are zero there, and slopes exact
+        slopes = _eccentricity_slopes(problem, block)
         adjusted = adjust(
-            lambda x, start=block: _evaluate(problem, _moved(start, columns, x), columns, x),
+            lambda x, start=block, slopes=slopes: _evaluate(problem, _moved(start, columns, x), columns, x, slopes),
             np.zeros(len(columns.free)),
             robust,
         )
         block = _moved(block, columns, adjusted.x)
     assert adjusted is not None
-    residual, jacobian = _evaluate(problem, block, columns, np.zeros(len(columns.free)))
+    slopes = _eccentricity_slopes(problem, block)
+    residual, jacobian = _evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)
     adjusted = replace(adjusted, x=np.zeros(len(columns.free)), residual=residual, jacobian=jacobian)
     covariance = np.zeros((columns.all, columns.all))
     covariance[np.ix_(columns.free, columns.free)] = cofactors(jacobian)
@@ -138,7 +140,8 @@ def solve_block(problem: Problem, block: Block, robust: float | None = None) -> 
 def design(problem: Problem, block: Block) -> tuple[Jacobian, Columns]:
     """Jacobian of the residuals over their standard deviations, of what is free, at a block: no measurement needed."""
     columns = columns_of(problem, len(block.poses), len(block.points))
-    return _evaluate(problem, block, columns, np.zeros(len(columns.free)))[1], columns
+    slopes = _eccentricity_slopes(problem, block)
+    return _evaluate(problem, block, columns, np.zeros(len(columns.free)), slopes)[1], columns
 
 
 def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:
@@ -154,16 +157,47 @@ def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array
     xy = cam[:, :2] / cam[:, 2:]
     if len(ring) and np.all(np.isfinite(uv[ring])):
         normal = R[ring, 2]
-        try:
-            seen = [
-                ellipse_to_pixel(*project_circle(cam[ring], normal, float(r)), block.camera)[0]
-                for r in problem.device.target_radii
-            ]
-            uv = uv.copy()
-            uv[ring] = np.mean(seen, axis=0)
-        except np.linalg.LinAlgError:  # edge-on: its centre must do until the pose is better
-            pass
+        uv = uv.copy()
+        with contextlib.suppress(np.linalg.LinAlgError):  # edge-on: its centre must do until the pose is better
+            uv[ring] = _centroids(cam[ring], normal, problem, block.camera)
     return uv, J, interior_jacobian(xy, block.camera), cam
+
+
+def _centroids(cam: Array, normal: Array, problem: Problem, camera: InteriorOrientation) -> Array:
+    """Mean centroids of the circles of targets at `cam`, (k, 3), that face `normal`, (k, 3), in px, (k, 2)."""
+    radii = problem.device.target_radii
+    return np.mean([ellipse_to_pixel(*project_circle(cam, normal, float(r)), camera)[0] for r in radii], axis=0)
+
+
+def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
+    """d(centroid - projected centre) of the image points by their place and their normal in cam, (n, 2, 6).
+
+    By differences: it is a percent of the whole, and changes little while the block moves. Without it the adjustment
+    comes to rest slowly along what the photos hardly fix.
+    """
+    image, R = problem.image, np.array([p.rotation for p in block.poses])
+    slopes = np.zeros((len(image), 2, 6))
+    ring = np.flatnonzero(image.point < problem.targets)
+    photo = image.photo[ring]
+    P = np.array([p.position for p in block.poses])[photo]
+    cam = np.einsum("nji,nj->ni", R[photo], block.points[image.point[ring]] - P)
+    normal = R[photo, 2]
+    if not np.all(cam[:, 2] > 0.0):
+        return slopes
+    try:
+        for j in range(6):
+            step = np.zeros(6)
+            step[j] = 1e-4  # of the depth; of a unit vector
+            h = step[:3] * cam[:, 2:]
+            moved = [
+                _centroids(cam + s * h, normal + s * step[3:], problem, block.camera)
+                - project(cam + s * h, block.camera)[0]
+                for s in (1.0, -1.0)
+            ]
+            slopes[ring, :, j] = (moved[0] - moved[1]) / (2e-4 * (cam[:, 2:] if j < 3 else 1.0))
+    except np.linalg.LinAlgError:
+        slopes[:] = 0.0
+    return slopes
 
 
 def _moved(block: Block, columns: Columns, x: Array) -> Block:
@@ -185,8 +219,11 @@ def _moved(block: Block, columns: Columns, x: Array) -> Block:
     return Block(camera, poses, block.points + full[INTERIOR + 6 * columns.photos :].reshape(-1, 3))
 
 
-def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array) -> tuple[Array, Jacobian]:
-    """Residuals (predicted minus measured, over standard deviations) and their Jacobian by the free unknowns."""
+def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes: Array) -> tuple[Array, Jacobian]:
+    """Residuals (predicted minus measured, over standard deviations) and their Jacobian by the free unknowns.
+
+    `slopes` are those of `_eccentricity_slopes` near the block.
+    """
     full = np.zeros(columns.all)
     full[columns.free] = x
     turned = full[INTERIOR : INTERIOR + 6 * columns.photos].reshape(-1, 6)[:, 3:]
@@ -197,8 +234,10 @@ def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array) -> tup
     by_interior = np.where(np.isfinite(by_interior), by_interior, 0.0)
     R = np.array([p.rotation for p in block.poses])[image.photo]
     P = np.array([p.position for p in block.poses])[image.photo]
-    by_point = by_cam @ R.transpose(0, 2, 1)
-    by_turn = by_point @ hat(block.points[image.point] - P) @ left_jacobian(turned)[image.photo]
+    by_point = (by_cam + slopes[:, :, :3]) @ R.transpose(0, 2, 1)
+    by_turn = by_point @ hat(block.points[image.point] - P)
+    by_turn += slopes[:, :, 3:] @ R.transpose(0, 2, 1) @ hat(np.array([0.0, 0.0, 1.0]))  # the normal, seen from cam
+    by_turn = by_turn @ left_jacobian(turned)[image.photo]
     L = np.linalg.inv(np.linalg.cholesky(image.covariance))
     blocks = np.concatenate([by_interior, -by_point, by_turn, by_point], axis=2)
     where = np.concatenate(
@@ -275,10 +314,3 @@ def _prior(
 def interior_vector(camera: InteriorOrientation) -> Array:
     """fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,)."""
     return np.array([*camera.intrinsic, *camera.distortion])
-
-
-def rest(problem: Problem, solution: Solution) -> tuple[Array, Sequence[slice]]:
-    """Residuals in their groups: image points of targets, of discs, distances."""
-    n = len(problem.image)
-    k = len(problem.device.distances)
-    return solution.adjusted.residual, (slice(0, 2 * n), slice(2 * n, 2 * n + k))

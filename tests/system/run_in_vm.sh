@@ -13,6 +13,7 @@ set -euo pipefail
 
 cache=${XDG_CACHE_HOME:-$HOME/.cache}/spheremouse-vm
 modules="virtio_pci 9pnet_virtio 9p overlay evdev uinput" # the first four make the root file system
+modules+=" libcomposite usb_f_hid usb_f_acm dummy_hcd usbhid hid-generic cdc-acm" # a USB device in software, and its drivers
 limit=300
 
 say() { echo "run_in_vm: $*" >&2; }
