@@ -107,7 +107,7 @@ def test_jacobian_is_the_finite_difference(depth):
 def test_exact_observations_give_back_the_truth():
     problem, start, true = simulated(2, interior=False, sigma=1e-4)
     exact = tuple(
-        replace(d, metres=float(np.linalg.norm(TARGETS[d.start - 1] - TARGETS[d.end - 1])))
+        replace(d, metres=float(np.linalg.norm(TARGETS[d.start - 1] - TARGETS[d.end - 1])), sigma=1e-6)
         for d in problem.device.distances
     )
     problem = replace(problem, device=replace(problem.device, distances=exact))
