@@ -65,6 +65,9 @@ def main() -> NoReturn:
     except SpheremouseError as e:
         _complain(str(e))
         sys.exit(_USERS_ERROR)
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        sys.exit(128 + signal.SIGINT)
     except BrokenPipeError:  # whoever read us has gone
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  until the end
         sys.exit(1)

@@ -24,9 +24,9 @@ def _users() -> Path:
 
 def _writable(folder: Path) -> bool:
     """May files be made in it, or it be made?"""
-    while not folder.exists() and folder != folder.parent:
+    while not os.path.exists(folder) and folder != folder.parent:  # pathlib's raises where it may not look
         folder = folder.parent
-    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+    return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)
 
 
 def _private() -> Path:

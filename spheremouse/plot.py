@@ -3,7 +3,7 @@
 Needs matplotlib, which is loaded when something is drawn.
 """
 
-import importlib.util
+import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,9 +41,18 @@ _STYLE: dict[str, Any] = {
 }
 
 
+def has_matplotlib() -> bool:
+    """Whether it is there, and can be imported."""
+    try:
+        importlib.import_module("matplotlib")
+    except Exception:  # an installation may be broken in any way
+        return False
+    return True
+
+
 def require_matplotlib() -> None:
     """Raise ConfigurationError where matplotlib is not installed."""
-    if importlib.util.find_spec("matplotlib") is None:
+    if not has_matplotlib():
         raise ConfigurationError("plots need matplotlib: pip install 'spheremouse[plot]'")
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-
 threadpool_limits(1)  # as the command line does
 
 

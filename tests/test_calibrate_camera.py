@@ -120,7 +120,7 @@ def test_the_report_is_whole_and_needs_nothing_beside_it(made):
 def test_nothing_there_is_overwritten(made, folder):
     path, _ = made
     before = (path / "camera.yaml").read_bytes()
-    assert "use --force" in refused(folder, *BOARD, "--out", path / "camera.yaml")
+    assert "--force" in refused(folder, *BOARD, "--out", path / "camera.yaml")
     assert (path / "camera.yaml").read_bytes() == before
     assert "no folder" in refused(folder, *BOARD, "--out", path / "none" / "camera.yaml")
 

@@ -13,7 +13,7 @@ from spheremouse.adjustment.correspond import ball_rig
 from spheremouse.adjustment.device import DistanceError
 from spheremouse.adjustment.device_photos import calibrate_device
 from spheremouse.calibrate.device_file import load_device
-from spheremouse.camera import InteriorOrientation, pose_from_matrix
+from spheremouse.camera import InteriorOrientation, pose_from_matrix, project
 from spheremouse.detect.cap import appearance
 from spheremouse.errors import CalibrationError
 from spheremouse.rotation import exp, log
@@ -114,7 +114,7 @@ def test_three_targets_are_enough(stills):
     assert abs(result.radius - 0.6) < 3.5 * np.sqrt(result.covariance[result.block("radius")].ravel()[9])
 
 
-@pytest.mark.parametrize(("metres", "words"), [(0.756, "0.7496"), (0.95, "ids are right")])
+@pytest.mark.parametrize(("metres", "words"), [(0.756, "0.7496"), (0.95, "see that its ids")])
 def test_wrong_distance_is_named(stills, metres, words):
     images, device, camera, _ = stills
     wrong = (replace(device.distances[0], metres=metres), *device.distances[1:])
@@ -130,6 +130,22 @@ def test_photo_of_another_device_is_left_out_and_named(stills):
     result = calibrate([*images[:2], stretched, *images[3:]], device, camera)
     assert [k for k, _ in result.skipped] == [2]
     assert "another device" in result.skipped[0][1]
+    assert result.radius == pytest.approx(0.6, abs=3e-3)
+
+
+def test_two_photos_with_a_moved_target_are_left_out(stills):
+    """Of five others; the target is moved in the photos by copying it 40 px aside."""
+    images, device, camera, truth = stills
+    changed = list(images)
+    for k in (1, 4):
+        pose = pose_from_matrix(np.array(truth["device_poses"][f"device_{k}"]))
+        u, v = project(pose.to_cam(np.array([truth["targets"][0]["position"]])), camera)[0][0].round().astype(int)
+        patch = images[k][v - 32 : v + 32, u - 32 : u + 32].copy()
+        changed[k] = images[k].copy()
+        changed[k][v - 40 : v + 40, u - 40 : u + 40] = (90, 90, 90)
+        changed[k][v - 32 - 40 : v + 32 - 40, u - 32 : u + 32] = patch
+    result = calibrate(changed, device, camera)
+    assert sorted(k for k, _ in result.skipped) == [1, 4]
     assert result.radius == pytest.approx(0.6, abs=3e-3)
 
 
@@ -150,7 +166,7 @@ def test_diameter_for_radius_is_found_out(stills, factor, words):
 
 @pytest.mark.parametrize(
     ("which", "words"),
-    [((), "no photo"), ((0,), "1 photo shows"), ((0, 0), "at least 5 discs"), ((1, 2), "photos that overlap")],
+    [((), "no photo"), ((0,), "1 photo shows"), ((0, 0), "too close together"), ((1, 2), "photos that overlap")],
 )
 def test_too_few_photos_are_refused(stills, which, words):
     images, device, camera, _ = stills

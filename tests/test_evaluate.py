@@ -583,7 +583,7 @@ def test_plot_breaks_its_curves_where_nothing_was_tracked_and_where_a_rotation_v
 
 
 def test_without_matplotlib_it_says_what_to_install(filmed, monkeypatch):
-    monkeypatch.setattr(plot.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(plot, "has_matplotlib", lambda: False)
     done = run_command(filmed, "--plot", "out.png")
     assert done.exit_code == 2
     assert "pip install 'spheremouse[plot]'" in done.stderr

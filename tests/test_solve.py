@@ -65,6 +65,13 @@ def test_unknown_that_hangs_in_the_air_is_named():
     assert e.value.args[0] in (1, 2, 3)
 
 
+@pytest.mark.parametrize("u", [2, 3, 5])
+def test_singular_to_the_last_digit_is_named_all_the_same(u):
+    A = np.tile(np.arange(1.0, 5.0)[:, None], (1, u))
+    with pytest.raises(np.linalg.LinAlgError):
+        cofactors(sparse.csr_array(A))
+
+
 def test_normalised_residuals_of_points_are_chi_square():
     rng = np.random.default_rng(4)
     A, x, _ = linear(rng, 24, 5)

@@ -397,7 +397,7 @@ def _distance_plans(net: Network) -> Iterator[_Plan]:
         with_ = "with a steel tape held taut" if better == _TAPE else "with a better tape or a laser"
         yield _Plan(f"measuring {_pairs(old)} again {with_}, to {1e3 * better:g} mm,", reason, pairs=old, sigma=better)
         if new:
-            text = f"measuring all distances {with_}, to {1e3 * better:g} mm, {_pairs(new)} among them,"
+            text = f"measuring all distances {with_}, to {1e3 * better:g} mm, {_pairs(new)} among them"
             yield _Plan(text, reason, pairs=old + new, sigma=better)
 
 

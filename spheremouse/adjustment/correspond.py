@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from spheremouse.adjustment.sphere import through_four
 from spheremouse.camera import InteriorOrientation, Pose, unproject
@@ -20,6 +21,8 @@ from spheremouse.rotation import Array
 _TRIES = 3000  # samples of two points: with six false points of seven, 60 of them are clean
 _PROMISING = 60  # of those, the ones looked into
 _FOURS = 100  # samples of four among the points that go with one: half of these may still be false
+_MOST_POINTS = 1500  # tried; a ball with hundreds of discs has fewer, and time goes with their number
+_APART = np.radians(10.0)  # between rays: nearer than that the place is six times worse than the gap, and worse
 _LOOSE = 0.15  # of the radius: what a sphere guessed from the size of two dark spots is good for
 _ALIKE = 2.0  # factor by which a dark spot's area may differ from what the sphere says: threshold, shade, a cut
 _CAP = 0.6  # of the radius: least extent of the discs seen, a cap of 17 degrees; bolts in a plane are no large ball
@@ -69,7 +72,7 @@ def near_sphere(
     CalibrationError where no five points lie on a sphere.
     """
     points = _meeting_points(spots, poses, camera, disc_radius, tolerance)
-    points = points.take(_disc_like(points))
+    points = _firmest(points.take(_disc_like(points)))
     if len(points.position) < 5:
         raise CalibrationError(
             f"{len(points.position)} dark spots are seen alike in several photos, at least 5 discs are needed: is the "
@@ -187,11 +190,20 @@ def _meeting_points(
     foot = origin[None] + along[..., None] * direction[nearest]
     count = np.maximum(np.sum(sees, axis=1), 1)
     points = np.sum(np.where(sees[..., None], foot, 0.0), axis=1) / count[:, None]
-    kept: list[int] = []
-    for i in np.argsort(-np.sum(sees, axis=1), kind="stable"):
-        if np.sum(sees[i]) >= 2 and (not kept or np.min(np.linalg.norm(points[kept] - points[i], axis=1)) > tolerance):
-            kept.append(int(i))
+    kept = _apart(points, np.sum(sees, axis=1), tolerance)
     return _Points(points[kept], towards[kept], cosine[kept])
+
+
+def _apart(points: Array, support: NDArray[np.intp], tolerance: float) -> list[int]:
+    """Indices of points that two photos see, best supported first, none within `tolerance` of one before."""
+    near = KDTree(points).query_ball_point(points, tolerance) if len(points) else []
+    free = support >= 2
+    kept: list[int] = []
+    for i in np.argsort(-support, kind="stable"):
+        if free[i]:
+            kept.append(int(i))
+            free[near[i]] = False
+    return kept
 
 
 def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
@@ -200,13 +212,12 @@ def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
     uv = u @ v.T
     sine2 = 1.0 - uv**2
     bu, bv = (u @ base)[:, None], (v @ base)[None]
-    crossing = sine2 > np.sin(np.radians(10.0)) ** 2
+    crossing = sine2 > np.sin(_APART) ** 2  # rays nearly alike meet anywhere
     safe = np.where(crossing, sine2, 1.0)
     s, t = (bu - uv * bv) / safe, (uv * bu - bv) / safe
     first = o + s[..., None] * u[:, None]
     second = p + t[..., None] * v[None]
     gap = np.linalg.norm(first - second, axis=2)
-    # rays nearly alike meet anywhere: ten degrees apart the place is six times worse than the gap
     good = crossing & (gap < tolerance) & (s > 0) & (t > 0)
     return (0.5 * (first + second))[good]
 
@@ -221,6 +232,22 @@ def _disc_like(points: _Points) -> NDArray[np.bool_]:
         # photos from two directions leave the normal's third part open: it may only be missing
         fine[i] = size < _ALIKE and (rank < 3 or size > 1.0 / _ALIKE)
     return fine
+
+
+def _firmest(points: _Points) -> _Points:
+    """Those that most photos see, where there are too many to try."""
+    if len(points.position) <= _MOST_POINTS:
+        return points
+    keep = np.zeros(len(points.position), dtype=bool)
+    keep[np.argsort(-points.support, kind="stable")[:_MOST_POINTS]] = True
+    return points.take(keep)
+
+
+def from_several_sides(poses: Sequence[Pose], points: Array) -> bool:
+    """Whether any two photos see the middle of the points from directions ten degrees apart."""
+    away = np.array([p.position for p in poses]) - points.mean(axis=0)
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    return bool(np.min(away @ away.T) < np.cos(_APART))
 
 
 def _by_areas(points: _Points, which: NDArray[np.intp]) -> tuple[Array, float]:

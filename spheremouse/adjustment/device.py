@@ -46,6 +46,6 @@ class DistanceError(CalibrationError):
         super().__init__(
             f"the distance from target {d.start} to {d.end} is {d.metres:.4g} m on the tape (sigma {1e3 * d.sigma:g} "
             f"mm), but {metres:.4f} m by the photos and the other distances ({1e3 * (metres - d.metres):+.1f} mm{by}): "
-            "measure it again, and see that its ids are right"
+            "measure it again, and see that its ids, and the codes of these targets, are right"
         )
         self.index = index

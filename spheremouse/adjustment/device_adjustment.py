@@ -19,6 +19,7 @@ from spheremouse.adjustment.bundle import (
     Solution,
     columns_of,
     distances,
+    interior_vector,
     predicted,
     solve_block,
 )
@@ -246,7 +247,7 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
         step = l[columns.pose(i)]
         poses.append(Pose(exp(step[3:]) @ pose.rotation, (step[:3] - K) / unit, covariance[here, here].copy()))
     points = l[columns.point(np.arange(n + m))]
-    interior = solution.covariance[:INTERIOR, :INTERIOR]
+    interior = interior_vector(block.camera) + l[:INTERIOR]
     index = np.full(len(result.everything), -1)
     index[result.used] = np.unique(result.everything.point[result.used], return_inverse=True)[1]
     uv = predicted(block, result.problem.image, result.problem)[0]
@@ -254,7 +255,15 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
     residual[result.used] = uv - result.problem.image.centre
     return DeviceCalibration(
         device=device,
-        camera=replace(block.camera, covariance=interior),
+        camera=replace(
+            block.camera,
+            fx=float(interior[0]),
+            fy=float(interior[1]),
+            cx=float(interior[2]),
+            cy=float(interior[3]),
+            distortion=interior[4:],
+            covariance=sphere.observation_covariance[:INTERIOR, :INTERIOR].copy(),
+        ),
         photos=views.photos,
         poses=tuple(poses),
         targets=(points[:n] - K) / unit,
@@ -322,6 +331,10 @@ def _loose(error: np.linalg.LinAlgError, problem: Problem, kept: NDArray[np.intp
     """The disc that hangs in the air: rays nearly alike. Raises CalibrationError where it is something else."""
     columns = columns_of(problem, int(problem.image.photo.max()) + 1, len(kept))
     column = int(columns.free[error.args[0]]) - int(columns.point(0)[0])
+    if column < 0:
+        raise CalibrationError(
+            "a photo's pose is not fixed by what it shows: leave photos with few targets out"
+        ) from None
     if column < 3 * problem.targets:
         raise CalibrationError("the photos do not fix the targets: take them from places further apart") from None
     return int(kept[column // 3])

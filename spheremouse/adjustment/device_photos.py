@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.adjustment.bundle import Block, Problem, solve_block
-from spheremouse.adjustment.correspond import Spots, ball_rig, near_sphere, numbered, on_ball
+from spheremouse.adjustment.correspond import Spots, ball_rig, from_several_sides, near_sphere, numbered, on_ball
 from spheremouse.adjustment.device import Device, DistanceError
 from spheremouse.adjustment.device_adjustment import (
     Bundled,
@@ -121,6 +121,8 @@ def _first_discs(
         np.concatenate([f.centre for f in found]),
         np.concatenate([f.area for f in found]),
     )
+    if not from_several_sides(block.poses, block.points):
+        raise CalibrationError("the photos are from places too close together: move further to the sides")
     K, R = near_sphere(spots, block.poses, block.camera, device.disc_radius, tolerance)
     covariance = np.broadcast_to(_SPOT_SIGMA**2 * np.eye(2), (len(spots), 2, 2))
     return _numbered_points(spots.photo, spots.centre, covariance, block, K, R, device.disc_radius)

@@ -6,6 +6,7 @@ numbers, variance components, and the test that finds a false observation.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +119,7 @@ def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Ar
     scaled = jacobian @ sparse.diags_array(1.0 / scale)
     normal = sparse.csc_array(scaled.T @ scaled)
     # the matrix is definite: no pivoting for size, so that a small pivot means what it says
-    factor = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    factor = _factored(normal)
     pivot = np.abs(factor.U.diagonal())
     if pivot.min() < _FIRM:
         raise np.linalg.LinAlgError(int(np.argsort(factor.perm_c)[int(np.argmin(pivot))]))
@@ -126,6 +127,15 @@ def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Ar
     unit[columns, np.arange(len(columns))] = 1.0
     Q = factor.solve(unit)[columns]
     return 0.5 * (Q + Q.T) / np.outer(scale[columns], scale[columns])
+
+
+def _factored(normal: Any) -> Any:
+    """Its decomposition; of one that is singular to the last digit that of a neighbour, whose pivots tell it too."""
+    options = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+    try:
+        return splu(normal, **options)
+    except RuntimeError:
+        return splu(sparse.csc_array(normal + 1e-2 * _FIRM * sparse.eye_array(normal.shape[0])), **options)
 
 
 def redundancy(jacobian: Jacobian, Q: Array, size: int = 1) -> Array:

@@ -19,6 +19,7 @@ from spheremouse.rotation import Array
 FEWEST = 5  # points: four fix a sphere, the fifth checks it (Wittich 2017, section 3.7)
 _STILL = 1e-9  # m
 _LOOSE = "the discs do not fix a sphere: photograph more of the ball"
+_MOST = 100  # iterations; a sphere that is fixed takes five
 _FALSE = 25.0  # five standard deviations, of which one is itself uncertain
 _ROUND = 0.99  # a ball is taken for round unless the points contradict it on this level
 
@@ -126,12 +127,13 @@ class _State:
 
 def _adjust(points: Array, C: Array, x: Array, extra: float) -> _State:
     adjusted = points
-    while True:
+    for _ in range(_MOST):
         state = _iterated(points, adjusted, C, x, extra)
         x = state.x
         adjusted = state.adjusted
         if np.max(np.abs(state.step)) < _STILL * max(1.0, x[3]):
             return state
+    raise CalibrationError(_LOOSE)
 
 
 def _iterated(points: Array, adjusted: Array, C: Array, x: Array, extra: float) -> _State:

@@ -20,6 +20,7 @@ from spheremouse.rotation import Array, align
 _DEPTH = 0.02  # of the depth, by which a ring's size may mislead: half a pixel of a ring of 25 px
 _CENTRE = 0.5  # px, of a ring's centre in so rough a start
 _FITS = 0.3  # px RMS per axis: six standard deviations of a ring's centre
+_SHARE = 0.7  # of the contradictions that may remain where the photo left out is to blame
 _MOST_NAMED = 3
 _DOUBTFUL = 0.05  # part of a distance by which a wrong one, or wrong ids, are told from the rings' few percent
 
@@ -32,6 +33,7 @@ class TargetViews:
     image: ImagePoints  # `photo` counts those
     depth: Array  # (n, 2) m: depth by apparent size, and its standard deviation
     skipped: tuple[tuple[int, str], ...]  # photos left out, and why
+    strangers: tuple[str, ...] = ()  # codes that most photos show and the device does not have
     ring_scale: float = 1.0  # by which the rings' size misjudges lengths, where distances tell
 
 
@@ -71,7 +73,9 @@ def target_views(
         np.broadcast_to(sigma**2 * np.eye(2), (n, 2, 2)).copy(),
     )
     z = np.array([p[3] for p in parts])
-    return TargetViews(tuple(photos), image, np.stack([z, _DEPTH * z], axis=1), tuple(skipped))
+    shown = [c for found in seen for c in set(found.codes) - set(row)]
+    strangers = tuple(c for c in sorted(set(shown)) if shown.count(c) > len(seen) / 2)
+    return TargetViews(tuple(photos), image, np.stack([z, _DEPTH * z], axis=1), tuple(skipped), strangers)
 
 
 def first_block(
@@ -99,7 +103,10 @@ def first_block(
 
 
 def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorOrientation) -> tuple[int, float] | None:
-    """The photo without which the others fit together, and how far off it is in px; None where all do, or none."""
+    """The photo without which the others fit together best, and how far off all are in px; None where all fit.
+
+    One by one, the worst first: of several that do not belong, each takes a share of the contradictions with it.
+    """
     all_off = _rms(views, block, device, camera)
     if np.max(all_off) <= _FITS or len(views.photos) < 3:
         return None
@@ -107,11 +114,11 @@ def _strange(views: TargetViews, block: Block, device: Device, camera: InteriorO
     for i in range(len(views.photos)):
         others = _without(views, i, "")
         try:
-            rest.append(float(np.max(_rms(others, _adjusted(others, device, camera), device, camera))))
+            rest.append(float(np.sum(_rms(others, _adjusted(others, device, camera), device, camera) ** 2)))
         except CalibrationError:
             rest.append(np.inf)
     best = int(np.argmin(rest))
-    return (best, float(np.max(all_off))) if rest[best] < max(_FITS, 0.3 * float(np.max(all_off))) else None
+    return (best, float(np.max(all_off))) if rest[best] < _SHARE * float(np.sum(all_off**2)) else None
 
 
 def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, TargetViews]:
@@ -154,6 +161,11 @@ def _enough(views: TargetViews, device: Device, names: Sequence[str]) -> None:
             + (f" ({'; '.join(whys[:_MOST_NAMED])}{more})" if whys else ": give more photos")
         )
     missing = [c for i, c in enumerate(device.codes) if np.count_nonzero(views.image.point == i) < 2]
+    if missing and views.strangers:
+        raise CalibrationError(
+            f"target {', '.join(missing)} is seen in fewer than 2 of {len(views.photos)} photos, but "
+            f"{', '.join(views.strangers)}, which device.yaml does not list, in most: correct the code"
+        )
     if missing:
         raise CalibrationError(
             f"target {', '.join(missing)} is seen in fewer than 2 of {len(views.photos)} photos: uncover it, or take "

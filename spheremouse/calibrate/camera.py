@@ -1,6 +1,5 @@
 """`spheremouse calibrate camera`: photos of a board, or a live session before it, in; camera.yaml and a report out."""
 
-import importlib.util
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -14,6 +13,7 @@ import typer
 from numpy.typing import NDArray
 
 from spheremouse import __version__
+from spheremouse.calibrate.outputs import check_outputs, copyable
 from spheremouse.errors import CalibrationError
 from spheremouse.progress import progress_bar
 from spheremouse.rotation import Array
@@ -101,7 +101,7 @@ def camera(
     if source is not None and photos:
         raise CalibrationError("photos and --source: give one of the two; a live session keeps its views in --keep")
     page = _page(report, out)
-    _check_free([out, *([page] if page else []), *([json_file] if json_file not in (None, Path("-")) else [])], force)
+    check_outputs([out, page, json_file], photos or [], force)
     if source is not None:
         from spheremouse.calibrate.live import take_views
 
@@ -120,7 +120,9 @@ def camera(
         return
     camera_text(done)
     typer.echo(f"{out}: the camera" + (f"; {page}: the report" if page else ""))
-    typer.echo(f"next: spheremouse calibrate device device/ --device device.yaml --camera {out}")
+    folder = out.parent
+    words = ("calibrate", "device", folder / "device", "--device", folder / "device.yaml", "--camera", out)
+    typer.echo(f"next: {copyable('spheremouse', *words, '--out', folder / 'rig.yaml')}")
 
 
 def note(text: str) -> None:
@@ -158,26 +160,15 @@ def _pattern(board: str, square: str | None, marker: str | None, dictionary: str
 
 
 def _page(report: Path | None, out: Path) -> Path | None:
-    from spheremouse.plot import require_matplotlib
+    from spheremouse.plot import has_matplotlib, require_matplotlib
 
     if report is not None:
         require_matplotlib()
         return report
-    if importlib.util.find_spec("matplotlib") is None:
+    if not has_matplotlib():
         note("no report with pictures without matplotlib: pip install 'spheremouse[plot]'")
         return None
     return out.with_suffix(".html")
-
-
-def _check_free(paths: Sequence[Path], force: bool) -> None:
-    """Refuse, before anything is calculated, what could not be written in the end."""
-    for path in paths:
-        if path.is_dir():
-            raise CalibrationError(f"{path}: is a folder; name a file")
-        if not path.parent.is_dir():
-            raise CalibrationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
-    if there := [str(p) for p in paths if p.exists() and not force]:
-        raise CalibrationError(f"{', '.join(there)}: there already; name another file with --out, or use --force")
 
 
 # ---- the calibration ----

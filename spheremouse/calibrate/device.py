@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse import __version__
+from spheremouse.calibrate.outputs import check_outputs, copyable
 from spheremouse.errors import CalibrationError
 from spheremouse.progress import progress_bar
 from spheremouse.yaml_file import read_document, write_atomically
@@ -62,11 +63,20 @@ def device(
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.cli_config import root, settings_of
     from spheremouse.map_file import map_path, save_map, saved_now
+    from spheremouse.plot import has_matplotlib
     from spheremouse.rig_file import load_camera, save_rig
 
     page = report or out.with_suffix(".html")
     the_map = map_path(out)
-    _free([out, the_map, page, *([json_file] if json_file not in (None, Path("-")) else [])], force)
+    check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force)
+    for file, option, how in (
+        (device_file, "--device", "`spheremouse calibrate init` writes one to fill in"),
+        (camera_file, "--camera", "`spheremouse calibrate camera` makes it"),
+    ):
+        if not file.exists():
+            raise CalibrationError(f"{file}: no such file; give {option} FILE: {how}")
+    if not has_matplotlib():
+        _note("the report has no pictures without matplotlib: pip install 'spheremouse[plot]'")
     known = load_device(device_file)
     camera = load_camera(camera_file)
     chosen = settings_of(config, settings, root())
@@ -95,7 +105,10 @@ def device(
         write_atomically(json_file, json.dumps(figures, indent=1, allow_nan=False) + "\n")
     device_text(calibration, names, advice)
     typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
-    typer.echo(f"next: spheremouse run --rig {out} (with --camera FILE where it runs in another mode than the photos')")
+    typer.echo(f"next: {copyable('spheremouse', 'run', '--rig', out, '--source', 'opencv:0', '--output', 'text:-')}")
+    typer.echo(
+        "      with --camera FILE where the camera runs in another mode than the photos'; --output uinput is the mouse"
+    )
 
 
 def _calibrated(
@@ -120,19 +133,6 @@ def _calibrated(
         except DistanceError as e:
             line = read_document(device_file).line(("distances", e.index))
             raise CalibrationError(f"{device_file}:{line}: {e}") from None
-
-
-def _free(paths: Sequence[Path], force: bool) -> None:
-    """Refuse, before anything is calculated, what could not be written in the end."""
-    for path in paths:
-        if path.is_dir():
-            raise CalibrationError(f"{path}: is a folder; name a file")
-        if not path.parent.is_dir():
-            raise CalibrationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
-    if there := [str(p) for p in paths if p.exists()]:
-        if force:
-            return
-        raise CalibrationError(f"{', '.join(there)}: there already; name another file with --out, or use --force")
 
 
 def _provenance(

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import typer
 
+from spheremouse.calibrate.outputs import copyable
 from spheremouse.errors import CalibrationError
 from spheremouse.progress import progress_bar
 from spheremouse.recording import open_dataset
@@ -90,10 +91,11 @@ def practice(
     what = "a practice device" if like is None else f"the device of {like}"
     many = "photo" if n_photos == 1 else "photos"
     print(f"{folder}: {n_photos} {many} of {what}, {boards} of the board, device.yaml, truth.json")
-    print(
-        f"next: spheremouse calibrate camera {folder}/board/*.jpg --board 11x8 --square 86mm --out camera.yaml, then\n"
-        f"      spheremouse calibrate device {folder}/device/*.jpg --device {folder}/device.yaml --camera camera.yaml"
-    )
+    lens, given = folder / "camera.yaml", folder / "device.yaml"
+    camera = ("camera", folder / "board", "--board", "11x8", "--square", "86mm", "--out", lens)
+    device = ("device", folder / "device", "--device", given, "--camera", lens, "--out", folder / "rig.yaml")
+    print(f"next: {copyable('spheremouse', 'calibrate', *camera)}")
+    print(f"then: {copyable('spheremouse', 'calibrate', *device)}")
 
 
 def device_of(dataset: Path) -> DeviceShape:

@@ -1,0 +1,39 @@
+"""What a calibration will write, checked before it calculates; and commands for a person to copy."""
+
+import os
+import shlex
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from spheremouse.errors import CalibrationError
+
+
+def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], force: bool) -> None:
+    """Refuse what could not be written in the end, or would destroy what is read; `-` and None are no files.
+
+    Not even `force` lets an output replace an input, or another output.
+    """
+    paths = [p for p in outputs if p is not None and p != Path("-")]
+    read = {p.resolve() for given in inputs if given is not None for p in _files(given)}
+    for i, path in enumerate(paths):
+        if path.is_dir():
+            raise CalibrationError(f"{path}: is a folder; name a file")
+        if not path.parent.is_dir():
+            raise CalibrationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+        if not os.access(path.parent, os.W_OK | os.X_OK):
+            raise CalibrationError(f"{path}: the folder {path.parent} may not be written; name a file elsewhere")
+        if path.resolve() in read:
+            raise CalibrationError(f"{path}: is read by this very command; name another file to write")
+        if path.resolve() in [p.resolve() for p in paths[:i]]:
+            raise CalibrationError(f"{path}: would be written twice; give each output a name of its own")
+    if not force and (there := [str(p) for p in paths if p.exists()]):
+        raise CalibrationError(f"{', '.join(there)}: there already; name another file, or replace it with --force")
+
+
+def copyable(*words: str | Path) -> str:
+    """A command as a shell takes it, whatever is in the names."""
+    return shlex.join([str(w) for w in words])
+
+
+def _files(given: Path) -> Iterable[Path]:
+    return [given, *given.iterdir()] if given.is_dir() else [given]
