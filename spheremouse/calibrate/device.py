@@ -1,5 +1,6 @@
 """`spheremouse calibrate device`: photos of a device in, rig.yaml with its map of discs and a report out."""
 
+import hashlib
 import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -15,6 +16,7 @@ from spheremouse.progress import progress_bar
 from spheremouse.yaml_file import read_document, write_atomically
 
 if TYPE_CHECKING:
+    from spheremouse.adjustment.advice import Advice
     from spheremouse.adjustment.device import Device
     from spheremouse.adjustment.device_adjustment import DeviceCalibration
     from spheremouse.calibrate.photos import Photo
@@ -93,7 +95,7 @@ def device(
             "camera, mode and focus?"
         )
     rig = calibration.rig()
-    provenance = _provenance(found, calibration, device_file, camera_file)
+    provenance = _provenance(found, calibration, device_file, camera_file, advice)
     write_device_report(page, calibration, found, provenance, advice)
     save_map(the_map, saved_now(calibration.disc_map(), rig))
     save_rig(out, rig, provenance)  # last: where it is, the rest is
@@ -136,17 +138,26 @@ def _calibrated(
 
 
 def _provenance(
-    photos: "Sequence[Photo]", calibration: "DeviceCalibration", device_file: Path, camera_file: Path
+    photos: "Sequence[Photo]",
+    calibration: "DeviceCalibration",
+    device_file: Path,
+    camera_file: Path,
+    advice: "Sequence[Advice]",
 ) -> dict[str, Any]:
     used = [photos[k] for k in calibration.photos]
     return {
         "made_by": f"spheremouse {__version__}, calibrate device",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "device": device_file.name,
-        "camera": camera_file.name,
+        "device": {"file": device_file.name, "sha256": _sha256(device_file)},
+        "camera": {"file": camera_file.name, "sha256": _sha256(camera_file)},
+        "warnings": [a.text for a in advice if a.kind == "warning"],
         "photos": [{"file": p.path.name, "sha256": p.sha256} for p in used],
         "left_out": [{"file": photos[k].path.name, "why": why} for k, why in calibration.skipped],
     }
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _note(text: str) -> None:

@@ -70,6 +70,7 @@ class _Result:
     hashes: frozenset[str] = frozenset()  # of all it was made from
     photo_hashes: frozenset[str] = frozenset()
     board: str = ""  # options of the camera command
+    doubts: tuple[str, ...] = ()  # what the calibration itself warned of
 
     def precedes(self, path: Path, sha256: str) -> bool:
         """Whether a file came later than this result, and is not what it was made from."""
@@ -238,7 +239,7 @@ def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
             changed.append(f"{path.name} is newer")
     if found := "; ".join(filter(None, changed)):
         return Step(name, "next", found, ("Calibrate the device again:",), again)
-    return Step(name, "done", rig.found)
+    return Step(name, "done", rig.found, tuple(f"But it warned: {text}" for text in rig.doubts))
 
 
 def _run_step(folder: Path) -> Step:
@@ -304,7 +305,9 @@ def _rig(path: Path) -> _Result | None:
     made = _provenance(path)
     size = "scale free" if rig.scale_free else f"ball of {rig.ball.radius:.3f} m radius"
     words = f"{size}, {_count(len(rig.targets.ids), 'target')}"
-    return _Result(path, words, (), _hashes(made), _hashes(made.get("photos")))
+    said = made.get("warnings")
+    doubts = tuple(str(w) for w in said) if isinstance(said, tuple | list) else ()
+    return _Result(path, words, (), _hashes(made), _hashes(made.get("photos")), doubts=doubts)
 
 
 def _provenance(path: Path) -> dict[str, Any]:
