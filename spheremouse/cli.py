@@ -8,7 +8,17 @@ from typing import Annotated, NoReturn
 import typer
 from threadpoolctl import threadpool_limits
 
-from spheremouse import __version__, cli_bench, cli_config, cli_layout, cli_map, cli_run, cli_simulate, demo
+from spheremouse import (
+    __version__,
+    cli_bench,
+    cli_config,
+    cli_firmware,
+    cli_layout,
+    cli_map,
+    cli_run,
+    cli_simulate,
+    demo,
+)
 from spheremouse.calibrate import cli as cli_calibrate
 from spheremouse.cli_evaluate import evaluate
 from spheremouse.errors import SpheremouseError
@@ -31,6 +41,7 @@ app.command(epilog=cli_bench.EXAMPLE)(cli_bench.bench)
 app.command(epilog=cli_layout.EXAMPLE)(cli_layout.layout)
 app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")
 app.add_typer(cli_calibrate.app, name="calibrate", epilog="Begin with: spheremouse calibrate next")
+app.add_typer(cli_firmware.app, name="firmware", epilog="Example: spheremouse firmware check")
 app.add_typer(cli_map.app, name="map", epilog="Example: spheremouse map show rig.map.yaml")
 
 _debug = False

@@ -22,7 +22,10 @@ def run(
         ),
     ],
     output: Annotated[
-        str, typer.Option(metavar="KIND:ARG", help="Where motion goes: text:-, text:FILE, uinput or null.")
+        str,
+        typer.Option(
+            metavar="KIND:ARG", help="Where motion goes: text:-, text:FILE, uinput, serial:auto, serial:PORT or null."
+        ),
     ],
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Configuration file; see `spheremouse config`.")

@@ -1,0 +1,434 @@
+"""Frames in, frames and mouse reports out: the device's end of docs/protocol.md, as arithmetic without hardware.
+
+Runs under CircuitPython, MicroPython and CPython alike. Nothing is allocated after construction: buffers have their
+final size, the CRC is two 16-bit halves, session numbers are bytes, no integer leaves the 31 bits that a small board
+holds without the heap, and no tuple is made to assign several names at once. Time comes in as milliseconds modulo 2^29,
+as `supervisor.ticks_ms` gives it.
+"""
+
+from array import array
+
+VERSION = 1
+FIRMWARE = (1, 0, 0)
+HELLO, MOTION, ASK_STATUS, STOP = 0x01, 0x02, 0x03, 0x04
+IDENTITY, ACK, STATUS = 0x81, 0x82, 0x83
+CIRCUITPYTHON, AVR, SIMULATOR = 1, 2, 3
+MOST = 64  # bytes of content
+STEP = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
+SILENCE = 100  # ms
+NOTCH = 120  # wheel and pan units of one notch
+RUNNING, TOO_LARGE, USB_READY, WHEEL_FINE, PAN_FINE = 0x01, 0x02, 0x04, 0x08, 0x10
+
+_LEAST = 8  # bytes of content: header and CRC
+_TICKS = 0x1FFFFFFF
+_COUNT = 0x3FFFFFFF
+_HELLO_LENGTH, _MOTION_LENGTH, _BARE_LENGTH = 12, 17, 8
+
+
+def _tables():
+    low, high = array("H", [0] * 256), array("H", [0] * 256)
+    for k in range(256):
+        crc = k
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+        low[k], high[k] = crc & 0xFFFF, crc >> 16
+    return low, high
+
+
+_LOW, _HIGH = _tables()
+
+
+def elapsed(now, since):
+    """Milliseconds from one tick to a later one."""
+    return (now - since) & _TICKS
+
+
+def signed(difference):
+    """A difference modulo 2^16 as a number from -32768 to 32767."""
+    difference &= 0xFFFF
+    return difference - 0x10000 if difference & 0x8000 else difference
+
+
+def seal(frame, number):
+    """Make a frame of a buffer that has its version, type and body at 1, 2 and 5 ...: number, CRC, COBS, end."""
+    end = len(frame) - 5  # of what the CRC covers
+    frame[3] = number & 255
+    frame[4] = number >> 8
+    low = high = 0xFFFF
+    at = 1
+    while at < end:
+        k = (low ^ frame[at]) & 255
+        low = (low >> 8 | (high & 255) << 8) ^ _LOW[k]
+        high = high >> 8 ^ _HIGH[k]
+        at += 1
+    low ^= 0xFFFF
+    high ^= 0xFFFF
+    frame[end] = low & 255
+    frame[end + 1] = low >> 8
+    frame[end + 2] = high & 255
+    frame[end + 3] = high >> 8
+    last = len(frame) - 1
+    code = 0
+    at = 1
+    while at < last:
+        if frame[at] == 0:
+            frame[code] = at - code
+            code = at
+        at += 1
+    frame[code] = last - code
+    frame[last] = 0
+
+
+class Line:
+    """One serial line: what has come in of the frame that is under way, and what has to be answered."""
+
+    def __init__(self):
+        self.content = bytearray(MOST)  # of the last whole frame, CRC included
+        self.length = 0  # of it; 0: `take` has found none
+        self.sent = 0  # number of the next frame from here
+        self.last = 0  # number of the last frame that came in this line's session
+        self.hello = bytearray(4)  # session to echo
+        self.owes_identity = self.owes_status = self.owes_ack = False
+        self.answered = 0  # number of the frame that the next ACK answers
+        self.too_large = False  # its step was
+        self.damaged = 0  # frames
+        self._low = self._high = 0xFFFF  # the CRC's halves
+        self._length = -1  # so far; -1: the first code byte is to come; above MOST: too long already
+        self._left = 0  # bytes until the next code byte
+
+    def take(self, data, at, end):
+        """Read data[at:end] up to the end of the next whole frame; where to go on. `length` says if there was one."""
+        content = self.content
+        low = self._low
+        high = self._high
+        length = self._length
+        left = self._left
+        self.length = 0
+        while at < end:
+            byte = data[at]
+            at += 1
+            if byte == 0:
+                whole = left == 0 and low == 0x20E3 and high == 0xDEBB and _LEAST <= length <= MOST
+                if not whole and length >= 0:
+                    self.damaged = (self.damaged + 1) & 0xFFFF
+                found = length
+                low = high = 0xFFFF
+                length = -1
+                left = 0
+                if whole:
+                    self.length = found
+                    break
+                continue
+            if length > MOST:
+                continue
+            if left:
+                left -= 1
+            else:
+                left = byte - 1
+                if length < 0:
+                    length = 0
+                    continue
+                byte = 0
+            if length < MOST:
+                content[length] = byte
+                k = (low ^ byte) & 255
+                low = (low >> 8 | (high & 255) << 8) ^ _LOW[k]
+                high = high >> 8 ^ _HIGH[k]
+            length += 1
+        self._low = low
+        self._high = high
+        self._length = length
+        self._left = left
+        return at
+
+
+class Device:
+    """The mouse: sessions, counters, buttons; what is due as a HID report, and what to answer."""
+
+    def __init__(self, kind, board):
+        """`board`: its name, ASCII bytes."""
+        self.running = False
+        self.buttons = 0  # asked for
+        self.reported = 0  # of the last report
+        self.usb_ready = False
+        self.fine = 0  # resolution multipliers: bit 0 wheel, bit 1 pan
+        self.report = bytearray(9)
+        self.refused = self.lost = 0  # modulo 2^16
+        self.frames = self.reports = 0  # modulo 2^30
+        self.usb_errors = 0  # modulo 2^16
+        self.uptime = 0  # s
+        self.troubled = -1  # ticks of the last frame that was refused or lost; -1: none
+        self._line = None  # of the session
+        self._taken = False  # a MOTION, in this session
+        self._heard = 0  # ticks
+        self._second = -1  # ticks
+        self._session, self._last, self._first = bytearray(4), bytearray(4), bytearray(4)
+        self._target, self._passed, self._last_passed = array("H", [0] * 4), array("H", [0] * 4), array("H", [0] * 4)
+        self._due = array("h", [0] * 4)  # in `report`
+        self._notch = array("i", [0] * 4)  # 1/120 notches collected; wheel and pan
+        self._identity, self._ack, self._status = bytearray(54), bytearray(25), bytearray(36)
+        self._identity[2], self._ack[2], self._status[2] = IDENTITY, ACK, STATUS
+        self._board = bytearray(16)
+        self._board[: min(16, len(board))] = board[:16]
+        self._kind = kind
+
+    # ---- in ----
+
+    def handle(self, line, now):
+        """Obey the whole frame that `line` has taken."""
+        content = line.content
+        length = line.length
+        kind = content[1]
+        if length == _HELLO_LENGTH and kind == HELLO and content[0] != VERSION:
+            self._damaged(line, now)
+            self._owe_identity(line, False)
+            return
+        if content[0] != VERSION or length != (
+            _HELLO_LENGTH if kind == HELLO else _MOTION_LENGTH if kind == MOTION else _BARE_LENGTH
+        ):
+            self._damaged(line, now)
+            return
+        if kind == 0 or kind > STOP:
+            self._damaged(line, now)
+            return
+        self.frames = (self.frames + 1) & _COUNT
+        number = content[2] | content[3] << 8
+        newer = False
+        if self.running and line is self._line:
+            gap = (number - line.last - 1) & 0xFFFF
+            newer = gap < 0x7FFF
+            if newer:
+                line.last = number
+                if gap:
+                    self.lost = (self.lost + gap) & 0xFFFF
+                    self.troubled = now
+        if kind == HELLO:
+            self._hello(line, number, now)
+        elif kind == MOTION:
+            self._motion(line, number, newer, now)
+        elif kind == STOP:
+            if line is self._line:
+                self._end()
+            self._owe_ack(line, number, False)
+        else:
+            line.owes_status = True
+
+    def tick(self, now):
+        """Let time pass: silence ends the session."""
+        if self.running and elapsed(now, self._heard) >= SILENCE:
+            self._end()
+        if self._second < 0:
+            self._second = now
+        while elapsed(now, self._second) >= 1000:
+            self._second = (self._second + 1000) & _TICKS
+            self.uptime = (self.uptime + 1) & _COUNT
+
+    def _hello(self, line, number, now):
+        if self.running and self._is_session(line, self._session):
+            if line is not self._line:  # the host has come back by another way
+                self._line = line
+                line.last = number
+            self._owe_identity(line, True)
+            return
+        if not _any(line.content, 4) or self._is_session(line, self._last):
+            self._refuse(now)
+            return
+        self._end()
+        if not _any(self._first, 0):
+            self._keep_session(line, self._first)
+        self._keep_session(line, self._session)
+        for k in range(4):
+            self._target[k] = self._passed[k] = 0
+        self._line = line
+        self._heard = now
+        self.running = True
+        self._taken = False
+        line.last = number
+        line.owes_ack = False
+        self._owe_identity(line, True)
+
+    def _motion(self, line, number, newer, now):
+        self._owe_ack(line, number, False)
+        if not newer:
+            self._refuse(now)
+            return
+        content = line.content
+        passed = self._passed
+        for k in range(4):
+            step = signed((content[4 + 2 * k] | content[5 + 2 * k] << 8) - passed[k])
+            if step > STEP or step < -STEP:
+                self._refuse(now)
+                self._end()
+                line.too_large = True
+                return
+        for k in range(4):
+            self._target[k] = content[4 + 2 * k] | content[5 + 2 * k] << 8
+        self.buttons = content[12] & 0x1F
+        self._heard = now
+        self._taken = True
+
+    def _end(self):
+        if not self.running:
+            return
+        self.running = False
+        self.buttons = 0
+        for k in range(4):
+            self._target[k] = self._passed[k]
+            if self._taken:
+                self._last[k] = self._session[k]
+                self._last_passed[k] = self._passed[k]
+
+    def _refuse(self, now):
+        self.refused = (self.refused + 1) & 0xFFFF
+        self.troubled = now
+
+    def _damaged(self, line, now):
+        line.damaged = (line.damaged + 1) & 0xFFFF
+        self.troubled = now
+
+    def _is_session(self, line, session):
+        for k in range(4):  # noqa: SIM110  all() would make a generator
+            if line.content[4 + k] != session[k]:
+                return False
+        return True
+
+    def _keep_session(self, line, session):
+        for k in range(4):
+            session[k] = line.content[4 + k]
+
+    # ---- to USB ----
+
+    def due(self):
+        """Whether `report` has to be sent now; `passed_on` says that it was."""
+        if not self.usb_ready:
+            return False
+        report = self.report
+        due = self._due
+        target = self._target
+        passed = self._passed
+        notch = self._notch
+        send = self.buttons != self.reported
+        report[0] = self.buttons
+        for k in range(4):
+            step = signed(target[k] - passed[k])
+            due[k] = step
+            if k >= 2 and not self.fine >> (k - 2) & 1:
+                notch[k] += step
+                passed[k] = target[k]
+                step = notch[k] // NOTCH if notch[k] >= 0 else -(-notch[k] // NOTCH)
+                due[k] = step
+            if step:
+                send = True
+            report[1 + 2 * k] = step & 255
+            report[2 + 2 * k] = step >> 8 & 255
+        return send
+
+    def passed_on(self):
+        """USB has taken `report`."""
+        self.reported = self.report[0]
+        self.reports = (self.reports + 1) & _COUNT
+        for k in range(4):
+            if k >= 2 and not self.fine >> (k - 2) & 1:
+                self._notch[k] -= self._due[k] * NOTCH
+            else:
+                self._passed[k] = (self._passed[k] + self._due[k]) & 0xFFFF
+
+    def not_passed_on(self):
+        """USB has not."""
+        self.usb_errors = (self.usb_errors + 1) & 0xFFFF
+
+    def set_multipliers(self, feature):
+        """The byte of report 2: bits 0 and 1 the wheel's multiplier, bits 2 and 3 that of pan."""
+        self.fine = (1 if feature & 3 else 0) | (2 if feature >> 2 & 3 else 0)
+
+    # ---- out ----
+
+    def answer(self, line):
+        """The next frame to write to `line`, or None."""
+        if line.owes_identity:
+            line.owes_identity = False
+            frame = self._fill_identity(line)
+        elif line.owes_status:
+            line.owes_status = False
+            frame = self._fill_status(line)
+        elif line.owes_ack:
+            line.owes_ack = False
+            frame = self._fill_ack(line)
+        else:
+            return None
+        frame[1] = VERSION
+        frame[2] = IDENTITY if frame is self._identity else STATUS if frame is self._status else ACK
+        seal(frame, line.sent)
+        line.sent = (line.sent + 1) & 0xFFFF
+        return frame
+
+    def _owe_identity(self, line, echo):
+        for k in range(4):
+            line.hello[k] = line.content[4 + k] if echo else 0
+        line.owes_identity = True
+
+    def _owe_ack(self, line, number, too_large):
+        line.answered = number
+        line.too_large = too_large
+        line.owes_ack = True
+
+    def _flags(self, line):
+        return (
+            (RUNNING if self.running and line is self._line else 0)
+            | (USB_READY if self.usb_ready else 0)
+            | (WHEEL_FINE if self.fine & 1 else 0)
+            | (PAN_FINE if self.fine & 2 else 0)
+        )
+
+    def _fill_identity(self, line):
+        frame = self._identity
+        for k in range(4):
+            frame[5 + k] = line.hello[k]
+            frame[9 + k] = self._last[k]
+            _put(frame, 13 + 2 * k, self._last_passed[k])
+            frame[21 + k] = self._first[k]
+        _put(frame, 25, STEP)
+        _put(frame, 27, SILENCE)
+        for k in range(3):
+            frame[29 + k] = FIRMWARE[k]
+        frame[32] = self._kind
+        for k in range(16):
+            frame[33 + k] = self._board[k]
+        return frame
+
+    def _fill_ack(self, line):
+        frame = self._ack
+        _put(frame, 5, line.answered)
+        for k in range(4):
+            _put(frame, 7 + 2 * k, self._passed[k])
+        frame[15] = self._flags(line) | (TOO_LARGE if line.too_large else 0)
+        _put(frame, 16, self.refused)
+        _put(frame, 18, self.lost)
+        return frame
+
+    def _fill_status(self, line):
+        frame = self._status
+        for k in range(4):
+            frame[5 + k] = self._session[k] if self.running else 0
+        _put(frame, 9, self.uptime & 0xFFFF)
+        _put(frame, 11, self.uptime >> 16)
+        _put(frame, 13, self.frames & 0xFFFF)
+        _put(frame, 15, self.frames >> 16)
+        _put(frame, 17, line.damaged)
+        _put(frame, 19, self.refused)
+        _put(frame, 21, self.lost)
+        _put(frame, 23, self.reports & 0xFFFF)
+        _put(frame, 25, self.reports >> 16)
+        _put(frame, 27, self.usb_errors)
+        frame[29] = self._flags(line)
+        frame[30] = self.reported
+        return frame
+
+
+def _put(frame, at, value):
+    frame[at] = value & 255
+    frame[at + 1] = value >> 8
+
+
+def _any(data, at):
+    return data[at] or data[at + 1] or data[at + 2] or data[at + 3]

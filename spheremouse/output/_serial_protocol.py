@@ -1,0 +1,410 @@
+"""The host's end of docs/protocol.md, without port, thread or clock: frames as dataclasses, and the link as a ledger.
+
+Counts and bytes that came in, with the time in seconds, go in; bytes to send come out.
+"""
+
+import struct
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from cobs import cobs
+
+VERSION = 1
+HELLO, MOTION, ASK_STATUS, STOP = 0x01, 0x02, 0x03, 0x04
+IDENTITY, ACK, STATUS = 0x81, 0x82, 0x83
+MOST = 64  # bytes of a frame's content
+STEP = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
+SILENCE = 0.1  # s
+AXES = ("X", "Y", "wheel", "pan")
+KINDS = {1: "CircuitPython", 2: "AVR", 3: "simulator"}
+
+_KEEP = 0.02  # s between two MOTIONs: five chances before the device goes silent
+_REPEAT = 0.05  # s between two HELLOs
+_PATIENCE = 0.2  # s without an answer: twice the silence, after which the device has ended the session anyway
+_HANGS = 1.0  # s without a motion from the tracker: slower than any camera
+_BREAK = 1.0  # s after which counts are too late to be wanted
+_AHEAD = 8  # frames unanswered: 13 ms of a line at 115200 baud
+_INSIST = 3 * 19 * 10  # bits: with more unanswered, a third of the line
+_TIMES = 4096  # round trips remembered
+
+_HEADER, _CRC = struct.Struct("<BBH"), struct.Struct("<I")
+_MOTION, _ACK = struct.Struct("<4HB"), struct.Struct("<H4HBHH")
+_IDENTITY, _STATUS = struct.Struct("<II4HIHH3BB16s"), struct.Struct("<IIIHHHIHBB")
+_BODY = {HELLO: 4, MOTION: 9, ASK_STATUS: 0, STOP: 0, IDENTITY: 44, ACK: 15, STATUS: 26}
+
+
+class Flags(IntFlag):
+    """Of ACK and STATUS."""
+
+    RUNNING = 0x01
+    TOO_LARGE = 0x02
+    USB_READY = 0x04
+    WHEEL_FINE = 0x08
+    PAN_FINE = 0x10
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame that came whole."""
+
+    version: int
+    type: int
+    number: int
+    body: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What a device says of itself."""
+
+    session: int
+    last: int  # session that ended before; 0: none
+    counters: tuple[int, int, int, int]  # passed on in it, modulo 2^16
+    first: int  # session since the device was started
+    step: int  # counts
+    silence: int  # ms
+    firmware: tuple[int, int, int]
+    kind: int
+    board: str
+
+    def __str__(self) -> str:
+        version = ".".join(map(str, self.firmware))
+        return f"firmware {version} ({KINDS.get(self.kind, f'kind {self.kind}')}) on {self.board}"
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """What a device has passed on."""
+
+    number: int
+    counters: tuple[int, int, int, int]  # modulo 2^16
+    flags: Flags
+    refused: int
+    lost: int
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How a device fares."""
+
+    session: int
+    uptime: int  # s
+    frames: int
+    damaged: int
+    refused: int
+    lost: int
+    reports: int
+    usb_errors: int
+    flags: Flags
+    buttons: int
+
+
+# ---- frames ----
+
+
+def encode(kind: int, number: int, body: bytes = b"", version: int = VERSION) -> bytes:
+    """A frame as it goes over the line, with the 0x00 at its end."""
+    content = _HEADER.pack(version, kind, number & 0xFFFF) + body
+    return cobs.encode(content + _CRC.pack(zlib.crc32(content))) + b"\0"
+
+
+def hello(number: int, session: int) -> bytes:
+    """HELLO."""
+    return encode(HELLO, number, _CRC.pack(session))
+
+
+def motion(number: int, counters: Sequence[int], buttons: int) -> bytes:
+    """MOTION; counters may be any whole numbers."""
+    return encode(MOTION, number, _MOTION.pack(*(c & 0xFFFF for c in counters), buttons))
+
+
+def decode(coded: bytes) -> Frame | None:
+    """What stands between two 0x00 as a frame; None where it is damaged. Another version's length is not judged."""
+    try:
+        content = cobs.decode(coded)
+    except cobs.DecodeError:
+        return None
+    if not _HEADER.size + _CRC.size <= len(content) <= MOST:
+        return None
+    content, crc = content[: -_CRC.size], content[-_CRC.size :]
+    version, kind, number = _HEADER.unpack_from(content)
+    body = content[_HEADER.size :]
+    if _CRC.unpack(crc)[0] != zlib.crc32(content) or (version == VERSION and _BODY.get(kind) != len(body)):
+        return None
+    return Frame(version, kind, number, body)
+
+
+def parse(frame: Frame) -> Identity | Ack | Status | None:
+    """The body of what a device sends; None for all else."""
+    if frame.version != VERSION:
+        return None
+    if frame.type == ACK:
+        number, *counters, flags, refused, lost = _ACK.unpack(frame.body)
+        return Ack(number, _four(counters), Flags(flags), refused, lost)
+    if frame.type == IDENTITY:
+        session, last, *counters, first, step, silence, a, b, c, kind, board = _IDENTITY.unpack(frame.body)
+        name = board.rstrip(b"\0").decode("ascii", "replace")
+        return Identity(session, last, _four(counters), first, step, silence, (a, b, c), kind, name)
+    if frame.type == STATUS:
+        session, uptime, whole, damaged, refused, lost, reports, errors, flags, buttons = _STATUS.unpack(frame.body)
+        return Status(session, uptime, whole, damaged, refused, lost, reports, errors, Flags(flags), buttons)
+    return None
+
+
+class Splitter:
+    """Cuts what comes in at each 0x00; keeps no more than one frame."""
+
+    def __init__(self) -> None:
+        self.damaged = 0
+        self._rest, self._too_long = b"", False
+
+    def take(self, data: bytes) -> Iterator[Frame]:
+        """Frames that are whole now."""
+        *ends, rest = (self._rest + data).split(b"\0")
+        for coded in ends:
+            if not coded and not self._too_long:
+                continue
+            frame = None if self._too_long else decode(coded)
+            self._too_long = False
+            if frame is None:
+                self.damaged += 1
+            else:
+                yield frame
+        self._too_long = self._too_long or len(rest) > MOST + 1
+        self._rest = b"" if self._too_long else rest
+
+
+def signed(difference: int) -> int:
+    """A difference modulo 2^16 as a number from -32768 to 32767."""
+    return (difference + 0x8000 & 0xFFFF) - 0x8000
+
+
+# ---- the link ----
+
+
+class Link:
+    """What was given, sent and passed on, over sessions, breaks and resets. Times in s of any steady clock."""
+
+    def __init__(self, session: Callable[[], int], baud: int = 115200) -> None:
+        """`session` draws numbers that are not 0 and never come again."""
+        self._insist = _INSIST / baud  # s
+        self.total, self.sent, self.confirmed = [0] * 4, [0] * 4, [0] * 4
+        self.dropped, self.uncertain = [0] * 4, [0] * 4  # counts, with their signs
+        self.buttons = 0
+        self.identity: Identity | None = None  # of the session that runs or ran last
+        self.status: Status | None = None
+        self.ack: Ack | None = None
+        self.foreign: int | None = None  # version of a device that speaks another one
+        self.running = False
+        self.heard = -np.inf  # s, last answer
+        self.sessions = self.motions = self.acks = 0
+        self.notices: deque[str] = deque(maxlen=100)
+        self._draw = session
+        self._frames = Splitter()
+        self._asked = 0  # session; 0: none, there is no port
+        self._hello_at = 0.0
+        self._mine: Identity | None = None
+        self._base, self._acked = [0] * 4, [0] * 4
+        self._pressed = 0  # in the last MOTION
+        self._number, self._answered = 0, -1
+        self._moved = self._said = self._since = -np.inf  # s: last MOTION, last `add`, nothing confirmed since
+        self._flying: dict[int, float] = {}
+        self._times: deque[float] = deque(maxlen=_TIMES)
+        self._wants_status = self._wants_stop = False
+
+    # ---- from the tracker ----
+
+    def add(self, counts: Sequence[int], now: float) -> None:
+        """Counts of x, y, wheel, pan."""
+        self._said = now
+        if self.total == self.confirmed:
+            self._since = now
+        for k, n in enumerate(counts):
+            self.total[k] += int(n)
+        self._expire(now)
+
+    def alive(self, now: float) -> None:
+        """The tracker lives, though it has nothing to say."""
+        self._said = now
+
+    def ask_status(self) -> None:
+        """Have STATUS? sent."""
+        self._wants_status = True
+
+    def stop(self) -> None:
+        """Have STOP sent; the session ends with it."""
+        self._wants_stop = self.running
+
+    # ---- from the port ----
+
+    def opened(self, now: float) -> bytes:
+        """A port is open, and nothing waits in it: what to send first."""
+        self._frames = Splitter()
+        self._begin(now)
+        return b"\0"
+
+    def closed(self) -> None:
+        """The port is gone."""
+        self.running, self._asked = False, 0
+
+    def receive(self, data: bytes, now: float) -> None:
+        """What came in."""
+        for frame in self._frames.take(data):
+            self.heard = now
+            if frame.version != VERSION:
+                if frame.type == IDENTITY:
+                    self.foreign = frame.version
+                continue
+            found = parse(frame)
+            if isinstance(found, Identity):
+                self._identified(found, now)
+            elif isinstance(found, Ack):
+                self._acknowledged(found, now)
+            elif isinstance(found, Status):
+                self.status = found
+
+    # ---- to the port ----
+
+    def due(self, now: float) -> bytes | None:
+        """The next frame to send, if there is one now."""
+        self._expire(now)
+        if self.running:
+            if self._wants_stop:
+                self._wants_stop = False
+                self.closed()
+                return encode(STOP, self._next(now))
+            if self._unanswered and now - max(self.heard, min(self._flying.values(), default=now)) > _PATIENCE:
+                self._begin(now)
+            elif now - self._said < _HANGS and now - self._moved >= SILENCE:
+                self._begin(now)  # the device has gone silent
+        if not self.running:
+            if self._asked and now >= self._hello_at:
+                self._hello_at = now + _REPEAT
+                return hello(self._next(now), self._asked)
+            return None
+        if self._wants_status:
+            self._wants_status = False
+            return encode(ASK_STATUS, self._next(now))
+        if now - self._said >= _HANGS:
+            return None
+        target = [min(max(t, c - STEP), c + STEP) for t, c in zip(self.total, self.confirmed, strict=True)]
+        news = target != self.sent or self.buttons != self._pressed
+        wait = _KEEP if not news else self._insist if self._unanswered >= _AHEAD else 0.0
+        if now - self._moved < wait:
+            return None
+        self.sent, self._pressed, self._moved = target, self.buttons, now
+        self.motions += 1
+        counters = [s - b for s, b in zip(target, self._base, strict=True)]
+        return motion(self._next(now), counters, self.buttons)
+
+    def wake(self, now: float) -> float:
+        """Seconds until `due` may have something to say though nothing comes in."""
+        if self.running:
+            wait = self._insist if self.total != self.sent and self._unanswered >= _AHEAD else _KEEP
+            return max(0.0, min(_KEEP, self._moved + wait - now)) if now - self._said < _HANGS else _KEEP
+        return max(0.0, min(_KEEP, self._hello_at - now)) if self._asked else _KEEP
+
+    @property
+    def settled(self) -> bool:
+        """Whether all that was given has been passed on."""
+        return self.total == self.confirmed
+
+    @property
+    def damaged(self) -> int:
+        """Answers that came damaged since the port was opened."""
+        return self._frames.damaged
+
+    def round_trip(self, q: float) -> float:
+        """Quantile of the round-trip time of the last answers, s; NaN before the first."""
+        return float(np.quantile(self._times, q)) if self._times else float("nan")
+
+    # ---- within ----
+
+    @property
+    def _unanswered(self) -> int:
+        return (self._number - 1 - self._answered) & 0xFFFF
+
+    def _next(self, now: float) -> int:
+        number = self._number
+        self._number = (number + 1) & 0xFFFF
+        self._flying[number] = now
+        while len(self._flying) > 64:
+            del self._flying[next(iter(self._flying))]
+        return number
+
+    def _begin(self, now: float) -> None:
+        """Ask for a new session; the number stays the same until it is answered."""
+        if self.running or not self._asked:
+            self.running = False
+            self._asked = self._draw()
+        self._hello_at = now
+
+    def _identified(self, found: Identity, now: float) -> None:
+        if self.running or not self._asked or found.session != self._asked:
+            if found.session == 0:
+                self.foreign = VERSION
+            return
+        mine, before = self._mine, self.confirmed
+        if mine is not None and found.last == mine.session:
+            self._confirm(found.counters)
+        elif mine is not None and (found.first, found.last) != (mine.first, mine.last):
+            lost = [s - c for s, c in zip(self.sent, self.confirmed, strict=True)]
+            self.uncertain = [u + n for u, n in zip(self.uncertain, lost, strict=True)]
+            self.confirmed = list(self.sent)
+            self.notices.append("the board was started again" + (f"; {_several(lost)} uncertain" if any(lost) else ""))
+        self._mine = self.identity = found
+        if now - self._since > _BREAK:
+            self._drop(self.confirmed)
+        if before != self.confirmed:
+            self._since = now
+        self.sent, self._base, self._acked = list(self.confirmed), list(self.confirmed), [0] * 4
+        self._flying.clear()
+        self._answered, self._pressed, self._moved = (self._number - 1) & 0xFFFF, 0, now
+        self.running = True
+        self.sessions += 1
+
+    def _acknowledged(self, ack: Ack, now: float) -> None:
+        if not self.running:
+            return
+        self.ack = ack
+        self.acks += 1
+        if not ack.flags & Flags.RUNNING:
+            if ack.number in self._flying:  # not one from before
+                self._begin(now)
+            return
+        sent = self._flying.pop(ack.number, None)
+        if sent is not None:
+            self._times.append(now - sent)
+            self._answered = ack.number
+            for number in [n for n in self._flying if signed(n - ack.number) < 0]:
+                del self._flying[number]
+        before = list(self.confirmed)
+        self._confirm(ack.counters)
+        if before != self.confirmed or self.settled:
+            self._since = now
+
+    def _confirm(self, counters: Sequence[int]) -> None:
+        self.confirmed = [c + signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acked, strict=True)]
+        self._acked = list(counters)
+
+    def _expire(self, now: float) -> None:
+        if not self.settled and now - self._since > _BREAK:
+            self._drop(self.sent)
+
+    def _drop(self, keep: Sequence[int]) -> None:
+        self.dropped = [d + t - s for d, t, s in zip(self.dropped, self.total, keep, strict=True)]
+        self.total = list(keep)
+
+
+def _four(values: Sequence[int]) -> tuple[int, int, int, int]:
+    a, b, c, d = values
+    return a, b, c, d
+
+
+def _several(counts: Sequence[int]) -> str:
+    n = sum(map(abs, counts))
+    return f"{n} count{'s' if n != 1 else ''}"

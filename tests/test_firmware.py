@@ -1,0 +1,603 @@
+"""The Pico's firmware: under a real MicroPython against the host, its report descriptor, its way onto a drive."""
+
+import json
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+from serial_world import Board, Wire, World, exchange
+from typer.testing import CliRunner
+
+from spheremouse import firmware
+from spheremouse.cli_firmware import app
+from spheremouse.errors import OutputError
+from spheremouse.output import _serial_protocol as host
+
+HERE = Path(__file__).parent
+PICO = firmware.folder()
+MICROPYTHON = "@micropython/micropython-webassembly-pyscript@1.27.0"
+
+
+# ---- under MicroPython ----
+
+
+@pytest.fixture(scope="module")
+def micropython():
+    """Calls functions of firmware_on_a_desk.py; the interpreter comes from the npm registry, once."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("MicroPython's WebAssembly build needs node and npm")
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "spheremouse-tests" / "micropython-1.27.0"
+    if not (cache / "package" / "micropython.mjs").exists():
+        cache.mkdir(parents=True, exist_ok=True)
+        command = ["npm", "pack", MICROPYTHON, "--pack-destination", str(cache)]
+        try:
+            subprocess.run(command, check=True, capture_output=True, timeout=60, cwd=cache)
+        except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
+            pytest.skip("MicroPython's WebAssembly build cannot be fetched from the npm registry")
+        (archive,) = cache.glob("*.tgz")
+        shutil.unpack_archive(archive, cache)
+    files = [PICO / "protocol.py", PICO / "mouse.py", HERE / "data" / "firmware_on_a_desk.py"]
+    command = ["node", HERE / "data" / "firmware_driver.mjs", cache / "package", *files]
+    process = subprocess.Popen(
+        [str(c) for c in command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+
+    def call(name, argument=""):
+        text = argument if isinstance(argument, str) else json.dumps(argument)
+        process.stdin.write(f"{name} {text}\n")
+        process.stdin.flush()
+        answer = json.loads(process.stdout.readline())
+        assert "error" not in answer, answer["error"]
+        return answer
+
+    yield call
+    process.stdin.close()
+    process.wait(10)
+
+
+class MicroPythonBoard:
+    """As serial_world.Board, in the other interpreter."""
+
+    def __init__(self, call):
+        self._call, self._asked = call, {"reset": True, "feature": 0b101, "usb": True}
+        self.buttons, self.led = 0, False
+        self._began = call("moved")
+        self.moved = [0, 0, 0, 0]
+
+    def reset(self):
+        self._asked = {"reset": True, "feature": 0b101}
+
+    def turn(self, data, now):
+        answer = self._call("turn", {"now": now, "bytes": data.hex(), **self._asked})
+        self._asked = {}
+        self.moved = [m - b for m, b in zip(answer["moved"], self._began, strict=True)]
+        self.buttons, self.led = answer["buttons"], answer["led"]
+        return bytes.fromhex(answer["bytes"])
+
+
+def test_it_is_micropython(micropython):
+    assert micropython("version")[0] == "micropython"
+
+
+def test_micropython_makes_and_reads_the_hosts_bytes(micropython):
+    rng = np.random.default_rng(0)
+    stream, contents = b"", []
+    for k in range(200):
+        kind = int(rng.choice(sorted(host._BODY)))
+        body = rng.integers(0, 256, host._BODY[kind]).astype(np.uint8).tobytes()
+        body = bytes(b if rng.random() < 0.5 else 0 for b in body)
+        made = micropython("sealed", {"content": (bytes([1, kind, 0, 0]) + body).hex(), "number": 65_500 + k & 0xFFFF})
+        assert bytes.fromhex(made) == host.encode(kind, 65_500 + k, body)
+        stream += rng.bytes(int(rng.integers(0, 90))) + b"\0" + bytes.fromhex(made)  # noise between
+        contents.append(body)
+    found = micropython("taken", stream.hex())
+    bodies = [bytes.fromhex(f)[4:-4] for f in found["frames"]]
+    assert bodies == contents
+    assert found["damaged"] > 100
+
+
+def test_micropython_and_cpython_answer_the_same_to_anything(micropython):
+    """Frames, damage, cuts, floods and time that passes: byte by byte the same answers."""
+    rng = np.random.default_rng(1)
+    here, there = Board(), MicroPythonBoard(micropython)
+    here.device._kind, here.device._board = 1, bytearray(b"desk".ljust(16, b"\0"))
+    now, position = 2**29 - 3000, np.zeros(4, dtype=int)
+    for k in range(1500):
+        now += int(rng.integers(0, 40)) + 150 * (k % 97 == 0)
+        position += rng.integers(-500, 600, 4)
+        frame = (
+            host.motion(k, position.tolist(), int(rng.integers(0, 256))),
+            host.hello(k, int(rng.integers(0, 4))),
+            host.encode(host.ASK_STATUS, k),
+            host.encode(host.STOP, k),
+            host.encode(9, k),
+            host.encode(host.HELLO, k, bytes(4), version=2),
+            rng.bytes(200),
+            b"",
+        )[int(rng.choice(8, p=(0.7, 0.12, 0.05, 0.03, 0.02, 0.02, 0.03, 0.03)))]
+        if k % 50 == 3:
+            frame = frame[: len(frame) // 2]
+        if frame and k % 31 == 0:
+            frame = bytes([frame[0] ^ 5]) + frame[1:]
+        assert there.turn(frame, now & 0x1FFFFFFF) == here.turn(frame, now & 0x1FFFFFFF)
+        assert there.moved == here.moved
+        assert there.buttons == here.buttons
+        if k % 12 == 5:  # begin anew where the walk has left the limit of a step
+            position[:] = 0
+
+
+def test_the_sum_arrives_through_micropython(micropython):
+    world = exchange(MicroPythonBoard(micropython), 5000, 0.01)
+    assert world.short == [0, 0, 0, 0]
+    assert world.link.uncertain == [0, 0, 0, 0]
+
+
+def test_breaks_and_resets_under_micropython(micropython):
+    rng = np.random.default_rng(5)
+    world = World(MicroPythonBoard(micropython), Wire(rng, 0.002), Wire(rng, 0.002))
+    for k in range(1500):
+        world.give((3, 1, 2, 0))
+        world.up.cut = 300 < k < 480
+        if k in (800, 1100):
+            world.board.reset()
+        world.step()
+    world.settle()
+    short = np.array(world.short)
+    assert (short >= 0).all()
+    assert (short <= world.link.uncertain).all()
+    assert world.link.dropped == [0, 0, 0, 0]
+
+
+def test_the_loop_allocates_nothing(micropython):
+    """With the collector off, thousands of turns leave the heap as it was."""
+    frames = b"\0" + host.hello(0, 77)
+    frames += b"".join(host.motion(k, (k, 3 * k, 2 * k, -k), k & 31) for k in range(1, 3000))
+    frames += b"".join(host.encode(host.ASK_STATUS, k) for k in range(100)) + b"\x55" * 1000 + b"\0\3\0"
+    MicroPythonBoard(micropython).turn(b"", 99)
+    found = micropython("allocated", {"bytes": frames.hex(), "step": 19, "now": 100})
+    assert found["bytes"] == 0
+    assert micropython("allocated", {"bytes": frames.hex(), "step": 190, "now": 100_000})["bytes"] == 0
+
+
+def test_a_computer_that_takes_no_reports(micropython):
+    board = MicroPythonBoard(micropython)
+    board.turn(host.hello(0, 9), 0)
+    board._asked = {"refuses": True}
+    (frame,) = host.Splitter().take(board.turn(host.motion(1, (5, 0, 0, 0), 1), 1))
+    ack = host.parse(frame)
+    assert isinstance(ack, host.Ack)
+    assert ack.counters == (0, 0, 0, 0)
+    board._asked = {"refuses": False}
+    (frame,) = host.Splitter().take(board.turn(host.motion(2, (6, 0, 0, 0), 1), 2))
+    ack = host.parse(frame)
+    assert isinstance(ack, host.Ack)
+    assert ack.counters[0] == board.moved[0] == 6
+
+
+# ---- the light ----
+
+
+def test_the_light(mouse):
+    led, runtime = SimpleNamespace(value=None), SimpleNamespace(usb_connected=False)
+    port = SimpleNamespace(in_waiting=0, out_waiting=0, connected=False, readinto=None)
+    hid = SimpleNamespace(get_last_received_report=lambda report_id: None, send_report=lambda report, report_id: None)
+    pico = mouse.Mouse(1, b"", hid, port, None, led, runtime)
+
+    def lights(begin, end, frame=b""):
+        """States of the LED, a ms apart."""
+        seen = []
+        for now in range(begin, end):
+            data, frame = frame, b""
+            port.in_waiting, port.readinto = len(data), lambda b, d=data: b.__setitem__(slice(len(d)), d) or len(d)
+            pico.turn(now)
+            port.in_waiting = 0
+            seen.append(bool(led.value))
+        return seen
+
+    assert not any(lights(0, 2048))  # no computer
+    runtime.usb_connected = True
+    assert sum(lights(2048, 4096)) == 1024  # waits: slow blinking
+    assert all(lights(4096, 4150, host.hello(0, 5)))  # a session
+    assert all(lights(4150, 4200, host.motion(1, (1, 0, 0, 0), 0)))
+    worried = lights(4200, 4250, host.motion(3, (1, 0, 0, 0), 0))  # a frame was lost: flicker
+    assert 0 < sum(worried) < 50
+    lights(4250, 6144)
+    assert sum(lights(6144, 8192)) == 1024  # silence: waits again
+
+
+# ---- the report descriptor ----
+
+INPUT, FEATURE = 8, 11
+
+
+def parsed(descriptor):
+    """Fields of a HID report descriptor, by USB's HID 1.11, section 6.2.2: written for this test alone."""
+    state, stack, usages, limits, depth, fields, place, at = {}, [], [], {}, [], [], {}, 0
+    while at < len(descriptor):
+        size = (0, 1, 2, 4)[descriptor[at] & 3]
+        kind, tag = descriptor[at] >> 2 & 3, descriptor[at] >> 4
+        data = descriptor[at + 1 : at + 1 + size]
+        value, signed = int.from_bytes(data, "little"), int.from_bytes(data, "little", signed=True)
+        at += 1 + size
+        if kind == 1:  # global
+            if tag == 10:
+                stack.append(dict(state))
+            elif tag == 11:
+                state = stack.pop()
+            else:
+                state[tag] = signed if tag in (1, 2, 3, 4, 5) else value
+        elif kind == 2:  # local
+            if tag == 0:
+                usages.append((state[0], value))
+            else:
+                limits[tag] = (state[0], value)
+        elif tag == 10:
+            depth.append((value, usages[0] if usages else None))
+            usages, limits = [], {}
+        elif tag == 12:
+            depth.pop()
+        else:
+            if 1 in limits:
+                usages = [(limits[1][0], u) for u in range(limits[1][1], limits[2][1] + 1)]
+            bits, number = state[7], state[9]
+            for k in range(number):
+                key = (tag, state.get(8, 0))
+                fields.append(
+                    SimpleNamespace(
+                        kind=tag, report=state.get(8, 0), at=place.get(key, 0), bits=bits, flags=value,
+                        usage=None if value & 1 else usages[min(k, len(usages) - 1)],
+                        logical=(state[1], state[2]), physical=(state.get(3, 0), state.get(4, 0)),
+                        within=tuple(depth),
+                    )
+                )  # fmt: skip
+                place[key] = place.get(key, 0) + bits
+            usages, limits = [], {}
+    assert depth == stack == []
+    return fields, place
+
+
+@pytest.fixture
+def mouse(monkeypatch):
+    monkeypatch.syspath_prepend(str(PICO))
+    for name in ("mouse", "protocol"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    import mouse as module
+
+    yield module
+    for name in ("mouse", "protocol"):
+        sys.modules.pop(name, None)
+
+
+def test_the_descriptor_is_that_of_the_page(mouse):
+    page = (HERE.parent / "docs" / "protocol.md").read_text(encoding="utf-8")
+    table = page.split("```text\n")[1].split("```")[0]
+    told = re.findall(r"^((?:[0-9a-f]{2} ?)+)", table, re.M)
+    assert bytes.fromhex("".join(told)) == mouse.DESCRIPTOR
+    assert f"{len(mouse.DESCRIPTOR)} bytes; all" in page
+
+
+def test_the_descriptor_says_what_the_reports_hold(mouse):
+    fields, place = parsed(mouse.DESCRIPTOR)
+    assert place == {(INPUT, mouse.MOUSE): 8 * mouse.REPORT_LENGTH, (FEATURE, mouse.MULTIPLIERS): 8}
+    assert mouse.FEATURE_LENGTH == 1
+    values = [(f.usage, f.at, f.bits, f.flags, f.logical) for f in fields if f.kind == INPUT and f.usage]
+    buttons = [((9, 1 + k), k, 1, 2, (0, 1)) for k in range(5)]
+    axes = [(1, 0x30), (1, 0x31), (1, 0x38), (0x0C, 0x238)]  # X, Y, wheel, AC pan
+    assert values == buttons + [(u, 8 + 16 * k, 16, 6, (-32767, 32767)) for k, u in enumerate(axes)]
+    for f in fields:
+        if f.kind == INPUT and f.usage:
+            assert f.physical == (0, 0)
+            assert f.within[0] == (1, (1, 2))  # application: mouse
+            assert f.within[1] == (0, (1, 1))  # physical: pointer
+
+
+def test_each_multiplier_shares_a_collection_with_its_axis(mouse):
+    fields, _ = parsed(mouse.DESCRIPTOR)
+    multipliers = [f for f in fields if f.usage == (1, 0x48)]
+    assert [(f.kind, f.report, f.at, f.bits, f.flags) for f in multipliers] == [
+        (FEATURE, mouse.MULTIPLIERS, 0, 2, 2),
+        (FEATURE, mouse.MULTIPLIERS, 2, 2, 2),
+    ]
+    for f in multipliers:
+        assert (f.logical, f.physical) == ((0, 1), (1, 120))
+        assert f.within[-1][0] == 2  # logical
+    opened = [k for k in range(len(mouse.DESCRIPTOR) - 1) if mouse.DESCRIPTOR[k : k + 2] == b"\xa1\x02"]
+    closed = [mouse.DESCRIPTOR.index(b"\x81\x06\xc0", k) for k in opened]
+    pieces = [mouse.DESCRIPTOR[a:b] for a, b in zip(opened, closed, strict=True)]
+    assert [(b"\x09\x48" in p, b"\x09\x38" in p, b"\x0a\x38\x02" in p) for p in pieces] == [
+        (True, True, False),
+        (True, False, True),
+    ]
+
+
+def test_the_firmware_puts_values_where_the_descriptor_says(mouse):
+    fields, _ = parsed(mouse.DESCRIPTOR)
+    device, line = mouse.protocol.Device(1, b""), mouse.protocol.Line()
+    device.set_multipliers(0b0101)
+    device.usb_ready = True
+    for frame in (host.hello(0, 5), host.motion(1, (300, -301, 1000, -1001), 0b10001)):
+        line.take(frame, 0, len(frame))
+        device.handle(line, 0)
+    assert device.due()
+    whole = int.from_bytes(device.report, "little")
+    assert len(device.report) == mouse.REPORT_LENGTH
+    found = {}
+    for f in fields:
+        if f.kind == INPUT and f.usage:
+            raw = whole >> f.at & (1 << f.bits) - 1
+            found[f.usage] = raw - (1 << f.bits) if f.logical[0] < 0 and raw >> f.bits - 1 else raw
+    assert found == {
+        (9, 1): 1, (9, 2): 0, (9, 3): 0, (9, 4): 0, (9, 5): 1,
+        (1, 0x30): 300, (1, 0x31): -301, (1, 0x38): 1000, (0x0C, 0x238): -1001,
+    }  # fmt: skip
+
+
+# ---- boot.py and code.py, on stand-ins for CircuitPython's modules ----
+
+
+class Everything:
+    """Notes what is called."""
+
+    def __init__(self):
+        self.calls = {}
+
+    def __getattr__(self, name):
+        return lambda *a, **k: self.calls.setdefault(name, (a, k))
+
+
+def stand_in(monkeypatch, name, **members):
+    module = ModuleType(name)
+    for key, value in members.items():
+        setattr(module, key, value)
+    monkeypatch.setitem(sys.modules, name, module)
+    return module
+
+
+def test_boot_enables_the_mouse_and_the_data_port(mouse, monkeypatch):
+    usb_hid, usb_cdc, usb_midi, supervisor = Everything(), Everything(), Everything(), Everything()
+    devices = []
+    stand_in(monkeypatch, "usb_hid", Device=lambda **k: devices.append(k) or "device", enable=usb_hid.enable)
+    for name, module in (("usb_cdc", usb_cdc), ("usb_midi", usb_midi), ("supervisor", supervisor)):
+        monkeypatch.setitem(sys.modules, name, module)
+    runpy.run_path(str(PICO / "boot.py"))
+    assert usb_hid.calls["enable"] == ((("device",),), {})
+    assert usb_cdc.calls["enable"] == ((), {"console": True, "data": True})
+    assert supervisor.calls["set_usb_identification"][0][1] == "spheremouse"
+    (told,) = devices
+    assert told["report_descriptor"] == mouse.DESCRIPTOR
+    assert (told["usage_page"], told["usage"]) == (1, 2)
+    assert told["report_ids"] == (1, 2)
+    assert (told["in_report_lengths"], told["out_report_lengths"]) == ((9, 0), (0, 1))
+
+
+class EndOfTestError(Exception):
+    """The watchdog has been fed often enough."""
+
+
+def board_modules(monkeypatch, reason="STARTUP", data=True, frames=b""):
+    """What code.py imports; the loop ends after five turns."""
+    seen = SimpleNamespace(resets=0, reports=[], out=b"", fed=0)
+
+    class Port:
+        connected, out_waiting, timeout, write_timeout = True, 0, None, None
+
+        def __init__(self):
+            self.waiting = frames
+
+        @property
+        def in_waiting(self):
+            return len(self.waiting)
+
+        def readinto(self, buffer):
+            part, self.waiting = self.waiting[: len(buffer)], self.waiting[len(buffer) :]
+            buffer[: len(part)] = part
+            return len(part)
+
+        def write(self, data):
+            seen.out += bytes(data)
+
+    class Dog:
+        timeout = mode = None
+
+        def feed(self):
+            assert (self.timeout, self.mode) == (5, "reset")
+            seen.fed += 1
+            if seen.fed == 5:
+                raise EndOfTestError
+
+    def reset():
+        seen.resets += 1
+        raise EndOfTestError
+
+    led = SimpleNamespace(value=False, switch_to_output=lambda value: None)
+    hid = SimpleNamespace(
+        get_last_received_report=lambda report_id: None,
+        send_report=lambda report, report_id: seen.reports.append((report_id, bytes(report))),
+    )
+    idle = SimpleNamespace(in_waiting=0, write=lambda data: None)
+    stand_in(monkeypatch, "board", board_id="raspberry_pi_pico", LED=1, GP0=0, GP1=1)
+    stand_in(monkeypatch, "busio", UART=lambda *a, **k: idle)
+    stand_in(monkeypatch, "digitalio", DigitalInOut=lambda pin: led)
+    stand_in(monkeypatch, "microcontroller", watchdog=Dog(), reset=reset)
+    runtime = SimpleNamespace(autoreload=True, run_reason=reason, usb_connected=True)
+    stand_in(
+        monkeypatch, "supervisor", runtime=runtime, RunReason=SimpleNamespace(STARTUP="STARTUP"), ticks_ms=lambda: 1000
+    )
+    stand_in(monkeypatch, "usb_cdc", data=Port() if data else None)
+    stand_in(monkeypatch, "usb_hid", devices=[hid])
+    stand_in(monkeypatch, "watchdog", WatchDogMode=SimpleNamespace(RESET="reset"))
+    return seen
+
+
+def run_code():
+    runpy.run_path(str(PICO / "code.py"))
+
+
+def test_code_moves_and_answers(mouse, monkeypatch):
+    frames = b"\0" + host.hello(0, 5) + host.motion(1, (3, -4, 0, 0), 1)
+    seen = board_modules(monkeypatch, frames=frames)
+    with pytest.raises(EndOfTestError):
+        run_code()
+    assert seen.reports == [(1, bytes([1, 3, 0, 0xFC, 0xFF, 0, 0, 0, 0]))]
+    identity, ack = map(host.parse, host.Splitter().take(seen.out))
+    assert isinstance(identity, host.Identity)
+    assert isinstance(ack, host.Ack)
+    assert (identity.board, identity.kind, identity.firmware) == ("pico", 1, firmware.version_of(PICO))
+    assert ack.counters == (3, 2**16 - 4, 0, 0)
+    assert seen.resets == 0
+
+
+def test_code_restarts_the_whole_board_where_only_the_program_would(mouse, monkeypatch):
+    seen = board_modules(monkeypatch, reason="AUTO_RELOAD")
+    with pytest.raises(EndOfTestError):
+        run_code()
+    assert (seen.resets, seen.fed) == (1, 0)
+
+
+def test_code_says_what_to_do_before_boot_has_run(mouse, monkeypatch):
+    board_modules(monkeypatch, data=False)
+    with pytest.raises(RuntimeError, match="unplug the board and plug it in again"):
+        run_code()
+
+
+# ---- the drive ----
+
+BOOT_OUT = """Adafruit CircuitPython 9.2.4 on 2025-01-29; Raspberry Pi Pico with rp2040
+Board ID:raspberry_pi_pico
+UID:E6616408432B8A2A
+boot.py output:
+"""
+
+
+@pytest.fixture
+def drive(tmp_path):
+    (tmp_path / "boot_out.txt").write_text(BOOT_OUT)
+    (tmp_path / "code.py").write_text('print("Hello World!")\n')
+    return tmp_path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_the_drive_says_what_it_is(drive):
+    found = firmware.read_drive(drive)
+    assert (found.circuitpython, found.board, found.serial_number) == ((9, 2), "raspberry_pi_pico", "E6616408432B8A2A")
+
+
+def test_installing_and_again(drive):
+    result = run("install", "--drive", drive)
+    assert result.exit_code == 0, result.exception
+    assert "firmware 1.0.0 in place of none on raspberry_pi_pico" in result.output
+    assert "pull the board and plug it in again; then: spheremouse firmware check" in result.output
+    for name in firmware.FILES:
+        assert (drive / name).read_bytes() == (PICO / name).read_bytes()
+    assert sorted(p.name for p in drive.iterdir()) == ["boot.py", "boot_out.txt", "code.py", "mouse.py", "protocol.py"]
+    assert "has firmware 1.0.0 already" in run("install", "--drive", drive).output
+    result = run("check", "--drive", drive, "--port", "none")
+    assert result.exit_code == 0
+    assert "firmware 1.0.0" in result.output
+
+
+def test_every_file_of_the_firmware_is_installed():
+    assert sorted(firmware.FILES) == sorted(p.name for p in PICO.glob("*.py"))
+
+
+def test_an_older_firmware_is_replaced_and_check_sees_it(drive):
+    run("install", "--drive", drive)
+    old = (PICO / "protocol.py").read_text().replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (0, 9, 1)")
+    (drive / "protocol.py").write_text(old)
+    result = run("check", "--drive", drive, "--port", "none")
+    assert result.exit_code == 1
+    assert "firmware 0.9.1" in result.output
+    assert "protocol.py on the drive differ; run `spheremouse firmware install`" in result.output
+    assert "1.0.0 in place of 0.9.1 on raspberry_pi_pico: protocol.py" in run("install", "--drive", drive).output
+
+
+def test_another_program_is_not_overwritten_unasked(drive):
+    (drive / "code.py").write_text("import my_keyboard\n")
+    result = run("install", "--drive", drive)
+    assert isinstance(result.exception, OutputError)
+    assert "code.py of another program there; save them and use --force" in str(result.exception)
+    assert (drive / "code.py").read_text() == "import my_keyboard\n"
+    assert not (drive / "boot.py").exists()
+    assert run("install", "--drive", drive, "--force").exit_code == 0
+
+
+def refusal(*arguments):
+    result = run(*arguments)
+    assert isinstance(result.exception, OutputError)
+    assert "\n" not in str(result.exception)
+    return str(result.exception)
+
+
+def test_drives_that_are_none(drive, tmp_path, monkeypatch):
+    assert "no boot_out.txt in it" in refusal("install", "--drive", tmp_path / "none")
+    (drive / "boot_out.txt").write_text("Adafruit CircuitPython 7.3.3 on 2022-08-29; Raspberry Pi Pico with rp2040\n")
+    assert "CircuitPython 7.3 is too old; install 9.0 or newer: hold BOOTSEL" in refusal("install", "--drive", drive)
+    (drive / "boot_out.txt").write_text("something else\n")
+    assert "says nothing of CircuitPython" in refusal("install", "--drive", drive)
+    monkeypatch.setattr(firmware, "_mounts", lambda: iter(()))
+    assert "no drive CIRCUITPY is mounted; hold BOOTSEL down while you plug the board in" in refusal("install")
+
+
+def test_the_drive_is_found_among_others(drive, tmp_path_factory, monkeypatch):
+    other, loader, second = (tmp_path_factory.mktemp(name) for name in ("other", "loader", "second"))
+    (loader / "INFO_UF2.TXT").write_text("UF2 Bootloader v3.0\n")
+    monkeypatch.setattr(firmware, "_mounts", lambda: iter((other, loader, drive)))
+    assert [d.path for d in firmware.drives()] == [drive]
+    assert firmware.in_boot_loader() == [loader]
+    (second / "boot_out.txt").write_text(BOOT_OUT)
+    monkeypatch.setattr(firmware, "_mounts", lambda: iter((drive, second)))
+    assert "several boards" in refusal("install")
+    monkeypatch.setattr(firmware, "_mounts", lambda: iter((loader,)))
+    assert "a board without CircuitPython; copy its .uf2 file there" in refusal("install")
+
+
+def test_a_drive_that_breaks_keeps_the_old_or_the_new_file(drive, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert "boot.py: cannot be written: No space left on device" in refusal("install", "--drive", drive)
+    assert sorted(p.name for p in drive.iterdir()) == ["boot_out.txt", "code.py"]
+    assert (drive / "code.py").read_text() == 'print("Hello World!")\n'
+
+
+def test_checking_over_the_port():
+    pytest.importorskip("pty")
+    from spheremouse.output._serial_simulator import Simulator
+
+    with Simulator() as simulator:
+        result = run("check", "--port", simulator.port, "--json", "-")
+        assert result.exit_code == 0, result.exception
+        found = json.loads(result.output)
+        assert found["port"]["firmware"] == found["here"] == "1.0.0"
+        assert found["port"]["board"] == "simulator"
+        assert found["wrong"] == []
+        assert "all is well" in run("check", "--port", simulator.port).output
+
+
+def test_a_board_that_was_not_plugged_in_anew(drive, tmp_path):
+    run("install", "--drive", drive)
+    result = run("check", "--drive", drive, "--port", tmp_path / "none")
+    assert result.exit_code == 1
+    assert "if the firmware has just been copied, pull the board and plug it in again" in result.output
+
+
+def test_the_simulator_ends_with_what_its_mouse_did(tmp_path):
+    pytest.importorskip("pty")
+    result = run("simulate", "--link", tmp_path / "board", "--seconds", "0.1")
+    assert result.exit_code == 0, result.exception
+    assert "a simulated board" in result.output
+    assert "in all: X +0 Y +0 wheel +0 pan +0 in 0 reports" in result.output
+    assert not (tmp_path / "board").is_symlink()

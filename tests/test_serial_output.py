@@ -1,0 +1,276 @@
+"""The serial output on real pseudo-terminals, with the firmware's own protocol at the other end."""
+
+import contextlib
+import os
+import threading
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import open_output
+from spheremouse.output import serial as output_module
+from spheremouse.output._serial_protocol import encode
+from spheremouse.output.serial import Serial, find_board
+
+pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
+import tty  # noqa: E402
+
+from spheremouse.output._serial_simulator import Simulator  # noqa: E402  needs them
+
+
+def motion(x=0, y=0, z=0):
+    return Motion(0.0, (x, y, z), np.zeros(3), np.zeros(3))
+
+
+def until(what, seconds=10.0):
+    """Wait for something that threads do; it comes or the test fails."""
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end, "did not come"
+        time.sleep(0.002)
+
+
+def refused(spec):
+    with pytest.raises(OutputError) as e:
+        open_output(spec)
+    assert "\n" not in str(e.value)
+    return str(e.value)
+
+
+@pytest.fixture
+def board():
+    with Simulator() as simulator:
+        yield simulator
+
+
+def test_what_is_sent_is_what_the_mouse_does(board, capsys):
+    with open_output(f"serial:{board.port},third=wheel") as output:
+        for k in range(200):
+            output.send(motion(k % 7, -(k % 5), 1))
+        until(lambda: output.settled)
+        assert board.moved == [sum(k % 7 for k in range(200)), -sum(k % 5 for k in range(200)), 200, 0]
+        assert output.statistics().answers > 0
+        assert 0.0 < output.statistics().round_trip[0] <= output.statistics().round_trip[1]
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == f"serial: firmware 1.0.0 (simulator) on simulator at {board.port}"
+    assert said[1].startswith("serial: round trip ")
+    assert len(said) == 2
+
+
+@pytest.mark.parametrize(("third", "moved"), [("none", [1, 2, 0, 0]), ("wheel", [1, 2, 3, 0]), ("pan", [1, 2, 0, 3])])
+def test_the_third_axis(board, third, moved):
+    with open_output(f"serial:{board.port},third={third}") as output:
+        output.send(motion(1, 2, 3))
+        until(lambda: output.settled)
+    assert board.moved == moved
+
+
+def test_leaving_passes_on_the_last_motion_and_releases_buttons(board):
+    with open_output(f"serial:{board.port}") as output:
+        output.hold(0b11)
+        until(lambda: board.buttons == 0b11)
+        output.send(motion(50_000, 0, 0))  # many frames: 1200 at most in each
+    assert board.moved[0] == 50_000
+    until(lambda: board.buttons == 0)
+    assert board.reports >= 50_000 / 1200
+
+
+def test_the_text_twin(board):
+    with open_output(f"serial:{board.port},third=pan") as output:
+        assert output.describe(motion(3, -2, 1)) == "X +3 Y -2 pan +1"
+        assert output.describe(motion(0, 5, 0)) == "Y +5"
+        assert output.describe(motion()) == ""
+        board.unplug()
+        until(lambda: output.describe(motion(1)) == "X +1 (waits for the board)")
+
+
+def test_a_line_that_damages_bytes():
+    with Simulator(damage=0.01, seed=1) as board, open_output(f"serial:{board.port}") as output:
+        for k in range(1500):
+            output.send(motion(3, -(k % 3), 0))
+            time.sleep(0.001)
+        until(lambda: output.settled)
+        assert board.moved[:2] == [4500, -1500]
+        assert board.device.lost > 0
+
+
+def test_a_board_that_is_reset(board):
+    with open_output(f"serial:{board.port}") as output:
+        sent = 0
+        for k in range(400):
+            output.send(motion(2, 0, 0))
+            sent += 2
+            if k % 100 == 50:
+                board.reset()
+            time.sleep(0.001)
+        until(lambda: output.settled)
+        found = output.statistics()
+    assert board.resets == 4
+    assert found.sessions >= 5
+    assert sent - found.uncertain - found.dropped <= board.moved[0] <= sent
+
+
+def test_a_host_that_goes_silent_holds_no_button_down(board):
+    with open_output(f"serial:{board.port}") as output:
+        output.hold(1)
+        until(lambda: board.buttons == 1)
+        until(lambda: board.buttons == 0)  # the tracker said nothing for a second
+        output.hold(1)
+        output.send(motion(1))
+        until(lambda: board.buttons == 1 and board.moved[0] == 1)
+
+
+def test_the_board_comes_back_at_another_port(tmp_path, capsys):
+    link = tmp_path / "board"
+    with contextlib.ExitStack() as stack:
+        first, second = Simulator(), Simulator()
+        stack.enter_context(first)
+        os.symlink(first.port, link)
+        with open_output(f"serial:{link}") as output:
+            output.hold(1)
+            output.send(motion(5))
+            until(lambda: first.moved[0] == 5 and first.buttons == 1)
+            link.unlink()
+            first.unplug()
+            until(lambda: first.buttons == 0)
+            until(lambda: "unplugged" in output.describe(motion(1)) or "waits" in output.describe(motion(1)))
+            stack.enter_context(second)
+            os.symlink(second.port, link)
+            output.hold(0)
+            until(lambda: "waits" not in output.describe(motion(1)))
+            output.send(motion(7))
+            until(lambda: second.moved[0] == 7)
+    said = capsys.readouterr().err
+    assert f"serial: {link}: " in said
+    assert "trying again until it is back" in said
+    assert said.count("(simulator) on simulator") == 2
+
+
+def test_sending_never_waits_for_a_line_that_takes_nothing(board):
+    """Nobody reads the other end: what is sent waits as one number, and the caller goes on."""
+    output = open_output(f"serial:{board.port}")
+    assert isinstance(output, Serial)
+    board._over.set()
+    board._thread.join()
+    frames = output.statistics().motions
+    sender = threading.Thread(target=lambda: [output.send(motion(1)) for _ in range(20_000)], daemon=True)
+    sender.start()
+    sender.join(20.0)
+    assert not sender.is_alive()
+    assert output.statistics().motions - frames < 5000
+    assert len(output._unsent) <= 66
+    output.close()
+
+
+def test_a_slow_line_holds_no_old_news():
+    with Simulator(baud=38400) as board, open_output(f"serial:{board.port},baud=38400") as output:
+        for _ in range(500):
+            output.send(motion(10))
+            time.sleep(0.001)
+        until(lambda: output.settled)
+        assert board.moved[0] == 5000
+        assert board.reports < 300
+
+
+def test_how_it_fares(board):
+    with open_output(f"serial:{board.port}") as output:
+        assert isinstance(output, Serial)
+        output.send(motion(1))
+        until(lambda: output.settled)
+        status = output.status()
+        assert status is not None
+        assert status.reports == 1
+        assert status.damaged == 0
+
+
+# ---- refusals ----
+
+
+def test_arguments():
+    assert "names no port; write serial:auto" in refused("serial")
+    assert "names no port" in refused("serial:baud=9600")
+    assert refused("serial:x,third=rz") == "serial: third=rz; write third= with one of none, wheel, pan"
+    assert "unknown key bauds; did you mean baud?" in refused("serial:x,bauds=9600")
+    assert "must be from 38400" in refused("serial:x,baud=9600")
+    assert "goes with serial:auto" in refused("serial:x,id=3")
+
+
+def test_ports_that_cannot_be_used(tmp_path, board):
+    assert "does not exist; plug the board in" in refused(f"serial:{tmp_path / 'none'}")
+    (tmp_path / "file").write_text("")
+    assert "cannot be opened" in refused(f"serial:{tmp_path / 'file'}")
+    with open_output(f"serial:{board.port}"):
+        assert "in use by another program" in refused(f"serial:{board.port}")
+
+
+def test_nobody_answers(monkeypatch):
+    monkeypatch.setattr(output_module, "FIRST_ANSWER", 0.2)
+    master, slave = pty.openpty()
+    try:
+        assert "no board of ours answers; see `spheremouse firmware check`" in refused(f"serial:{os.ttyname(slave)}")
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_a_board_of_another_version():
+    master, slave = pty.openpty()
+    try:
+        tty.setraw(slave)
+
+        def answer():
+            os.read(master, 100)
+            os.write(master, encode(0x81, 0, bytes(44), version=9))
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        assert "the board speaks version 9 of the protocol, this is 1; run `spheremouse firmware install`" in refused(
+            f"serial:{os.ttyname(slave)}"
+        )
+        thread.join()
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+# ---- which port ----
+
+
+def port(device, product="", vid=0x239A, pid=0x80F4, serial="E660", interface=None, location=None):
+    return SimpleNamespace(
+        device=device, product=product, vid=vid, pid=pid, serial_number=serial, interface=interface, location=location
+    )
+
+
+def test_the_board_is_found_by_its_product_and_the_console_is_left_alone():
+    console = port("/dev/ttyACM0", "spheremouse", interface="CircuitPython CDC control", location="1-1:1.0")
+    data = port("/dev/ttyACM1", "spheremouse", interface="CircuitPython CDC2 control", location="1-1:1.2")
+    other = port("/dev/ttyUSB0", "FT232R", 0x0403, 0x6001, "A1")
+    for ports in ([console, data, other], [other, data, console]):
+        assert find_board(None, ports) == "/dev/ttyACM1"
+    for board in (console, data):
+        board.interface = None
+    assert find_board(None, [data, console]) == "/dev/ttyACM1"
+    for board in (console, data):
+        board.location = None
+    assert find_board(None, [data, console]) == "/dev/ttyACM1"
+
+
+def test_a_lone_adapter_is_taken_and_several_boards_are_not():
+    none = port("/dev/ttyS0", vid=None)
+    adapter = port("/dev/ttyUSB0", "USB Serial", 0x1A86, 0x7523, None, location="1-2")
+    assert find_board(None, [none, adapter]) == "/dev/ttyUSB0"
+    first, second = (port(f"/dev/ttyACM{k}", "spheremouse", serial=f"S{k}") for k in (1, 3))
+    with pytest.raises(OutputError, match=r"several boards \(id=S1 at /dev/ttyACM1, id=S3 at /dev/ttyACM3\)"):
+        find_board(None, [first, second, adapter])
+    assert find_board("S3", [first, second, adapter]) == "/dev/ttyACM3"
+    with pytest.raises(OutputError, match=r"no board with id=S4 among /dev/ttyACM1"):
+        find_board("S4", [first, second])
+    with pytest.raises(OutputError, match=r"no board of ours is plugged in"):
+        find_board(None, [none])
+    with pytest.raises(OutputError, match=r"among /dev/ttyACM7; name its port"):
+        find_board(None, [port("/dev/ttyACM7", "modem")])
