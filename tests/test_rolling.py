@@ -9,11 +9,19 @@ from conftest import directions
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
-from spheremouse.adjustment.device import Axes, Device
-from spheremouse.adjustment.rolling import Rolling, Sightings, _equations, _moved, _rates, adjust_rolling
+from spheremouse.adjustment.device import Axes, Device, Distance
+from spheremouse.adjustment.rolling import Rolling, Sightings, _cost, _equations, _moved, _rates, adjust_rolling
 from spheremouse.adjustment.rolling_advice import advise
 from spheremouse.adjustment.rolling_axes import Axes as RolledAxes
-from spheremouse.adjustment.rolling_axes import axes_from_gestures, axes_from_rings, axes_from_targets, placed
+from spheremouse.adjustment.rolling_axes import (
+    axes_from_gestures,
+    axes_from_rings,
+    axes_from_targets,
+    known_with_ball,
+    placed,
+    rescaled_targets,
+    with_rolled,
+)
 from spheremouse.adjustment.rolling_start import Spots, start
 from spheremouse.calibrate.cli import app
 from spheremouse.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
@@ -22,8 +30,9 @@ from spheremouse.map_file import load_map
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.resect import Sighting, predict_targets
 from spheremouse.rig import CODES, Ball, Rig, Targets
-from spheremouse.rig_file import load_rig, save_camera
+from spheremouse.rig_file import load_rig, save_camera, save_rig
 from spheremouse.rotation import align, exp, hat, log, tangent_basis
+from spheremouse.simulate.observations import calibrated, simulated_calibration
 from spheremouse.source import Stream
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 642.0, 322.0, 237.0, np.array([-0.2, 0.08, 1e-3, -5e-4, 0.0]))
@@ -163,6 +172,15 @@ def test_a_rolling_shutter_is_found():
     assert abs(found.rolling.readout - 0.02) < 2e-4
     error, C = place_error(found, truth)
     assert error @ np.linalg.solve(C, error) < chi2.ppf(0.999, 3)
+
+
+def test_steps_are_judged_by_what_they_make_less():
+    """A readout one standard deviation from what was known costs as much as a residual of one."""
+    length = np.array([0.5, 3.0])
+    for knee in (2.0, np.inf):
+        there, off = (_cost(length, knee, readout, (0.01, 0.002)) for readout in (0.01, 0.012))
+        assert off - there == pytest.approx(1.0)
+    assert there == pytest.approx(9.25)
 
 
 def test_false_sightings_are_set_aside():
@@ -314,6 +332,85 @@ def test_targets_of_another_device_are_told():
         axes_from_targets(sightings[:2], rig, rolling)
 
 
+def rolled_targets(seed, rig, **how):
+    """Rolled, axes with the direction held, and the truth: pose and radius; rig and lens are off as they say."""
+    rng = np.random.default_rng(seed)
+    truth, s = rolled(seed, **how)
+    L = np.sqrt(np.diag(rig.camera.covariance))[:4] * rng.normal(size=4)
+    camera = replace(rig.camera, fx=CAMERA.fx + L[0], fy=CAMERA.fy + L[1], cx=CAMERA.cx + L[2], cy=CAMERA.cy + L[3])
+    pose = Pose(R_OBJ_CAM, -0.6 * truth.ratio * (R_OBJ_CAM @ truth.direction))
+    sightings = [
+        Sighting(code, p + rng.normal(0.0, 0.05, 2), 0.05**2 * np.eye(2), 30)
+        for code, p in zip(rig.targets.codes, predict_targets(pose, rig), strict=True)
+    ]
+    C = rig.targets.covariance
+    off = rng.multivariate_normal(np.zeros(len(C)), C, method="eigh").reshape(-1, 3)
+    moved = replace(rig, camera=camera, targets=replace(rig.targets, position=rig.targets.position + off))
+    found = adjust_rolling(s, disturbed(truth, seed), camera)
+    return found, axes_from_targets(sightings, moved, found.rolling), pose, off.ravel()
+
+
+@pytest.mark.parametrize(
+    ("sigma", "lens", "targets"), [(0.4, 0.0, 0.0), (0.1, 0.3, 0.0), (0.2, 0.2, 1e-3)], ids=["direction", "lens", "all"]
+)
+def test_axes_and_pose_are_as_certain_as_they_say(sigma, lens, targets):
+    """Where direction, lens or targets are the weak part, too; and targets and radius are correlated as they say."""
+    scene, _ = target_scene()
+    camera = replace(CAMERA, covariance=np.diag([lens**2] * 4 + [0.0] * 5))
+    scene = replace(scene, camera=camera, targets=replace(scene.targets, covariance=targets**2 * np.eye(12)))
+    runs, axes_nees, nees, held, joint = 24, 0.0, 0.0, 0.0, 0.0
+    for seed in range(runs):
+        found, axes, pose, off = rolled_targets(seed, scene, frames=40, discs=24, sigma=sigma, speed=0.8)
+        counted = with_rolled(axes, found)
+        e = log(axes.rotation @ pose.rotation.T)
+        held += e @ np.linalg.solve(axes.covariance, e)
+        axes_nees += e @ np.linalg.solve(counted.covariance, e)
+        p, ball = placed(found, counted)
+        error = np.concatenate([p.position - pose.position, e, [ball.radius - 0.6]])
+        C = np.block([[p.covariance, p.ball_covariance[:, 3:]], [p.ball_covariance[:, 3:].T, ball.covariance[3:, 3:]]])
+        nees += error @ np.linalg.solve(C, error)
+        if targets:
+            cross = known_with_ball(counted, ball.radius)[:, 3:]
+            C = np.block([[scene.targets.covariance, cross], [cross.T, ball.covariance[3:, 3:]]])
+            error = np.append(off, error[-1])
+            joint += error @ np.linalg.solve(C, error)
+    low, high = chi2.ppf([0.001, 0.999], 3 * runs)
+    assert 0.6 * low < axes_nees < high  # the variance factors are never below 1: a little wide
+    low, high = chi2.ppf([0.001, 0.999], 7 * runs)
+    assert 0.6 * low < nees < high
+    if targets:
+        low, high = chi2.ppf([0.001, 0.999], 13 * runs)
+        assert 0.6 * low < joint < high
+    elif not lens:
+        assert held > 2.0 * axes_nees  # what was left out would show
+
+
+def test_a_rig_from_photos_is_rolled_and_loads(tmp_path):
+    """Its targets stay, the ball is new: the file's joint covariance is one, and the radius hangs on the targets."""
+    before = calibrated(simulated_calibration(np.random.default_rng(0))).rig()
+    before = replace(before, camera=CAMERA)
+    found, axes, _, _ = rolled_targets(1, before, frames=60, discs=30)
+    pose, ball = placed(found, with_rolled(axes, found))
+    cross = known_with_ball(axes, ball.radius)
+    assert np.abs(cross[:, 3]).max() > 0.1 * np.sqrt(before.targets.covariance.diagonal().max() * ball.covariance[3, 3])
+    path = tmp_path / "rig.yaml"
+    save_rig(path, replace(before, pose=pose, ball=ball, cross_covariance=cross))
+    assert load_rig(path).ball.radius == ball.radius
+
+
+def test_targets_of_a_free_rig_take_a_length(tmp_path):
+    free, _ = target_scene()
+    targets = replace(free.targets, covariance=1e-6 * np.eye(12))
+    unit = Ball(1.0, covariance=np.diag([0.0, 0.0, 0.0, 1e-6]))
+    ball = Ball(0.6, covariance=np.diag([0.0, 0.0, 0.0, 1.44e-6]))
+    metric, cross = rescaled_targets(targets, unit, ball)
+    assert np.allclose(metric.position, 0.6 * targets.position)
+    assert np.allclose(metric.radii, 0.6 * targets.radii)
+    path = tmp_path / "rig.yaml"
+    save_rig(path, replace(free, targets=metric, ball=ball, cross_covariance=cross))
+    assert np.allclose(load_rig(path).cross_covariance, cross)
+
+
 def target_scene():
     """A rig with four targets, and a ball in front of its camera at 2.4 m."""
     position = np.array([[-0.32, 0.15, 0.56], [-0.32, -0.6, 0.56], [0.33, -0.6, 0.52], [0.33, 0.15, 0.56]])
@@ -357,6 +454,24 @@ def test_sizes_of_targets_give_axes_within_their_sigma():
     assert low < nees < high
     with pytest.raises(CalibrationError, match=r"target 3 \(MCY\), not seen"):
         axes_from_rings([s for s in seen if s[0] != device.codes[2]], device, CAMERA)
+
+
+@pytest.mark.parametrize("taped", [False, True])
+def test_the_lens_is_considered_in_sizes(taped):
+    """A focal length off by one standard deviation moves targets and axes by what the covariance adds for it."""
+    ids, place = (1, 2, 3, 4), np.array([[-0.3, 0.2, 2.0], [-0.3, -0.5, 2.1], [0.3, -0.5, 2.0], [0.3, 0.2, 2.05]])
+    tape = (Distance(1, 2, 0.715, 0.001), Distance(1, 3, 0.92, 0.001)) if taped else ()
+    device = Device(ids, CODES[:4], np.array([0.012, 0.024, 0.036]), 0.02, Axes(2, 1, 3), tape)
+    size = 0.036 * 641.0 / place[:, 2]
+    seen = list(zip(device.codes, project(place, CAMERA)[0], size, strict=True))
+    C = np.zeros((9, 9))
+    C[:2, :2] = 1.0  # fx and fy together
+    plain, considered = (axes_from_rings(seen, device, replace(CAMERA, covariance=c)) for c in (0.0 * C, C))
+    off = axes_from_rings(seen, device, replace(CAMERA, fx=CAMERA.fx + 1.0, fy=CAMERA.fy + 1.0))
+    moved = np.append((off.targets_cam - plain.targets_cam).ravel(), log(off.rotation @ plain.rotation.T))
+    added = considered.targets_cam_covariance - plain.targets_cam_covariance
+    assert np.abs(added - np.outer(moved, moved)).max() < 0.02 * (moved @ moved)
+    assert np.allclose(considered.covariance, considered.targets_cam_covariance[-3:, -3:])
 
 
 def test_the_pose_carries_all_covariances():
@@ -435,6 +550,14 @@ def test_a_live_camera_is_guided(far26, tmp_path, monkeypatch):
     assert "stopped before the ball was rolled forward and right" in str(result.exception)
 
 
+@pytest.mark.parametrize(("length", "why"), [("1.2m", "the diameter was given"), ("0.3m", "half the radius")])
+def test_a_length_that_contradicts_the_targets_is_told(far26, length, why):
+    result = run("--source", f"dataset:{far26}", "--seconds", "3", "--radius", length)
+    assert result.exit_code != 0
+    assert why in str(result.exception)
+    assert "the targets of the rig put it at 0." in str(result.exception)
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -443,7 +566,7 @@ def test_a_live_camera_is_guided(far26, tmp_path, monkeypatch):
         (("--forward", "5:3", "--right", "6:8"), "write seconds as in 45:50"),
         (("--radius", "0.6"), "give the length with its unit"),
         (("--camera", "none.yaml"), "no such file"),
-        (("--out", "nowhere/rig.yaml"), "no such folder"),
+        (("--out", "nowhere/rig.yaml"), "there is no folder"),
     ],
 )
 def test_bad_options_are_told_in_a_line(far26, options, said):

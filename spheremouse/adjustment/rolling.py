@@ -27,6 +27,7 @@ _MEDIAN = 1.386  # of chi-square with 2 degrees of freedom
 _GLOBAL, _READOUT = 4, 3  # unknowns before the discs: direction 2, log ratio, readout
 _MOST = 40  # iterations
 _STILL = 1e-9  # rad: a step so short is the last
+_FIRM = 1e-7  # s: a readout known for sure is held so firmly
 _LEAST_SEEN = 5  # frames that must show a disc
 _LEAST_DISCS = 5
 _CELLS = 12  # the ball's image is parted into so many rows and columns, for errors that depend on the place
@@ -74,6 +75,7 @@ class Rolled:
     rejected: int  # sightings that contradict the others
     variance_factor: float  # of the sightings, over what was assumed
     correlation: float  # by how much the variances of the result grow because errors last, or belong to a place
+    by_lens: Array  # (4, 9) part of the errors of direction and ratio: per standard deviation along `lens_root`
 
     @property
     def rms(self) -> float:
@@ -241,7 +243,7 @@ class _Normal:
         N = (self.shared.T @ self.shared).toarray() - np.einsum("fik,fil->kl", self.cross, gain)
         b = self.shared.T @ r.ravel() - np.einsum("fik,fi->k", gain, self.by_frame)
         expected, sigma = readout
-        hold = 1.0 / max(sigma, 1e-7) ** 2
+        hold = 1.0 / max(sigma, _FIRM) ** 2
         N[_READOUT, _READOUT] += hold
         b[_READOUT] += hold * (expected - at.readout)
         scale = 1.0 / np.sqrt(np.diag(N))
@@ -291,12 +293,14 @@ def _minimum(
     for _ in range(_MOST):
         length = np.linalg.norm(equations.residual, axis=1)
         weight = np.minimum(1.0, knee / np.maximum(length, 1e-12))
-        cost = _cost(length, knee)
+        cost = _cost(length, knee, at.readout, readout)
         normal = _Normal(at, s, equations, weight, readout)
         dx, de = normal.step(damping)
         tried = _moved(at, dx, de)
         there = _equations(tried, s, camera) if tried.ratio > 1.0 else None
-        better = there is not None and _cost(np.linalg.norm(there.residual, axis=1), knee) <= cost * (1.0 + 1e-12)
+        better = there is not None and (
+            _cost(np.linalg.norm(there.residual, axis=1), knee, tried.readout, readout) <= cost * (1.0 + 1e-12)
+        )
         if better and there is not None:
             at, equations, damping = tried, there, max(0.1 * damping, 1e-9)
         else:
@@ -309,12 +313,12 @@ def _minimum(
     return at, _Normal(at, s, equations, np.ones(len(s)), readout)
 
 
-def _cost(length: Array, knee: float) -> float:
-    return (
-        float(np.sum(np.where(length < knee, length**2, 2.0 * knee * length - knee**2)))
-        if np.isfinite(knee)
-        else float(length @ length)
-    )
+def _cost(length: Array, knee: float, readout: float, expected: tuple[float, float]) -> float:
+    """What a step makes less: the residuals' part, and that of what was known of the readout before."""
+    before = ((readout - expected[0]) / max(expected[1], _FIRM)) ** 2
+    if not np.isfinite(knee):
+        return float(length @ length) + before
+    return float(np.sum(np.where(length < knee, length**2, 2.0 * knee * length - knee**2))) + before
 
 
 def _moved(at: Rolling, dx: Array, de: Array) -> Rolling:
@@ -356,7 +360,16 @@ def _result(at: Rolling, s: Sightings, rejected: int, normal: _Normal, camera: I
         rejected,
         factor,
         correlation,
+        T @ G @ lens_root(camera),
     )
+
+
+def lens_root(camera: InteriorOrientation) -> Array:
+    """L with L L' the covariance of the interior orientation, (9, 9): columns are errors that nothing correlates."""
+    sigma = np.sqrt(np.diag(camera.covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)  # units differ from row to row
+    value, vector = np.linalg.eigh(camera.covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vector * np.sqrt(np.maximum(value, 0.0)), dtype=float)
 
 
 def _lasting(gradient: Array, Q: Array, group: NDArray[np.intp]) -> float:

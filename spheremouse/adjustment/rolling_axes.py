@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from spheremouse.adjustment.device import Device
-from spheremouse.adjustment.rolling import Rolled, Rolling
+from spheremouse.adjustment.rolling import Rolled, Rolling, lens_root
 from spheremouse.camera import InteriorOrientation, Pose, ellipse_to_pixel, project_circle, unproject
 from spheremouse.errors import CalibrationError
 from spheremouse.resect import Sighting, predict_targets
@@ -32,23 +32,37 @@ _GUESS = np.deg2rad(3.0)  # no one rolls a ball straighter than this, nor knows 
 
 
 @dataclass(frozen=True, slots=True)
+class Parts:
+    """Errors of the axes, rad, and of the logarithm of the distance, by what they come from."""
+
+    own: Array  # (4, 4) covariance, of what neither lens nor direction has a part in
+    by_direction: Array  # (4, 3) Jacobian by the direction to the ball's centre
+    by_lens: Array  # (4, 9) per standard deviation along `lens_root`
+    with_targets: Array  # (3n, 4) covariance with the targets' coordinates, m
+
+
+@dataclass(frozen=True, slots=True)
 class Axes:
     """The axes of `obj` in the camera, and what came with them."""
 
     rotation: Array  # (3, 3) R_obj_cam
-    covariance: Array  # (3, 3) rad², obj
+    covariance: Array  # (3, 3) rad², obj; of targets with the direction held, until `with_rolled`
     distance: float | None = None  # m, to the ball's centre, where targets tell
     distance_sigma: float = 0.0  # m
     targets_cam: Array | None = None  # (n, 3) m in cam, where targets were measured and not known
     targets_cam_covariance: Array | None = None  # (3n + 3, 3n + 3) m², rad²: of those and of the rotation
+    targets_cam_by_lens: Array | None = None  # (3n + 3, 9) the lens' part in that, as Parts.by_lens
     misfit: float = 0.0  # of the targets, px
     codes: tuple[str, ...] = field(default=())
+    parts: Parts | None = None  # None: nothing that the place of the ball hangs on
 
 
 def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling) -> Axes:
     """From targets whose coordinates about the ball's centre are known: the turn, and the distance of the centre.
 
-    The direction to the centre is held as rolling has it. Of the rig its targets and its camera are taken, no more.
+    The direction to the centre is held as rolling has it: the covariance is that of targets, their sightings and the
+    lens, until `with_rolled` adds the direction's. Of the rig its targets and its camera are taken, no more: the camera
+    must be the one that was rolled with.
     CalibrationError where fewer than three are seen, or where they do not fit.
     """
     known = {code: k for k, code in enumerate(rig.targets.codes)}
@@ -80,10 +94,13 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     by_targets = _jacobian(
         lambda p: _target_residuals(x, used, _with_places(rig, p), rolling, known), rig.targets.position.ravel()
     )
-    G = -Q @ J.T @ by_targets
-    C = Q + G @ rig.targets.covariance @ G.T
+    by_direction = _jacobian(
+        lambda c: _target_residuals(x, used, rig, replace(rolling, direction=c), known), rolling.direction
+    )
+    by_lens = _by_lens(lambda c: _target_residuals(x, used, replace(rig, camera=c), rolling, known), rig.camera)
     r = _target_residuals(x, used, rig, rolling, known)
-    weight = np.linalg.inv(np.eye(len(r)) + by_targets @ rig.targets.covariance @ by_targets.T)
+    shared = by_targets @ rig.targets.covariance @ by_targets.T
+    weight = np.linalg.inv(np.eye(len(r)) + shared + by_lens @ by_lens.T)
     cost = float(r @ weight @ r) / (2 * len(used) - 4)
     sigma = float(np.mean([np.sqrt(np.trace(s.covariance) / 2.0) for s in used]))
     misfit = float(np.sqrt(np.mean(r**2))) * sigma
@@ -92,16 +109,21 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
             f"the targets {', '.join(s.code for s in used)} lie {misfit:.1f} px off where the rig and the ball that "
             "turns put them: they are those of another device, or were moved; calibrate it, or leave them out"
         )
+    turn = np.eye(4)
+    turn[:3, :3] = left_jacobian(x[:3])
+    K = -turn @ Q @ J.T  # of the least squares: what the residuals are off moves the result by
+    own = K @ (np.eye(len(r)) + shared) @ K.T * max(cost, 1.0)
+    parts = Parts(own, K @ by_direction, K @ by_lens, rig.targets.covariance @ (K @ by_targets).T)
+    C = own + parts.by_lens @ parts.by_lens.T
     D = float(np.exp(x[3]))
-    C = C * max(cost, 1.0)
-    turn = left_jacobian(x[:3])
     return Axes(
         exp(x[:3]),
-        turn @ C[:3, :3] @ turn.T,
+        C[:3, :3],
         D,
         D * float(np.sqrt(C[3, 3])),
         misfit=misfit,
         codes=tuple(s.code for s in used),
+        parts=parts,
     )
 
 
@@ -160,10 +182,23 @@ def _jacobian(f: Callable[[Array], Array], x: Array) -> Array:
     return np.asarray(np.stack(columns, axis=1), dtype=float)
 
 
+def _by_lens(f: Callable[[InteriorOrientation], Array], camera: InteriorOrientation) -> Array:
+    """How f changes per standard deviation along each column of `lens_root`, (n, 9)."""
+    L, h = lens_root(camera), 1e-2
+
+    def off(step: Array) -> InteriorOrientation:
+        fx, fy, cx, cy = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) + step[:4]
+        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=camera.distortion + step[4:])
+
+    columns = [(f(off(h * u)) - f(off(-h * u))) / (2.0 * h) if u.any() else 0.0 * f(camera) for u in L.T]
+    return np.asarray(np.stack(columns, axis=1), dtype=float)
+
+
 def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Device, camera: InteriorOrientation) -> Axes:
     """From targets of known size at unknown places: how large each is seen tells how far it is.
 
     `sightings` are code, centre (2,) px and radius px of the outer ring of each. Distances measured with a tape help.
+    The lens' covariance is counted.
     CalibrationError where one of the three targets that define the axes is not seen.
     """
     code_of = dict(zip(device.ids, device.codes, strict=True))
@@ -183,10 +218,10 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     alone = np.hypot(_SIZE[1], _RIM[1] / size)
     n = len(ids)
 
-    def moved(x: Array) -> Array:
+    def moved(x: Array, lens: InteriorOrientation = camera) -> Array:
         """Places, (n, 3), if observations were off by: two of the size of all, one of each size, two of each centre."""
         sizes = size * np.exp(-(alike @ x[:2]) - alone * x[2 : 2 + n])
-        return _by_size(uv + _PLACE * x[2 + n :].reshape(n, 2), sizes, at, device, camera)
+        return _by_size(uv + _PLACE * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
 
     taped = [d for d in device.distances if d.start in at and d.end in at]
 
@@ -201,25 +236,33 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     places = moved(x)
     R = _axes_of(places, at, device)
 
-    def told(y: Array) -> Array:
-        there = moved(y)
+    def told(y: Array, lens: InteriorOrientation = camera) -> Array:
+        there = moved(y, lens)
         return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
 
-    by_x = _jacobian(told, x)
+    by_x, seen_through = _jacobian(told, x), _by_lens(lambda c: told(x, c), camera)
+    pull = np.zeros((len(x), 9))  # of the lens on what tape distances correct
     J, r = np.eye(len(x)), residuals(x)
     for d in taped:
         i, j = at[d.start], at[d.end]
         along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
-        J = np.vstack([J, along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])])
+        row = along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])
+        J = np.vstack([J, row])
+        pull += np.outer(row, along @ (seen_through[3 * i : 3 * i + 3] - seen_through[3 * j : 3 * j + 3]))
     factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
-    C = np.asarray(np.linalg.inv(J.T @ J) * factor, dtype=float)
-    joint = by_x @ C @ by_x.T
+    Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
+    by_lens = seen_through - by_x @ Q @ pull
+    own = by_x @ (factor * Q) @ by_x.T
+    joint = own + by_lens @ by_lens.T
+    four = np.eye(4)[:, :3]  # no distance of the ball comes with rings
     return Axes(
         R,
         joint[-3:, -3:],
         targets_cam=places,
         targets_cam_covariance=joint,
+        targets_cam_by_lens=by_lens,
         codes=tuple(code_of[i] for i in ids),
+        parts=Parts(four @ own[-3:, -3:] @ four.T, np.zeros((4, 3)), four @ by_lens[-3:], np.zeros((3 * n, 4))),
     )
 
 
@@ -310,22 +353,79 @@ def _turn(rolling: Rolling, span: tuple[float, float], name: str) -> tuple[Array
     return mean, float(np.sqrt(w @ np.sum(across**2, axis=1) / (2.0 * w.sum())))
 
 
-def placed(rolled: Rolled, axes: Axes, radius: float, radius_sigma: float) -> tuple[Pose, Ball]:
-    """The camera in `obj` and the ball, with their covariances and how the two hang together, for a radius."""
+def with_rolled(axes: Axes, rolled: Rolled) -> Axes:
+    """The axes with the uncertainty of the direction they were found with counted, too."""
+    C = _joint(rolled, axes)
+    distance_sigma = 0.0 if axes.distance is None else axes.distance * float(np.sqrt(C[3, 3]))
+    return replace(axes, covariance=C[:3, :3], distance_sigma=distance_sigma)
+
+
+def _joint(rolled: Rolled, axes: Axes) -> Array:
+    """Covariance of axes, logarithm of the distance, direction and ratio, (8, 8); the lens is wrong for all alike."""
+    C = np.zeros((8, 8))
+    if axes.parts is None:
+        C[:3, :3], C[4:, 4:] = axes.covariance, rolled.covariance
+        return C
+    by_place = np.eye(8, 4, -4)  # of direction and ratio
+    by_place[:4, :3] = axes.parts.by_direction
+    lens = by_place @ rolled.by_lens
+    lens[:4] += axes.parts.by_lens
+    C[:4, :4] = axes.parts.own
+    return C + by_place @ (rolled.covariance - rolled.by_lens @ rolled.by_lens.T) @ by_place.T + lens @ lens.T
+
+
+def placed(rolled: Rolled, axes: Axes, radius: float | None = None, radius_sigma: float = 0.0) -> tuple[Pose, Ball]:
+    """The camera in `obj` and the ball, with their covariances and how the two hang together.
+
+    For a radius that is known otherwise, m; None: that which the axes' distance tells, and where the camera is does
+    not hang on the ratio then.
+    """
     rolling = rolled.rolling
     R, c = axes.rotation, rolling.direction
+    told = radius is None
+    if radius is None:
+        assert axes.distance is not None
+        radius = axes.distance / rolling.ratio
     P = -radius * rolling.ratio * (R @ c)
-    by = np.zeros((6, 3 + 4 + 1))  # of axes, direction and ratio, radius
-    by[:3, :3], by[3:, :3] = -hat(P), np.eye(3)
-    by[:3, 3:6] = -radius * rolling.ratio * R
-    by[:3, 6] = P / rolling.ratio
-    by[:3, 7] = P / radius
-    C = np.zeros((8, 8))
-    C[:3, :3], C[3:7, 3:7], C[7, 7] = axes.covariance, rolled.covariance, radius_sigma**2
+    by = np.zeros((7, 9))  # pose and radius, of: axes, log distance, direction and ratio, radius
+    by[:3, :3], by[3:6, :3] = -hat(P), np.eye(3)
+    by[:3, 4:7] = -radius * rolling.ratio * R
+    if told:
+        by[:3, 3] = P
+        by[6, 3], by[6, 7] = radius, -radius / rolling.ratio
+    else:
+        by[:3, 7] = P / rolling.ratio
+        by[:3, 8], by[6, 8] = P / radius, 1.0
+    C = np.zeros((9, 9))
+    C[:8, :8], C[8, 8] = _joint(rolled, axes), radius_sigma**2
+    C = by @ C @ by.T
+    C = 0.5 * (C + C.T)
     with_ball = np.zeros((6, 4))
-    with_ball[:, 3] = by[:, 7] * radius_sigma**2
-    ball = Ball(radius, covariance=np.diag([0.0, 0.0, 0.0, radius_sigma**2]))
-    return Pose(R, P, by @ C @ by.T, with_ball), ball
+    with_ball[:, 3] = C[:6, 6]
+    return Pose(R, P, C[:6, :6], with_ball), Ball(radius, covariance=np.diag([0.0, 0.0, 0.0, C[6, 6]]))
+
+
+def known_with_ball(axes: Axes, radius: float) -> Array:
+    """Covariance of known targets with the ball's centre and the radius that their distance told, (3n, 4) m²."""
+    assert axes.parts is not None
+    cross = np.zeros((len(axes.parts.with_targets), 4))
+    cross[:, 3] = radius * axes.parts.with_targets[:, 3]
+    return cross
+
+
+def rescaled_targets(targets: Targets, free: Ball, ball: Ball) -> tuple[Targets, Array]:
+    """Targets in a unit of their own, in which the ball is `free`, in metres; and their covariance with the ball.
+
+    What the ratio and the targets have in common is left out of the unit's uncertainty: it is a little wide.
+    """
+    unit = ball.radius / free.radius
+    by_length, by_free = ball.covariance[3, 3] / ball.radius**2, free.covariance[3, 3] / free.radius**2
+    X = unit * targets.position
+    x = X.ravel()
+    C = unit**2 * targets.covariance + (by_length + by_free) * np.outer(x, x)
+    cross = np.zeros((len(x), 4))
+    cross[:, 3] = by_length * ball.radius * x
+    return replace(targets, position=X, covariance=C, radii=unit * targets.radii), cross
 
 
 def placed_targets(
@@ -348,6 +448,9 @@ def placed_targets(
     C = np.zeros((3 * n + 8, 3 * n + 8))
     C[: 3 * n + 3, : 3 * n + 3] = axes.targets_cam_covariance
     C[3 * n + 3 : 3 * n + 7, 3 * n + 3 : 3 * n + 7] = rolled.covariance
+    if axes.targets_cam_by_lens is not None:
+        alike = axes.targets_cam_by_lens @ rolled.by_lens.T
+        C[: 3 * n + 3, 3 * n + 3 : 3 * n + 7], C[3 * n + 3 : 3 * n + 7, : 3 * n + 3] = alike, alike.T
     C[-1, -1] = radius_sigma**2
     cross = np.zeros((3 * n, 4))
     cross[:, 3] = by[:, -1] * radius_sigma**2

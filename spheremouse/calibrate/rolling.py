@@ -14,6 +14,8 @@ from spheremouse.errors import CalibrationError, ConfigurationError
 EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
 
 _TAPE = 0.002  # part by which a length that a person measured on a ball is off: tape, and balls are not rounder
+_DOUBT = 5.0  # standard deviations from which a radius contradicts what the targets tell
+_FIRST = 0.1  # part by which the first look's radius may be off: its discs' size was only seen
 _READOUT_KNOWN = 1e-3  # s, standard deviation from which a readout is told
 _GESTURE = 5.0  # s for a guided gesture
 _PAUSE = 3.0  # s before it
@@ -111,22 +113,18 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 def _calibrate(given: _Given) -> None:
     from spheremouse.calibrate.device_file import load_device
+    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.calibrate.rolling_axes_choice import AxesFrom
     from spheremouse.calibrate.rolling_session import solve
     from spheremouse.map_file import map_path
-    from spheremouse.rig_file import load_camera, load_rig
+    from spheremouse.rig_file import load_camera, load_rig, with_camera
     from spheremouse.session import make_ready
     from spheremouse.source import open_source
     from spheremouse.track import Settings
 
-    for name, path in (("--out", given.out), ("--json", given.json_file)):
-        if path is None or path == Path("-"):
-            continue
-        if not path.parent.is_dir():
-            raise ConfigurationError(f"{name}: {path.parent}: no such folder")
-        for file in (path, map_path(path)) if name == "--out" else (path,):
-            if file.exists() and not given.force:
-                raise ConfigurationError(f"{file}: is there already; choose another name, or replace it with --force")
+    maps = None if given.out is None else map_path(given.out)
+    source = Path(given.source.partition(":")[2]) if given.source.partition(":")[2] else None
+    check_outputs([given.out, maps, given.json_file], [given.camera, given.device, given.rig, source], given.force)
     interior = None if given.camera is None else load_camera(given.camera)
     known = None if given.rig is None else load_rig(given.rig)
     device = None if given.device is None else load_device(given.device)
@@ -139,7 +137,8 @@ def _calibrate(given: _Given) -> None:
         raise ConfigurationError(
             "the lens must be known: give --camera camera.yaml (`spheremouse calibrate camera` makes it)"
         )
-    axes = AxesFrom(known if known is not None and known.targets.ids else None, device, given.gestures, interior)
+    aligning = with_camera(known, interior) if known is not None and known.targets.ids else None
+    axes = AxesFrom(aligning, device, given.gestures, interior)
     if not live:
         axes.check()
     make_ready(Settings())
@@ -148,7 +147,17 @@ def _calibrate(given: _Given) -> None:
         axes = replace(axes, gestures=gestures)
     readout = (known.readout_s, known.readout_sigma_s) if known is not None else (0.0, _unknown_readout())
     with _Bar(count, given.seconds, stream.fps) as bar:
-        solution = solve(footage, interior, readout, lambda r, v: _disc_angle(given, axes, r, v), bar.frames)
+        told: list[float] = []  # what lengths said of the discs' size
+        try:
+            solution = solve(footage, interior, readout, lambda r, v: _disc_angle(given, axes, r, v, told), bar.frames)
+        except CalibrationError as e:
+            if given.radius is None or not told:
+                raise
+            disc = told[0] * given.radius
+            raise CalibrationError(
+                f"{e}. If it did turn: are the lengths right? {1e3 * disc:.3g} mm for a disc's radius and "
+                f"{given.radius:.4g} m for the ball's, not a diameter"
+            ) from None
     _conclude(given, solution, axes, known, interior)
 
 
@@ -185,15 +194,38 @@ class _Bar:
         self._progress.remove_task(task)
 
 
-def _disc_angle(given: _Given, axes: Any, rolled: Any, views: Any) -> float | None:
-    """Radius of a disc over the ball's where lengths tell it."""
-    disc = given.disc_radius or axes.disc_radius
-    if disc is None:
-        return None
+def _disc_angle(given: _Given, axes: Any, rolled: Any, views: Any, told: list[float]) -> float | None:
+    """Radius of a disc over the ball's where lengths tell it, which `told` keeps."""
     radius = given.radius
-    if radius is None and axes.rig is not None:
-        radius = axes.find(rolled, views)[2]
-    return None if radius is None else disc / radius
+    if axes.rig is not None and axes.device is None and axes.gestures is None:
+        from spheremouse.adjustment.rolling_axes import placed, with_rolled
+
+        ball = placed(rolled, with_rolled(axes.find(rolled, views)[0], rolled))[1]
+        if not axes.rig.scale_free:
+            _check_radius(given.radius, ball, _FIRST)
+        if radius is None or (axes.rig.scale_free and given.disc_radius is None):
+            radius = ball.radius
+    disc = given.disc_radius or axes.disc_radius
+    if disc is None or radius is None:
+        return None
+    told.append(disc / radius)
+    return told[-1]
+
+
+def _check_radius(radius: float | None, ball: Any, rough: float) -> None:
+    """CalibrationError where a length that was given contradicts the ball that the targets tell, beyond `rough`."""
+    if radius is None:
+        return
+    sigma = float(ball.covariance[3, 3]) ** 0.5
+    if abs(radius - ball.radius) <= max(rough * ball.radius, _DOUBT * ((_TAPE * radius) ** 2 + sigma**2) ** 0.5):
+        return
+    why = "measure again, or leave the length out: the targets tell it"
+    for factor, what in ((2.0, "the diameter was given for the radius"), (0.5, "half the radius was given")):
+        if abs(radius / ball.radius / factor - 1.0) < _FIRST:
+            why = f"it seems that {what}; leave the length out, or correct it"
+    raise CalibrationError(
+        f"the ball's radius is given as {radius:.4g} m, but the targets of the rig put it at {ball.radius:.4g} m: {why}"
+    )
 
 
 def _footage(given: _Given, live: bool, ask: bool) -> Any:
@@ -240,7 +272,13 @@ def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any
     import numpy as np
 
     from spheremouse.adjustment.rolling_advice import advise
-    from spheremouse.adjustment.rolling_axes import placed, placed_targets
+    from spheremouse.adjustment.rolling_axes import (
+        known_with_ball,
+        placed,
+        placed_targets,
+        rescaled_targets,
+        with_rolled,
+    )
     from spheremouse.calibrate.rolling_report import figures, text
     from spheremouse.disc_map import DiscMap
     from spheremouse.map_compare import turned
@@ -250,16 +288,22 @@ def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any
     from spheremouse.yaml_file import write_atomically
 
     rolled = solution.rolled
-    found, source, from_targets, from_targets_sigma = axes.find(rolled, solution.views)
+    found, source = axes.find(rolled, solution.views)[:2]
+    found = with_rolled(found, rolled)
+    targets, cross = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), None
     radius, sigma, free = 1.0, 0.0, True
     if given.radius is not None:
         radius, sigma, free = given.radius, _TAPE * given.radius, False
-    elif from_targets is not None:
-        radius, sigma, free = from_targets, from_targets_sigma, axes.rig.scale_free
     pose, ball = placed(rolled, found, radius, sigma)
-    targets, cross = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), None
     if source == "targets":
-        targets, cross = axes.rig.targets, axes.rig.cross_covariance
+        targets, told = axes.rig.targets, placed(rolled, found)
+        if given.radius is None:
+            (pose, ball), free = told, axes.rig.scale_free
+            radius, cross = ball.radius, known_with_ball(found, ball.radius)
+        elif axes.rig.scale_free:
+            targets, cross = rescaled_targets(targets, told[1], ball)
+        else:
+            _check_radius(given.radius, told[1], 0.0)
     elif source == "device" and not free:
         targets, cross = placed_targets(found, axes.device, rolled, radius, sigma)
     at_first = found.rotation @ rolled.rolling.attitude[0]
