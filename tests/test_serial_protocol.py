@@ -412,3 +412,31 @@ def test_round_trip_times():
         w.give((1, 0, 0, 0))
         w.step()
     assert w.link.round_trip(0.5) == pytest.approx(0.002)
+
+
+class LateWire(Wire):
+    """Hands on what it is given some milliseconds later."""
+
+    def __init__(self, rng, delay=0):
+        super().__init__(rng)
+        self._held = [b""] * delay
+
+    def __call__(self, data):
+        self._held.append(super().__call__(data))
+        return self._held.pop(0)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 3, 5, 8, 11])
+def test_large_move_after_small_ones_is_not_refused_however_late_the_answers(delay):
+    """What the board has passed on and not confirmed yet lies the other way: both ends must be within one step."""
+    rng = np.random.default_rng(delay)
+    world = World(Board(), Wire(rng), LateWire(rng, delay))
+    for _ in range(60):
+        world.give((-12, 7, 0, 0))
+        world.step()
+    world.give((40_000, -40_000, 0, 0))
+    for _ in range(1500):
+        world.link.alive(world.now)
+        world.step()
+    assert world.short == [0, 0, 0, 0]
+    assert world.link.sessions == 1

@@ -18,6 +18,7 @@ HELLO, MOTION, ASK_STATUS, STOP = 0x01, 0x02, 0x03, 0x04
 IDENTITY, ACK, STATUS = 0x81, 0x82, 0x83
 MOST = 64  # bytes of a frame's content
 STEP = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
+_REACH = STEP // 2  # from what is confirmed: what is under way either way then lies within one step
 SILENCE = 0.1  # s
 AXES = ("X", "Y", "wheel", "pan")
 KINDS = {1: "CircuitPython", 2: "AVR", 3: "simulator"}
@@ -291,7 +292,7 @@ class Link:
             return encode(ASK_STATUS, self._next(now))
         if now - self._said >= _HANGS:
             return None
-        target = [min(max(t, c - STEP), c + STEP) for t, c in zip(self.total, self.confirmed, strict=True)]
+        target = [min(max(t, c - _REACH), c + _REACH) for t, c in zip(self.total, self.confirmed, strict=True)]
         news = target != self.sent or self.buttons != self._pressed
         wait = _KEEP if not news else self._insist if self._unanswered >= _AHEAD else 0.0
         if now - self._moved < wait:

@@ -375,7 +375,7 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None) ->
 
         ports = list(list_ports.comports())
     ports = [p for p in ports if p.vid is not None]
-    found = _by_board([p for p in ports if PRODUCT in (p.product or "").lower()])
+    found = _by_board([p for p in ports if PRODUCT in f"{p.product} {p.serial_number}".lower()])
     if not found and identifier is None:
         found = _by_board([p for p in ports if (p.vid, p.pid) in ADAPTERS])
     elif identifier is not None:

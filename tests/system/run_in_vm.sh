@@ -1,5 +1,5 @@
 #!/bin/bash
-# Run one command as root in a QEMU guest that has a real kernel with uinput and evdev, on top of this machine's own
+# Run one command as root in a QEMU guest that has a real kernel with uinput, evdev and USB on top of this machine's own
 # files: the guest sees them read-only, what it writes goes to its memory, and nothing outside can be harmed.
 #
 #     run_in_vm.sh [--setup] [--timeout SECONDS] COMMAND [ARGUMENT...]

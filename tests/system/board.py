@@ -1,0 +1,284 @@
+"""A board that is a mouse, as the kernel sees it: USB gadget, the firmware's logic in it, the host's output, evdev.
+
+Run by tests/system/run.
+"""
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import select
+import time
+from pathlib import Path
+
+import gadget
+import numpy as np
+import pytest
+
+from spheremouse.motion import Motion
+from spheremouse.output import open_output
+
+evdev = pytest.importorskip("evdev")
+e = evdev.ecodes
+
+LIBRARY = Path("/tmp/firmware_avr.so")  # the AVR's protocol.c, made here
+MOTIONS = int(os.environ.get("MOTIONS", "1000"))
+
+FORK = multiprocessing.get_context("fork")  # for processes without waiting for their imports
+
+
+def until(found, seconds=20.0):
+    """What `found` gives when it is true at last."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if it := found():
+            return it
+        time.sleep(0.02)
+    raise AssertionError(f"not within {seconds} s: {found.__doc__ or found}")
+
+
+def mice():
+    """Input devices of the gadget."""
+    found = []
+    for path in evdev.list_devices():
+        with contextlib.suppress(OSError):  # just gone
+            found.append(evdev.InputDevice(path))
+    return [d for d in found if (d.info.vendor, d.info.product) == (gadget.VENDOR, gadget.PRODUCT)]
+
+
+class Process:
+    """Runs `job(pipe, *given)` in a process of its own; leaving kills it."""
+
+    def __init__(self, job, *given):
+        self.pipe, end = FORK.Pipe()
+        self._process = FORK.Process(target=job, args=(end, *given), daemon=True)
+        self._process.start()
+        assert self.pipe.poll(30)
+        assert self.pipe.recv() == "ready"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._process.kill()
+        self._process.join()
+
+
+def firmware(pipe, kind):
+    gadget.run(kind, LIBRARY, lambda: pipe.send("ready"))
+
+
+def board(kind):
+    """The firmware."""
+    until(lambda: gadget.HID.exists() and gadget.SERIAL.exists())
+    return Process(firmware, kind)
+
+
+def read(pipe, path):
+    """Collects the mouse's reports; whenever asked, tells them and begins anew."""
+    device = evdev.InputDevice(path)
+    pipe.send("ready")
+    reports, keys, report, gone = [], [], {}, False
+    while True:
+        ready = select.select([pipe] if gone else [pipe, device], [], [])[0]
+        if device in ready:
+            try:
+                for event in device.read():
+                    if event.type == e.EV_REL:
+                        report[event.code] = event.value
+                    elif event.type == e.EV_KEY:
+                        keys.append((event.code, event.value))
+                    elif event.type == e.EV_SYN:
+                        if event.code != e.SYN_REPORT:
+                            keys.append("dropped")
+                        if report:
+                            reports.append(report)
+                        report = {}
+            except OSError:
+                gone = True
+        elif pipe in ready:
+            pipe.recv()
+            pipe.send((reports, keys, gone))
+            reports, keys = [], []
+
+
+class Reader(Process):
+    """The mouse as another process sees it through the kernel."""
+
+    def __init__(self):
+        (device,) = until(mice)
+        super().__init__(read, device.path)
+        self.reports, self.keys, self.gone = [], [], False
+
+    def look(self):
+        """Fetch what has come."""
+        self.pipe.send("")
+        reports, keys, self.gone = self.pipe.recv()
+        self.reports += reports
+        self.keys += keys
+
+    def sum(self, code):
+        return sum(r.get(code, 0) for r in self.reports)
+
+    def sums(self, *codes):
+        self.look()
+        return [self.sum(code) for code in codes]
+
+
+@pytest.fixture(scope="module")
+def cable():
+    code = gadget.avr_board.load(gadget.avr_board.library(LIBRARY.parent))
+    descriptor = bytes((ctypes.c_uint8 * 137).in_dll(code, "sm_descriptor"))
+    gadget.create(descriptor)
+    gadget.plug()
+    until(mice)
+    until(lambda: Path("/dev/ttyACM0").exists())
+    yield descriptor
+    gadget.unplug()
+
+
+@pytest.fixture(params=["avr", "pico"])
+def kind(request, cable):
+    if request.param == "pico" and not (gadget.REPOSITORY / "service/firmware/pico/mouse.py").exists():
+        pytest.skip("no firmware of the Pico here")
+    return request.param
+
+
+def motion(x=0, y=0, z=0):
+    return Motion(0.0, (x, y, z), np.zeros(3), np.zeros(3))
+
+
+def replug():
+    """A board that has no power forgets; the kernel then asks for its descriptors anew."""
+    gadget.unplug()
+    until(lambda: not mice())
+    gadget.plug()
+    until(mice)
+    until(lambda: Path("/dev/ttyACM0").exists())
+
+
+def test_the_kernel_takes_it_for_a_mouse_with_fine_wheels(cable):
+    (device,) = mice()
+    assert device.info.bustype == e.BUS_USB
+    capabilities = device.capabilities()
+    assert capabilities[e.EV_KEY] == [e.BTN_LEFT, e.BTN_RIGHT, e.BTN_MIDDLE, e.BTN_SIDE, e.BTN_EXTRA]
+    assert sorted(capabilities[e.EV_REL]) == sorted(
+        [e.REL_X, e.REL_Y, e.REL_WHEEL, e.REL_HWHEEL, e.REL_WHEEL_HI_RES, e.REL_HWHEEL_HI_RES]
+    )
+    entries = Path("/proc/bus/input/devices").read_text().split("\n\n")
+    (entry,) = [t for t in entries if f"Vendor={gadget.VENDOR:04x} Product={gadget.PRODUCT:04x}" in t]
+    handlers = next(line for line in entry.splitlines() if line.startswith("H: Handlers="))
+    assert "mouse" in handlers
+    (report_descriptor,) = Path("/sys/bus/hid/devices").glob(
+        f"0003:{gadget.VENDOR:04X}:{gadget.PRODUCT:04X}.*/report_descriptor"
+    )
+    assert report_descriptor.read_bytes() == cable
+
+
+def settle(output):
+    """Wait until the board has passed on all; a host that says nothing for 1 s would be taken for dead."""
+
+    def settled():
+        output.send(motion())
+        return output.settled
+
+    until(settled)
+
+
+def test_motions_arrive_exactly_with_x_and_y_in_one_report(kind):
+    replug()
+    rng = np.random.default_rng(2017)
+    x, z = rng.integers(-40, 41, (2, MOTIONS)).tolist()
+    x[5] = 40_000  # more than a frame may hold
+    with board(kind), Reader() as mouse, open_output("serial:auto,third=wheel") as output:
+        for a, b in zip(x, z, strict=True):
+            output.send(motion(a, -a, b))
+            time.sleep(0.001)
+        settle(output)
+        statistics = output.statistics()
+        assert (statistics.dropped, statistics.uncertain) == (0, 0)
+        given = [sum(x), -sum(x), sum(z)]
+        until(lambda: mouse.sums(e.REL_X, e.REL_Y, e.REL_WHEEL_HI_RES) == given)
+        assert all(r.get(e.REL_X, 0) == -r.get(e.REL_Y, 0) for r in mouse.reports)
+        assert mouse.sum(e.REL_WHEEL) == pytest.approx(sum(z) / 120, abs=1)
+        assert mouse.keys == []
+        print(f"{kind}: {MOTIONS} motions, {len(mouse.reports)} reports, sums {given}; {statistics}")
+        assert len(mouse.reports) > 40
+
+
+def hold(pipe):
+    """A host that presses the left button, for ever."""
+    with open_output("serial:auto") as output:
+        pipe.send("ready")
+        while True:
+            output.hold(0b1)
+            time.sleep(0.01)
+
+
+def test_a_host_that_is_killed_leaves_no_button_down(kind):
+    replug()
+    with board(kind), Reader() as mouse:
+        with Process(hold):
+
+            def pressed():
+                mouse.look()
+                return mouse.keys[:1] == [(e.BTN_LEFT, 1)]
+
+            until(pressed)
+
+        def released():
+            mouse.look()
+            return mouse.keys[-1] == (e.BTN_LEFT, 0)
+
+        until(released, 5.0)
+        assert not mouse.gone
+
+
+def test_a_board_that_is_unplugged_leaves_no_button_down_and_comes_back(kind):
+    replug()
+    plugged = board(kind)
+    with open_output("serial:auto") as output:
+        with Reader() as mouse:
+            output.send(motion(30, 20))
+            until(lambda: mouse.sums(e.REL_X, e.REL_Y) == [30, 20])
+
+            def pressed():
+                output.hold(0b101)
+                mouse.look()
+                return len(mouse.keys) >= 2
+
+            until(pressed)
+            gadget.unplug()
+            with plugged:
+                pass  # the board has no power
+
+            def gone():
+                output.hold(0b101)
+                mouse.look()
+                return mouse.gone
+
+            until(gone)
+            presses = [(e.BTN_LEFT, 1), (e.BTN_MIDDLE, 1)]
+            assert sorted(mouse.keys[:2]) == presses
+            assert sorted(mouse.keys[2:]) == [(code, 0) for code, _ in presses]
+        assert mice() == []
+        output.hold(0)
+        output.send(motion(7, 7))  # nobody is there to take it
+        time.sleep(1.2)
+        output.send(motion())
+        before = output.statistics()
+        assert (before.dropped, before.uncertain) == (14, 0)
+        gadget.plug()
+        with board(kind), Reader() as mouse:
+
+            def again():
+                output.send(motion())
+                return output.statistics().sessions > before.sessions
+
+            until(again)
+            for _ in range(50):
+                output.send(motion(-3, 2))
+            settle(output)
+            until(lambda: mouse.sums(e.REL_X, e.REL_Y) == [-150, 100])
+            assert output.statistics().dropped == before.dropped
+            assert mouse.keys == []
