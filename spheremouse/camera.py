@@ -4,7 +4,7 @@ Takes points in `cam` or pixels, gives pixels or rays, each with its Jacobian. P
 top-left pixel. Model: Wittich 2017, eq. 69-76 (with the errata of docs/conventions); OpenCV's order k1 k2 p1 p2 k3.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -147,6 +147,17 @@ def reduced_to_pixel(xy: Array, camera: InteriorOrientation) -> tuple[Array, Arr
     d, J = distort(xy, camera)
     f = np.array([camera.fx, camera.fy])
     return d * f + (camera.cx, camera.cy), J * f[:, None]
+
+
+def interior_vector(camera: InteriorOrientation) -> Array:
+    """fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,)."""
+    return np.array([*camera.intrinsic, *camera.distortion])
+
+
+def with_interior(camera: InteriorOrientation, vector: Array) -> InteriorOrientation:
+    """The camera with other values, (9,) in the order of `interior_vector`; its covariance stays."""
+    fx, fy, cx, cy = (float(v) for v in vector[:4])
+    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=vector[4:].copy())
 
 
 def interior_jacobian(xy: Array, camera: InteriorOrientation) -> Array:

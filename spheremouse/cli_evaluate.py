@@ -1,6 +1,5 @@
 """`spheremouse evaluate`: run the tracker on recordings and measure it against their truth."""
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from spheremouse.rig_file import load_camera, load_rig, with_camera
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
 from spheremouse.track import Settings, build
-from spheremouse.yaml_file import write_atomically
+from spheremouse.yaml_file import write_json
 
 _SEED = 0  # of the noise added: the same frame gets the same noise in every run
 
@@ -99,11 +98,7 @@ def evaluate(
         out.print(_table(results, settings, pose))
     try:
         if json_file is not None and results:
-            text = json.dumps(results[0] if len(datasets) == 1 else results, indent=1, allow_nan=False) + "\n"
-            if printed_json:
-                typer.echo(text, nl=False)
-            else:
-                write_atomically(json_file, text)
+            write_json(json_file, results[0] if len(datasets) == 1 else results)
     except SpheremouseError as e:
         _fail(str(e))
     if failed:

@@ -30,7 +30,7 @@ from spheremouse.placement_guide import Accuracy, Design, on_the_tape, places, w
 from spheremouse.progress import progress_bar
 from spheremouse.rotation import Array, log
 from spheremouse.simulate.scene import spread_directions
-from spheremouse.yaml_file import read_document, write_atomically
+from spheremouse.yaml_file import read_document, write_atomically, write_json
 
 EXAMPLE = "Example: spheremouse layout --discs 26 --out calibration/placement-26"
 
@@ -187,11 +187,8 @@ def _check(path: Path, angle: float, radius: float | None, disc_radius: float | 
     judgement = judge(directions, angle)
     trials = recognised(directions, angle, _SIGMA, _MISSING, _TRIALS, np.random.default_rng(0))
     figures = {"file": str(path), "discs": len(directions), **_figures(judgement, trials, ball)}
-    if json_file == Path("-"):
-        typer.echo(json.dumps(figures, indent=1, allow_nan=False))
+    if json_file is not None and write_json(json_file, figures):
         return
-    if json_file is not None:
-        write_atomically(json_file, json.dumps(figures, indent=1, allow_nan=False) + "\n")
     typer.echo(f"{path}: {len(directions)} discs")
     for line in [*_verdict(judgement, trials, ball, disc), *advice(judgement, trials, ball, disc)]:
         typer.echo(line)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from spheremouse.camera_options import parse_distortion, parse_size
 from spheremouse.errors import ConfigurationError
 from spheremouse.progress import progress_bar
 from spheremouse.recording import write_simulation
@@ -130,8 +131,8 @@ def simulate(
         readout=readout,
         seed=seed,
         layout=layout,
-        size=_size(size),
-        dist=_distortion(dist),
+        size=parse_size(size, 16, "640x480"),
+        dist=parse_distortion(dist, "-0.1,0,0,0,0"),
         ball_colour=None if ball_colour is None else _colour("--ball-colour", ball_colour),
         disc_colour=None if disc_colour is None else _colour("--disc-colour", disc_colour),
         hands=hands,
@@ -193,22 +194,3 @@ def _lift(text: str) -> tuple[float, float, float]:
 def _bump(text: str) -> tuple[float, float, float, float, float, float]:
     x, y, z, rx, ry, rz = _numbers("--bump-by", text, 6, _text(_DEFAULT.bump_by))
     return x, y, z, rx, ry, rz
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and 16 <= int(width) <= 8192 and 16 <= int(height) <= 8192):
-        raise ConfigurationError(f"--size {text}: write WIDTHxHEIGHT in px, as in 640x480, each from 16 to 8192")
-    return int(width), int(height)
-
-
-def _distortion(text: str) -> tuple[float, float, float, float, float]:
-    try:
-        k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
-        if not all(abs(k) <= 2.0 for k in (k1, k2, p1, p2, k3)):  # nan, too: no lens bends more
-            raise ValueError(text)
-    except ValueError:
-        raise ConfigurationError(
-            f"--dist {text}: write five numbers k1,k2,p1,p2,k3 from -2 to 2, as in -0.1,0,0,0,0"
-        ) from None
-    return k1, k2, p1, p2, k3

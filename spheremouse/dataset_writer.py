@@ -5,9 +5,7 @@ Frames go into a lossless video where OpenCV gives them back bit for bit, into P
 
 import csv
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 
 from spheremouse.dataset_format import DISC_COLUMNS, FILES, TRUTH_COLUMNS, video_images
 from spheremouse.errors import DatasetError
+from spheremouse.folders import begin_folder, finish_folder
 from spheremouse.frame import Frame
 from spheremouse.rotation import Array, to_euler
 from spheremouse.simulate import Change, Simulation, simulate
@@ -69,11 +68,7 @@ class DatasetWriter:
 
     def __enter__(self) -> Self:
         self._refuse_to_overwrite()
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._folder = Path(tempfile.mkdtemp(prefix=f".{self._path.name}.", dir=self._path.parent))
-        except OSError as e:
-            raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
+        self._folder = begin_folder(self._path, DatasetError)
         try:
             self._folder.chmod(0o755)
             codec = _lossless_codec(*self._size, self._folder)
@@ -157,13 +152,7 @@ class DatasetWriter:
             json.dumps({**self._scene, "frames": self._frames}, indent=1) + "\n", encoding="utf-8"
         )
         self._refuse_to_overwrite()  # once more: somebody may have come first
-        if self._path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{self._path.name}.", dir=self._path.parent))
-            os.replace(self._path, old)
-            os.replace(self._folder, self._path)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            os.replace(self._folder, self._path)
+        finish_folder(self._folder, self._path)
 
     def _refuse_to_overwrite(self) -> None:
         if not self._path.exists():

@@ -4,6 +4,7 @@ Only plain data is read: mappings, lists, text, numbers, true/false, null. Tags,
 that no file can run code or blow up in memory. Problems read `FILE:LINE: key: what is wrong; what to do`.
 """
 
+import json
 import os
 import re
 import tempfile
@@ -128,6 +129,16 @@ def without_schema(document: Document) -> Document:
         text = f"is {shown(version)}; this program reads version {SCHEMA}: update one of the two"
         raise document.error([Problem(("schema",), text)])
     return Document(document.name, data, document.lines)
+
+
+def write_json(path: Path, data: Any) -> bool:
+    """Write data as JSON, whole or not at all; to standard output for `-`. Whether it was printed."""
+    text = json.dumps(data, indent=1, allow_nan=False)
+    if path == Path("-"):
+        print(text)
+        return True
+    write_atomically(path, text + "\n")
+    return False
 
 
 def write_atomically(path: Path, text: str) -> None:

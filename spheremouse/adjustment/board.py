@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.stats import chi2
 
-from spheremouse.adjustment.solve import Jacobian, cofactors, redundancy, snooped, variance_factors
-from spheremouse.camera import InteriorOrientation, interior_jacobian, project
+from spheremouse.adjustment.solve import Jacobian, cofactors, huber, redundancy, snooped, variance_factors
+from spheremouse.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
 from spheremouse.errors import CalibrationError
 from spheremouse.rotation import Array, exp, hat, left_jacobian, log
 
@@ -139,7 +139,7 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
 def resected(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
     """Poses of a known camera: R_cam_board (v, 3, 3), translation (v, 3) m, and residuals (n, 2) px of each view."""
     bundle = _Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
-    x = np.concatenate([_interior(camera), _poses(views, camera).ravel()])
+    x = np.concatenate([interior_vector(camera), _poses(views, camera).ravel()])
     for v, view in enumerate(views):  # each for itself: quick, and none disturbs the others
         own = np.arange(len(views)) == v
         columns = _columns(own)
@@ -247,7 +247,7 @@ class _Bundle:
         residual, J = self.linear(x)
         cost = _cost(residual * weight[:, None], robust)
         for _ in range(_MOST):
-            w = weight[:, None] * (1.0 if robust is None else _huber(residual * weight[:, None], robust))
+            w = weight[:, None] * (1.0 if robust is None else huber(residual * weight[:, None], robust))
             step, promised = self._step(residual * w, J * w[:, :, None], damping)
             if promised < 1e-9 * (cost + 1.0):
                 return x
@@ -295,10 +295,6 @@ class _Bundle:
         return tuple(-residual[g].reshape(-1, 2) for g in self.groups)
 
 
-def _huber(residual: Array, knee: float) -> Array:
-    return np.sqrt(np.minimum(1.0, knee / np.maximum(np.abs(residual), 1e-12)))
-
-
 def _cost(residual: Array, robust: float | None) -> float:
     size = np.abs(residual)
     if robust is None:
@@ -316,12 +312,7 @@ def _columns(used: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def _camera(x: Array, size: tuple[int, int]) -> InteriorOrientation:
-    fx, fy, cx, cy = (float(v) for v in x[:4])
-    return InteriorOrientation(*size, fx, fy, cx, cy, x[4:9].copy())
-
-
-def _interior(camera: InteriorOrientation) -> Array:
-    return np.concatenate([camera.intrinsic, camera.distortion])
+    return with_interior(InteriorOrientation(*size, 1.0, 1.0, 0.0, 0.0), x[:9])
 
 
 def _kept(view: View, mask: NDArray[np.bool_]) -> View:
@@ -330,7 +321,7 @@ def _kept(view: View, mask: NDArray[np.bool_]) -> View:
 
 def _all_unknowns(found: BoardAdjustment) -> Array:
     poses = np.stack([np.array([log(R) for R in found.rotations]), found.translations], axis=1)
-    return np.concatenate([_interior(found.camera), poses.ravel()])
+    return np.concatenate([interior_vector(found.camera), poses.ravel()])
 
 
 # ---- start ----
@@ -345,11 +336,11 @@ def _start(views: Sequence[View], size: tuple[int, int]) -> Array:
         camera = InteriorOrientation(width, height, focal, focal, cx, cy)
         poses = _poses(views, camera)
         residual, _ = _Bundle(views, size, np.zeros(9, bool)).evaluate(
-            np.concatenate([_interior(camera), poses.ravel()]), np.ones(len(views))
+            np.concatenate([interior_vector(camera), poses.ravel()]), np.ones(len(views))
         )
         misfit = float(np.median(np.abs(residual)))
         if misfit < least:
-            best, least = np.concatenate([_interior(camera), poses.ravel()]), misfit
+            best, least = np.concatenate([interior_vector(camera), poses.ravel()]), misfit
     if best is None:
         raise CalibrationError("no pose of the board explains the corners; are the photos of one camera and one board?")
     return best

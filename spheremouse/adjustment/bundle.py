@@ -20,8 +20,10 @@ from spheremouse.camera import (
     Pose,
     ellipse_to_pixel,
     interior_jacobian,
+    interior_vector,
     project,
     project_circle,
+    with_interior,
 )
 from spheremouse.rotation import Array, exp, hat, left_jacobian
 
@@ -105,8 +107,7 @@ class Solution:
 def columns_of(problem: Problem, photos: int, points: int) -> Columns:
     """What is adjusted, and what the definition of the frame holds."""
     device = problem.device
-    row = {id_: i for i, id_ in enumerate(device.ids)}
-    axes = device.axes
+    row, axes = device.row, device.axes
     everything = Columns(photos, points, np.zeros(0, dtype=np.intp))
     held = [*everything.point(row[axes.origin]), *everything.point(row[axes.up])[[0, 2]]]
     held.append(everything.point(row[axes.plane])[2])
@@ -149,9 +150,7 @@ def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array
 
     A target is seen at the mean centroid of its circles, which face Z: the eccentricity is in it.
     """
-    R = np.array([p.rotation for p in block.poses])[image.photo]
-    P = np.array([p.position for p in block.poses])[image.photo]
-    cam = np.einsum("nji,nj->ni", R, block.points[image.point] - P)
+    R, _, cam = _placed(block, image)
     uv, J = project(cam, block.camera)
     ring = np.flatnonzero(image.point < problem.targets)
     xy = cam[:, :2] / cam[:, 2:]
@@ -161,6 +160,13 @@ def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array
         with contextlib.suppress(np.linalg.LinAlgError):  # edge-on: its centre must do until the pose is better
             uv[ring] = _centroids(cam[ring], normal, problem, block.camera)
     return uv, J, interior_jacobian(xy, block.camera), cam
+
+
+def _placed(block: Block, image: ImagePoints) -> tuple[Array, Array, Array]:
+    """Of each image point: R_obj_cam of its photo (n, 3, 3), way from the camera to it in obj and its place in cam."""
+    R = np.array([p.rotation for p in block.poses])[image.photo]
+    way = block.points[image.point] - np.array([p.position for p in block.poses])[image.photo]
+    return R, way, np.einsum("nji,nj->ni", R, way)
 
 
 def _centroids(cam: Array, normal: Array, problem: Problem, camera: InteriorOrientation) -> Array:
@@ -175,13 +181,10 @@ def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
     By differences: it is a percent of the whole, and changes little while the block moves. Without it the adjustment
     comes to rest slowly along what the photos hardly fix.
     """
-    image, R = problem.image, np.array([p.rotation for p in block.poses])
-    slopes = np.zeros((len(image), 2, 6))
-    ring = np.flatnonzero(image.point < problem.targets)
-    photo = image.photo[ring]
-    P = np.array([p.position for p in block.poses])[photo]
-    cam = np.einsum("nji,nj->ni", R[photo], block.points[image.point[ring]] - P)
-    normal = R[photo, 2]
+    slopes = np.zeros((len(problem.image), 2, 6))
+    ring = problem.image.point < problem.targets
+    R, _, cam = _placed(block, problem.image.take(ring))
+    normal = R[:, 2]
     if not np.all(cam[:, 2] > 0.0):
         return slopes
     try:
@@ -203,15 +206,7 @@ def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
 def _moved(block: Block, columns: Columns, x: Array) -> Block:
     full = np.zeros(columns.all)
     full[columns.free] = x
-    c = block.camera
-    camera = replace(
-        c,
-        fx=c.fx + full[0],
-        fy=c.fy + full[1],
-        cx=c.cx + full[2],
-        cy=c.cy + full[3],
-        distortion=c.distortion + full[4:INTERIOR],
-    )
+    camera = with_interior(block.camera, interior_vector(block.camera) + full[:INTERIOR])
     steps = full[INTERIOR : INTERIOR + 6 * columns.photos].reshape(-1, 6)
     poses = tuple(
         Pose(exp(s[3:]) @ pose.rotation, pose.position + s[:3]) for pose, s in zip(block.poses, steps, strict=True)
@@ -232,10 +227,9 @@ def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes
     uv = np.where(np.isfinite(uv), uv, image.centre + 1e3)  # behind the camera: far off, so that the step is refused
     by_cam = np.where(np.isfinite(by_cam), by_cam, 0.0)
     by_interior = np.where(np.isfinite(by_interior), by_interior, 0.0)
-    R = np.array([p.rotation for p in block.poses])[image.photo]
-    P = np.array([p.position for p in block.poses])[image.photo]
+    R, way, _ = _placed(block, image)
     by_point = (by_cam + slopes[:, :, :3]) @ R.transpose(0, 2, 1)
-    by_turn = by_point @ hat(block.points[image.point] - P)
+    by_turn = by_point @ hat(way)
     by_turn += slopes[:, :, 3:] @ R.transpose(0, 2, 1) @ hat(np.array([0.0, 0.0, 1.0]))  # the normal, seen from cam
     by_turn = by_turn @ left_jacobian(turned)[image.photo]
     L = np.linalg.inv(np.linalg.cholesky(image.covariance))
@@ -253,7 +247,7 @@ def _evaluate(problem: Problem, block: Block, columns: Columns, x: Array, slopes
     if problem.depth is not None:
         z, sigma = problem.depth.T
         axis = R[:, :, 2]
-        turn = np.cross(axis, block.points[image.point] - P)[:, None] @ left_jacobian(turned)[image.photo]
+        turn = np.cross(axis, way)[:, None] @ left_jacobian(turned)[image.photo]
         towards = np.concatenate([-axis, turn[:, 0], axis], axis=1)
         parts.append(((cam[:, 2] - z) / sigma, *_rows((towards / sigma[:, None])[:, None], where[:, INTERIOR:])))
     if np.any(problem.camera.covariance):
@@ -275,27 +269,28 @@ def _rows(blocks: Array, where: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDA
     return row.ravel(), np.broadcast_to(where[:, None], (n, k, c)).ravel(), blocks.ravel()
 
 
-def distances(problem: Problem, points: Array) -> tuple[Array, Array]:
-    """Distances between targets, (k,) m, as their coordinates have it, and d by (start, end), (k, 6)."""
-    row = {id_: i for i, id_ in enumerate(problem.device.ids)}
-    way = np.array([points[row[d.end]] - points[row[d.start]] for d in problem.device.distances], dtype=float).reshape(
-        -1, 3
-    )
-    length = np.linalg.norm(way, axis=1)
-    along = way / np.maximum(length, 1e-12)[:, None]
-    return length, np.concatenate([-along, along], axis=1)
+def distances(device: Device, points: Array) -> Array:
+    """The distances that were measured, (k,) m, as the targets' coordinates have them."""
+    return np.linalg.norm(_ways(device, points), axis=1)
+
+
+def _ways(device: Device, points: Array) -> Array:
+    """From start to end of each distance, (k, 3) m."""
+    ends = device.ends
+    return points[ends[:, 1]] - points[ends[:, 0]]
 
 
 def _distances(
     problem: Problem, block: Block, columns: Columns
 ) -> tuple[Array, NDArray[np.intp], NDArray[np.intp], Array]:
     """Tape distances (Wittich 2017, eq. 90)."""
-    row = {id_: i for i, id_ in enumerate(problem.device.ids)}
-    ends = np.array([[row[d.start], row[d.end]] for d in problem.device.distances], dtype=np.intp).reshape(-1, 2)
-    sigma = np.array([d.sigma for d in problem.device.distances])
-    length, J = distances(problem, block.points)
-    measured = np.array([d.metres for d in problem.device.distances])
-    where = columns.point(ends).reshape(-1, 6)
+    device = problem.device
+    length = distances(device, block.points)
+    along = _ways(device, block.points) / np.maximum(length, 1e-12)[:, None]
+    sigma = np.array([d.sigma for d in device.distances])
+    measured = np.array([d.metres for d in device.distances])
+    where = columns.point(device.ends).reshape(-1, 6)
+    J = np.concatenate([-along, along], axis=1)
     return ((length - measured) / sigma, *_rows((J / sigma[:, None])[:, None], where))
 
 
@@ -309,8 +304,3 @@ def _prior(
     whiten = (vector / np.sqrt(np.maximum(value, 1e-12))).T / size
     off = (interior_vector(camera) - interior_vector(prior))[known]
     return (whiten @ off, *_rows(whiten[:, None], np.tile(known, (len(known), 1))))
-
-
-def interior_vector(camera: InteriorOrientation) -> Array:
-    """fx, fy, cx, cy, k1, k2, p1, p2, k3, (9,)."""
-    return np.array([*camera.intrinsic, *camera.distortion])

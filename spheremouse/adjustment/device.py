@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from spheremouse.errors import CalibrationError
 from spheremouse.rotation import Array
 
@@ -35,6 +38,17 @@ class Device:
     disc_radius: float  # m, along the ball's surface
     axes: Axes
     distances: tuple[Distance, ...] = ()  # empty: the scale is free
+
+    @property
+    def row(self) -> dict[int, int]:
+        """Place of each id among the targets."""
+        return {id_: i for i, id_ in enumerate(self.ids)}
+
+    @property
+    def ends(self) -> NDArray[np.intp]:
+        """Rows of the targets that each distance joins, (k, 2)."""
+        row = self.row
+        return np.array([[row[d.start], row[d.end]] for d in self.distances], dtype=np.intp).reshape(-1, 2)
 
 
 class DistanceError(CalibrationError):

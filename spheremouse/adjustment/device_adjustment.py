@@ -19,7 +19,6 @@ from spheremouse.adjustment.bundle import (
     Solution,
     columns_of,
     distances,
-    interior_vector,
     predicted,
     solve_block,
 )
@@ -27,7 +26,7 @@ from spheremouse.adjustment.device import Device, DistanceError
 from spheremouse.adjustment.solve import redundancy, snooped, variance_factors
 from spheremouse.adjustment.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.adjustment.start import TargetViews
-from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.camera import InteriorOrientation, Pose, interior_vector, with_interior
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import CalibrationError
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
@@ -256,12 +255,7 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
     return DeviceCalibration(
         device=device,
         camera=replace(
-            block.camera,
-            fx=float(interior[0]),
-            fy=float(interior[1]),
-            cx=float(interior[2]),
-            cy=float(interior[3]),
-            distortion=interior[4:],
+            with_interior(block.camera, interior),
             covariance=sphere.observation_covariance[:INTERIOR, :INTERIOR].copy(),
         ),
         photos=views.photos,
@@ -277,7 +271,7 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
         measured=Measured(result.everything.photo, index, result.everything.centre, residual, result.used),
         rms_px=float(np.sqrt(np.mean(residual[result.used] ** 2))),
         variance_factors=result.factors,
-        distance_residuals=distances(result.problem, points[:n])[0] - np.array([d.metres for d in device.distances]),
+        distance_residuals=distances(device, points[:n]) - np.array([d.metres for d in device.distances]),
         ring_scale=_ring_scale(views, block),
         scale_free=not device.distances,
         unit=unit,

@@ -15,7 +15,15 @@ from scipy.optimize import least_squares
 
 from spheremouse.adjustment.device import Device
 from spheremouse.adjustment.rolling import Rolled, Rolling, lens_root
-from spheremouse.camera import InteriorOrientation, Pose, ellipse_to_pixel, project_circle, unproject
+from spheremouse.camera import (
+    InteriorOrientation,
+    Pose,
+    ellipse_to_pixel,
+    interior_vector,
+    project_circle,
+    unproject,
+    with_interior,
+)
 from spheremouse.errors import CalibrationError
 from spheremouse.resect import Sighting, predict_targets
 from spheremouse.rig import Ball, Rig, Targets
@@ -187,8 +195,7 @@ def _by_lens(f: Callable[[InteriorOrientation], Array], camera: InteriorOrientat
     L, h = lens_root(camera), 1e-2
 
     def off(step: Array) -> InteriorOrientation:
-        fx, fy, cx, cy = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) + step[:4]
-        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=camera.distortion + step[4:])
+        return with_interior(camera, interior_vector(camera) + step)
 
     columns = [(f(off(h * u)) - f(off(-h * u))) / (2.0 * h) if u.any() else 0.0 * f(camera) for u in L.T]
     return np.asarray(np.stack(columns, axis=1), dtype=float)

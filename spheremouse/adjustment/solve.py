@@ -35,7 +35,6 @@ class Adjusted:
     x: Array  # (u,)
     residual: Array  # (n,) of unit variance
     jacobian: Jacobian  # (n, u) of them
-    iterations: int
 
     @property
     def cost(self) -> float:
@@ -51,17 +50,18 @@ def adjust(evaluate: Evaluate, x0: Array, robust: float | None = None, most: int
     """
     if robust is None:
         return _minimised(evaluate, x0, None, most)
-    weight = _huber(evaluate(x0)[0], robust)
+    weight = huber(evaluate(x0)[0], robust)
     found = _minimised(evaluate, x0, weight, most)
     for _ in range(20):
-        before, weight = weight, _huber(found.residual, robust)
+        before, weight = weight, huber(found.residual, robust)
         if np.max(np.abs(weight - before)) < 1e-3:
             break
         found = _minimised(evaluate, found.x, weight, most)
     return found
 
 
-def _huber(residual: Array, knee: float) -> Array:
+def huber(residual: Array, knee: float) -> Array:
+    """Factors on residuals and Jacobian that make squares Huber's function."""
     return np.sqrt(np.minimum(1.0, knee / np.maximum(np.abs(residual), 1e-12)))
 
 
@@ -78,7 +78,7 @@ def _minimised(evaluate: Evaluate, x0: Array, weight: Array | None, most: int) -
 
     x, damping, growth = np.array(x0, dtype=float), _DAMPING, 2.0
     r, J = at(x)
-    for count in range(most):
+    for _ in range(most):
         cost = float(r @ r)
         scale = np.sqrt(np.asarray(J.power(2).sum(axis=0)).ravel())
         scale[scale == 0.0] = 1.0
@@ -94,7 +94,7 @@ def _minimised(evaluate: Evaluate, x0: Array, weight: Array | None, most: int) -
                 break
             damping, growth = damping * growth, 2.0 * growth
             if damping > _STUCK:
-                return Adjusted(x, *evaluate(x), count + 1)
+                return Adjusted(x, *evaluate(x))
         x, r, J = x + step / scale, new_r, new_J
         damping, growth = max(damping * max(0.1, 1.0 - (2.0 * gain - 1.0) ** 3), _DAMPING), 2.0
         if cost - float(r @ r) <= _LEVEL * cost or np.linalg.norm(step) <= _SHORT:
@@ -103,7 +103,7 @@ def _minimised(evaluate: Evaluate, x0: Array, weight: Array | None, most: int) -
         raise CalibrationError("the adjustment does not come to rest: some observation belongs to something else")
     if not np.isfinite(cost):
         raise CalibrationError("the adjustment has no beginning: some observation belongs to something else")
-    return Adjusted(x, *evaluate(x), count + 1)
+    return Adjusted(x, *((r, J) if weight is None else evaluate(x)))
 
 
 def cofactors(jacobian: Jacobian, columns: NDArray[np.intp] | None = None) -> Array:

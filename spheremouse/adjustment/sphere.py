@@ -35,7 +35,6 @@ class Sphere:
     observation_covariance: Array  # (k, k)
     cross_covariance: Array  # (k, 4) of adjusted observations with centre and radius
     distance: Array  # (n,) m, of the points as observed from the sphere, outside positive
-    normalised: Array  # (n,) square of that over its variance, by which a false point is found: chi-square of one
     out_of_round: float  # m, standard deviation that the points ask for beyond their covariances; mostly 0
     chi2_per_freedom: float  # of the contradictions, before `out_of_round`
 
@@ -81,8 +80,6 @@ def fit_sphere(observations: Array, covariance: Array, where: NDArray[np.intp]) 
     k = -cho_solve(W, done.w + A @ done.step)
     cross = -to_all @ N @ Q
     H = cho_solve(W, np.eye(n)) - N @ Q @ N.T
-    S = cho_solve(W, np.eye(n))
-    residual_cofactor = np.diag(S - S @ A @ Q @ A.T @ S)  # of the correlates: k over its variance tests each condition
     return Sphere(
         done.x[:3],
         float(done.x[3]),
@@ -91,7 +88,6 @@ def fit_sphere(observations: Array, covariance: Array, where: NDArray[np.intp]) 
         covariance - to_all @ H @ to_all.T,
         cross,
         np.linalg.norm(observations[where] - done.x[:3], axis=1) - done.x[3],
-        k**2 / np.maximum(residual_cofactor, 1e-300),
         float(np.sqrt(extra)),
         first.omega / freedom if freedom else 1.0,
     )

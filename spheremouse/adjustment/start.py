@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted, solve_block
+from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, distances, predicted, solve_block
 from spheremouse.adjustment.device import Device, DistanceError
 from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.detect.rings import TargetDetections
@@ -125,10 +125,7 @@ def _scaled(views: TargetViews, block: Block, device: Device) -> tuple[Block, Ta
     """By the distances, where there are any; DistanceError for one that is far from what the others say."""
     if not device.distances:
         return block, views
-    row = {id_: i for i, id_ in enumerate(device.ids)}
-    ratio = np.array(
-        [d.metres / np.linalg.norm(block.points[row[d.start]] - block.points[row[d.end]]) for d in device.distances]
-    )
+    ratio = np.array([d.metres for d in device.distances]) / distances(device, block.points)
     scale = float(np.median(ratio))
     off = np.abs(ratio / scale - 1.0)
     worst = int(np.argmax(off))
@@ -218,7 +215,7 @@ def _in_axes(block: Block, device: Device) -> Block:
 
     Raises CalibrationError where the three targets of the axes lie in a line.
     """
-    row = {id_: i for i, id_ in enumerate(device.ids)}
+    row = device.row
     origin, up, plane = (block.points[row[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
     y = (up - origin) / np.linalg.norm(up - origin)
     z = np.cross(plane - origin, y)

@@ -118,7 +118,7 @@ def with_photos(net: Network, stations: tuple[Pose, ...]) -> Network:
 
 def with_distances(net: Network, pairs: tuple[tuple[int, int], ...], sigma: float) -> Network:
     """The design with distances measured between targets of these ids, to sigma m."""
-    row = {id_: i for i, id_ in enumerate(net.problem.device.ids)}
+    row = net.problem.device.row
     more = tuple(
         Distance(a, b, float(np.linalg.norm(net.targets[row[a]] - net.targets[row[b]])), sigma) for a, b in pairs
     )

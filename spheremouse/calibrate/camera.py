@@ -1,6 +1,5 @@
 """`spheremouse calibrate camera`: photos of a board, or a live session before it, in; camera.yaml and a report out."""
 
-import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,11 +12,11 @@ import typer
 from numpy.typing import NDArray
 
 from spheremouse import __version__
-from spheremouse.calibrate.outputs import check_outputs, copyable
+from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note
 from spheremouse.errors import CalibrationError
 from spheremouse.progress import progress_bar
 from spheremouse.rotation import Array
-from spheremouse.yaml_file import write_atomically
+from spheremouse.yaml_file import write_json
 
 if TYPE_CHECKING:
     from spheremouse.adjustment.board import BoardAdjustment, View
@@ -76,13 +75,9 @@ def camera(
         int, typer.Option(metavar="0|2|4|5", help="Terms of the lens: k1 k2, also p1 p2, also k3.")
     ] = 5,
     out: Annotated[Path, typer.Option(metavar="FILE", help="The camera file to write.")] = Path("camera.yaml"),
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    report: Report = None,
+    json_file: Json = None,
+    force: Force = False,
 ) -> None:
     """Find focal lengths, principal point and lens distortion from photos of a chessboard or ChArUco board.
 
@@ -112,22 +107,14 @@ def camera(
     figures = camera_json(done)
     if page is not None:
         write_camera_report(page, done, provenance)
-    if json_file is not None and json_file != Path("-"):
-        write_atomically(json_file, json.dumps(figures, indent=1, allow_nan=False) + "\n")
     save_camera(out, done.found.camera, provenance)
-    if json_file == Path("-"):
-        typer.echo(json.dumps(figures, indent=1, allow_nan=False))
+    if json_file is not None and write_json(json_file, figures):
         return
     camera_text(done)
     typer.echo(f"{out}: the camera" + (f"; {page}: the report" if page else ""))
     folder = out.parent
     words = ("calibrate", "device", folder / "device", "--device", folder / "device.yaml", "--camera", out)
     typer.echo(f"next: {copyable('spheremouse', *words, '--out', folder / 'rig.yaml')}")
-
-
-def note(text: str) -> None:
-    """Something worth knowing, on standard error."""
-    typer.echo(f"note: {text}", err=True)
 
 
 # ---- what is asked for ----

@@ -15,6 +15,7 @@ from spheremouse.adjustment.coverage import LEANS, VIEWS, bare, listed, unleant
 from spheremouse.calibrate import page
 from spheremouse.calibrate.camera import Calibrated, false_views, thumbnail
 from spheremouse.calibrate.photos import image
+from spheremouse.camera import interior_vector
 from spheremouse.rotation import Array, log
 from spheremouse.yaml_file import write_atomically
 
@@ -284,9 +285,7 @@ def _held_out(done: Calibrated) -> float | None:
 def _parameter_rows(done: Calibrated) -> list[list[str]]:
     camera, sigma = done.found.camera, done.found.deviations
     rows = []
-    for name, v, s, free in zip(
-        PARAMETERS, [*camera.intrinsic, *camera.distortion], sigma, done.found.free, strict=True
-    ):
+    for name, v, s, free in zip(PARAMETERS, interior_vector(camera), sigma, done.found.free, strict=True):
         digits, unit = (3, " px") if name in _PIXELS else (6, "")
         if free:
             rows.append(

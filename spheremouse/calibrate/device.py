@@ -1,7 +1,5 @@
 """`spheremouse calibrate device`: photos of a device in, rig.yaml with its map of discs and a report out."""
 
-import hashlib
-import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse import __version__
-from spheremouse.calibrate.outputs import check_outputs, copyable
+from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note, sha256
 from spheremouse.errors import CalibrationError
 from spheremouse.progress import progress_bar
-from spheremouse.yaml_file import read_document, write_atomically
+from spheremouse.yaml_file import read_document, write_json
 
 if TYPE_CHECKING:
     from spheremouse.adjustment.advice import Advice
@@ -39,19 +37,15 @@ def device(
     out: Annotated[Path, typer.Option(metavar="FILE", help="The rig file to write; its map goes beside it.")] = Path(
         "rig.yaml"
     ),
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")
-    ] = None,
+    report: Report = None,
+    json_file: Json = None,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Configuration: colours of targets (rings), discs.")
     ] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter, as rings.* or discs.*.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    force: Force = False,
 ) -> None:
     """Find targets, ball and discs from photos of the device, with covariances, and write rig.yaml.
 
@@ -78,19 +72,19 @@ def device(
         if not file.exists():
             raise CalibrationError(f"{file}: no such file; give {option} FILE: {how}")
     if not has_matplotlib():
-        _note("the report has no pictures without matplotlib: pip install 'spheremouse[plot]'")
+        note("the report has no pictures without matplotlib: pip install 'spheremouse[plot]'")
     known = load_device(device_file)
     camera = load_camera(camera_file)
     chosen = settings_of(config, settings, root())
-    found = read_photos(photos, note=_note)
+    found = read_photos(photos, note=note)
     check_size(found, camera, camera_file)
     if untouched(device_file):
-        _note(f"{device_file}: still as `calibrate init` wrote it; check every line, then delete its first")
+        note(f"{device_file}: still as `calibrate init` wrote it; check every line, then delete its first")
     calibration = _calibrated(found, known, camera, device_file, chosen)
     names = [p.path.name for p in found]
     advice = advise(calibration, names)
     if calibration.rms_px > DOUBTFUL_RMS:
-        _note(
+        note(
             f"the photos are {calibration.rms_px:.2f} px off, ten times what sharp ones are: is {camera_file} of this "
             "camera, mode and focus?"
         )
@@ -100,11 +94,8 @@ def device(
     save_map(the_map, saved_now(calibration.disc_map(), rig))
     save_rig(out, rig, provenance)  # last: where it is, the rest is
     figures = device_json(calibration, names, advice)
-    if json_file == Path("-"):
-        typer.echo(json.dumps(figures, indent=1, allow_nan=False))
+    if json_file is not None and write_json(json_file, figures):
         return
-    if json_file is not None:
-        write_atomically(json_file, json.dumps(figures, indent=1, allow_nan=False) + "\n")
     device_text(calibration, names, advice)
     typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
     typer.echo(f"next: {copyable('spheremouse', 'run', '--rig', out, '--source', 'opencv:0', '--output', 'text:-')}")
@@ -148,17 +139,9 @@ def _provenance(
     return {
         "made_by": f"spheremouse {__version__}, calibrate device",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "device": {"file": device_file.name, "sha256": _sha256(device_file)},
-        "camera": {"file": camera_file.name, "sha256": _sha256(camera_file)},
+        "device": {"file": device_file.name, "sha256": sha256(device_file)},
+        "camera": {"file": camera_file.name, "sha256": sha256(camera_file)},
         "warnings": [a.text for a in advice if a.kind == "warning"],
         "photos": [{"file": p.path.name, "sha256": p.sha256} for p in used],
         "left_out": [{"file": photos[k].path.name, "why": why} for k, why in calibration.skipped],
     }
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _note(text: str) -> None:
-    typer.echo(f"note: {text}", err=True)

@@ -426,7 +426,7 @@ def _per_photo(c: DeviceCalibration) -> list[tuple[int, int, float | None]]:
 
 def _adjusted_distances(c: DeviceCalibration) -> tuple[Array, Array, Array]:
     """Of the tape distances: adjusted, residual, standard deviation adjusted, (k,) m."""
-    row = {id_: i for i, id_ in enumerate(c.device.ids)}
+    row = c.device.row
     block = c.block("targets")
     C = c.covariance[block, block]
     length, sigma = [], []

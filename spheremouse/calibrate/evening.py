@@ -4,7 +4,6 @@ The folder is all there is: photos, the files made from them, their times and th
 session can be left at any time and continued by somebody else.
 """
 
-import hashlib
 import re
 import shlex
 from collections.abc import Iterator, Sequence
@@ -14,6 +13,7 @@ from typing import Any, Literal
 
 from spheremouse.calibrate.device_file import UNTOUCHED, load_device, untouched
 from spheremouse.calibrate.lengths import parse_board
+from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.rig_file import load_camera, load_rig
@@ -235,7 +235,7 @@ def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
         return Step(name, "next", rig.found, (*rig.problem, "Mend the file, or make it anew:"), again)
     changed = [_changed(rig, shots.photos)]
     for path in (folder / _CAMERA_FILE, *([folder / _DEVICE_FILE] if shots.photos else [])):
-        if path.is_file() and rig.precedes(path, _sha256(path)):
+        if path.is_file() and rig.precedes(path, sha256(path)):
             changed.append(f"{path.name} is newer")
     if found := "; ".join(filter(None, changed)):
         return Step(name, "next", found, ("Calibrate the device again:",), again)
@@ -346,10 +346,6 @@ def _changed(result: _Result, photos: Sequence[Photo]) -> str:
     words = [f"{_count(new, 'photo')} came later"] if new else []
     words += [f"{_count(gone, 'photo')} it was made from {'is' if gone == 1 else 'are'} gone"] if gone else []
     return ", ".join(words)
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _count(n: int, thing: str) -> str:

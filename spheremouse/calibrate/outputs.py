@@ -1,11 +1,22 @@
-"""What a calibration will write, checked before it calculates; and commands for a person to copy."""
+"""What the commands of a calibration share: what they write, checked before they calculate, and what they say."""
 
+import hashlib
 import os
 import shlex
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from spheremouse.errors import CalibrationError
+
+Report = Annotated[
+    Path | None, typer.Option("--report", metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
+]
+Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], force: bool) -> None:
@@ -28,6 +39,16 @@ def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None],
             raise CalibrationError(f"{path}: would be written twice; give each output a name of its own")
     if not force and (there := [str(p) for p in paths if p.exists()]):
         raise CalibrationError(f"{', '.join(there)}: there already; name another file, or replace it with --force")
+
+
+def note(text: str) -> None:
+    """Something worth knowing, on standard error."""
+    print(f"note: {text}", file=sys.stderr)
+
+
+def sha256(path: Path) -> str:
+    """Of a file, by which what was made from it is known again."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def copyable(*words: str | Path) -> str:

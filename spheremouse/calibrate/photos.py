@@ -7,7 +7,6 @@ memory: `image` reads a photo when it is looked at.
 import hashlib
 import io
 import re
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
+from spheremouse.calibrate.outputs import note
 from spheremouse.camera import InteriorOrientation
 from spheremouse.errors import CalibrationError
 
@@ -42,12 +42,7 @@ class Photo:
     rotated: bool  # it carries a rotation flag (EXIF orientation other than 1), which is ignored
 
 
-def on_stderr(text: str) -> None:
-    """Where notes go unless somebody wants them."""
-    print(f"note: {text}", file=sys.stderr)
-
-
-def read_photos(paths: Sequence[Path], note: Callable[[str], None] = on_stderr) -> list[Photo]:
+def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> list[Photo]:
     """The photos named, and those in folders named, all of one size; CalibrationError with a line per problem.
 
     Photos keep the order in which they were named, those of a folder in natural order (2 before 10). What is not

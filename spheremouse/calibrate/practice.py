@@ -4,12 +4,9 @@ The folder has board/*.jpg, device/*.jpg, device.yaml (what a person would know 
 """
 
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +15,9 @@ import numpy as np
 import typer
 
 from spheremouse.calibrate.outputs import copyable
+from spheremouse.camera_options import parse_distortion, parse_size
 from spheremouse.errors import CalibrationError
+from spheremouse.folders import begin_folder, finish_folder
 from spheremouse.progress import progress_bar
 from spheremouse.recording import open_dataset
 from spheremouse.rotation import Array
@@ -76,9 +75,9 @@ def practice(
     options = StillsOptions(
         photos=n_photos,
         boards=boards,
-        size=_size(size),
+        size=parse_size(size, 64, "1920x1080"),
         focal=focal,
-        dist=_distortion(dist),
+        dist=parse_distortion(dist, "-0.49,0.3,0,0,-0.11"),
         seed=seed,
         noise=noise,
         discs=_DEFAULT.discs if discs is None else discs,
@@ -178,28 +177,6 @@ def sides(position: Array) -> list[tuple[int, int]]:
     return sorted((min(a, b), max(a, b)) for a, b in pairs)
 
 
-# ---- words ----
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and 64 <= int(width) <= 8192 and 64 <= int(height) <= 8192):
-        raise CalibrationError(f"--size {text}: write WIDTHxHEIGHT in px, as in 1920x1080, each from 64 to 8192")
-    return int(width), int(height)
-
-
-def _distortion(text: str) -> tuple[float, float, float, float, float]:
-    try:
-        k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
-        if not all(isfinite(k) and abs(k) <= 2.0 for k in (k1, k2, p1, p2, k3)):  # no lens bends more
-            raise ValueError(text)
-    except ValueError:
-        raise CalibrationError(
-            f"--dist {text}: write five numbers k1,k2,p1,p2,k3 from -2 to 2, as in -0.49,0.3,0,0,-0.11"
-        ) from None
-    return k1, k2, p1, p2, k3
-
-
 # ---- the folder ----
 
 
@@ -208,22 +185,12 @@ def _new_folder(path: Path, replace: bool) -> Iterator[Path]:
     """A folder beside `path` that takes its name at the end, or vanishes after an exception."""
     path = path.absolute()
     _refuse(path, replace)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    except OSError as e:
-        raise CalibrationError(f"{path}: cannot be written ({e.strerror})") from None
+    made = begin_folder(path, CalibrationError)
     try:
         made.chmod(0o755)
         yield made
         _refuse(path, replace)  # once more: somebody may have come first
-        if path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-            os.replace(path, old)
-            os.replace(made, path)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            os.replace(made, path)
+        finish_folder(made, path)
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be written ({e.strerror})") from None
     finally:

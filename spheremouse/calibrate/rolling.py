@@ -1,6 +1,5 @@
 """`spheremouse calibrate rolling`: a minute of rolling, and the device is calibrated; no photos, no tape."""
 
-import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,7 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
+from spheremouse.calibrate.outputs import Force, Json, check_outputs
 from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.yaml_file import write_json
 
 EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
 
@@ -50,10 +51,8 @@ def rolling(
         str | None, typer.Option(metavar="LENGTH", help="Radius of a disc, as in 20mm; taken with a radius.")
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The rig file to write.")] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    json_file: Json = None,
+    force: Force = False,
 ) -> None:
     """Calibrate from a minute of rolling the ball before a fixed camera: no photos, no tape measure.
 
@@ -113,7 +112,6 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 def _calibrate(given: _Given) -> None:
     from spheremouse.calibrate.device_file import load_device
-    from spheremouse.calibrate.outputs import check_outputs
     from spheremouse.calibrate.rolling_axes_choice import AxesFrom
     from spheremouse.calibrate.rolling_session import solve
     from spheremouse.map_file import map_path
@@ -285,7 +283,6 @@ def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any
     from spheremouse.map_file import map_path, save_map, saved_now
     from spheremouse.rig import Rig, Targets
     from spheremouse.rig_file import save_rig
-    from spheremouse.yaml_file import write_atomically
 
     rolled = solution.rolled
     found, source = axes.find(rolled, solution.views)[:2]
@@ -337,13 +334,7 @@ def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any
         }
         save_rig(given.out, rig, provenance)
         save_map(map_path(given.out), saved_now(disc_map, rig))
-    printed = given.json_file == Path("-")
-    if given.json_file is not None:
-        said = json.dumps(result, indent=1, allow_nan=False) + "\n"
-        if printed:
-            typer.echo(said, nl=False)
-        else:
-            write_atomically(given.json_file, said)
+    printed = given.json_file is not None and write_json(given.json_file, result)
     typer.echo(text(solution, found, source, rig), err=printed)
     for line in advise(rolled):
         typer.echo(f"advice: {line}", err=printed)
