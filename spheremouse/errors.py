@@ -17,6 +17,10 @@ class SourceError(SpheremouseError):
     """No frames to be had."""
 
 
+class DamagedFrameError(SourceError):
+    """One frame that is no whole picture; the next may be."""
+
+
 class OutputError(SpheremouseError):
     """Motion cannot be sent."""
 
@@ -27,3 +31,11 @@ class PoseError(SpheremouseError):
 
 class CalibrationError(SpheremouseError):
     """Photos, measures or a recording from which nothing can be calibrated."""
+
+
+class ControlError(SpheremouseError):
+    """The running daemon cannot be asked, or refuses."""
+
+
+class ServiceError(SpheremouseError):
+    """The service cannot be installed, started or removed."""

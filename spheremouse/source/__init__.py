@@ -48,6 +48,49 @@ class Source(Protocol):
     ) -> bool | None: ...
 
 
+class Shot(Protocol):
+    """A picture as a live camera gave it, not decoded yet."""
+
+    @property
+    def stamp(self) -> float:
+        """s on the clock of time.monotonic(), mid-exposure of the middle row."""
+        ...
+
+    @property
+    def sequence(self) -> int:
+        """Counts every frame the camera produced: a gap shows what the driver dropped."""
+        ...
+
+    def frame(self, colour: bool) -> Frame:
+        """Decode: (h, w) luma, or (h, w, 3) BGR; perhaps a view of the buffer, good until `release`.
+
+        Raises DamagedFrameError where this is no whole picture.
+        """
+        ...
+
+    def release(self) -> None:
+        """Give the buffer back, from any thread, once or more often."""
+        ...
+
+
+class Camera(Protocol):
+    """A live source as the daemon takes it: shots one by one; closed by leaving its `with` block."""
+
+    def next(self, timeout: float) -> Shot | None:
+        """The next shot, None where none came within `timeout` s; SourceError where the camera is gone."""
+        ...
+
+    def describe(self) -> str:
+        """Device, format, size, rate and what was set, in one line."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool | None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Stream:
     """The plain source: an iterator of frames, what is known of it, and how to close it."""
