@@ -265,13 +265,39 @@ def step(
     watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, _surprised(new))
     if watch is not new.watch:
         new = replace(new, watch=watch)
-    if odd or _out_of_sight(new, frame.stamp):
+    if odd or watch.asked or _out_of_sight(new, frame.stamp):
         new, motion = _attend(replace(state, watch=watch), (new, motion), frame, tracker)
     if state.phase is Phase.TRACKING and new.phase is Phase.LOST and _hidden(new.watch):
         return replace(
             new, event=f"{new.event}; the targets are out of sight: if the camera was moved, initialise again"
         ), motion
     return new, motion
+
+
+def wants_colour(state: TrackState, stamp: float) -> bool:
+    """Will the targets be looked for in the frame of `stamp`? Then it should come in colour; grey does otherwise."""
+    watch = state.watch
+    if watch is None:
+        return False
+    unknown = stamp >= watch.due and any(patch is None for patch in watch.patches)
+    return watch.asked or watch.away is not None or unknown or _out_of_sight(state, stamp)
+
+
+def posed_anew(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> tuple[TrackState, Motion]:
+    """One frame with the camera at a `pose` that was estimated anew: the ball goes on as it was, nothing jumps.
+
+    Raises PoseError where the ball cannot be seen from there.
+    """
+    tracker = current(state, tracker)
+    return _from_there(state, build(tracker.rig, pose, tracker.settings), None, frame, tracker)
+
+
+def retuned(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
+    """State and tracker with other settings, between two frames; another kind of filter begins at the last attitude."""
+    anew = build(tracker.rig, current(state, tracker).pose, settings)
+    if settings.tracker != tracker.settings.tracker:
+        return begin(anew, state.filter.stamp, state.filter.attitude), anew
+    return replace(state, rebuilt=None, hunt=Hunt()), anew
 
 
 def _hidden(watch: Watch | None) -> bool:
@@ -367,6 +393,10 @@ def _attend(
     if moved:
         return _swings(replace(state, watch=replace(watch, shift=shift)), frame.stamp, tracker)
     watch = replace(watch, shift=np.zeros((0, 2)), away=None)
+    if frame.image.ndim != 3 and not watch.asked:  # what is too little for correlation, colours may tell
+        new, motion = _stages(state, frame, tracker) if done is None else done
+        return replace(new, watch=replace(watch, asked=True)), motion
+    watch = replace(watch, asked=False)
     if moved is None and done is not None and _out_of_sight(replace(done[0], watch=watch), frame.stamp):
         watch = replace(watch, tried=frame.stamp)
         anew = _by_colour(frame, tracker)

@@ -63,6 +63,7 @@ class Watch:
     shift: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2) px while the camera is away; nan: hidden
     away: float | None = None  # s, since when the camera is not where it was
     tried: float = -np.inf  # s, when the targets were last looked for by their colours
+    asked: bool = False  # something was odd in a grey frame: all targets are looked at in the next one, in colour
 
     def __len__(self) -> int:
         return len(self.patches)

@@ -17,7 +17,19 @@ from spheremouse.motion import Motion
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import exp, log
 from spheremouse.simulate import SimulationOptions, prepare, simulate
-from spheremouse.track import Phase, Settings, TrackState, advance, begin, build, current, step
+from spheremouse.track import (
+    Phase,
+    Settings,
+    TrackState,
+    advance,
+    begin,
+    build,
+    current,
+    posed_anew,
+    retuned,
+    step,
+    wants_colour,
+)
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
@@ -403,13 +415,17 @@ def test_new_discs_take_over_when_the_known_ones_go_out_of_view():
     assert out.error[-1] < 2e-2
 
 
-def _pushed(push, seconds, grey=False):
-    """A rolling ball whose camera is pushed at 0.5 s: states, motions, true attitudes, and the tracker given."""
+def _pushed(push, seconds, grey):
+    """A rolling ball whose camera is pushed at 0.5 s: states, motions, true attitudes, and the tracker given.
+
+    `grey`: of a frame, whether it comes without colour, from its state before and its stamp.
+    """
     sim = prepare(SimulationOptions(motion="roll", turns=1.0, noise=3.0, seconds=seconds, bump=0.5, bump_by=push))
     tracker = build(sim.scene.rig(), sim.scene.pose, SO3)
     state, states, motions, attitudes = begin(tracker, 0.0), [], [], []
     for made in simulate(sim):
-        image = cv2.cvtColor(made.frame.image, cv2.COLOR_BGR2GRAY) if grey else made.frame.image
+        made_grey = grey(state, made.frame.stamp)
+        image = cv2.cvtColor(made.frame.image, cv2.COLOR_BGR2GRAY) if made_grey else made.frame.image
         state, motion = step(state, replace(made.frame, image=image), tracker)
         states.append(state)
         motions.append(motion)
@@ -417,11 +433,29 @@ def _pushed(push, seconds, grey=False):
     return states, motions, attitudes, tracker, sim.changes[0].scene.pose
 
 
+def _never(*_):
+    return False
+
+
+def _always(*_):
+    return True
+
+
+def _unless_wanted(state, stamp):
+    return not wants_colour(state, stamp)
+
+
 @pytest.mark.parametrize(
-    ("push", "grey"), [((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), True), ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), False)]
+    ("push", "grey"),
+    [
+        ((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), _always),
+        ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), _never),
+        ((5.0, -40.0, 20.0, 3.0, -4.0, 1.0), _unless_wanted),
+        ((0.6, 0.0, 0.0, 0.0, 0.03, 0.0), _unless_wanted),  # too little for correlation
+    ],
 )
 def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
-    """By correlation, in grey; and by the targets' colours, where they left their windows."""
+    """By correlation, in grey; by the targets' colours, where they left their windows; and in colour where asked."""
     states, motions, attitudes, tracker, pose = _pushed(push, 0.8, grey)
     events = [s.event for s in states if "camera was moved" in s.event]
     assert len(events) == 1
@@ -437,3 +471,64 @@ def test_a_pushed_camera_is_found_again_without_a_jump(push, grey):
     sent = np.cumsum([m.counts for m in motions], axis=0)
     turns = [tracker.counts @ log(b @ a.T) for a, b in pairwise(attitudes)]
     assert np.abs(sent[1:] - np.cumsum(turns, axis=0))[-1].max() < 4.0
+
+
+def test_colour_is_wanted_for_the_first_frame_and_while_the_camera_swings():
+    wanted = []
+
+    def asked(state, stamp):
+        wanted.append(wants_colour(state, stamp))
+        return not wanted[-1]
+
+    states, *_ = _pushed((2.0, 1.0, -2.0, 0.1, -0.2, 0.1), 0.8, asked)
+    assert wanted[0]
+    away = [k for k, s in enumerate(states) if s.watch.away is not None or s.watch.asked]
+    assert away
+    assert {k for k, w in enumerate(wanted) if w} == {0, *(k + 1 for k in away)}
+
+
+def _rolled(frames, tracker, change):
+    """A film in which `change` takes state and tracker between two frames and gives them back; the sum of counts."""
+    state, sums = begin(tracker, 0.0), np.zeros(3)
+    for k, made in enumerate(frames):
+        if k == len(frames) // 2:
+            state, motion, tracker = change(state, made.frame, tracker)
+        else:
+            state, motion = step(state, made.frame, tracker)
+        sums += motion.counts
+    return state, sums
+
+
+def test_a_pose_estimated_anew_and_other_settings_move_nothing():
+    sim = prepare(SimulationOptions(motion="roll", turns=0.5, noise=3.0, seconds=1.0))
+    frames = list(simulate(sim))
+    tracker = build(sim.scene.rig(), sim.scene.pose, SO3)
+    plain, expected = _rolled(frames, tracker, lambda s, f, t: (*step(s, f, t), t))
+
+    def anew(s, f, t):
+        pose = sim.scene.pose
+        nearly = Pose(exp(np.array([0.0, 2e-4, 0.0])) @ pose.rotation, pose.position + np.array([0.0, 0.0, 5e-4]))
+        state, motion = posed_anew(s, f, t, nearly)
+        assert "pose estimated anew" in state.event
+        return state, motion, t
+
+    def tuned(s, f, t):
+        s, t = retuned(s, t, replace(SO3, motion=replace(SO3.motion, counts_per_mm=1.0, invert_x=False)))
+        return *step(s, f, t), t
+
+    for change in (anew, tuned):
+        state, sums = _rolled(frames, tracker, change)
+        assert state.phase is Phase.TRACKING
+        assert np.abs(sums - expected).max() <= 2.0
+        assert np.linalg.norm(log(state.filter.attitude @ plain.filter.attitude.T)) < 1e-3
+
+
+def test_another_filter_begins_at_the_last_attitude():
+    sim = prepare(SimulationOptions(motion="roll", turns=0.5, noise=3.0, seconds=0.6))
+    tracker = build(sim.scene.rig(), sim.scene.pose, SO3)
+    state = begin(tracker, 0.0)
+    for made in simulate(sim):
+        state, _ = step(state, made.frame, tracker)
+    after, other = retuned(state, tracker, replace(SO3, tracker="ekf2"))
+    assert other.settings.tracker == "ekf2"
+    assert_allclose(after.filter.attitude, state.filter.attitude, atol=1e-12)
