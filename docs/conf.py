@@ -60,6 +60,7 @@ CORE: list[str] = [
     "associate",
     "filters",
     "motion",
+    "pointer",
     "watch",
     "bearing",
     "track",
@@ -104,11 +105,9 @@ def modules_page() -> str:
 
 def settings_page() -> str:
     """The configuration file with every default, as `spheremouse config init` writes it."""
-    if not (exists("spheremouse.config") and exists("spheremouse.track")):
-        return "*Not in this version yet.*\n"
     config = importlib.import_module("spheremouse.config")
-    track = importlib.import_module("spheremouse.track")
-    return f"```yaml\n{config.dump_commented(track.Settings()).rstrip()}\n```\n"
+    settings = importlib.import_module("spheremouse.daemon.settings")
+    return f"```yaml\n{config.dump_commented(settings.Configuration()).rstrip()}\n```\n"
 
 
 def command_line_page() -> str:

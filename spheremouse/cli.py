@@ -12,10 +12,12 @@ from spheremouse import (
     __version__,
     cli_bench,
     cli_config,
+    cli_ctl,
     cli_firmware,
     cli_layout,
     cli_map,
     cli_run,
+    cli_service,
     cli_simulate,
     demo,
 )
@@ -39,6 +41,8 @@ app.command(epilog=cli_simulate.EXAMPLE)(cli_simulate.simulate)
 app.command(epilog="Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json")(evaluate)
 app.command(epilog=cli_bench.EXAMPLE)(cli_bench.bench)
 app.command(epilog=cli_layout.EXAMPLE)(cli_layout.layout)
+app.add_typer(cli_ctl.app, name="ctl", epilog=cli_ctl.EPILOG)
+app.add_typer(cli_service.app, name="service", epilog="Example: sudo spheremouse service install")
 app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")
 app.add_typer(cli_calibrate.app, name="calibrate", epilog="Begin with: spheremouse calibrate next")
 app.add_typer(cli_firmware.app, name="firmware", epilog="Example: spheremouse firmware check")

@@ -14,9 +14,9 @@ app = typer.Typer(no_args_is_help=True, help="Show, check or write a configurati
 
 def root() -> type[Any]:
     """The settings of the whole program; imported late, since it brings all of the core."""
-    from spheremouse.track import Settings
+    from spheremouse.daemon.settings import Configuration
 
-    return Settings
+    return Configuration
 
 
 def settings_of(file: Path | None, assignments: list[str] | None, cls: type[Any]) -> Any:

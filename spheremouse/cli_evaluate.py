@@ -96,6 +96,10 @@ def evaluate(
             failed = True
     if results:
         out.print(_table(results, settings, pose))
+        for recording in recordings:
+            if recording.truth is None:
+                text = "no truth.csv: no errors are known; frames tracked, NIS and times say what can be said without"
+                err.print(f"{recording.path}: {text}", markup=False, highlight=False)
     try:
         if json_file is not None and results:
             write_json(json_file, results[0] if len(datasets) == 1 else results)
@@ -135,7 +139,7 @@ def _check(pose: str, noise: float, datasets: list[Path], json_file: Path | None
 
 def _rig(recording: Recording, rig: Rig | None, camera: InteriorOrientation | None, pose: str) -> Rig:
     rig = recording.rig if rig is None else rig
-    if rig.scale_free:  # the truth is in metres
+    if rig.scale_free and not recording.rig.scale_free:  # the truth is in metres
         rig = in_metres(rig, recording.rig.ball.radius / rig.ball.radius)
     rig = rig if camera is None else with_camera(rig, camera)
     if pose == "own":
@@ -176,7 +180,9 @@ def _run(
     err: Console,
 ) -> tuple[Run, Pose | None]:
     """Track a recording from its first frame; also the camera's pose where it was found from the images."""
-    frames = degraded(read_frames(recording), noise, brightness)
+    # by their index, which is what the truth's rows go by: a live camera counts those too that were dropped
+    numbered = (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
+    frames = degraded(numbered, noise, brightness)
     with progress_bar() as progress:
         task = progress.add_task(recording.name, total=recording.frames)
         passed_over: list[str] = []  # why the first views gave no pose: said only where later ones did
@@ -278,6 +284,7 @@ _ROWS: tuple[tuple[str, Callable[[dict[str, Any]], str]], ...] = (
     ("camera rotation error, °", lambda r: _list(r, "pose_error", "angle_deg")),
     ("  its standard deviation, °", lambda r: _list(r, "pose_error", "sigma_angle_deg")),
     ("NEES of attitude, rate (3 is right)", lambda r: _each(r, "nees", "attitude", "rate")),
+    ("NIS per degree of freedom (1 is right)", lambda r: _shown(r["nis"])),
     ("RMSE / bound: attitude, rate", lambda r: _each(r, "bound_ratio", "attitude", "rate")),
     ("time per frame: median, p99, max, µs", lambda r: _each(r, "frame_us", "median", "p99", "max", form=".0f")),
     (

@@ -4,29 +4,40 @@ import sys
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
+
+if TYPE_CHECKING:
+    from spheremouse.daemon.plan import Plan, Request
+    from spheremouse.daemon.worker import Step
+    from spheremouse.live import Board, Tally
+    from spheremouse.overlay import OverlayFile
+    from spheremouse.source import Source
+    from spheremouse.stopping import Stopping
 
 EXAMPLE = "Example: spheremouse run --source dataset:demo/roll --output text:-"
 
 
 def run(
     source: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="KIND:ARG",
-            help="Where frames come from: video:PATH, dataset:DIR, synthetic[:KEY=VALUE,...] or opencv:INDEX.",
+            help="Where frames come from: v4l2:DEVICE or opencv:INDEX (cameras), video:PATH, dataset:DIR or "
+            "synthetic[:KEY=VALUE,...].  [default: `source` of the configuration]",
         ),
-    ],
+    ] = None,
     output: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
-            metavar="KIND:ARG", help="Where motion goes: text:-, text:FILE, uinput, serial:auto, serial:PORT or null."
+            metavar="KIND:ARG",
+            help="Where motion goes: auto, uinput, serial:auto, serial:PORT, desktop, text:-, text:FILE or null.  "
+            "[default: `output` of the configuration]",
         ),
-    ],
+    ] = None,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Configuration file; see `spheremouse config`.")
     ] = None,
@@ -78,81 +89,136 @@ def run(
     First the camera's pose is found from the ring targets, unless the rig knows it; then every frame is tracked.
     With a rig file, what is learnt of the ball's discs is saved beside it: the next run knows the attitude from its
     first frame.
-    Pose, what changes (tracking, lost, tracking again) and a closing line go to standard error. Ctrl-C ends the run.
+
+    With a camera, or --realtime, this is the service: nothing that becomes of camera or output ends it, the pointer
+    moves at a steady rate between frames, and `spheremouse ctl` asks and tells it. Other recordings are tracked frame
+    by frame, as fast as it goes. What changes goes to standard error. Ctrl-C ends the run.
     """
-    from spheremouse.cli_config import settings_of
+    from spheremouse.daemon.cameras import is_v4l2
+    from spheremouse.daemon.plan import Request, read_plan, without_map
     from spheremouse.live import Board, Tally
-    from spheremouse.map_file import map_path
-    from spheremouse.output import open_output
-    from spheremouse.overlay import OverlayFile, target_marks
-    from spheremouse.resect import describe
-    from spheremouse.rig_file import load_camera, load_rig, with_camera
-    from spheremouse.session import initialise, track
-    from spheremouse.session_map import MapKeeper
+    from spheremouse.overlay import OverlayFile
     from spheremouse.source import open_source
     from spheremouse.stopping import Stopping
-    from spheremouse.track import Settings, build
 
-    settings = settings_of(config, assignments, Settings)
-    if map_file is not None and no_map:
-        raise ConfigurationError("--map and --no-map: give one of the two")
-    if map_file is not None and settings.tracker != "so3":
-        raise ConfigurationError(f"--map: tracker {settings.tracker} keeps no map; use so3, or leave --map out")
-    device = None if rig is None else load_rig(rig)
-    interior = None if camera is None else load_camera(camera)
-    shared = output in ("text:-", "text:", "text") and sys.stdout.isatty()
+    if output is not None and len(output) > 1:
+        raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")
+    to = output[0] if output else None
+    request = Request(config, tuple(assignments or ()), source, to, rig, camera, map_file, no_map)
+    plan = read_plan(request)
+    shared = plan.output in ("text:-", "text:", "text") and sys.stdout.isatty()
     wanted = sys.stderr.isatty() and not shared if table is None else table
     tally = Tally()
     failure: SpheremouseError | None = None
     with ExitStack() as stack:
         stopping = stack.enter_context(Stopping())
-        given = stack.enter_context(open_source(source, realtime=realtime))
-        device = device or given.rig
-        if device is None:
-            raise ConfigurationError(f"{source}: says nothing of the device; give its rig file with --rig FILE")
-        if interior is not None:
-            device = with_camera(device, interior)
-        picture = None if overlay is None else stack.enter_context(OverlayFile(overlay, given.fps))
-        board = stack.enter_context(Board(source, wanted, tally))
-        if map_file is None and rig is not None and given.rig is None and settings.tracker == "so3" and not no_map:
-            map_file = map_path(rig)
-        keeper = None if map_file is None else stack.enter_context(MapKeeper(map_file, device, board.say))
-        with open_output(output) as sink:  # a reader of the output that goes away ends this block, quietly
-            try:
-                said: list[str] = []
-                start = initialise(
-                    stopping.frames(iter(given)),
-                    device,
-                    settings,
-                    live=given.live,
-                    report=lambda text: board.say(f"waiting: {text}") if given.live else said.append(text),
-                )
-                for passed_over in said:
-                    board.say(f"views passed over: {passed_over}")
-                tracker = build(device, start.pose, settings)
-                found = start.resection
-                board.say(f"camera pose: {'as the rig says' if found is None else describe(found, device)}")
-                if device.scale_free:
-                    scale = settings.motion.scale(None)
-                    board.say(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")
-                if picture is not None:
-                    picture.begin(tracker, target_marks(device, start.pose, found))
-                known = None if keeper is None else keeper.known
-                for epoch in track(stopping.frames(islice(start.frames, frames)), tracker, known):
-                    sink.send(epoch.motion)
-                    tally.add(epoch)
-                    if keeper is not None:
-                        keeper.keep(epoch.state)
-                    if epoch.state.event:
-                        board.say(f"{epoch.frame.stamp:9.3f} s  {epoch.state.event}")
-                    board.show(epoch)
-                    if picture is not None:
-                        picture.add(epoch, tally.counts)
-            except PoseError as e:
-                failure = None if stopping.asked else e  # asked to stop: no frame came any more
-            except SpheremouseError as e:
-                failure = e
+        given = None if is_v4l2(plan.source) else open_source(plan.source, realtime=realtime)
+        board = stack.enter_context(Board(plan.source, wanted, tally))
+        if given is not None and given.rig is not None and map_file is None and plan.configuration.map is None:
+            plan = without_map(plan)
+        picture = None
+        if overlay is not None:
+            picture = stack.enter_context(OverlayFile(overlay, None if given is None else given.fps))
+        try:
+            if given is None or given.live or realtime:
+                _serve(request, plan, given, stopping, board, tally, picture, frames)
+            else:
+                _follow(plan, stack.enter_context(given), stopping, board, tally, picture, frames)
+        except PoseError as e:
+            failure = None if stopping.asked else e  # asked to stop: no frame came any more
+        except SpheremouseError as e:
+            failure = e
     if tally.frames or failure is None:
         print(tally, file=sys.stderr)
     if failure is not None:
         raise failure
+
+
+def _serve(
+    request: "Request",
+    plan: "Plan",
+    given: "Source | None",
+    stopping: "Stopping",
+    board: "Board",
+    tally: "Tally",
+    picture: "OverlayFile | None",
+    frames: int | None,
+) -> None:
+    """As a service: frames are taken when they come, and a device that fails is waited for."""
+    from spheremouse.daemon.cameras import held, is_v4l2, opener
+    from spheremouse.daemon.run import Daemon
+    from spheremouse.overlay import target_marks
+
+    device = plan.device(None if given is None else given.rig)
+
+    def show(made: "Step") -> None:
+        tally.add(made.epoch)
+        board.show(made.epoch)
+        if picture is not None:
+            tracker = daemon.tracker
+            if tally.frames == 1 and tracker is not None:
+                picture.begin(tracker, target_marks(device, tracker.pose, None))
+            picture.add(made.epoch, tally.counts)
+
+    daemon = Daemon(
+        request,
+        plan,
+        device,
+        held(plan, opener(plan, given)),
+        lambda changed: held(changed, opener(changed)),
+        stamped=is_v4l2(plan.source) or (given is not None and given.live),
+        say=board.say,
+        show=show,
+        frames=frames,
+    )
+    daemon.run(stopping)
+    if daemon.never_posed and not stopping.asked:
+        raise PoseError(daemon.never_posed)
+
+
+def _follow(
+    plan: "Plan",
+    given: "Source",
+    stopping: "Stopping",
+    board: "Board",
+    tally: "Tally",
+    picture: "OverlayFile | None",
+    frames: int | None,
+) -> None:
+    """A recording: every frame, one after the other."""
+    from spheremouse.output import open_output
+    from spheremouse.overlay import target_marks
+    from spheremouse.resect import describe
+    from spheremouse.session import initialise, track
+    from spheremouse.session_map import MapKeeper
+    from spheremouse.track import build
+
+    device, settings = plan.device(given.rig), plan.configuration
+    with ExitStack() as stack:
+        keeper = None
+        if plan.map_path is not None:
+            keeper = stack.enter_context(MapKeeper(plan.map_path, device, board.say))
+        sink = stack.enter_context(open_output(plan.output))  # its reader may go away: a quiet end
+        said: list[str] = []
+        start = initialise(stopping.frames(iter(given)), device, settings, report=said.append)
+        for passed_over in said:
+            board.say(f"views passed over: {passed_over}")
+        tracker = build(device, start.pose, settings)
+        found = start.resection
+        board.say(f"camera pose: {'as the rig says' if found is None else describe(found, device)}")
+        if device.scale_free:
+            scale = settings.motion.scale(None)
+            board.say(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")
+        if picture is not None:
+            picture.begin(tracker, target_marks(device, start.pose, found))
+        known = None if keeper is None else keeper.known
+        for epoch in track(stopping.frames(islice(start.frames, frames)), tracker, known):
+            sink.send(epoch.motion)
+            tally.add(epoch)
+            if keeper is not None:
+                keeper.keep(epoch.state)
+            if epoch.state.event:
+                board.say(f"{epoch.frame.stamp:9.3f} s  {epoch.state.event}")
+            board.show(epoch)
+            if picture is not None:
+                picture.add(epoch, tally.counts)

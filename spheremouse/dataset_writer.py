@@ -1,50 +1,31 @@
-"""Writes dataset folders: all of one or nothing.
-
-Frames go into a lossless video where OpenCV gives them back bit for bit, into PNG files otherwise.
-"""
+"""Writes dataset folders, all of one or nothing: with truth of what was simulated, without of what a camera showed."""
 
 import csv
 import json
+import os
 import shutil
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import cv2
 import numpy as np
 
-from spheremouse.dataset_format import DISC_COLUMNS, FILES, TRUTH_COLUMNS, video_images
+from spheremouse.camera import Pose
+from spheremouse.dataset_format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS
 from spheremouse.errors import DatasetError
 from spheremouse.folders import begin_folder, finish_folder
 from spheremouse.frame import Frame
+from spheremouse.picture_writer import FAST, PictureWriter
+from spheremouse.rig import Rig
+from spheremouse.rig_file import rig_text
 from spheremouse.rotation import Array, to_euler
 from spheremouse.simulate import Change, Simulation, simulate
 from spheremouse.simulate.truth import DiscTruth
 
 CENTRE_COLUMNS = ("bx", "by", "bz")  # of truth.csv, where the ball leaves its place
-
-_CODECS = ("FFV1", "HFYU")  # in this order: smaller first
-
-
-@cache
-def _lossless_codec(width: int, height: int, folder: Path) -> str | None:
-    """The first codec that OpenCV writes and reads back bit for bit at that size, tried on noise; None: PNG files."""
-    rng = np.random.default_rng(0)
-    images = rng.integers(0, 256, (2, height, width, 3), dtype=np.uint8)
-    for codec in _CODECS:
-        path = folder / "trial.mkv"
-        video = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), 30.0, (width, height))
-        if video.isOpened():
-            for image in images:
-                video.write(image)
-            video.release()
-            back = list(video_images(path))
-            path.unlink(missing_ok=True)
-            if len(back) == len(images) and all(np.array_equal(a, b) for a, b in zip(images, back, strict=True)):
-                return codec
-    return None
 
 
 class DatasetWriter:
@@ -63,25 +44,13 @@ class DatasetWriter:
         self._replace = replace
         self._centres = centres
         self._size = (int(scene["width"]), int(scene["height"]))
-        self._frames = 0
-        self._video: cv2.VideoWriter | None = None
 
     def __enter__(self) -> Self:
-        self._refuse_to_overwrite()
+        _refuse_to_overwrite(self._path, self._replace)
         self._folder = begin_folder(self._path, DatasetError)
         try:
             self._folder.chmod(0o755)
-            codec = _lossless_codec(*self._size, self._folder)
-            if codec is None:
-                (self._folder / "frames").mkdir()
-            else:
-                self._video = cv2.VideoWriter(
-                    str(self._folder / "video.mkv"),
-                    cv2.CAP_FFMPEG,
-                    cv2.VideoWriter.fourcc(*codec),
-                    float(self._scene["fps"]),
-                    self._size,
-                )
+            self._pictures = PictureWriter(self._folder, self._size, float(self._scene["fps"]))
             self._truth_file = (self._folder / "truth.csv").open("w", newline="", encoding="utf-8")
             self._discs_file = (self._folder / "discs.csv").open("w", newline="", encoding="utf-8")
             self._truth_rows = csv.writer(self._truth_file, lineterminator="\n")
@@ -99,11 +68,8 @@ class DatasetWriter:
         `centre`: (3,) m in obj, of the ball, where `centres` are written.
         """
         assert frame.image.shape == (self._size[1], self._size[0], 3)
-        index = self._frames
-        if self._video is not None:
-            self._video.write(frame.image)
-        elif not cv2.imwrite(str(self._folder / "frames" / f"{index:06d}.png"), frame.image):
-            raise DatasetError(f"{self._path}: frame {index} could not be written; is the disk full?")
+        index = self._pictures.written
+        self._pictures.add(frame.image)
         numbers = [frame.stamp, *attitude.ravel(), *rate, *to_euler(attitude)]
         if self._centres:
             numbers += [0.0, 0.0, 0.0] if centre is None else list(centre)
@@ -119,79 +85,151 @@ class DatasetWriter:
                     int(discs.state[k]),
                 ]
             )
-        self._frames += 1
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self._close()
+            self._truth_file.close()
+            self._discs_file.close()
             if kind is None:
                 self._publish()
         except OSError as e:
             raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
         finally:
+            self._pictures.release()
             shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _close(self) -> None:
-        if self._video is not None:
-            self._video.release()
-        self._truth_file.close()
-        self._discs_file.close()
-
     def _publish(self) -> None:
-        if self._frames == 0:
-            raise DatasetError(f"{self._path}: nothing to write, the recording would have no frame")
-        if self._video is not None:
-            written = cv2.VideoCapture(str(self._folder / "video.mkv"), cv2.CAP_FFMPEG)
-            count = round(written.get(cv2.CAP_PROP_FRAME_COUNT)) if written.isOpened() else 0
-            written.release()
-            if count != self._frames:  # OpenCV's writer reports no errors
-                raise DatasetError(f"{self._path}: the video could not be written; is the disk full?")
-        (self._folder / "scene.json").write_text(
-            json.dumps({**self._scene, "frames": self._frames}, indent=1) + "\n", encoding="utf-8"
-        )
-        self._refuse_to_overwrite()  # once more: somebody may have come first
+        _finish(self._pictures, self._path)
+        _write_scene(self._folder, {**self._scene, "frames": self._pictures.written})
+        _refuse_to_overwrite(self._path, self._replace)  # once more: somebody may have come first
         finish_folder(self._folder, self._path)
 
-    def _refuse_to_overwrite(self) -> None:
-        if not self._path.exists():
-            return
-        if not self._path.is_dir():
-            raise DatasetError(f"{self._path}: is a file; name a folder to write to")
-        content = {p.name for p in self._path.iterdir()}
-        if content and not self._replace:
-            raise DatasetError(f"{self._path}: is not empty; name another folder or use --force to replace it")
-        if content - set(FILES):
-            odd = sorted(content - set(FILES))[0]
-            raise DatasetError(f"{self._path}: holds {odd}, which is no part of a dataset; it will not be replaced")
+
+class FilmWriter:
+    """Writes what a live camera showed, without truth: all of it at `finish`, or nothing.
+
+    Pictures and stamps come back to the last bit, and so do the device and the camera's pose, with covariances.
+    """
+
+    def __init__(self, path: Path, rig: Rig, pose: Pose, scene: Mapping[str, Any], files: Mapping[str, str]) -> None:
+        """`scene`: more keys for scene.json; `files`: further files of a dataset, name and text.
+
+        Raises DatasetError where `path` is there and not empty, or cannot be written.
+        """
+        self._path = path.absolute()
+        self._rig, self._scene, self._files = replace(rig, pose=pose), scene, files
+        self._stamps: list[float] = []
+        self._pictures: PictureWriter | None = None
+        _refuse_to_overwrite(self._path, False)
+        self.folder = begin_folder(self._path, DatasetError)  # until it takes its name
+
+    def open(self, fps: float) -> None:
+        """Find out how to write, which takes some tenths of a second; `fps` is what a player of the video goes by."""
+        camera = self._rig.camera
+        self._pictures = PictureWriter(self.folder, (camera.width, camera.height), fps, FAST, mixed=True)
+        self._file = (self.folder / "stamps.csv").open("w", newline="", encoding="utf-8")
+        self._rows = csv.writer(self._file, lineterminator="\n")
+        self._rows.writerow(STAMP_COLUMNS)
+
+    def add(self, frame: Frame) -> None:
+        """One more frame, grey or in colour."""
+        assert self._pictures is not None
+        stamp, colour = float(frame.stamp), int(frame.image.ndim == 3)
+        self._rows.writerow([self._pictures.written, repr(stamp), int(frame.sequence), colour])
+        self._pictures.add(frame.image)
+        self._stamps.append(stamp)
+
+    @property
+    def frames(self) -> int:
+        """Written so far."""
+        return len(self._stamps)
+
+    def size(self) -> int:
+        """Bytes on the disk so far."""
+        return 0 if self._pictures is None else self._pictures.size() + (self.folder / "stamps.csv").stat().st_size
+
+    def finish(self) -> None:
+        """Give it its name, once all is on the disk; DatasetError where that cannot be."""
+        assert self._pictures is not None
+        try:
+            self._file.close()
+            _finish(self._pictures, self._path)
+            for name, text in {"rig.yaml": rig_text(self._rig), **self._files}.items():
+                (self.folder / name).write_text(text, encoding="utf-8")
+            scene = {"name": self._path.name, **self._scene, **device_description(self._rig)}
+            assert self._rig.pose is not None
+            scene["T_obj_cam"] = self._rig.pose.matrix().tolist()
+            _write_scene(self.folder, {**scene, "fps": _rate(self._stamps), "frames": self.frames})
+            for file in [*self.folder.rglob("*"), self.folder]:
+                _sync(file)
+            self.folder.chmod(0o750)  # of people, perhaps: not for everybody
+            _refuse_to_overwrite(self._path, False)
+            finish_folder(self.folder, self._path)
+            _sync(self._path.parent)
+        except OSError as e:
+            raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
+
+    def discard(self) -> None:
+        """Remove what has not got its name."""
+        if self._pictures is not None:
+            self._pictures.release()
+            self._file.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _finish(pictures: PictureWriter, path: Path) -> None:
+    if pictures.written == 0:
+        raise DatasetError(f"{path}: nothing to write, the recording would have no frame")
+    try:
+        pictures.close()
+    except DatasetError as e:
+        raise DatasetError(f"{path}: {str(e).partition(': ')[2]}") from None
+
+
+def _write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
+    (folder / "scene.json").write_text(json.dumps(scene, indent=1) + "\n", encoding="utf-8")
+
+
+def _refuse_to_overwrite(path: Path, replace: bool) -> None:
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise DatasetError(f"{path}: is a file; name a folder to write to")
+    content = {p.name for p in path.iterdir()}
+    if content and not replace:
+        raise DatasetError(f"{path}: is not empty; name another folder or use --force to replace it")
+    if content - set(FILES):
+        odd = sorted(content - set(FILES))[0]
+        raise DatasetError(f"{path}: holds {odd}, which is no part of a dataset; it will not be replaced")
+
+
+def _rate(stamps: list[float]) -> float:
+    """Frames per second, from the median step of the stamps; 30 where they tell none."""
+    steps = np.diff(stamps)
+    steps = steps[np.isfinite(steps) & (steps > 0.0)]
+    return float(1.0 / np.median(steps)) if len(steps) else 30.0
+
+
+def _sync(path: Path) -> None:
+    """What is written is on the disk, as far as the system lets us ask."""
+    with suppress(OSError):  # folders cannot be opened everywhere
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
     """The content of scene.json, but for `frames`; the truth under keys that begin with `truth_`."""
-    scene, camera = simulation.scene, simulation.scene.camera
+    scene = simulation.scene
     description: dict[str, Any] = {
         "name": name,
         "made_by": "spheremouse simulate",
-        "width": camera.width,
-        "height": camera.height,
         "fps": simulation.fps,
-        "exposure_s": scene.exposure_s,
-        "camera": {
-            "fx": camera.fx,
-            "fy": camera.fy,
-            "cx": camera.cx,
-            "cy": camera.cy,
-            "dist": camera.distortion.tolist(),
-        },
-        "ball": {"radius": scene.ball_radius},
-        "disc_radius": scene.disc_radius,
-        "targets": [
-            {"id": i, "code": code, "position": position.tolist()}
-            for i, code, position in zip(scene.targets.ids, scene.targets.codes, scene.targets.position, strict=True)
-        ],
-        "target_radii": scene.targets.radii.tolist(),
-        "readout_s": scene.readout_s,
+        **device_description(scene.rig()),
         "truth_T_obj_cam": scene.pose.matrix().tolist(),
         "truth_disc_directions": scene.disc_directions.tolist(),
     }
@@ -200,6 +238,31 @@ def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
         bumps = [change for change in simulation.changes if change.what == "bump"]
         if bumps:
             description["truth_bump"] = {"t": bumps[0].time, "T_obj_cam": bumps[0].scene.pose.matrix().tolist()}
+    return description
+
+
+def device_description(rig: Rig) -> dict[str, Any]:
+    """What scene.json says of a device, without its covariances."""
+    camera, targets = rig.camera, rig.targets
+    description: dict[str, Any] = {
+        "width": int(camera.width),
+        "height": int(camera.height),
+        "exposure_s": float(rig.exposure_s),
+        "camera": {
+            **dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True)),
+            "dist": camera.distortion.tolist(),
+        },
+        "ball": {"radius": float(rig.ball.radius)},
+        "disc_radius": float(rig.disc_radius),
+        "targets": [
+            {"id": int(i), "code": code, "position": position.tolist()}
+            for i, code, position in zip(targets.ids, targets.codes, targets.position, strict=True)
+        ],
+    }
+    if np.any(targets.radii):
+        description["target_radii"] = targets.radii.tolist()
+    if rig.readout_sigma_s == 0.0:
+        description["readout_s"] = float(rig.readout_s)
     return description
 
 

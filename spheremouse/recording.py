@@ -7,23 +7,44 @@ docs/datasets.
 import csv
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
-from spheremouse.dataset_format import BLOB_COLUMNS, DISC_COLUMNS, MOTION_COLUMNS, folder_images, video_images
+from spheremouse.dataset_format import (
+    BLOB_COLUMNS,
+    DISC_COLUMNS,
+    MOTION_COLUMNS,
+    STAMP_COLUMNS,
+    folder_images,
+    picture_file,
+    read_picture,
+    video_images,
+)
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
-from spheremouse.errors import DatasetError
+from spheremouse.errors import ConfigurationError, DatasetError
 from spheremouse.frame import Frame
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.rig_file import load_rig
 from spheremouse.rotation import Array
 from spheremouse.simulate.truth import DiscTruth, Truth
 
-__all__ = ["DatasetWriter", "DiscTruth", "Recording", "Truth", "open_dataset", "read_frames", "write_simulation"]
+__all__ = [
+    "DatasetWriter",
+    "DiscTruth",
+    "Recording",
+    "Stamps",
+    "Truth",
+    "open_dataset",
+    "read_frames",
+    "write_simulation",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +53,7 @@ class Recording:
 
     path: Path
     name: str
-    rig: Rig  # from what is known beforehand; the covariances of ball and targets are zero
+    rig: Rig  # from rig.yaml, or from what scene.json knows beforehand: then all covariances are zero
     fps: float
     frames: int
     exposure_s: float
@@ -40,6 +61,16 @@ class Recording:
     truth: Truth | None
     discs: DiscTruth | None
     truth_directions: Array | None  # (m, 3) true unit vectors to the discs, ball
+    stamps: "Stamps | None" = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """What a live camera said of each of its n frames."""
+
+    stamp: Array  # (n,) s, on any clock; not even sure to grow
+    sequence: NDArray[np.int64]  # (n,) of the camera's frames: gaps are frames that were dropped
+    colour: NDArray[np.bool_]  # (n,) the tracker was given this one in colour
 
 
 # ---- scene.json ----
@@ -101,13 +132,14 @@ def open_dataset(path: Path | str) -> Recording:
         raise DatasetError(f"{path}: neither video.mkv nor a folder frames/ is there")
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
     discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
+    stamps = _read_stamps(path / "stamps.csv", scene.frames) if (path / "stamps.csv").exists() else None
     directions = None
     if scene.truth_disc_directions is not None:
         directions = np.array(scene.truth_disc_directions, dtype=float).reshape(-1, 3)
     return Recording(
         path=path,
         name=scene.name or path.name,
-        rig=_rig(scene),
+        rig=_recorded_rig(path / "rig.yaml", scene) if (path / "rig.yaml").exists() else _rig(scene),
         fps=scene.fps,
         frames=scene.frames,
         exposure_s=scene.exposure_s,
@@ -115,6 +147,7 @@ def open_dataset(path: Path | str) -> Recording:
         truth=truth,
         discs=discs,
         truth_directions=directions,
+        stamps=stamps,
     )
 
 
@@ -176,6 +209,25 @@ def _rig(scene: _Scene) -> Rig:
         exposure_s=scene.exposure_s,
         pose=None if scene.T_obj_cam is None else pose_from_matrix(np.array(scene.T_obj_cam)),
     )
+
+
+def _recorded_rig(path: Path, scene: _Scene) -> Rig:
+    """Of a rig file, with covariances; its pose to the last bit, which making it orthonormal once more would spoil."""
+    try:
+        rig = load_rig(path)
+    except ConfigurationError as e:
+        raise DatasetError(str(e)) from None
+    if (rig.camera.width, rig.camera.height) != (scene.width, scene.height):
+        raise DatasetError(
+            f"{path}: is for pictures of {rig.camera.width}x{rig.camera.height}, "
+            f"but scene.json says {scene.width}x{scene.height}"
+        )
+    if rig.pose is None or scene.T_obj_cam is None:
+        return rig
+    T = np.array(scene.T_obj_cam, dtype=float)
+    if not np.allclose(T, rig.pose.matrix(), rtol=0.0, atol=1e-12):  # somebody mended the rig file
+        return rig
+    return replace(rig, pose=replace(rig.pose, rotation=np.ascontiguousarray(T[:3, :3])))
 
 
 def _pose(path: Path, key: str, matrix: _Matrix4 | None) -> Pose | None:
@@ -265,16 +317,36 @@ def _read_discs(path: Path, frames: int) -> DiscTruth:
     )
 
 
+def _read_stamps(path: Path, frames: int) -> Stamps:
+    table = _read_table(path, STAMP_COLUMNS)
+    if len(table) != frames:
+        raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
+    wrong = np.flatnonzero(table[:, 0] != np.arange(frames))
+    if len(wrong):
+        raise DatasetError(f"{path}, row {wrong[0] + 1}: frame {table[wrong[0], 0]:g} where {wrong[0]} is due")
+    sequence, colour = table[:, 2], table[:, 3]
+    if np.any(sequence != np.rint(sequence)) or np.any(np.abs(sequence) > 2**53):
+        raise DatasetError(f"{path}: sequence must be a whole number")
+    if not np.all(np.isin(colour, (0.0, 1.0))):
+        raise DatasetError(f"{path}: colour must be 0 or 1")
+    return Stamps(table[:, 1].copy(), sequence.astype(np.int64), colour == 1.0)
+
+
 # ---- frames ----
 
 
 def read_frames(recording: Recording) -> Iterator[Frame]:
-    """The frames in order, stamped from the truth's times, or index / fps where there is none.
+    """The frames in order, each with stamp and number, and in grey or colour, as the recording says.
+
+    Where it does not, they are in colour, counted from 0, and stamped from the truth's times, or index / fps.
 
     A recording cut short gives what is there and then raises DatasetError.
     """
     source = recording.path / "video.mkv"
-    images = video_images(source) if source.is_file() else folder_images(source := recording.path / "frames")
+    in_video = source.is_file()
+    images = video_images(source) if in_video else folder_images(recording.path)
+    source = source if in_video else recording.path / "frames"
+    stamps = recording.stamps
     size = (recording.rig.camera.height, recording.rig.camera.width)
     count = 0
     for image in images:
@@ -282,11 +354,25 @@ def read_frames(recording: Recording) -> Iterator[Frame]:
             raise DatasetError(
                 f"{source}: frame {count} is {image.shape[1]}x{image.shape[0]}, but scene.json says {size[1]}x{size[0]}"
             )
-        stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
-        yield Frame(image, stamp, count)
+        if stamps is not None:
+            yield _as_recorded(recording.path, image, count, stamps, in_video)
+        else:
+            stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
+            yield Frame(image, stamp, count)
         count += 1
         if count == recording.frames:
             return
     if count == 0:
         raise DatasetError(f"{source}: no frame in it can be read")
     raise DatasetError(f"{source}: ends after {count} of {recording.frames} frames")
+
+
+def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Stamps, in_video: bool) -> Frame:
+    """A picture of the video (h, w, 3), or what stands for it: one in colour of its own file, or its grey."""
+    if not stamps.colour[index]:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)  # of equal channels: their value
+    elif in_video and (file := picture_file(folder, index)).is_file():
+        size, image = image.shape[:2], read_picture(file)
+        if image.shape[:2] != size:
+            raise DatasetError(f"{file}: is {image.shape[1]}x{image.shape[0]}, the video is {size[1]}x{size[0]}")
+    return Frame(image, float(stamps.stamp[index]), int(stamps.sequence[index]))

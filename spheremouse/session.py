@@ -18,6 +18,7 @@ from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run
+from spheremouse.filters.so3_state import So3State
 from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.resect import Resection, gather, resect
@@ -79,7 +80,14 @@ class History:
             detected=tuple(s.detections.centre for s in states),
             used=tuple(e.used for e in epochs),
             seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
+            nis=_innovations(states),
         )
+
+
+def _innovations(states: list[TrackState]) -> Array | None:
+    """Normalised innovation squared of every frame's update, (n,); None for a filter that does not give it."""
+    values = [s.filter.nis for s in states if isinstance(s.filter, So3State)]
+    return np.array(values, dtype=float) if len(values) == len(states) else None
 
 
 def initialise(

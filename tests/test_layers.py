@@ -25,6 +25,7 @@ CORE = (
     "associate",
     "filters",
     "motion",
+    "pointer",
     "watch",
     "bearing",
     "track",

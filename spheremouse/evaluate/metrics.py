@@ -42,6 +42,7 @@ class Run:
     detected: tuple[Array, ...]  # (n,) of (k, 2) px: all candidates of the detector
     used: tuple[Array, ...]  # (n,) of (k, 2) px: those that took part in the filter's update
     seconds: dict[str, Array]  # stage -> (n,) s, measured by the caller
+    nis: Array | None = None  # (n,) normalised innovation squared of the filter's update; None: it has none
 
     @property
     def tracked(self) -> NDArray[np.intp]:
@@ -101,6 +102,7 @@ def report(
             "attitude": None if attitude is None else mean_nees(attitude[1:], P[1:, :3, :3]),
             "rate": None if rate is None else mean_nees(rate, P[:, 3:, 3:]),
         },
+        "nis": mean_nis(run),
         "bound_ratio": bound_ratio(attitude, rate, bound),
         "frame_us": frame_times(run.seconds),
         "stages_us": {stage: _number(1e6 * np.median(s)) if len(s) else None for stage, s in run.seconds.items()},
@@ -183,6 +185,20 @@ def mean_nees(error: Array, covariance: Array) -> float | None:
         return None
     inverse = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True)
     return _number(np.mean(np.einsum("ni,nij,nj->n", error, inverse, error)))
+
+
+def mean_nis(run: Run) -> float | None:
+    """Innovations squared in units of their covariance, per degree of freedom: 1 for a filter that knows its noise.
+
+    The one check of a covariance that takes no truth. Over the tracked frames whose discs were known before: each disc
+    used has two degrees of freedom, and the one that is founded has none.
+    """
+    if run.nis is None:
+        return None
+    k = run.tracked
+    k = k[run.nis[k] > 0.0]
+    freedom = 2 * sum(len(run.used[i]) for i in k)
+    return _number(np.sum(run.nis[k]) / freedom) if freedom else None
 
 
 def lost_episodes(phase: Sequence[Phase]) -> int:

@@ -18,7 +18,7 @@ HELLO, MOTION, ASK_STATUS, STOP = 0x01, 0x02, 0x03, 0x04
 IDENTITY, ACK, STATUS = 0x81, 0x82, 0x83
 MOST = 64  # bytes of a frame's content
 STEP = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
-_REACH = STEP // 2  # from what is confirmed: what is under way either way then lies within one step
+_REACH = STEP // 2  # from what is confirmed
 SILENCE = 0.1  # s
 AXES = ("X", "Y", "wheel", "pan")
 KINDS = {1: "CircuitPython", 2: "AVR", 3: "simulator"}
@@ -30,6 +30,7 @@ _HANGS = 1.0  # s without a motion from the tracker: slower than any camera
 _BREAK = 1.0  # s after which counts are too late to be wanted
 _AHEAD = 8  # frames unanswered: 13 ms of a line at 115200 baud
 _INSIST = 3 * 19 * 10  # bits: with more unanswered, a third of the line
+_FLYING = 64  # frames under way that are told apart
 _TIMES = 4096  # round trips remembered
 
 _HEADER, _CRC = struct.Struct("<BBH"), struct.Struct("<I")
@@ -148,7 +149,7 @@ def parse(frame: Frame) -> Identity | Ack | Status | None:
         return Ack(number, _four(counters), Flags(flags), refused, lost)
     if frame.type == IDENTITY:
         session, last, *counters, first, step, silence, a, b, c, kind, board = _IDENTITY.unpack(frame.body)
-        name = board.rstrip(b"\0").decode("ascii", "replace")
+        name = "".join(c if c.isprintable() else "?" for c in board.rstrip(b"\0").decode("ascii", "replace"))
         return Identity(session, last, _four(counters), first, step, silence, (a, b, c), kind, name)
     if frame.type == STATUS:
         session, uptime, whole, damaged, refused, lost, reports, errors, flags, buttons = _STATUS.unpack(frame.body)
@@ -203,6 +204,7 @@ class Link:
         self.running = False
         self.heard = -np.inf  # s, last answer
         self.sessions = self.motions = self.acks = 0
+        self.breaks = 0  # sessions that did not end by this end's own silence or word
         self.notices: deque[str] = deque(maxlen=100)
         self._draw = session
         self._frames = Splitter()
@@ -214,6 +216,7 @@ class Link:
         self._number, self._answered = 0, -1
         self._moved = self._said = self._since = -np.inf  # s: last MOTION, last `add`, nothing confirmed since
         self._flying: dict[int, float] = {}
+        self._targets: deque[tuple[int, list[int], list[int]]] = deque()  # number, from, to: where the board may go
         self._times: deque[float] = deque(maxlen=_TIMES)
         self._wants_status = self._wants_stop = False
 
@@ -250,16 +253,17 @@ class Link:
 
     def closed(self) -> None:
         """The port is gone."""
+        self.breaks += self.running
         self.running, self._asked = False, 0
 
     def receive(self, data: bytes, now: float) -> None:
         """What came in."""
         for frame in self._frames.take(data):
-            self.heard = now
             if frame.version != VERSION:
                 if frame.type == IDENTITY:
                     self.foreign = frame.version
                 continue
+            self.heard = now
             found = parse(frame)
             if isinstance(found, Identity):
                 self._identified(found, now)
@@ -276,9 +280,10 @@ class Link:
         if self.running:
             if self._wants_stop:
                 self._wants_stop = False
-                self.closed()
+                self.running, self._asked = False, 0
                 return encode(STOP, self._next(now))
             if self._unanswered and now - max(self.heard, min(self._flying.values(), default=now)) > _PATIENCE:
+                self.breaks += 1
                 self._begin(now)
             elif now - self._said < _HANGS and now - self._moved >= SILENCE:
                 self._begin(now)  # the device has gone silent
@@ -292,13 +297,17 @@ class Link:
             return encode(ASK_STATUS, self._next(now))
         if now - self._said >= _HANGS:
             return None
-        target = [min(max(t, c - _REACH), c + _REACH) for t, c in zip(self.total, self.confirmed, strict=True)]
+        target = self._target()
         news = target != self.sent or self.buttons != self._pressed
         wait = _KEEP if not news else self._insist if self._unanswered >= _AHEAD else 0.0
         if now - self._moved < wait:
             return None
         self.sent, self._pressed, self._moved = target, self.buttons, now
         self.motions += 1
+        self._targets.append((self._number, target, target))
+        if len(self._targets) > _FLYING:  # two as one, that reaches as far as both
+            (_, *one), (number, *other) = self._targets.popleft(), self._targets.popleft()
+            self._targets.appendleft((number, *_hull([*one, *other])))
         counters = [s - b for s, b in zip(target, self._base, strict=True)]
         return motion(self._next(now), counters, self.buttons)
 
@@ -315,6 +324,11 @@ class Link:
         return self.total == self.confirmed
 
     @property
+    def waiting(self) -> list[int]:
+        """Counts that were given and neither passed on for all that is known, nor dropped."""
+        return [t - c for t, c in zip(self.total, self.confirmed, strict=True)]
+
+    @property
     def damaged(self) -> int:
         """Answers that came damaged since the port was opened."""
         return self._frames.damaged
@@ -329,11 +343,19 @@ class Link:
     def _unanswered(self) -> int:
         return (self._number - 1 - self._answered) & 0xFFFF
 
+    def _target(self) -> list[int]:
+        """Where the next MOTION goes: no step is too large, whichever of what is under way the board has obeyed."""
+        lowest, highest = _hull([self.confirmed, *(t for _, *two in self._targets for t in two)])
+        return [
+            min(max(t, c - _REACH, high - STEP), c + _REACH, low + STEP)
+            for t, c, low, high in zip(self.total, self.confirmed, lowest, highest, strict=True)
+        ]
+
     def _next(self, now: float) -> int:
         number = self._number
         self._number = (number + 1) & 0xFFFF
         self._flying[number] = now
-        while len(self._flying) > 64:
+        while len(self._flying) > _FLYING:
             del self._flying[next(iter(self._flying))]
         return number
 
@@ -346,8 +368,6 @@ class Link:
 
     def _identified(self, found: Identity, now: float) -> None:
         if self.running or not self._asked or found.session != self._asked:
-            if found.session == 0:
-                self.foreign = VERSION
             return
         mine, before = self._mine, self.confirmed
         if mine is not None and found.last == mine.session:
@@ -364,6 +384,7 @@ class Link:
             self._since = now
         self.sent, self._base, self._acked = list(self.confirmed), list(self.confirmed), [0] * 4
         self._flying.clear()
+        self._targets.clear()
         self._answered, self._pressed, self._moved = (self._number - 1) & 0xFFFF, 0, now
         self.running = True
         self.sessions += 1
@@ -375,6 +396,7 @@ class Link:
         self.acks += 1
         if not ack.flags & Flags.RUNNING:
             if ack.number in self._flying:  # not one from before
+                self.breaks += 1
                 self._begin(now)
             return
         sent = self._flying.pop(ack.number, None)
@@ -385,6 +407,11 @@ class Link:
                 del self._flying[number]
         before = list(self.confirmed)
         self._confirm(ack.counters)
+        if sent is not None:  # the newest that was answered may be due still
+            while self._targets and signed(self._targets[0][0] - ack.number) < 0:
+                self._targets.popleft()
+            if self._targets and self._targets[0] == (ack.number, self.confirmed, self.confirmed):
+                self._targets.popleft()
         if before != self.confirmed or self.settled:
             self._since = now
 
@@ -404,6 +431,11 @@ class Link:
 def _four(values: Sequence[int]) -> tuple[int, int, int, int]:
     a, b, c, d = values
     return a, b, c, d
+
+
+def _hull(points: Sequence[Sequence[int]]) -> tuple[list[int], list[int]]:
+    """The lowest and the highest of each axis."""
+    return [min(axis) for axis in zip(*points, strict=True)], [max(axis) for axis in zip(*points, strict=True)]
 
 
 def _several(counts: Sequence[int]) -> str:

@@ -50,6 +50,7 @@ class Simulator:
         self.buttons = 0
         self.presses = 0  # reports in which buttons changed
         self.awake = True  # the computer whose mouse this is
+        self.nods_off = False  # whether it falls asleep while the next report waits for it
         self.reports = self.resets = 0
         self._reset = False
         self._on_move = on_move
@@ -117,10 +118,14 @@ class Simulator:
             if line.length:
                 device.handle(line, now)
         device.tick(now)
-        device.usb_ready = self.awake
+        device.set_usb(self.awake)
         if device.due():
-            self._move(device.report)
-            device.passed_on()
+            if self.nods_off:
+                self.awake = self.nods_off = False
+                device.not_passed_on()
+            else:
+                self._move(device.report)
+                device.passed_on()
         while time.monotonic() >= self._free_at and (frame := device.answer(line)) is not None:
             self._write(bytes(frame))
 

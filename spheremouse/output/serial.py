@@ -21,26 +21,39 @@ from typing import Any, Self
 
 from spheremouse.errors import OutputError
 from spheremouse.motion import Motion
-from spheremouse.output._serial_protocol import VERSION, Identity, Link, Status
+from spheremouse.output._serial_protocol import VERSION, Flags, Identity, Link, Status
 from spheremouse.spec import options
 
 BAUD, SLOWEST = 115200, 38400
 THIRD = ("none", "wheel", "pan")
 PRODUCT = "spheremouse"
+CIRCUITPYTHON = (0x239A, 0x2E8A)  # USB vendors of its boards with RP2040 and RP2350: Adafruit, Raspberry Pi
 ADAPTERS = {  # USB vendor and product of chips that are nothing but a serial adapter
     (0x10C4, 0xEA60): "CP210x",
+    (0x1A86, 0x7522): "CH340",
     (0x1A86, 0x7523): "CH340",
+    (0x1A86, 0x55D3): "CH343",
     (0x1A86, 0x55D4): "CH9102",
     (0x0403, 0x6001): "FT232R",
+    (0x0403, 0x6014): "FT232H",
     (0x0403, 0x6015): "FT231X",
     (0x067B, 0x2303): "PL2303",
+    (0x067B, 0x23A3): "PL2303GC",
+    (0x067B, 0x23B3): "PL2303GB",
+    (0x067B, 0x23C3): "PL2303GT",
+    (0x067B, 0x23D3): "PL2303GL",
+    (0x067B, 0x23E3): "PL2303GE",
+    (0x067B, 0x23F3): "PL2303GS",
     (0x2E8A, 0x000C): "Debug Probe",
 }
+NOT_TAKEN = "the mouse's computer takes no moves: it is off or asleep, or the board is not plugged into it"
+TAKEN = "the mouse's computer takes moves again"
 FIRST_ANSWER = 3.0  # s; a board that has just been plugged in starts in one or two
 _BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 2.0)  # s
-_SILENT = 2.0  # s without an answer after which the port is opened anew
+_SILENT = 3.0  # s without an answer after which the port is opened anew; a computer can hold a board up for 2
 _QUEUED = 38  # bytes: two frames that the system has not sent yet
-_FLUSH = 0.2  # s
+_FLUSH = 0.5  # s
+_ASK = 0.05  # s between two STATUS?
 _AXIS = {"wheel": 2, "pan": 3}
 
 
@@ -55,14 +68,18 @@ class Port:
         """Raises OutputError where it cannot be opened."""
         import serial
 
+        port = None
         try:
-            self._port = serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
-            self._port.reset_input_buffer()
+            port = serial.Serial(name, baud, timeout=0.0, write_timeout=0.0, exclusive=True)
+            port.reset_input_buffer()
+        except Exception as e:  # termios.error, for one, is no OSError
             with contextlib.suppress(Exception):
-                self._port.set_low_latency_mode(True)  # an FTDI chip holds answers back for 16 ms otherwise
-        except (OSError, ValueError) as e:
+                if port is not None:
+                    port.close()
             raise OutputError(f"serial: {_refusal(name, e)}") from None
-        self.name = name
+        with contextlib.suppress(Exception):
+            port.set_low_latency_mode(True)  # an FTDI chip holds answers back for 16 ms otherwise
+        self._port, self.name = port, name
         self._posix = os.name == "posix"
 
     def read(self, timeout: float) -> bytes:
@@ -106,8 +123,8 @@ class Port:
 
     def _read_elsewhere(self, timeout: float) -> bytes:
         """Windows has no `select` for ports."""
-        until = time.monotonic() + timeout
-        while not (waiting := self._port.in_waiting) and time.monotonic() < until:
+        until = time.perf_counter() + timeout
+        while not (waiting := self._port.in_waiting) and time.perf_counter() < until:
             time.sleep(0.001)
         return self._port.read(waiting) if waiting else b""
 
@@ -120,17 +137,27 @@ class Statistics:
     motions: int  # frames
     answers: int
     sessions: int
+    breaks: int  # sessions that the line or the board ended
     refused: int  # by the board since it was started
     lost: int
     dropped: int  # counts that came too late for a board that was away
     uncertain: int  # counts under way when the board was started again
+    waiting: int  # counts given and not yet passed on, for all that is known here
 
     def __str__(self) -> str:
         median, slow = (1e3 * t for t in self.round_trip)
-        text = f"round trip {median:.2f} ms (99 %: {slow:.2f} ms)" if self.answers else "no answer"
-        text += f"; {self.motions} frames, {self.lost} lost, {self.refused} refused, {self.sessions} sessions"
-        text += f"; {self.dropped} counts dropped" if self.dropped else ""
-        return text + (f"; {self.uncertain} counts uncertain" if self.uncertain else "")
+        text = f"round trip {median:.2f} ms (99 %: {slow:.2f} ms)" if self.answers else "no answer to a motion"
+        text += f"; {self.motions} frames"
+        text += f", {self.lost} of them lost and made up for" if self.lost else ""
+        text += f", {self.refused} refused" if self.refused else ""
+        text += f", {_counted(self.breaks, 'break')} of the line" if self.breaks else ""
+        missing = (
+            (self.dropped, "dropped (too late)"),
+            (self.uncertain, "uncertain (the board was started again)"),
+            (self.waiting, "not confirmed at the end"),
+        )
+        short = ", ".join(f"{n} {what}" for n, what in missing if n)
+        return f"{text}; " + (f"counts that did not arrive: {short}" if short else "every count arrived")
 
 
 class Serial:
@@ -144,6 +171,9 @@ class Serial:
         self._port: Port | None = None
         self._unsent = b""
         self._greeted: Identity | None = None
+        self._missed = False  # told that it is away
+        self._told_foreign: int | None = None
+        self._ready = True  # whether the computer that has the mouse takes reports, as last told
         self._failure: BaseException | None = None
         self._over = threading.Event()
         self._connect_first()
@@ -157,16 +187,16 @@ class Serial:
         if self._third != "none":
             counts[_AXIS[self._third]] = z
         with self._lock:
-            self._link.add(counts, time.monotonic())
+            self._link.add(counts, time.perf_counter())
             self._flush()
         if self._failure is not None:
             raise OutputError(f"serial: {self._failure}; start again") from self._failure
 
     def hold(self, buttons: int) -> None:
-        """Buttons that are down from now on: bits 0 to 4."""
+        """Buttons that are down from now on: bits 0 to 4. For Python callers; the trackball itself has none."""
         with self._lock:
             self._link.buttons = buttons & 0x1F
-            self._link.alive(time.monotonic())
+            self._link.alive(time.perf_counter())
             self._flush()
 
     def describe(self, motion: Motion) -> str:
@@ -185,21 +215,25 @@ class Serial:
                 link.motions,
                 link.acks,
                 link.sessions,
+                link.breaks,
                 link.ack.refused if link.ack else 0,
                 link.ack.lost if link.ack else 0,
                 sum(map(abs, link.dropped)),
                 sum(map(abs, link.uncertain)),
+                sum(map(abs, link.waiting)),
             )
 
     def status(self, timeout: float = 1.0) -> Status | None:
         """What the board says of how it fares; None if it does not within `timeout` s."""
-        with self._lock:
-            self._link.status = None
-            self._link.ask_status()
-            self._flush()
-        until = time.monotonic() + timeout
-        while (found := self._link.status) is None and time.monotonic() < until:
-            time.sleep(0.005)
+        self._link.status = None
+        asked, until = -_ASK, time.perf_counter() + timeout
+        while (found := self._link.status) is None and (now := time.perf_counter()) < until:
+            if now - asked >= _ASK:  # again: question or answer may be lost
+                asked = now
+                with self._lock:
+                    self._link.ask_status()
+                    self._flush()
+            time.sleep(0.002)
         return found
 
     @property
@@ -224,41 +258,37 @@ class Serial:
         """Wait a moment until all has been passed on, release the buttons, close the port."""
         if self._over.is_set():
             return
-        until = time.monotonic() + _FLUSH
-        while self._link.running and not self._link.settled and time.monotonic() < until:
+        until = time.perf_counter() + _FLUSH
+        while self._port is not None and not self._link.settled and time.perf_counter() < until:
+            with self._lock:
+                self._link.alive(time.perf_counter())
             time.sleep(0.001)
         self._over.set()
         self._thread.join(5.0)
         with self._lock:
             self._link.stop()
+            stop = self._link.due(time.perf_counter()) if self._link.running else None
+            last = self._unsent + (b"\0" + stop if stop else b"")
+            port, self._port, self._unsent = self._port, None, b""
+        if port is not None:
             with contextlib.suppress(PortGoneError):
-                if self._port is not None and self._unsent:
-                    self._port.write(self._unsent)
-                if self._port is not None and (stop := self._link.due(time.monotonic())):
-                    self._port.write(stop)
-                    while self._port.queued() and time.monotonic() < until + _FLUSH:
-                        time.sleep(0.001)
-            if self._port is not None:
-                self._port.close()
-                self._port = None
+                _write_all(port, last, time.perf_counter() + _FLUSH)
+            port.close()
         self._say(f"{self.statistics()}")
 
     # ---- the thread ----
 
     def _connect_first(self) -> None:
-        self._open()
-        until = time.monotonic() + FIRST_ANSWER
         try:
+            self._open()
+            until = time.perf_counter() + FIRST_ANSWER
             while not self._link.running:
                 assert self._port is not None
-                now = time.monotonic()
+                now = time.perf_counter()
                 if self._link.foreign is not None:
                     raise OutputError(f"serial: {self._port.name}: {_foreign(self._link.foreign)}")
                 if now > until:
-                    raise OutputError(
-                        f"serial: {self._port.name}: no board of ours answers; see `spheremouse firmware check`, "
-                        "and on a plain serial line whether RX and TX are exchanged"
-                    )
+                    raise OutputError(f"serial: {self._port.name}: {_nobody(self._link.damaged)}")
                 self._turn(self._port)
         except PortGoneError as e:
             raise OutputError(f"serial: the port went away ({e}); plug the board in again") from None
@@ -275,14 +305,14 @@ class Serial:
                     if self._over.wait(_BACK_OFF[min(failures, len(_BACK_OFF) - 1)]):
                         return
                     failures += 1
-                    with contextlib.suppress(OutputError, PortGoneError):
+                    with contextlib.suppress(Exception):  # whatever becomes of a port that is just coming or going
                         self._open()
                     continue
                 try:
                     self._turn(self._port)
                     if self._link.running:
                         failures = 0
-                    elif time.monotonic() - max(self._link.heard, self._opened) > _SILENT:
+                    elif time.perf_counter() - max(self._link.heard, self._opened) > _SILENT:
                         raise PortGoneError("no answer")
                 except PortGoneError as e:
                     self._close(str(e), quiet=failures > 0)
@@ -293,11 +323,11 @@ class Serial:
     def _turn(self, port: Port) -> None:
         """Read what there is, or wait a little; write what is due."""
         with self._lock:
-            wait = 0.001 if self._unsent or port.queued() > _QUEUED else self._link.wake(time.monotonic())
+            wait = 0.001 if self._unsent or port.queued() > _QUEUED else self._link.wake(time.perf_counter())
         data = port.read(wait)
         with self._lock:
             if data:
-                self._link.receive(data, time.monotonic())
+                self._link.receive(data, time.perf_counter())
             self._flush(raising=True)
 
     def _flush(self, raising: bool = False) -> None:
@@ -307,7 +337,7 @@ class Serial:
                 if not self._unsent:
                     if self._port.queued() > _QUEUED:
                         return
-                    self._unsent = self._link.due(time.monotonic()) or b""
+                    self._unsent = self._link.due(time.perf_counter()) or b""
                     if not self._unsent:
                         return
                 taken = self._port.write(self._unsent)
@@ -321,36 +351,42 @@ class Serial:
     def _open(self) -> None:
         port = Port(self._find(), self._baud)
         with self._lock:
-            self._port, self._opened = port, time.monotonic()
+            self._port, self._opened = port, time.perf_counter()
             self._unsent = self._link.opened(self._opened)
             self._flush(raising=True)
 
     def _close(self, why: str, quiet: bool) -> None:
         with self._lock:
-            name = "the port" if self._port is None else self._port.name
-            if self._port is not None:
-                self._port.close()
-            self._port, self._unsent = None, b""
+            port, self._port, self._unsent = self._port, None, b""
             self._link.closed()
         if not quiet:
-            self._say(f"{name}: {why}; trying again until it is back")
+            self._missed = True
+            self._say(f"{'the port' if port is None else port.name}: {why}; trying again until it is back")
+        if port is not None:
+            port.close()  # systems can wait here for seconds
 
     def _tell(self) -> None:
         """Say what is new."""
         while self._link.notices:
             self._say(self._link.notices.popleft())
-        found = self._link.identity
-        first = None if found is None else found.first
-        known = None if self._greeted is None else self._greeted.first
-        if found is not None and self._port is not None and self._link.running and first != known:
-            self._greeted = found
-            self._say(f"{found} at {self._port.name}")
+        found, port, running = self._link.identity, self._port, self._link.running
+        if not running and self._link.foreign not in (None, self._told_foreign):
+            self._told_foreign = self._link.foreign
+            self._say(_foreign(self._told_foreign or 0))
+        if found is not None and port is not None and running:
+            if self._missed or self._greeted is None or found.first != self._greeted.first:
+                self._say(f"{found} at {port.name}{' is back' if self._missed else ''}")
+            self._greeted, self._missed, self._told_foreign, self._link.foreign = found, False, None, None
+        ack = self._link.ack
+        if running and ack is not None and self._ready != bool(ack.flags & Flags.USB_READY):
+            self._ready = not self._ready
+            self._say(TAKEN if self._ready else NOT_TAKEN)
 
 
 def open(argument: str) -> Serial:
     """Connect to a board."""
     name, _, rest = argument.partition(",")
-    whole = f"serial:{argument}"
+    name, whole = "auto" if name.lower() == "auto" else name, f"serial:{argument}".removesuffix(":")
     given = options(rest, {"baud": int, "third": str, "id": str}, whole, OutputError)
     baud, third, identifier = int(given.get("baud", BAUD)), str(given.get("third", "none")), given.get("id")
     if not name or "=" in name:
@@ -368,23 +404,28 @@ def open(argument: str) -> Serial:
     return Serial(find, baud, third, lambda text: print(f"serial: {text}", file=sys.stderr))
 
 
-def find_board(identifier: str | None = None, ports: list[Any] | None = None) -> str:
-    """The port of the board by its USB identity; `ports` as pyserial lists them."""
-    if ports is None:
-        from serial.tools import list_ports
+def find_board(identifier: str | None = None, ports: list[Any] | None = None, adapters: bool = True) -> str:
+    """The port of the board by its USB identity; `ports` as pyserial lists them.
 
-        ports = list(list_ports.comports())
-    ports = [p for p in ports if p.vid is not None]
-    found = _by_board([p for p in ports if PRODUCT in f"{p.product} {p.serial_number}".lower()])
-    if not found and identifier is None:
-        found = _by_board([p for p in ports if (p.vid, p.pid) in ADAPTERS])
-    elif identifier is not None:
-        found = {key: port for key, port in _by_board(ports).items() if port.serial_number == identifier}
+    Where none is ours, the only adapter there is, if `adapters` are allowed.
+    """
+    ports = [p for p in (_ports() if ports is None else ports) if p.vid is not None]
+    boards = [board for board in _boards(ports) if _data_port(board) is not None]
+    if identifier is not None:
+        found = [b for b in boards if b[-1].serial_number == identifier]
+    else:
+        found = [b for b in boards if _is_ours(b)]
+        if not found and adapters:
+            found = [b for b in boards if _id(b) in ADAPTERS]
     if len(found) == 1:
-        return next(iter(found.values())).device
+        return found[0][-1].device
     if found:
-        several = ", ".join(f"id={p.serial_number} at {p.device}" for p in found.values())
-        raise OutputError(f"serial:auto: several boards ({several}); write serial:auto,id=... or serial:PORT")
+        numbers = [b[-1].serial_number for b in found]
+        several = (
+            f"serial:auto,id={n} ({b[-1].device})" if n and numbers.count(n) == 1 else f"serial:{b[-1].device}"
+            for b, n in zip(found, numbers, strict=True)
+        )
+        raise OutputError(f"serial:auto: several boards; write {' or '.join(several)}")
     there = ", ".join(p.device for p in ports)
     raise OutputError(
         "serial:auto: no board "
@@ -394,15 +435,22 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None) ->
     )
 
 
-def _by_board(ports: list[Any]) -> dict[Any, Any]:
-    """One port per board: of a console and a data port, which come in this order, the data port.
+def _ports() -> list[Any]:
+    from serial.tools import list_ports
 
-    Never the console: a Ctrl-C among the bytes of a frame would stop the firmware.
-    """
-    found: dict[Any, Any] = {}
+    try:
+        return list(list_ports.comports())
+    except (TypeError, ValueError, OSError):  # what it reads of a board that is just being unplugged is gone
+        raise OutputError("serial:auto: ports are changing just now; try again") from None
+
+
+def _boards(ports: list[Any]) -> list[list[Any]]:
+    """The ports of each board, data ports last."""
+    found: dict[Any, list[Any]] = {}
     for port in sorted(ports, key=_interface):
-        found[(port.vid, port.pid, port.serial_number or port.location or port.device)] = port
-    return found
+        place = (port.location or ("" if port.serial_number else port.device)).partition(":")[0]
+        found.setdefault((port.vid, port.pid, port.serial_number, place), []).append(port)
+    return list(found.values())
 
 
 def _interface(port: Any) -> tuple[int, str, int, str]:
@@ -411,15 +459,44 @@ def _interface(port: Any) -> tuple[int, str, int, str]:
     return (int("CDC2" in (port.interface or "")), number, len(port.device), port.device)
 
 
+def _id(board: list[Any]) -> tuple[int, int]:
+    return board[-1].vid, board[-1].pid
+
+
+def _says_ours(board: list[Any]) -> bool:
+    return any(PRODUCT in f"{p.product} {p.serial_number}".lower() for p in board)
+
+
+def _is_ours(board: list[Any]) -> bool:
+    """By name; where the system tells none (Windows), CircuitPython with a data port, which is rare elsewhere."""
+    return _says_ours(board) or (len(board) == 2 and board[-1].vid in CIRCUITPYTHON and board[-1].product is None)
+
+
+def _data_port(board: list[Any]) -> Any | None:
+    """Never CircuitPython's console: a Ctrl-C among the bytes of a frame would stop the program there."""
+    port = board[-1]
+    interface = port.interface or ""
+    if "CDC2" in interface or _id(board) in ADAPTERS:
+        return port
+    if "CircuitPython CDC" in interface:
+        return None
+    alone = len(board) == 1 and port.vid in CIRCUITPYTHON and not _says_ours(board)
+    return None if alone else port
+
+
 def _foreign(version: int) -> str:
-    what = "another version" if version == VERSION else f"version {version}"
-    return f"the board speaks {what} of the protocol, this is {VERSION}; run `spheremouse firmware install`"
+    advice = (
+        "update spheremouse"
+        if version > VERSION
+        else "load this program's firmware: `spheremouse firmware install`, on an ATmega32U4 see docs/microcontroller.md"
+    )
+    return f"the board speaks version {version} of the protocol, this program {VERSION}; {advice}"
 
 
 def _refusal(name: str, error: Exception) -> str:
     number = getattr(error, "errno", None)
     if isinstance(error, FileNotFoundError) or number == 2:
-        return f"{name} does not exist; plug the board in, or see which ports there are with serial:auto"
+        return f"{name} does not exist; {_there()}"
     if isinstance(error, PermissionError) or number == 13:
         return f"{name} may not be used; be in its group (dialout on Debian: sudo adduser $USER dialout), log in again"
     if number in (11, 16) or "exclusively lock" in str(error):
@@ -427,9 +504,42 @@ def _refusal(name: str, error: Exception) -> str:
     return f"{name} cannot be opened: {_reason(error)}"
 
 
+def _there() -> str:
+    try:
+        names = [p.device for p in _ports()]
+    except OutputError:
+        names = []
+    return f"there is {', '.join(names)}" if names else "there is no serial port here: plug the board in"
+
+
 def _reason(error: Exception) -> str:
-    text = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    text = getattr(error, "strerror", None) or str(error.args[-1] if error.args else error)  # termios.error: (5, "...")
     return " ".join(text.split())
+
+
+def _nobody(damaged: int) -> str:
+    if damaged:
+        return (
+            "something answers, but garbled; use shorter wires, see that GND is connected and that both ends have the "
+            "same baud rate"
+        )
+    return (
+        "no board of ours answers; see `spheremouse firmware check`, and on a plain serial line whether RX and TX are "
+        "exchanged"
+    )
+
+
+def _write_all(port: Port, data: bytes, until: float) -> None:
+    """Write and see it gone from the system's queue, if it goes in time."""
+    while data and time.perf_counter() < until:
+        data = data[port.write(data) :]
+        time.sleep(0.001 if data else 0.0)
+    while port.queued() and time.perf_counter() < until:
+        time.sleep(0.001)
+
+
+def _counted(n: int, noun: str) -> str:
+    return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
 def _example_port() -> str:

@@ -1,0 +1,269 @@
+"""`spheremouse service`: start with the computer; put what that needs in place, remove it, see whether all is there."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from spheremouse import service
+from spheremouse.errors import ServiceError
+from spheremouse.service import UNIT, USER, Place
+
+app = typer.Typer(no_args_is_help=True, help="Start with the computer: install, uninstall, status.")
+
+_ROOT = Path("/")
+_User = Annotated[bool, typer.Option("--user", help="Your own service, of your own account, in place of the system's.")]
+_DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done; do nothing.")]
+_Root = Annotated[
+    Path, typer.Option("--root", metavar="DIR", help="Place all below DIR, and run nothing: for packages and images.")
+]
+
+
+@app.command(epilog="Example: sudo spheremouse service install")
+def install(
+    user: _User = False,
+    dry_run: _DryRun = False,
+    root: _Root = _ROOT,
+    start: Annotated[bool, typer.Option("--start/--no-start", help="Start it, or start it anew.")] = True,
+) -> None:
+    """Place the unit, its user, udev rules and a configuration to begin with; safe to repeat.
+
+    A file that was edited is kept as FILE.bak; a configuration that is there is not touched, but brought to the form
+    this version reads where it is of an older one (the original stays as FILE.schemaN.bak).
+    """
+    from spheremouse import migrate
+
+    place = _place(root, user)
+    program = service.executable(place)
+    deeds = list(service.install(place, program, _systemd_version()))
+    files = sorted(place.configuration.glob("*.yaml")) if place.configuration.is_dir() else []
+    files += sorted(place.state.glob("*.yaml")) if place.state is not None and os.access(place.state, os.R_OK) else []
+    deeds += [
+        service.Deed("convert", path, lambda p=path: migrate.migrate_file(p), words)
+        for path in files
+        if (words := migrate.due(path))
+    ]
+    if dry_run:
+        _would(deeds)
+    else:
+        _allowed(place, deeds, "install")
+        for line in service.carry_out(deeds):
+            typer.echo(line)
+    if not deeds:
+        typer.echo("all files are in place")
+    if place.root != _ROOT:
+        return
+    commands = _activation(place, start)
+    if dry_run or not _booted(place):
+        _by_hand(place, commands, dry_run)
+    elif not _run(commands):
+        raise typer.Exit(1)
+    _next(place)
+
+
+@app.command(epilog="Example: sudo spheremouse service uninstall --purge")
+def uninstall(
+    user: _User = False,
+    dry_run: _DryRun = False,
+    root: _Root = _ROOT,
+    purge: Annotated[
+        bool, typer.Option("--purge", help="Configuration, calibration, map, recordings and backups, too.")
+    ] = False,
+) -> None:
+    """Stop the service and remove what was placed; configuration, calibration and recordings stay, unless --purge."""
+    place = _place(root, user)
+    deeds = list(service.uninstall(place, purge))
+    live = place.root == _ROOT and _booted(place)
+    if dry_run:
+        _would(deeds)
+        return
+    _allowed(place, deeds, "uninstall")
+    if live and deeds:
+        _run([[*_systemctl(place), "stop", UNIT]], quiet=True)
+    for line in service.carry_out(deeds):
+        typer.echo(line)
+    service.tidy(place)
+    if live and deeds:
+        after = [[*_systemctl(place), "daemon-reload"], [*_systemctl(place), "reset-failed", UNIT]]
+        after += [] if user else [["udevadm", "control", "--reload"]]
+        _run(after, quiet=True)
+    stays = service.left(place)
+    if not user and place.root == _ROOT and not stays and _users_id() is not None:
+        _run([["userdel", USER]])
+    if stays:
+        again = "" if user else f", and the user {USER}"
+        typer.echo(f"stays{again}; --purge removes it, too:")
+        for path in stays:
+            typer.echo(f"  {path}")
+    typer.echo("the service is gone" if deeds else "there was no service")
+
+
+@app.command(epilog="Example: spheremouse service status")
+def status(user: _User = False, root: _Root = _ROOT) -> None:
+    """Say of each file whether it is in place, and whether the service runs; exit code 1 where something is missing."""
+    place = _place(root, user)
+    words = {
+        "missing": "missing",
+        "ok": "ok",
+        "older": "of another version or installation",
+        "edited": "edited by hand",
+    }
+    program = service.executable(place)
+    well = True
+    for name, path in place.files():
+        state = service.state_of(path, service.rendered(name, program, _systemd_version()))
+        well &= state in ("ok", "edited")
+        typer.echo(f"{path}: {words[state]}")
+    config = place.configuration / "config.yaml"
+    well &= config.exists()
+    typer.echo(f"{config}: {'there' if config.exists() else 'missing'}")
+    typer.echo(f"starts with the computer: {'yes' if place.link.is_symlink() else 'no'}")
+    if place.root == _ROOT:
+        if not user:
+            well &= _users_id() is not None
+            typer.echo(f"user {USER}: {'there' if _users_id() is not None else 'missing'}")
+        if _booted(place):
+            shown = _output([*_systemctl(place), "is-active", UNIT]) or "unknown"
+            well &= shown == "active"
+            typer.echo(f"service: {shown}")
+        else:
+            typer.echo("service: unknown, systemd does not run here")
+    if not well:
+        typer.echo(f"to mend it: {_again(place, 'install')}")
+        raise typer.Exit(1)
+
+
+# ---- within ----
+
+
+def _place(root: Path, user: bool) -> Place:
+    if sys.platform != "linux":
+        raise ServiceError("service: needs Linux with systemd; elsewhere have the system start `spheremouse run`")
+    if user and os.geteuid() == 0 and os.environ.get("SUDO_USER"):
+        raise ServiceError("--user is for your own account: repeat it without sudo")
+    if not root.is_dir():
+        raise ServiceError(f"--root: {root} is no directory; make it first")
+    return Place(root.resolve(), user)
+
+
+def _again(place: Place, command: str) -> str:
+    sudo = "" if place.user else "sudo "
+    return f"{sudo}{shutil.which('spheremouse') or service.executable(place)} service {command}" + (
+        " --user" if place.user else ""
+    )
+
+
+def _allowed(place: Place, deeds: list[service.Deed], command: str) -> None:
+    if deeds and not service.may(place):
+        given = [a for a in sys.argv[1:] if a.startswith("-")] if "service" in sys.argv else []
+        raise ServiceError(
+            f"service: this account may not write below {place.inside(place.unit.parent.parent)}; repeat it with: "
+            f"{_again(place, command)}{''.join(f' {shlex.quote(a)}' for a in given)}"
+        )
+
+
+def _would(deeds: list[service.Deed]) -> None:
+    for deed in deeds:
+        typer.echo(f"would {deed}")
+
+
+def _activation(place: Place, start: bool) -> list[list[str]]:
+    """Commands after which what was placed is in force."""
+    commands = [] if place.user else [
+        ["systemd-sysusers", "/etc/sysusers.d/spheremouse.conf"],
+        ["systemd-tmpfiles", "--create", "/etc/tmpfiles.d/spheremouse.conf"],
+        ["modprobe", "-a", *_modules()],
+        ["udevadm", "control", "--reload"],
+        ["udevadm", "trigger", *(f"--subsystem-match={s}" for s in ("misc", "video4linux", "tty"))],
+    ]  # fmt: skip
+    commands.append([*_systemctl(place), "daemon-reload"])
+    if start and (place.configuration / "rig.yaml").exists():
+        commands.append([*_systemctl(place), "restart", "--no-block", UNIT])
+    return commands
+
+
+def _modules() -> list[str]:
+    text = (service.folder() / "systemd" / "modules-load.conf").read_text(encoding="utf-8")
+    return re.findall(r"^\w+$", text, re.M)
+
+
+def _systemctl(place: Place) -> list[str]:
+    return ["systemctl", "--user"] if place.user else ["systemctl"]
+
+
+def _systemd_version() -> int | None:
+    found = re.match(r"systemd (\d+)", _output(["systemctl", "--version"]))
+    return None if found is None else int(found[1])
+
+
+def _booted(place: Place) -> bool:
+    """Does systemd run here, as sd_booted(3) tells; and the user's own?"""
+    if place.user:
+        return (Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere") / "systemd").is_dir()
+    return Path("/run/systemd/system").is_dir()
+
+
+def _users_id() -> int | None:
+    import pwd
+
+    try:
+        return pwd.getpwnam(USER).pw_uid
+    except KeyError:
+        return None
+
+
+def _output(command: list[str]) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()
+
+
+def _run(commands: list[list[str]], quiet: bool = False) -> bool:
+    """Run them all, saying which did not work; whether what matters did: a kernel may lack a module."""
+    well = True
+    for command in commands:
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+            why = "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
+        except (OSError, subprocess.TimeoutExpired) as e:
+            why = str(e)
+        if why and not quiet:
+            typer.echo(f"did not work: {shlex.join(command)}: {why}")
+            well &= command[0] in ("modprobe", "udevadm")
+    return well
+
+
+def _by_hand(place: Place, commands: list[list[str]], dry_run: bool) -> None:
+    if dry_run:
+        typer.echo("would then run:")
+    else:
+        typer.echo("systemd does not run here: it is all in force from the next start on, or after")
+    sudo = "" if place.user or os.geteuid() == 0 else "sudo "
+    for command in commands:
+        typer.echo(f"  {sudo}{shlex.join(command)}")
+
+
+def _next(place: Place) -> None:
+    rig = place.configuration / "rig.yaml"
+    if not rig.exists():
+        copy = "cp" if place.user else "sudo cp"
+        typer.echo(f"next: calibrate (`spheremouse calibrate next`), then: {copy} CABINET/rig.yaml {rig}")
+        typer.echo(f"name the camera in {place.configuration / 'config.yaml'}, then: {_start(place)}")
+    else:
+        typer.echo(f"next: spheremouse ctl status; what it says: journalctl {'--user ' if place.user else ''}-u {UNIT}")
+    if place.user and not os.access("/dev/uinput", os.W_OK):
+        typer.echo(
+            "for a mouse of this computer (uinput), your account needs rights that root must give: see docs/install.md"
+        )
+
+
+def _start(place: Place) -> str:
+    return ("" if place.user else "sudo ") + shlex.join([*_systemctl(place), "start", UNIT])

@@ -1,0 +1,538 @@
+"""The control socket: who may, asks; one thread answers, with bounded memory, a bounded pace and no waiting for anyone.
+
+Requests are lines (`protocol`). A client has one of them under way at a time. `handle` is called in this thread and
+must return at once; its `reply` may be called later, from any thread. Everything that a client can do to the daemon
+through this door is bounded by `Limits`.
+"""
+
+import contextlib
+import os
+import selectors
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from spheremouse.daemon import control_socket
+from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.daemon.protocol import (
+    MAX_LINE,
+    BadRequestError,
+    Id,
+    Request,
+    Set,
+    Watch,
+    done,
+    encode,
+    parse,
+    refused,
+)
+from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.yaml_file import one_line
+
+Reply = Callable[[dict[str, Any]], None]
+Handle = Callable[[Request, Reply], None]
+
+# What a member of the group may not `set`: which files and devices the daemon opens, and what it does for whom.
+PLACES = ("source", "output", "rig", "camera_file", "map", "camera.controls", "control", "record", "metrics")
+
+_LISTENER, _WAKE = -1, -2
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a client may cost."""
+
+    pace: float = 200.0  # requests per s, of all clients together; connections likewise
+    burst: float = 50.0  # of them at once
+    kilobyte: float = 1.0  # requests that a kilobyte of a request counts for
+    reading: float = 0.1  # requests that a look at what came counts for
+    unsent: int = 262144  # bytes that may wait for a client to read them
+    stalled: float = 5.0  # s in which a client must have read something of what waits for it
+    idle: float = 30.0  # s that a client may be silent
+    answer: float = 60.0  # s in which the daemon must have answered
+    events: int = 1000  # that may wait to be sent to watchers
+
+
+class _Pace:
+    """So many per second, and so many at once; debts are paid off before anything more is done."""
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self._rate, self._burst = rate, burst
+        self._level, self._then = burst, time.monotonic()
+
+    def free(self) -> bool:
+        """Whether something may be done now."""
+        now = time.monotonic()
+        self._level = min(self._burst, self._level + (now - self._then) * self._rate)
+        self._then = now
+        return self._level > 0.0
+
+    def take(self, cost: float) -> None:
+        """It was done."""
+        self._level -= cost
+
+    def wait(self) -> float:
+        """Seconds until something may be done."""
+        return 0.0 if self.free() else (0.001 - self._level) / self._rate
+
+
+@dataclass(slots=True, eq=False)
+class _Client:
+    """A connection and what is under way on it. Times are s of the monotonic clock."""
+
+    connection: socket.socket
+    trusted: bool  # the daemon's own user, or root
+    heard: float  # when it was last no fault of the client that nothing happened
+    received: bytearray = field(default_factory=bytearray)
+    unsent: bytearray = field(default_factory=bytearray)
+    sent: float = 0.0  # when something of `unsent` last went, or began to wait
+    events: int = 0  # that the selector looks for; 0: it does not know the connection
+    asked: float | None = None  # when the request under way was handed on
+    turn: int = 0  # its number
+    id: Id | None = None
+    interval: float | None = None  # of a watcher
+    due: float = 0.0  # its next status
+    status_asked: float | None = None
+    ended: bool = False  # it sends nothing any more
+    closing: bool = False  # it goes as soon as it has read what waits
+
+
+class ControlServer:
+    """Listens at `path` from its making until `close`. `say` gets a line about what an operator should know of."""
+
+    def __init__(
+        self,
+        path: Path,
+        settings: ControlSettings,
+        handle: Handle,
+        say: Callable[[str], None] = lambda line: None,
+        limits: Limits | None = None,
+    ) -> None:
+        if not hasattr(socket, "AF_UNIX"):
+            raise ControlError("this system has no Unix sockets, so the daemon cannot be controlled here")
+        self._path, self._settings, self._handle, self._say = path, settings, handle, say
+        self._limits = limits or Limits()
+        self._group = None if settings.group is None else control_socket.group_id(settings.group)
+        self._clients: dict[int, _Client] = {}
+        self._replies: deque[tuple[int, int | None, dict[str, Any]]] = deque()  # client, turn, reply
+        self._events: deque[dict[str, Any]] = deque(maxlen=self._limits.events)
+        self._count = 0
+        self._watchers = False
+        self._complained = -float("inf")
+        self._requests = _Pace(self._limits.pace, self._limits.burst)
+        self._connections = _Pace(self._limits.pace, self._limits.burst)
+        self._accept_again = 0.0
+        self._ending = threading.Event()
+        self._lock = control_socket.lock(path)
+        try:
+            self._listener = control_socket.listen(path, settings.group)
+        except BaseException:
+            os.close(self._lock)
+            raise
+        found = path.lstat()
+        self._identity = (found.st_dev, found.st_ino)
+        self._wake_read, self._wake_write = socket.socketpair()
+        self._wake_read.setblocking(False)
+        self._wake_write.setblocking(False)
+        self._waking = threading.Lock()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._wake_read, selectors.EVENT_READ, _WAKE)
+        self._listening = self._reading = False  # whether the selector looks for connections, and for requests
+        self._thread = threading.Thread(target=self._run, name="control", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def path(self) -> Path:
+        """Where it listens."""
+        return self._path
+
+    def publish(self, event: dict[str, Any]) -> None:
+        """Send an event to all who watch, from any thread; where they are too slow for it the oldest are dropped."""
+        if self._watchers:
+            self._events.append(event)
+            self._wake()
+
+    def close(self) -> None:
+        """Send what is to be sent, for half a second at most, and remove the socket."""
+        if self._ending.is_set():
+            return
+        self._ending.set()
+        self._wake()
+        self._thread.join(5.0)
+        with contextlib.suppress(OSError):
+            found = self._path.lstat()
+            if (found.st_dev, found.st_ino) == self._identity:
+                self._path.unlink()
+            control_socket.lock_path(self._path).unlink()
+        os.close(self._lock)
+
+    # ---- the thread ----
+
+    def _run(self) -> None:
+        self._look()
+        while not self._ending.is_set():
+            try:
+                self._round(self._patience())
+            except Exception as e:  # a slip of ours shall not cost the operator the socket
+                self._complain(f"control: internal error ({type(e).__name__}: {one_line(str(e))})")
+                self._ending.wait(0.1)
+        self._finish()
+
+    def _round(self, patience: float | None) -> None:
+        """Wait for something to happen, and do what follows from it."""
+        ready = self._selector.select(patience)
+        if not self._reading and self._requests.free():  # all have a turn, not only who has requests waiting here
+            self._look()
+            ready = self._selector.select(0.0)
+        for number, client in list(self._clients.items()):  # before new ones are let in: they shall not crowd it out
+            self._guarded(number, client, self._serve, number)
+        for key, events in ready:
+            if key.data == _WAKE:
+                with contextlib.suppress(BlockingIOError):
+                    self._wake_read.recv(4096)
+            elif key.data == _LISTENER:
+                self._accept()
+            elif (client := self._clients.get(key.data)) is not None:
+                self._guarded(key.data, client, self._transfer, events)
+        self._ask_status(time.monotonic())
+        self._pass_on()
+        now = time.monotonic()
+        for number, client in list(self._clients.items()):
+            self._guarded(number, client, self._tend, now)
+        self._watchers = any(c.interval is not None for c in self._clients.values())
+        self._look()
+
+    def _guarded(self, number: int, client: _Client, action: Callable[..., None], argument: Any) -> None:
+        """Do something for a client; what goes wrong with it costs nobody but the client."""
+        try:
+            action(client, argument)
+        except OSError:
+            self._drop(number)
+        except Exception as e:
+            self._complain(f"control: a client dropped: internal error ({type(e).__name__}: {one_line(str(e))})")
+            self._drop(number)
+
+    def _patience(self) -> float | None:
+        """Seconds until something must be done though nothing happens; None for ever."""
+        now = time.monotonic()
+        times = [self._deadline(c) for c in self._clients.values()]
+        times += [c.due for c in self._clients.values() if c.interval is not None and c.status_asked is None]
+        if self._replies or self._events:
+            return 0.0
+        if any(self._has_request(c) for c in self._clients.values()) or not self._reading:
+            times.append(now + self._requests.wait())
+        if not self._listening:
+            times.append(max(self._accept_again, now + self._requests.wait(), now + self._connections.wait()))
+        return max(0.0, min(times) - now) if times else None
+
+    def _deadline(self, client: _Client) -> float:
+        """When we have waited for this client, or for the daemon on its behalf, long enough."""
+        limits = self._limits
+        if client.unsent:
+            return client.sent + limits.stalled
+        if client.asked is not None:
+            return client.asked + limits.answer
+        if client.interval is not None:
+            return client.status_asked + limits.answer if client.status_asked is not None else float("inf")
+        return client.heard + limits.idle
+
+    def _look(self) -> None:
+        """Tell the selector what matters now: what is not to be read yet must not wake us."""
+        self._reading = self._requests.free()
+        wanted = self._reading and self._connections.free() and time.monotonic() >= self._accept_again
+        if wanted != self._listening:
+            if wanted:
+                self._selector.register(self._listener, selectors.EVENT_READ, _LISTENER)
+            else:
+                self._selector.unregister(self._listener)
+            self._listening = wanted
+        for number, client in self._clients.items():
+            events = selectors.EVENT_WRITE if client.unsent else 0
+            if self._reading and not (client.ended or client.closing) and len(client.received) < MAX_LINE:
+                events |= selectors.EVENT_READ
+            if events == client.events:
+                continue
+            if client.events == 0:
+                self._selector.register(client.connection, events, number)
+            elif events == 0:
+                self._selector.unregister(client.connection)
+            else:
+                self._selector.modify(client.connection, events, number)
+            client.events = events
+
+    # ---- connections ----
+
+    def _accept(self) -> None:
+        """Let one in; the next only when this one has had its look."""
+        try:
+            connection, _ = self._listener.accept()
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+            return
+        except OSError as e:  # no descriptors left: theirs to close, not ours to spin
+            self._complain(f"control: a client cannot be let in: {e.strerror}")
+            self._accept_again = time.monotonic() + 1.0
+            return
+        self._connections.take(1.0)
+        try:
+            connection.setblocking(False)
+            self._admit(connection)
+        except OSError:
+            connection.close()
+
+    def _admit(self, connection: socket.socket) -> None:
+        peer = control_socket.peer_of(connection)
+        trusted = peer is None or peer.uid in (os.geteuid(), 0)  # without credentials the file's mode alone decides
+        if not trusted and (self._group is None or peer is None or self._group not in peer.groups):
+            uid, pid = (peer.uid, peer.pid) if peer else (-1, -1)
+            self._complain(f"control: refused user {uid} (process {pid})")
+            _last_word(connection, f"user {uid} may not control this daemon; its own user, root{self._others()} may")
+            return
+        most = self._settings.clients
+        others = sum(not c.trusted for c in self._clients.values())
+        full = len(self._clients) >= most
+        if (full or (not trusted and others >= max(1, most // 2))) and not self._make_room(trusted):
+            _last_word(connection, f"busy: all places for clients are taken ({most}); close one and try again")
+            return
+        self._count += 1
+        self._clients[self._count] = _Client(connection, trusted, time.monotonic())
+
+    def _others(self) -> str:
+        return f" and the group {self._settings.group}" if self._settings.group else ""
+
+    def _make_room(self, trusted: bool) -> bool:
+        """Drop who has been silent longest, so that nobody keeps the operator out by doing nothing."""
+        silent = [
+            (client.heard, number)
+            for number, client in self._clients.items()
+            if client.asked is None
+            and client.interval is None
+            and not self._has_request(client)
+            and (trusted or not client.trusted)
+        ]
+        if not silent:
+            return False
+        self._drop(min(silent)[1])
+        return True
+
+    def _drop(self, number: int) -> None:
+        client = self._clients.pop(number, None)
+        if client is None:
+            return
+        if client.events:
+            self._selector.unregister(client.connection)
+        client.connection.close()
+
+    # ---- bytes ----
+
+    def _transfer(self, client: _Client, events: int) -> None:
+        if events & selectors.EVENT_WRITE:
+            self._flush(client)
+        if events & selectors.EVENT_READ and not client.closing:
+            self._requests.take(self._limits.reading)
+            try:
+                data = client.connection.recv(MAX_LINE)
+            except (BlockingIOError, InterruptedError):
+                return
+            client.received += data
+            if not data:
+                client.ended = True
+                client.connection.send(b"")  # an error where it has gone, and does not only say nothing more
+
+    def _send(self, client: _Client, message: dict[str, Any]) -> None:
+        try:
+            line = encode(message)
+        except ValueError as e:
+            line = encode(refused(f"the answer is {e}, and {MAX_LINE} is the most", message.get("id")))
+        self._send_line(client, line)
+
+    def _send_line(self, client: _Client, line: bytes) -> None:
+        if len(client.unsent) + len(line) > self._limits.unsent:
+            raise TimeoutError  # it does not read: dropped
+        if not client.unsent:
+            client.sent = time.monotonic()
+        client.unsent += line
+        self._flush(client)
+
+    def _flush(self, client: _Client) -> None:
+        try:
+            n = client.connection.send(client.unsent)
+        except (BlockingIOError, InterruptedError):
+            return
+        if n:
+            del client.unsent[:n]
+            client.sent = client.heard = time.monotonic()
+
+    # ---- requests ----
+
+    def _has_request(self, client: _Client) -> bool:
+        ready = client.asked is None and not client.unsent and not client.closing
+        return ready and (len(client.received) >= MAX_LINE or b"\n" in client.received)
+
+    def _serve(self, client: _Client, number: int) -> None:
+        """Handle one request of a client, if there is one and it is its turn."""
+        if not self._has_request(client) or not self._requests.free():
+            return
+        self._clients[number] = self._clients.pop(number)  # to the end: the others come first next time
+        end = client.received.find(b"\n", 0, MAX_LINE)
+        if end < 0:
+            client.closing = True
+            self._send(client, refused(f"a line of more than {MAX_LINE} bytes; send one JSON object a line"))
+            client.received.clear()
+            return
+        line = bytes(client.received[:end])
+        del client.received[: end + 1]
+        client.heard = time.monotonic()
+        self._requests.take(1.0 + self._limits.kilobyte * len(line) / 1024.0)
+        if not line.strip():
+            return
+        try:
+            request = parse(line)
+            self._check_rights(client, request)
+        except BadRequestError as e:
+            self._send(client, refused(str(e), e.id))
+            return
+        if isinstance(request, Watch):
+            client.interval, client.due = request.interval, client.heard
+            self._watchers = True  # before the client can know
+            self._send(client, done({}, request.id))
+            return
+        client.asked, client.id, client.turn = client.heard, request.id, client.turn + 1
+        self._hand_on(request, number, client.turn)
+
+    def _check_rights(self, client: _Client, request: Request) -> None:
+        if client.trusted or not isinstance(request, Set):
+            return
+        for assignment in request.assignments:
+            key = assignment.partition("=")[0].strip()
+            if any(key == place or key.startswith(place + ".") for place in PLACES):
+                raise BadRequestError(
+                    f"set: {key[:60]} says what the daemon opens; only its own user and root may set it", request.id
+                )
+
+    def _hand_on(self, request: Request, number: int, turn: int | None) -> None:
+        def reply(message: dict[str, Any]) -> None:
+            self._replies.append((number, turn, message))
+            self._wake()
+
+        try:
+            self._handle(request, reply)
+        except SpheremouseError as e:
+            reply(refused(str(e)))
+        except Exception as e:
+            what = f"internal error ({type(e).__name__}: {one_line(str(e))})"
+            self._complain(f"control: {request.command}: {what}")
+            reply(refused(f"{what}; please report it"))
+
+    def _ask_status(self, now: float) -> None:
+        """Ask for the status once for all watchers whose time has come."""
+        due = [c for c in self._clients.values() if c.interval is not None and c.status_asked is None and c.due <= now]
+        if not due:
+            return
+        for client in due:
+            client.status_asked = now
+            assert client.interval is not None
+            client.due = max(client.due + client.interval, now)
+        self._hand_on(Request(command="status"), 0, None)
+
+    def _pass_on(self) -> None:
+        """Replies and events to whom they belong."""
+        for _ in range(len(self._replies)):
+            number, turn, message = self._replies.popleft()
+            if turn is None:
+                self._status_to_watchers(message)
+                continue
+            client = self._clients.get(number)
+            if client is not None and client.asked is not None and client.turn == turn:
+                self._answer(number, client, message)
+        for _ in range(len(self._events)):
+            self._to_watchers(self._events.popleft(), [n for n, c in self._clients.items() if c.interval is not None])
+
+    def _answer(self, number: int, client: _Client, message: dict[str, Any]) -> None:
+        client.asked, client.heard = None, time.monotonic()
+        self._guarded(number, client, self._send, done(message, client.id))
+
+    def _status_to_watchers(self, message: dict[str, Any]) -> None:
+        numbers = [n for n, c in self._clients.items() if c.status_asked is not None]
+        for number in numbers:
+            self._clients[number].status_asked = None
+        body = {k: v for k, v in message.items() if k not in ("ok", "id")}
+        failed = not message.get("ok", True)
+        event = {"event": "log", "line": f"no status: {body.get('error')}"} if failed else {"event": "status", **body}
+        self._to_watchers(event, numbers)
+
+    def _to_watchers(self, event: dict[str, Any], numbers: list[int]) -> None:
+        if not numbers:
+            return
+        try:
+            line = encode(event)
+        except ValueError as e:
+            line = encode({"event": "log", "line": f"an event was left out: {e}"})
+        for number in numbers:
+            if (client := self._clients.get(number)) is not None:
+                self._guarded(number, client, self._send_line, line)
+
+    # ---- time ----
+
+    def _tend(self, client: _Client, now: float) -> None:
+        """What the passing of time means to a client; OSError drops it."""
+        if now >= self._deadline(client):
+            if client.unsent or (client.asked is None and client.interval is None):
+                raise TimeoutError
+            if client.asked is not None:
+                client.asked, client.heard = None, now
+                self._send(client, refused(f"no answer within {self._limits.answer:g} s", client.id))
+            client.status_asked = None
+        finished = client.ended and client.asked is None and client.interval is None and not self._has_request(client)
+        if (client.closing or finished) and not client.unsent:
+            raise ConnectionResetError
+
+    def _finish(self) -> None:
+        """Send replies that are there or come within half a second, to those who read; then leave."""
+        if self._listening:
+            self._selector.unregister(self._listener)
+            self._listening = False
+        self._listener.close()
+        self._accept_again = float("inf")
+        end = time.monotonic() + 0.5
+        with contextlib.suppress(Exception):
+            self._pass_on()
+            while time.monotonic() < end and any(c.unsent or c.asked is not None for c in self._clients.values()):
+                self._round(0.05)
+        for number in list(self._clients):
+            self._drop(number)
+        self._selector.close()
+        self._wake_read.close()
+        with self._waking:
+            self._wake_write.close()
+
+    def _wake(self) -> None:
+        with self._waking, contextlib.suppress(OSError):  # full: it will wake anyway; closed: nobody is there to wake
+            self._wake_write.send(b"\0")
+
+    def _complain(self, line: str) -> None:
+        """Say it, at most once in ten seconds: a log is not to be filled from outside."""
+        now = time.monotonic()
+        if now - self._complained >= 10.0:
+            self._complained = now
+            self._say(line)
+
+
+def _last_word(connection: socket.socket, error: str) -> None:
+    """One line to who may not stay; a fresh connection has room for it."""
+    with contextlib.suppress(OSError):
+        connection.send(encode(refused(error)))
+    connection.close()

@@ -1,0 +1,85 @@
+"""One daemon to a camera: a lock on the device's node, which the kernel takes back however the holder ends.
+
+The kernel also says who holds it (/proc/locks), so no file with a number has to be kept, or can be stale.
+"""
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from spheremouse.errors import SourceError
+from spheremouse.source import Camera, Shot
+
+
+@contextlib.contextmanager
+def claimed(node: Path) -> Iterator[None]:
+    """Holds a device within the `with` block. SourceError names the process that holds it already.
+
+    A node that cannot be opened is left to whoever opens it in earnest.
+    """
+    try:
+        held = os.open(node, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        yield
+        return
+    try:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            pid = holder(node)
+            who = "another spheremouse" if pid is None else f"another spheremouse (process {pid})"
+            raise SourceError(
+                f"{node}: in use by {who}; end that one first, or ask it: spheremouse ctl status"
+            ) from None
+        yield
+    finally:
+        os.close(held)
+
+
+def holder(node: Path) -> int | None:
+    """The process that has locked a file, as far as the kernel tells us."""
+    try:
+        there = os.stat(node)
+        lines = Path("/proc/locks").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    place = f"{os.major(there.st_dev):02x}:{os.minor(there.st_dev):02x}:{there.st_ino}"
+    for line in lines:
+        words = line.split()
+        if len(words) >= 6 and words[1] == "FLOCK" and words[5] == place:
+            return int(words[4]) if int(words[4]) > 0 else None
+    return None
+
+
+class Claimed:
+    """A camera whose node is held as long as it is open."""
+
+    def __init__(self, node: Path, open_camera: Callable[[], Camera]) -> None:
+        self._node, self._open = node, open_camera
+        self._stack = contextlib.ExitStack()
+        self._camera: Camera | None = None
+
+    def next(self, timeout: float) -> Shot | None:
+        """As the camera."""
+        assert self._camera is not None
+        return self._camera.next(timeout)
+
+    def describe(self) -> str:
+        """As the camera."""
+        return "" if self._camera is None else self._camera.describe()
+
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(claimed(self._node))
+            self._camera = stack.enter_context(self._open())
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()

@@ -1,0 +1,69 @@
+"""What systemd is told: READY, STATUS in words, and WATCHDOG when there was progress. Nothing where nobody listens.
+
+A watchdog that a timer feeds proves that the timer runs. Here a feed needs a token that changed since the last one:
+the number of frames worked on, or of attempts to open the camera.
+"""
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import sdnotify
+
+
+def _interval() -> float:
+    """Seconds within which systemd wants to hear of us; infinite where it does not."""
+    try:
+        for_us = int(os.environ.get("WATCHDOG_PID", os.getpid())) == os.getpid()
+        return (
+            int(os.environ.get("WATCHDOG_USEC", "0")) * 1e-6
+            if for_us and "WATCHDOG_USEC" in os.environ
+            else float("inf")
+        )
+    except ValueError:
+        return float("inf")
+
+
+class Notifier:
+    """Talks to the service manager."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._send: Callable[[str], Any] = sdnotify.SystemdNotifier().notify
+        self._clock, self.interval = clock, _interval()
+        self._token: Any = None
+        self._due = -float("inf")
+        self._status = ""
+
+    def ready(self) -> None:
+        """Whoever asks is answered from now on."""
+        self._send("READY=1")
+
+    def stopping(self) -> None:
+        """The end has begun."""
+        self._send("STOPPING=1")
+
+    def status(self, text: str) -> None:
+        """How it is, in one line; sent when it changes."""
+        if text != self._status:
+            self._status = text
+            self._send(f"STATUS={text}")
+
+    def patience(self, seconds: float) -> None:
+        """The watchdog waits so long from now on, until `usual` is called: something long has been begun."""
+        if self.interval < float("inf"):
+            self._send(f"WATCHDOG_USEC={int(1e6 * seconds)}")
+            self._send("WATCHDOG=1")
+
+    def usual(self) -> None:
+        """The watchdog waits as the unit says again."""
+        self.patience(self.interval)
+
+    def progress(self, token: Any) -> None:
+        """Feed the watchdog if the token is another one than at the last feed; four times an interval at most."""
+        now = self._clock()
+        if token == self._token or now < self._due:
+            return
+        self._token, self._due = token, now + 0.25 * self.interval
+        if self.interval < float("inf"):
+            self._send("WATCHDOG=1")

@@ -1,0 +1,86 @@
+"""Where the daemon's socket is: the folder a daemon puts it into, and the places where a client looks for it."""
+
+import os
+import socket
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from spheremouse.errors import ControlError
+
+SOCKET = "control.sock"
+_SYSTEM = Path("/run/spheremouse")
+
+
+def runtime_folder() -> Path:
+    """Folder of what lives as long as the daemon: systemd's, else the system's or the user's, made where it is not."""
+    given = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    if given:
+        return Path(given)
+    root = _uid() == 0
+    path = _SYSTEM if root else _own_folder()
+    try:
+        path.mkdir(mode=0o755 if root else 0o700, exist_ok=True)
+    except OSError as e:
+        raise ControlError(f"{path}: cannot be made ({e.strerror}); set control.socket to a path elsewhere") from None
+    if not _is_ours(path):
+        raise ControlError(f"{path}: is another user's, or others may write there; remove it or set control.socket")
+    return path
+
+
+def socket_path(configured: str | None) -> Path:
+    """The socket's path: as configured (`control.socket`), or in the runtime folder."""
+    return runtime_folder() / SOCKET if configured is None else Path(configured).expanduser().absolute()
+
+
+def find_socket() -> Path:
+    """The socket a client tries: $SPHEREMOUSE_SOCKET, else the user's daemon, else the system's.
+
+    Among several the first at which somebody answers; where nobody does the first that is there.
+    """
+    given = os.environ.get("SPHEREMOUSE_SOCKET")
+    if given:
+        return Path(given)
+    places = list(candidates())
+    there = [p for p in places if p.exists()]
+    return next((p for p in there if _answers(p)), (there or places)[0])
+
+
+def candidates() -> Iterator[Path]:
+    """Where a daemon's socket may be without anybody having said so."""
+    given = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    if given:  # we were started by the service, to reload it for instance
+        yield Path(given) / SOCKET
+    own = _own_folder()
+    if os.environ.get("XDG_RUNTIME_DIR") or not own.exists() or _is_ours(own):
+        yield own / SOCKET  # what others put under /tmp in our name is not for us
+    yield _SYSTEM / SOCKET
+
+
+def _own_folder() -> Path:
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(runtime) / "spheremouse" if runtime else Path(tempfile.gettempdir()) / f"spheremouse-{_uid()}"
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether it is a folder, no link, of this user or root, in which nobody else can put anything."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(found.st_mode) and found.st_uid in (_uid(), 0) and not found.st_mode & 0o022
+
+
+def _answers(path: Path) -> bool:
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.settimeout(1.0)
+            probe.connect(str(path))
+    except OSError:
+        return False
+    return True
+
+
+def _uid() -> int:
+    return os.geteuid() if hasattr(os, "geteuid") else 0

@@ -1,0 +1,104 @@
+"""What a run is to do: the configuration file, what the command line says before it, and the files they name, read.
+
+Read as a whole or not at all, so that a reload never leaves the daemon between two configurations.
+"""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from spheremouse import config
+from spheremouse.camera import InteriorOrientation
+from spheremouse.daemon.settings import Configuration
+from spheremouse.errors import ConfigurationError
+from spheremouse.map_file import map_path
+from spheremouse.rig import Rig
+from spheremouse.rig_file import load_camera, load_rig, with_camera
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the command line says; None leaves it to the configuration file."""
+
+    file: Path | None = None  # the configuration
+    assignments: tuple[str, ...] = ()  # KEY=VALUE, and those that `ctl set` added
+    source: str | None = None
+    output: str | None = None
+    rig: Path | None = None
+    camera: Path | None = None
+    map: Path | None = None
+    no_map: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All of it, checked and read."""
+
+    configuration: Configuration
+    source: str
+    output: str
+    rig: Rig | None  # None: the source brings its own
+    rig_path: Path | None
+    camera: InteriorOrientation | None
+    camera_path: Path | None
+    map_path: Path | None  # None: no map is kept
+
+    def device(self, given: Rig | None) -> Rig:
+        """The device as calibrated; `given` is what the source knows of it."""
+        rig = self.rig or given
+        if rig is None:
+            raise ConfigurationError(f"{self.source}: says nothing of the device; give its rig file with --rig FILE")
+        return rig if self.camera is None else with_camera(rig, self.camera)
+
+
+def read_plan(request: Request) -> Plan:
+    """Read everything that a request names. Raises ConfigurationError, with file and line where there is one."""
+    c = Configuration() if request.file is None else config.load(request.file, Configuration)
+    for assignment in request.assignments:
+        c = config.override(c, assignment)
+    source, output = request.source or c.source, request.output or c.output
+    if source is None:
+        raise ConfigurationError(
+            "no source: give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
+        )
+    if output is None:
+        raise ConfigurationError(
+            "no output: give --output, for example uinput or text:-, or `output:` in --config FILE"
+        )
+    if request.map is not None and request.no_map:
+        raise ConfigurationError("--map and --no-map: give one of the two")
+    given_map = request.map or _beside(request.file, c.map)
+    if given_map is not None and c.tracker != "so3" and not request.no_map:
+        where, left = ("--map", "--map") if request.map is not None else (f"{request.file}: map", "it")
+        raise ConfigurationError(f"{where}: tracker {c.tracker} keeps no map; use so3, or leave {left} out")
+    rig_path = request.rig or _beside(request.file, c.rig)
+    camera_path = request.camera or _beside(request.file, c.camera_file)
+    rig = None if rig_path is None else load_rig(rig_path)
+    camera = None if camera_path is None else load_camera(camera_path)
+    if request.no_map or c.tracker != "so3":
+        map_file = None
+    else:
+        map_file = given_map or (None if rig_path is None else _usual_map(rig_path))
+    return Plan(c, source, output, rig, rig_path, camera, camera_path, map_file)
+
+
+def without_map(plan: Plan) -> Plan:
+    """The plan for a source that brings its own rig: nobody's map belongs to it, unless one was asked for."""
+    return replace(plan, map_path=None)
+
+
+def _beside(file: Path | None, name: str | None) -> Path | None:
+    """A path of the configuration, relative to the folder that it lies in."""
+    if name is None:
+        return None
+    path = Path(name).expanduser()
+    return path if file is None else file.parent / path
+
+
+def _usual_map(rig_path: Path) -> Path:
+    """Beside the rig; a service that may not write there has a folder of its own for what it learns."""
+    usual = map_path(rig_path)
+    state = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if state and not os.access(rig_path.parent, os.W_OK):
+        return Path(state) / usual.name
+    return usual

@@ -1,0 +1,285 @@
+"""What goes over the control socket: one JSON object a line, UTF-8. Bytes in, checked requests out, and replies back.
+
+docs/control.md is the description; its examples are the tests.
+"""
+
+import json
+import math
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from spheremouse.errors import ConfigurationError, ControlError
+from spheremouse.validate import nearest, validated
+from spheremouse.yaml_file import Document, one_line
+
+MAX_LINE = 65536  # bytes, with its end of line; both ways
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+Id = str | int
+State = Literal["starting", "no-camera", "searching-targets", "tracking", "lost", "paused", "failed-output"]
+STATES: tuple[str, ...] = State.__args__  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class BadRequestError(ControlError):
+    """A line that is no request; `id` is the client's where it could be read."""
+
+    def __init__(self, message: str, id_: Id | None = None) -> None:
+        super().__init__(message)
+        self.id = id_
+
+
+# ---- requests ----
+
+
+def _plain_name(text: str) -> str:
+    if not _NAME.fullmatch(text):
+        raise ValueError("must be a name of letters, digits, '.', '_' and '-', not a path")
+    return text
+
+
+def _picture_name(text: str) -> str:
+    if not text.lower().endswith((".png", ".jpg", ".jpeg")):
+        raise ValueError("must end in .png or .jpg")
+    return text
+
+
+Name = Annotated[str, AfterValidator(_plain_name)]
+_MODEL = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Request(BaseModel):
+    """A request without arguments."""
+
+    model_config = _MODEL
+    command: Literal["status", "reinit", "pause", "resume", "reload", "stop", "set", "record", "snapshot", "watch"]
+    id: Id | None = None
+
+
+class Set(Request):
+    """Change parameters until the next start: all of them or, where one is wrong, none."""
+
+    assignments: tuple[Annotated[str, Field(max_length=1000)], ...] = Field(
+        min_length=1, max_length=50, description='write for example ["motion.scale_x=2"]'
+    )
+
+
+class Record(Request):
+    """Begin a recording, or end it. A name, never a path: the daemon's folder of recordings is in its configuration."""
+
+    seconds: float | None = Field(None, gt=0, le=86400, description="leave it out for the configured length")
+    folder: Name | None = Field(None, description="leave it out and the daemon makes one of date and time")
+    everything: bool = Field(False, description="false keeps the ball and the targets only")
+    stop: bool = Field(False, description="true ends the recording that runs")
+
+
+class Snapshot(Request):
+    """Write the present picture, into the daemon's folder of recordings."""
+
+    file: Annotated[Name, AfterValidator(_picture_name)] | None = Field(None, description="such as bug-1.png")
+
+
+class Watch(Request):
+    """Send the status every `interval` s from now on, and log lines as they come."""
+
+    interval: float = Field(1.0, ge=0.1, le=60.0, description="the default is 1 s")
+
+
+_REQUESTS: dict[str, type[Request]] = {
+    **dict.fromkeys(("status", "reinit", "pause", "resume", "reload", "stop"), Request),
+    "set": Set,
+    "record": Record,
+    "snapshot": Snapshot,
+    "watch": Watch,
+}
+COMMANDS = tuple(_REQUESTS)
+
+
+def parse(line: bytes) -> Request:
+    """The request in a line, or a BadRequestError that says in one line what is wrong with it."""
+    data = _read(line)
+    if not isinstance(data, dict):
+        raise BadRequestError('a request is a JSON object, such as {"command": "status"}')
+    id_ = data.get("id")
+    if not (id_ is None or _is_id(id_)):
+        raise BadRequestError("id: must be text of at most 64 characters or a whole number below 2^53")
+    command = data.get("command")
+    if not isinstance(command, str):
+        raise BadRequestError(f"command: missing; known here: {', '.join(COMMANDS)}", id_)
+    if command not in _REQUESTS:
+        name = one_line(repr(command))
+        raise BadRequestError(f"unknown command {name}; {nearest(command[:60], COMMANDS)}", id_)
+    try:
+        request = validated(Document("", data, {}), _REQUESTS[command])
+    except ConfigurationError as e:
+        lines = [part.removeprefix(":1: ") for part in str(e).splitlines()]
+        raise BadRequestError(f"{command}: {'; '.join(lines)}"[:500], id_) from None
+    if isinstance(request, Record) and request.stop and request.model_fields_set - {"command", "id", "stop"}:
+        raise BadRequestError("record: stop goes alone; leave seconds, folder and everything out", id_)
+    return request
+
+
+def _read(line: bytes) -> Any:
+    try:
+        text = line.decode("utf-8")
+    except UnicodeDecodeError:
+        raise BadRequestError("not UTF-8 text; send one JSON object a line") from None
+    try:
+        return _tuples(json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_twice))
+    except RecursionError:
+        raise BadRequestError("not a request: nested too deep") from None
+    except ValueError as e:
+        raise BadRequestError(f"not JSON: {one_line(str(e))}; send one JSON object a line") from None
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        raise ValueError("a key stands twice in one object")
+    return data
+
+
+def _tuples(value: Any) -> Any:
+    """Lists as tuples, as `validated` expects them; text that is no text (half a surrogate pair) is refused."""
+    if isinstance(value, list):
+        return tuple(_tuples(v) for v in value)
+    if isinstance(value, dict):
+        return {_tuples(k): _tuples(v) for k, v in value.items()}
+    if isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value):
+        raise ValueError("half a surrogate pair")
+    return value
+
+
+def _is_id(value: Any) -> bool:
+    if isinstance(value, str):
+        return len(value) <= 64
+    return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**53
+
+
+# ---- replies ----
+
+
+def done(reply: dict[str, Any], id_: Id | None = None) -> dict[str, Any]:
+    """A reply to a request that was carried out; `ok` and `error` may already stand in it."""
+    return {"ok": True, **({} if id_ is None else {"id": id_}), **reply}
+
+
+def refused(error: str, id_: Id | None = None) -> dict[str, Any]:
+    """A reply to a request that was not."""
+    line = "; ".join(" ".join(part.split()) for part in error.splitlines() if part.strip())
+    return {"ok": False, **({} if id_ is None else {"id": id_}), "error": line[:2000]}
+
+
+def encode(message: dict[str, Any]) -> bytes:
+    """The line of a message. A number that is not finite is null. ValueError where it is longer than a line may be."""
+    text = json.dumps(plain(message), ensure_ascii=False, allow_nan=False)
+    line = text.encode("utf-8", "backslashreplace") + b"\n"  # half a surrogate pair becomes JSON's own escape of it
+    if len(line) > MAX_LINE:
+        raise ValueError(f"a message of {len(line)} bytes")
+    return line
+
+
+def plain(value: Any) -> Any:
+    """Data as JSON can hold it: NumPy's scalars and arrays, tuples, paths and enumerations too."""
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return str(value)
+
+
+# ---- the status, as it is promised to clients ----
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+
+
+class Quantiles(_Part):
+    """Of the last frames, ms."""
+
+    p50: float
+    p99: float
+    max: float | None = None
+
+
+class PoseStatus(_Part):
+    """Where the camera is, in `obj`."""
+
+    position_m: list[float] = Field(min_length=3, max_length=3)
+    sigma_mm: list[float] = Field(min_length=3, max_length=3)
+    sigma_deg: list[float] = Field(min_length=3, max_length=3)
+    age_s: float
+
+
+class OutputStatus(_Part):
+    """Where motion goes."""
+
+    spec: str
+    failed: str | None
+    reports: int
+    unsent: list[int] = Field(min_length=3, max_length=3)
+
+
+class SourceStatus(_Part):
+    """Where pictures come from."""
+
+    spec: str
+    description: str
+
+
+class RecordingStatus(_Part):
+    """A recording that runs."""
+
+    folder: str
+    frames: int
+    seconds: float
+    bytes: int
+    dropped: int
+
+
+class StatusReport(_Part):
+    """What a status holds; later versions may add to it, and take nothing away."""
+
+    state: State
+    reason: str
+    since_s: float
+    fps: float | None
+    latency_ms: Quantiles | None
+    stages_ms: dict[str, Quantiles]
+    discs: int
+    discs_seen: int
+    discs_known: int
+    frames: int
+    skipped: int
+    dropped: int
+    damaged: int
+    pose: PoseStatus | None
+    output: OutputStatus
+    source: SourceStatus
+    unseen_s: float
+    lost_count: int
+    camera_restarts: int
+    uptime_s: float
+    version: str
+    pid: int
+    config: str | None
+    rig: str | None
+    map: str | None
+    recording: RecordingStatus | None
+    memory_mb: float | None
+    cpu_share: float | None
+    scheduling: str

@@ -1,0 +1,333 @@
+"""Records what is tracked into a dataset folder that tracks again to the last bit (docs/recording).
+
+The worker hands over each frame it has tracked, which costs it a copy; a thread of its own writes. What is not to be
+kept is left out at that copy already. A recording ends by itself, and is there whole or not at all.
+"""
+
+import contextlib
+import os
+import queue
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse import track
+from spheremouse.camera import Pose
+from spheremouse.daemon.privacy import kept
+from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.dataset_writer import FilmWriter
+from spheremouse.detect.detections import Image
+from spheremouse.errors import DatasetError, SpheremouseError
+from spheremouse.frame import Frame
+from spheremouse.rig import Rig
+
+try:
+    import fcntl
+except ImportError:  # Windows, where a folder with an open file in it cannot be moved
+    fcntl = None
+
+_MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while somebody writes it
+_BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
+_LOOK = 0.5  # s between two looks at the disk and the clock
+_FPS = 30.0  # of the video, for players only
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderStatus:
+    """How far a recording is."""
+
+    folder: Path  # where it will be
+    frames: int  # written
+    seconds: float  # since it began
+    bytes: int
+    dropped: int  # frames not kept because the writer was behind, or that were none
+    waiting: int  # frames not written yet
+    ended: str | None  # what became of it, in words; None while it goes on
+    failed: bool  # nothing was kept
+
+
+class Recorder:
+    """A recording, from its beginning to its end. Frames given before `ready` are not part of it."""
+
+    def __init__(
+        self,
+        folder: Path,
+        rig: Rig,
+        pose: Pose,
+        settings: RecordSettings,
+        camera_line: str = "",
+        *,
+        tracker: track.Settings | None = None,
+        configuration: str = "",
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`folder` must not be there, or be empty. `rig` and `pose` are those in use, `tracker` the settings in use;
+        `configuration` is kept beside them as config.yaml. DatasetError where it cannot be begun."""
+        self._rig, self._pose, self._settings, self._clock = rig, pose, settings, clock
+        self._tracker = track.Settings() if tracker is None else tracker
+        self._folder = folder.absolute()
+        scene = {
+            "made_by": "spheremouse record",
+            "camera_says": camera_line,
+            "kept": "everything" if settings.everything else "ball and targets; the rest is black",
+        }
+        files = {"config.yaml": configuration} if configuration else {}
+        self._film = FilmWriter(self._folder, rig, pose, scene, files)
+        try:
+            self._mark = _marked(self._film.folder)
+            self._check_disk()
+        except BaseException:
+            self._film.discard()
+            raise
+        pixels = rig.camera.width * rig.camera.height
+        self._frame_bytes = 3 * pixels
+        self._free: queue.SimpleQueue[_Buffer] = queue.SimpleQueue()
+        self._full: queue.SimpleQueue[_Buffer | None] = queue.SimpleQueue()
+        for _ in range(min(max(int(_BUFFERS / self._frame_bytes), 4), 64)):
+            self._free.put(_Buffer(self._frame_bytes))
+        self._keep: Image | None = None
+        self._masks = 0  # different ones so far
+        self._open = False
+        self._dropped = self._size = 0
+        self._begun = self._last = clock()
+        self._ended: str | None = None
+        self._failed = False
+        self._ready, self._done = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def ready(self, timeout: float) -> bool:
+        """Wait until frames are taken, which is some tenths of a second after the beginning; False: not yet."""
+        return self._ready.wait(timeout)
+
+    def add(self, frame: Frame, pose: Pose | None = None) -> bool:
+        """One frame that was tracked, and the camera's pose now that it was; whether it is kept. Never waits.
+
+        Its image may be used for something else afterwards.
+        """
+        if not self._open:
+            return False
+        if self._clock() - self._begun >= self._settings.seconds:
+            self.stop()
+            return False
+        camera = self._rig.camera
+        if frame.image.shape[:2] != (camera.height, camera.width) or not np.isfinite(frame.stamp):
+            self._dropped += 1
+            return False
+        keep, number = self._mask(pose)
+        try:
+            buffer = self._free.get_nowait()
+        except queue.Empty:
+            self._dropped += 1
+            return False
+        buffer.take(frame, keep, number)
+        self._full.put(buffer)
+        return True
+
+    def stop(self) -> None:
+        """Take no more; what was taken is still written. Does not wait."""
+        self._open = False
+        self._full.put(None)
+
+    def finish(self, timeout: float | None = None) -> Path:
+        """Stop, wait until all is written, and say where; DatasetError where nothing was kept."""
+        self.stop()
+        if not self._done.wait(timeout):
+            raise DatasetError(f"{self._folder}: still being written")
+        if self._failed:
+            raise DatasetError(self._ended)
+        return self._folder
+
+    def status(self) -> RecorderStatus:
+        """How far it is; from any thread."""
+        return RecorderStatus(
+            self._folder,
+            self._film.frames,
+            self._last - self._begun,
+            self._size,
+            self._dropped,
+            self._full.qsize(),
+            self._ended,
+            self._failed,
+        )
+
+    def _mask(self, pose: Pose | None) -> tuple[Image | None, int]:
+        """What to keep of a frame, and the number of that mask. Where the camera was moved, of that frame both views:
+        it was looked at from the pose before, and then from the new one."""
+        keep, number = self._keep, self._masks
+        if pose is None or pose is self._pose or keep is None:
+            return keep, number
+        self._pose = pose
+        try:
+            self._keep = kept(self._rig, pose, self._tracker)
+        except SpheremouseError:  # the ball is out of the picture: keep no more of it than before
+            return keep, number
+        self._masks += 2
+        return np.asarray(cv2.bitwise_or(keep, self._keep), dtype=np.uint8), self._masks - 1
+
+    # ---- the thread that writes ----
+
+    def _run(self) -> None:
+        try:
+            why = self._record()
+            self._size = self._film.size()
+            if fcntl is None:
+                self._mark.close()
+            self._film.finish()  # the mark goes along: a kill until then leaves what tidy knows
+            _release(self._mark, self._folder)
+            lost = f", {self._dropped} dropped" if self._dropped else ""
+            length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._size / 1e6:.1f} MB{lost}"
+            self._ended = f"{self._folder}: {length}; {why}"
+        except (SpheremouseError, OSError, cv2.error) as e:
+            text = " ".join(str(e).split())
+            self._failed = True
+            self._ended = text if str(self._folder) in text else f"{self._folder}: not recorded: {text}"
+        finally:
+            self._open = False
+            self._mark.close()
+            self._film.discard()
+            self._ready.set()
+            self._done.set()
+
+    def _record(self) -> str:
+        """Write until there is a reason to end, and say it."""
+        if not self._settings.everything:
+            self._keep = kept(self._rig, self._pose, self._tracker)
+        self._film.open(_FPS)
+        self._begun = self._last = looked = self._clock()
+        self._open = True
+        self._ready.set()
+        limit, seconds = 1e6 * self._settings.megabytes, self._settings.seconds
+        while True:
+            try:
+                buffer = self._full.get(timeout=_LOOK)
+            except queue.Empty:
+                if self._clock() - self._begun >= seconds:
+                    return f"ended after {seconds:g} s"
+                continue
+            now = self._clock()
+            if buffer is None:
+                over = now - self._begun >= seconds
+                return f"ended after {seconds:g} s" if over else "ended as asked"
+            self._size = self._film.size()
+            if self._size + self._frame_bytes > limit:
+                return f"ended at {self._settings.megabytes:g} MB (record.megabytes)"
+            if now - looked >= _LOOK:
+                looked = now
+                if self._disk_is_full():
+                    return f"ended: less than {self._settings.free_megabytes:g} MB are free (record.free_megabytes)"
+            assert buffer.frame is not None
+            self._film.add(buffer.frame)
+            self._last = now
+            self._free.put(buffer)
+
+    def _disk_is_full(self) -> bool:
+        return shutil.disk_usage(self._folder.parent).free < 1e6 * self._settings.free_megabytes
+
+    def _check_disk(self) -> None:
+        if self._disk_is_full():
+            raise DatasetError(
+                f"{self._folder}: less than {self._settings.free_megabytes:g} MB are free (record.free_megabytes): "
+                "remove recordings that are not needed"
+            )
+
+
+class _Buffer:
+    """Room for one frame, used again and again."""
+
+    def __init__(self, size: int) -> None:
+        self._bytes = np.zeros(size, np.uint8)
+        self._shown: tuple[int, ...] = ()
+        self.frame: Frame | None = None
+
+    def take(self, frame: Frame, keep: Image | None, number: int) -> None:
+        """A copy of what is to be kept; `number` is that of the mask."""
+        shape = frame.image.shape
+        image: NDArray[np.uint8] = self._bytes[: frame.image.size].reshape(shape)
+        if keep is None:
+            np.copyto(image, frame.image)
+        else:
+            if self._shown != (number, *shape):  # what another mask kept must not shine through
+                self._bytes[:] = 0
+                self._shown = (number, *shape)
+            cv2.copyTo(frame.image, keep, image)
+        self.frame = Frame(image, frame.stamp, frame.sequence)
+
+
+# ---- where recordings are ----
+
+
+def recordings_folder(settings: RecordSettings) -> Path:
+    """Where recordings go: as configured, else recordings/ in the service's or the user's state directory."""
+    if settings.folder is not None:
+        return Path(settings.folder).expanduser().absolute()
+    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if given:
+        return Path(given) / "recordings"
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path.home() / ".local" / "state") / "spheremouse" / "recordings"
+
+
+def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "") -> Path:
+    """A name in the folder that is not taken: date and time; `suffix` for a picture."""
+    stem = time.strftime("%Y-%m-%d-%H%M%S", time.localtime() if now is None else now)
+    path, again = folder / f"{stem}{suffix}", 1
+    while path.exists():
+        again += 1
+        path = folder / f"{stem}-{again}{suffix}"
+    return path
+
+
+def tidy(folder: Path) -> int:
+    """Remove what a crash left half written in the folder of recordings; how many. What is being written stays."""
+    removed = 0
+    with contextlib.suppress(OSError):
+        for left in sorted(folder.iterdir()):
+            if left.name.startswith(".") and not left.is_symlink() and (left / _MARK).is_file():
+                removed += _removed(left)
+    return removed
+
+
+def _removed(left: Path) -> bool:
+    """Remove a half-written recording unless somebody is still at it."""
+    try:
+        with (left / _MARK).open("rb") as mark:
+            if fcntl is not None:
+                fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if fcntl is None:
+            left = left.rename(left.with_name(f"{left.name}.left"))
+    except OSError:
+        return False
+    shutil.rmtree(left, ignore_errors=True)
+    return not left.exists()
+
+
+def _marked(folder: Path) -> IO[Any]:
+    """The mark of a recording that is not finished, put there locked: at no moment is it anybody else's."""
+    new = folder / f"{_MARK}.new"
+    try:
+        mark = new.open("wb")
+        if fcntl is not None:
+            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            new.rename(folder / _MARK)
+        else:
+            mark.close()
+            mark = (folder / _MARK).open("wb")
+            new.unlink()
+    except OSError as e:
+        raise DatasetError(f"{folder}: cannot be written ({e.strerror})") from None
+    return mark
+
+
+def _release(mark: IO[Any], folder: Path) -> None:
+    mark.close()
+    with contextlib.suppress(OSError):
+        (folder / _MARK).unlink()

@@ -1,0 +1,303 @@
+"""Motion of frames in, reports of the pointer out: a thread that keeps an output open and sends what `pointer` says.
+
+It wakes when a frame is given and while there is a course to carry on; else it sleeps. No error of an output gets out:
+the output is closed, opened again with growing patience, and what comes meanwhile is counted, not sent. On every axis,
+what was given is what was sent plus what was left unsent, less what the pointer is ahead of the ball.
+"""
+
+import contextlib
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import floor
+
+import numpy as np
+
+from spheremouse import pointer
+from spheremouse.motion import Motion
+from spheremouse.output import Output, OutputClosed
+from spheremouse.output.null import Null
+from spheremouse.output.text import Text
+from spheremouse.pointer import Counts, PointerSettings, Resampler
+
+BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
+LATE = 0.25  # s in the queue after which a frame's counts are not wanted any more: an output hung
+QUEUED = 256  # frames: seconds, at any camera's rate
+REMEMBERED = 4096  # latencies: a minute at 60 Hz
+_JOIN = 5.0  # s
+_NOTHING = np.zeros(3)
+_NONE: Counts = (0, 0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """From a frame's stamp to the end of `send`, over the last frames."""
+
+    p50: float  # s
+    p99: float  # s
+    max: float  # s
+
+
+@dataclass(frozen=True, slots=True)
+class ReporterStatus:
+    """How the output fares."""
+
+    failed: str | None  # why nothing can be sent; None: it can
+    ended: bool  # whoever read the output has gone, for good
+    reports: int  # with counts
+    sent: Counts
+    unsent: Counts  # given while the output was gone or paused, or too late
+    ahead: Counts  # sent and not given yet, or the reverse: what is predicted, and what was and is withheld
+    latency: Latency | None  # None: no frame was sent
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    motion: Motion
+    rate: tuple[float, float, float]  # counts/s
+    taken: float  # s, the frame's stamp on the clock
+    tracking: bool
+    wanted: bool  # not paused
+    came: float  # s
+
+
+class Reporter:
+    """Sends motion from a thread of its own. All methods may be called from any thread; none waits but `close`."""
+
+    def __init__(
+        self,
+        open_output: Callable[[], Output],
+        settings: PointerSettings,
+        say: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`open_output` and `say` are called in the thread; `clock` (s) runs as time does."""
+        self._open, self._settings, self._say, self._clock = open_output, settings, say, clock
+        # A lock as a bell: it is rung by releasing it. Unlike a condition it never makes the one who rings wait.
+        self._bell = threading.Lock()
+        self._bell.acquire()
+        self._given: deque[_Given] = deque()
+        self._overflow = _NONE  # counts pushed out of the queue
+        self._over = self._paused = self._ended = False
+        self._output: Output | None = None
+        self._failed: str | None = None
+        self._failures = 0
+        self._again = clock()  # s, when the output is opened
+        self._resampler, self._sent = Resampler(), _NONE  # since the output was opened
+        self._past, self._unsent = _NONE, _NONE
+        self._reports = self._frames = 0
+        self._latency = np.zeros(REMEMBERED)
+        self._last: _Given | None = None
+        self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
+        self._next = np.inf  # s, when the next one is due
+        self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
+        self._thread.start()
+
+    def give(self, motion: Motion, rate: tuple[float, float, float], taken: float, tracking: bool) -> None:
+        """A frame's motion, the rate (counts/s) at its end and the time (s, of the clock) it was taken. Never waits."""
+        self._given.append(_Given(motion, rate, taken, tracking, not self._paused, self._clock()))
+        if len(self._given) > QUEUED:
+            with contextlib.suppress(IndexError):  # the thread was quicker
+                self._overflow = _plus(self._overflow, self._given.popleft().motion.counts)
+        self._ring()
+
+    def pause(self, paused: bool) -> None:
+        """While paused nothing is sent; what comes meanwhile is counted as unsent."""
+        self._paused = paused
+        self._ring()
+
+    def change(self, settings: PointerSettings) -> None:
+        """Other settings, from the next frame on."""
+        self._settings = settings
+
+    def status(self) -> ReporterStatus:
+        """How the output fares."""
+        sent, n = self._sent, min(self._frames, REMEMBERED)
+        latency = None
+        if n:
+            p50, p99 = np.percentile(self._latency[:n], (50.0, 99.0)).tolist()
+            latency = Latency(p50, p99, float(self._latency[:n].max()))
+        return ReporterStatus(
+            self._failed,
+            self._ended,
+            self._reports,
+            _plus(self._past, sent),
+            _plus(self._unsent, self._overflow),
+            _minus(sent, self._resampler.truth),
+            latency,
+        )
+
+    @property
+    def failed(self) -> str | None:
+        """Why nothing can be sent; None: it can."""
+        return self._failed
+
+    @property
+    def ended(self) -> bool:
+        """Whoever read the output has gone, for good."""
+        return self._ended
+
+    @property
+    def native_id(self) -> int | None:
+        """The thread's number in the system."""
+        return self._thread.native_id
+
+    def close(self) -> None:
+        """Close the output; waits for it, if it does not take too long."""
+        self._over = True
+        self._ring()
+        self._thread.join(_JOIN)
+
+    def _ring(self) -> None:
+        with contextlib.suppress(RuntimeError):  # it rings already
+            self._bell.release()
+
+    # ---- the thread ----
+
+    def _run(self) -> None:
+        try:
+            while not self._over:
+                try:
+                    self._turn()
+                except Exception as e:
+                    self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+                    self._fail(f"internal error: {_reason(e)}", e)
+                left = self._wake() - self._clock()
+                if left > 0.0:
+                    self._bell.acquire(timeout=min(left, threading.TIMEOUT_MAX))
+        finally:
+            self._close(None)
+
+    def _wake(self) -> float:
+        """s, when there is something to do if nothing is given."""
+        if self._given:
+            return -np.inf
+        if self._output is None:
+            return np.inf if self._ended else self._again
+        return self._next
+
+    def _turn(self) -> None:
+        if self._output is None and not self._ended and self._clock() >= self._again:
+            self._open_again()
+        if self._paused:
+            self._forget()
+        while self._given:
+            given = self._given.popleft()
+            now = self._clock()
+            late = now - given.came > LATE and not self._per_frame
+            if self._output is None or self._paused or late or not given.wanted:
+                self._unsent = _plus(self._unsent, given.motion.counts)
+            else:
+                self._take(given, now)
+        if self._output is not None and (now := self._clock()) >= self._next:
+            self._carry_on(now)
+
+    def _take(self, given: _Given, now: float) -> None:
+        """A frame's report, at once. It is sent even if it is empty: some outputs want to know that we live."""
+        settings, motion = self._settings, given.motion
+        tracking = given.tracking and not self._per_frame
+        self._resampler = pointer.take(
+            self._resampler, self._sent, motion.counts, given.rate, given.taken, now, tracking, settings
+        )
+        self._last, self._grid, self._period = given, now, 1.0 / settings.rate
+        self._plan(now)
+        due = pointer.due(self._resampler, now)
+        counts = _minus(due, self._sent)
+        if self._send(Motion(motion.stamp, counts, motion.rotation, motion.rate), due):
+            self._latency[self._frames % REMEMBERED] = self._clock() - given.taken
+            self._frames += 1
+
+    def _carry_on(self, now: float) -> None:
+        """A report between frames, if there are counts for it."""
+        self._plan(now)
+        due = pointer.due(self._resampler, now)
+        if due != self._sent:
+            assert self._last is not None
+            motion = self._last.motion
+            stamp = motion.stamp + now - self._last.taken
+            self._send(Motion(stamp, _minus(due, self._sent), _NOTHING, motion.rate), due)
+
+    def _plan(self, now: float) -> None:
+        """When the next report is due: on a grid that does not drift, and once after the course has ended."""
+        period = self._period
+        after = self._grid + (floor((now - self._grid) / period) + 1) * period
+        self._next = after if now < self._resampler.until else np.inf
+
+    @property
+    def _per_frame(self) -> bool:
+        """Does the output get what the frames say, as they say it?"""
+        return isinstance(self._output, Text | Null) and not self._settings.text
+
+    def _send(self, motion: Motion, due: Counts) -> bool:
+        assert self._output is not None
+        try:
+            self._output.send(motion)
+        except OutputClosed as e:
+            self._ended = True
+            self._fail("whoever read the output has gone", e)
+            return False
+        except Exception as e:
+            self._fail(_reason(e), e)
+            return False
+        self._sent = due
+        if motion.counts != _NONE:
+            self._reports += 1
+            self._failures = 0  # not on opening: what opens and never sends must not flap
+        return True
+
+    def _open_again(self) -> None:
+        try:
+            self._output = self._open().__enter__()
+        except Exception as e:
+            self._fail(_reason(e), e)
+            return
+        if self._failed is not None:
+            self._say("output: works again")
+            self._drop_queue()
+        self._failed, self._next = None, np.inf
+
+    def _fail(self, reason: str, error: Exception) -> None:
+        """Close the output; it is opened again after a while."""
+        self._close(error)
+        if reason != self._failed:
+            self._say(f"output: {reason}" + ("" if self._ended else "; trying again until it works"))
+        self._failed = reason
+        self._again = self._clock() + BACK_OFF[min(self._failures, len(BACK_OFF) - 1)]
+        self._failures += 1
+
+    def _close(self, error: Exception | None) -> None:
+        output, self._output = self._output, None
+        self._forget()
+        if output is not None:
+            with contextlib.suppress(Exception):
+                output.__exit__(None if error is None else type(error), error, None)
+
+    def _forget(self) -> None:
+        """Begin anew; what has not been sent will not be."""
+        if self._resampler.stamp is not None:
+            self._unsent = _plus(self._unsent, _minus(self._resampler.truth, self._sent))
+            self._past = _plus(self._past, self._sent)
+            self._resampler, self._sent = Resampler(), _NONE
+        self._next = np.inf
+
+    def _drop_queue(self) -> None:
+        """What came while the output was gone: all at once it would be a jump."""
+        for _ in range(len(self._given)):
+            self._unsent = _plus(self._unsent, self._given.popleft().motion.counts)
+
+
+def _plus(a: Counts, b: Counts) -> Counts:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _minus(a: Counts, b: Counts) -> Counts:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _reason(error: Exception) -> str:
+    """An error in one line."""
+    text = " ".join(str(error).split())
+    return text or type(error).__name__

@@ -1,0 +1,652 @@
+"""The daemon: capture, worker, reporter, control socket and what they need, put together for one run.
+
+The loop in `Daemon.run` is the worker's thread: it takes the newest shot, works on it, and between two shots does what
+was asked for. Nothing in it waits but for the next shot.
+"""
+
+import contextlib
+import os
+import resource
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spheremouse import __version__, config
+from spheremouse.daemon import realtime
+from spheremouse.daemon.capture import PATIENCE, Capture
+from spheremouse.daemon.control import ControlServer, Reply
+from spheremouse.daemon.metrics import serve as serve_metrics
+from spheremouse.daemon.notify import Notifier
+from spheremouse.daemon.places import socket_path
+from spheremouse.daemon.plan import Plan, read_plan
+from spheremouse.daemon.plan import Request as PlanRequest
+from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
+from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder, tidy
+from spheremouse.daemon.reporter import Reporter
+from spheremouse.daemon.ring import Newest
+from spheremouse.daemon.snapshot import snapshot
+from spheremouse.daemon.states import Facts, State, judge
+from spheremouse.daemon.worker import STAGES, Step, Worker
+from spheremouse.errors import ControlError, PoseError, SpheremouseError
+from spheremouse.output import open_output
+from spheremouse.rig import Rig
+from spheremouse.session import make_ready
+from spheremouse.session_map import MapKeeper
+from spheremouse.source import Camera
+from spheremouse.stopping import Stopping
+from spheremouse.timing import FrameTimes
+from spheremouse.track import Tracker
+
+_TICK = 0.25  # s; the longest wait for a shot
+_EVERY = 1.0  # s between two looks at files, and at what the process takes
+_COMPILING = 900.0  # s that a small computer may take for it
+_PATIENT = 30.0  # s that a recording may take to be finished when we end
+_STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
+
+Show = Callable[[Step], None]
+
+
+class Daemon:
+    """One run. Everything is given back when `run` returns."""
+
+    def __init__(
+        self,
+        request: PlanRequest,
+        plan: Plan,
+        rig: Rig,
+        open_camera: Callable[[], Camera],
+        reopen: Callable[[Plan], Callable[[], Camera]],
+        *,
+        stamped: bool,
+        say: Callable[[str], None],
+        show: Show = lambda _: None,
+        frames: int | None = None,
+    ) -> None:
+        """`stamped`: stamps are those of time.monotonic(), else a frame is taken to be as old as its arrival.
+
+        `reopen` gives the way to open the camera of another plan; `frames` ends the run after so many tracked ones.
+        """
+        self._request, self._plan, self._rig = request, plan, rig
+        self._reopen, self._stamped, self._print, self._show = reopen, stamped, say, show
+        self._limit = frames
+        self._began = time.monotonic()
+        self._stack = contextlib.ExitStack()
+        self._todo: deque[Callable[[], None]] = deque()
+        self._over = False
+        self._paused = ""
+        self._starting = "the program is being made ready"
+        self._state, self._reason, self._since = State.STARTING, self._starting, self._began
+        self._told = ""
+        self._unseen, self._judged, self._seen_once = 0.0, self._began, False
+        self._arrivals, self._last = FrameTimes(), self._began
+        self._looked, self._cpu, self._cpu_share = self._began, time.process_time(), float("nan")
+        self._status_due = 0.0
+        self._scheduling = "usual scheduling"
+        self._loading: threading.Thread | None = None
+        self._files: dict[Path, int] = {}
+        self._recorder: Recorder | None = None
+        self._background: list[threading.Thread] = []
+        self._last_step: Step | None = None
+        self._snapshots: list[tuple[Path, Reply]] = []
+        self._server: ControlServer | None = None
+        self._notifier = Notifier()
+        self._ring = Newest()
+        self._capture = Capture(open_camera, self._ring)
+        self._reporter = self._new_reporter(plan)
+        self._keeper = self._new_keeper(plan)
+        self._worker = self._new_worker()
+
+    def run(self, stopping: Stopping) -> None:
+        """Until it is asked to stop, or a recording ends."""
+        try:
+            self._open_doors()
+            self._get_ready()
+            with self._on_hang_up():
+                self._loop(stopping)
+        finally:
+            self._notifier.stopping()
+            self._close()
+
+    @property
+    def tracker(self) -> Tracker | None:
+        """The tracker in use; None while the camera's pose is not known."""
+        return self._worker.tracker
+
+    @property
+    def never_posed(self) -> str:
+        """Why the camera's pose was never found; empty where it was, or no frame came."""
+        return self._worker.targets if self._worker.seen else "the source gave no frame"
+
+    # ---- the loop ----
+
+    def _loop(self, stopping: Stopping) -> None:
+        while not (stopping.asked or self._over):
+            arrival = self._ring.take(_TICK)
+            while self._todo:
+                self._todo.popleft()()
+            now = time.monotonic()
+            if arrival is not None:
+                self._last = now
+                self._arrivals.add(0.0, now)
+                taken = arrival.shot.stamp if self._stamped else arrival.time
+                try:
+                    made = self._worker.work(arrival, taken)
+                    if made is not None:
+                        self._pass_on(made, taken)
+                finally:
+                    arrival.shot.release()
+            elif self._capture.finished:
+                break
+            self._judge(now)
+            self._tend(now)
+            self._over |= self._reporter.ended
+
+    def _pass_on(self, made: Step, taken: float) -> None:
+        """What a frame gave, to all that want it; the pointer first."""
+        epoch = made.epoch
+        self._reporter.give(epoch.motion, made.rate, taken, made.holds)
+        if self._keeper is not None:
+            self._keeper.keep(epoch.state)
+        if self._recorder is not None:
+            tracker = self._worker.tracker
+            self._recorder.add(epoch.frame, None if tracker is None else tracker.pose)
+        self._last_step = made
+        self._show(made)
+        if self._snapshots:
+            self._take_snapshots(made)
+        if self._limit is not None and self._worker.frames >= self._limit:
+            self._over = True
+
+    def _judge(self, now: float) -> None:
+        """State and reason; said where they have changed."""
+        if self._state is not State.TRACKING and self._state is not State.PAUSED and self._seen_once:
+            self._unseen += now - self._judged
+        self._judged = now
+        state, reason = judge(self._facts(now))
+        self._seen_once |= state is State.TRACKING
+        event = self._worker.take_event()
+        if state is not self._state:
+            self._since = now
+            self.say(f"{state}: {reason}")
+        elif event:
+            self.say(event)
+        elif state not in (State.TRACKING, State.LOST) and _letters(reason) != _letters(self._reason):
+            self.say(f"{state}: {reason}")
+        changed = state is not self._state or reason != self._reason
+        self._state, self._reason = state, reason
+        if changed or now >= self._status_due:
+            self._status_due = now + _STATUS_EVERY
+            self._notifier.status(f"{state}: {reason}; {self._fps(now):.0f} frames/s")
+
+    def _facts(self, now: float) -> Facts:
+        camera = self._capture.trouble or self._worker.trouble
+        if not camera and now - self._last > PATIENCE + 1.0:
+            camera = f"the camera has given no frame for {now - self._last:.0f} s"
+        starting = self._starting
+        if not starting and self._capture.attempts <= 1 and self._worker.seen == 0 and self._capture.opening:
+            starting = self._capture.trouble
+        return Facts(
+            starting=starting,
+            camera=camera,
+            paused=self._paused,
+            targets=self._worker.targets,
+            ball=self._worker.ball,
+            output=self._reporter.failed or "",
+            phase=self._worker.phase,
+        )
+
+    def _tend(self, now: float) -> None:
+        """What has time: the watchdog after progress, files now and then, young garbage."""
+        silent = now - self._last > PATIENCE
+        self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self._worker.seen))
+        self._collector.rest(now)
+        if now - self._looked < _EVERY:
+            return
+        cpu = time.process_time()
+        self._cpu_share, self._cpu = (cpu - self._cpu) / (now - self._looked), cpu
+        self._looked = now
+        if self._files != _stamps_of(self._request, self._plan) and self._loading is None:
+            self._load(self._request, lambda _: None, quiet=True)
+        if self._recorder is not None and self._recorder.status().ended is not None:
+            self._end_recording(lambda _: None)
+
+    # ---- beginning and end ----
+
+    def _open_doors(self) -> None:
+        """The control socket, metrics, and the news that we are there."""
+        c = self._plan.configuration
+        try:
+            path = socket_path(c.control.socket)
+            self._server = self._stack.enter_context(ControlServer(path, c.control, self.handle, self.say))
+        except ControlError as e:
+            if c.control.socket is not None:
+                raise
+            self.say(f"control: {e}: `spheremouse ctl` cannot ask this run")
+        metrics = serve_metrics(c.metrics, self.status)
+        if metrics is not None:
+            self._stack.enter_context(metrics)
+            self.say(f"metrics: {metrics.url}")
+        self._files = _stamps_of(self._request, self._plan)
+        removed = tidy(recordings_folder(c.record))
+        if removed:
+            self.say(f"record: {removed} half-written by a run that was cut off, removed")
+        self._notifier.ready()
+
+    def _get_ready(self) -> None:
+        self._starting = "compiling for this machine, once after an installation"
+        self._notifier.patience(_COMPILING)
+        self._judge(time.monotonic())
+        make_ready(self._plan.configuration)
+        self._notifier.usual()
+        self._starting = ""
+        self._scheduling = realtime.prepare()
+        realtime.claim(self._reporter.native_id)
+        self._capture.start()
+        realtime.claim(self._capture.native_id)
+        self._last = time.monotonic()
+        self._collector = realtime.Collector()
+
+    def _close(self) -> None:
+        self._capture.close()
+        self._reporter.close()
+        if self._recorder is not None:
+            self._end_recording(lambda _: None)
+        for thread in self._background:
+            thread.join(_PATIENT)
+        if self._keeper is not None:
+            self._keeper.__exit__(None, None, None)
+        self._stack.close()
+        if hasattr(self, "_collector"):
+            self._collector.close()
+
+    @contextlib.contextmanager
+    def _on_hang_up(self) -> Iterator[None]:
+        """SIGHUP reads the configuration anew, as it does for other services."""
+        if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        reload = lambda *_: self._ask(lambda: self._load(self._request, lambda _: None))  # noqa: E731
+        before = signal.signal(signal.SIGHUP, reload)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGHUP, before)
+
+    def say(self, text: str) -> None:
+        """A line for the log and for whoever watches, from any thread."""
+        self._print(text)
+        if self._server is not None:
+            self._server.publish({"event": "log", "text": text})
+
+    # ---- what is asked ----
+
+    def handle(self, request: Request, reply: Reply) -> None:
+        """A request of the control socket, in its thread."""
+        if request.command == "status":
+            reply(self.status())
+        elif request.command == "stop":
+            self._over = True
+            self._ring.wake()
+            reply({})
+        else:
+            self._ask(lambda: self._do(request, reply))
+
+    def _ask(self, action: Callable[[], None]) -> None:
+        self._todo.append(action)
+        self._ring.wake()
+
+    def _do(self, request: Request, reply: Reply) -> None:
+        try:
+            self._answer(request, reply)
+        except (SpheremouseError, OSError) as e:
+            reply(refused(str(e)))
+
+    def _answer(self, request: Request, reply: Reply) -> None:
+        if isinstance(request, Set):
+            wanted = replace(self._request, assignments=(*self._request.assignments, *request.assignments))
+            self._load(wanted, reply)
+        elif isinstance(request, Record):
+            self._record(request, reply)
+        elif isinstance(request, Snapshot):
+            self._want_snapshot(request, reply)
+        elif request.command == "reload":
+            self._load(self._request, reply)
+        elif request.command == "reinit":
+            if self._state is State.NO_CAMERA:
+                raise ControlError(f"no frame to find the targets in: {self._reason}")
+            self._worker.reinitialise(lambda error, text: self._told_pose(reply, error, text))
+        else:
+            self._pause(request.command == "pause")
+            reply({"state": str(self._state)})
+
+    def _told_pose(self, reply: Reply, error: str | None, text: str) -> None:
+        if error is None:
+            self.say(text)
+            reply({"text": text})
+        else:
+            self.say(f"camera pose: {error}")
+            reply(refused(error))
+
+    def _pause(self, paused: bool) -> None:
+        self._paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
+        self._reporter.pause(paused)
+        self._judge(time.monotonic())
+
+    def _load(self, wanted: PlanRequest, reply: Reply, quiet: bool = False) -> None:
+        """Read all anew in a thread of its own, then apply it between two frames; nothing changes if it is wrong."""
+        if self._loading is not None:
+            raise ControlError("the configuration is being read already; repeat this in a moment")
+
+        def read() -> None:
+            files = _stamps_of(wanted, self._plan)
+            try:
+                plan = read_plan(wanted)
+            except SpheremouseError as e:
+                error = str(e)
+                self._ask(lambda: self._not_applied(error, files, reply))
+            else:
+                self._ask(lambda: self._apply(wanted, plan, files, reply, quiet))
+
+        self._loading = threading.Thread(target=read, name="reload", daemon=True)
+        self._loading.start()
+
+    def _not_applied(self, error: str, files: dict[Path, int], reply: Reply) -> None:
+        self._loading, self._files = None, files
+        self.say(f"configuration not applied: {error}")
+        reply(refused(error))
+
+    def _apply(self, wanted: PlanRequest, plan: Plan, files: dict[Path, int], reply: Reply, quiet: bool) -> None:
+        """Another plan from here on; what cannot be changed under way is said."""
+        before, self._loading, self._files = self._plan, None, files
+        if plan.rig is None and before.rig is None:
+            plan = replace(plan, map_path=before.map_path)
+        changed = _differences(before, plan)
+        try:
+            if "rig" in changed:
+                rig = plan.device(self._rig)
+                worker = Worker(rig, plan.configuration, None, self.say)
+            else:
+                rig, worker = self._rig, self._worker
+                if "tracker" in changed:
+                    worker.retune(plan.configuration)
+        except (SpheremouseError, PoseError) as e:
+            self._not_applied(str(e), files, reply)
+            return
+        self._request, self._plan, self._rig = wanted, plan, rig
+        if worker is not self._worker or "map" in changed:
+            if self._keeper is not None:
+                self._keeper.__exit__(None, None, None)
+            self._keeper = self._new_keeper(plan)
+            self._worker = worker if worker is self._worker else self._new_worker()
+        if "source" in changed:
+            self._capture.reopen(self._reopen(plan))
+        if "output" in changed:
+            self._reporter.close()
+            self._reporter = self._new_reporter(plan)
+            realtime.claim(self._reporter.native_id)
+            self._reporter.pause(bool(self._paused))
+        elif "pointer" in changed:
+            self._reporter.change(plan.configuration.pointer)
+        later = [name for name in changed if name in ("control", "metrics")]
+        text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
+        if later:
+            text += f" ({', '.join(later)}: from the next start on)"
+        if changed or not quiet:
+            self.say(text)
+        reply({"changed": changed, "text": text})
+
+    # ---- recording ----
+
+    def _record(self, request: Record, reply: Reply) -> None:
+        if request.stop:
+            if self._recorder is None:
+                raise ControlError("nothing is being recorded")
+            self._end_recording(reply)
+            return
+        if self._recorder is not None:
+            raise ControlError(f"recording into {self._recorder.status().folder} already; end it with record --stop")
+        tracker = self._worker.tracker
+        if tracker is None:
+            raise ControlError(f"nothing to record before the camera's pose is known: {self._reason}")
+        c = self._plan.configuration
+        settings = replace(
+            c.record,
+            seconds=c.record.seconds if request.seconds is None else request.seconds,
+            everything=c.record.everything or request.everything,
+        )
+        places = recordings_folder(settings)
+        folder = next_name(places) if request.folder is None else places / request.folder
+        described, rig = self._capture.description, self._rig
+
+        def begin() -> None:
+            try:
+                recorder = Recorder(
+                    folder,
+                    rig,
+                    tracker.pose,
+                    settings,
+                    described,
+                    tracker=c,
+                    configuration=config.dump(c, type(c)()),
+                )
+            except (SpheremouseError, OSError) as e:
+                reply(refused(str(e)))
+            else:
+                self._ask(lambda: self._recording_begun(recorder, settings.seconds, reply))
+
+        self._in_background(begin)
+
+    def _recording_begun(self, recorder: Recorder, seconds: float, reply: Reply) -> None:
+        if self._recorder is not None:  # two asked at once
+            recorder.stop()
+            reply(refused(f"recording into {self._recorder.status().folder} already"))
+            return
+        self._recorder = recorder
+        folder = recorder.status().folder
+        self.say(f"record: {folder}: begun, {seconds:g} s at most")
+        reply({"folder": str(folder), "seconds": seconds})
+
+    def _end_recording(self, reply: Reply) -> None:
+        recorder, self._recorder = self._recorder, None
+        assert recorder is not None
+
+        def finish() -> None:
+            try:
+                path = recorder.finish()
+            except SpheremouseError as e:
+                self.say(f"record: {e}")
+                reply(refused(str(e)))
+                return
+            status = recorder.status()
+            self.say(f"record: {status.ended}")
+            reply({"folder": str(path), "frames": status.frames, "text": status.ended})
+
+        self._in_background(finish)
+
+    def _in_background(self, work: Callable[[], None]) -> None:
+        """Something that takes its time; what is begun is waited for at the end."""
+        self._background = [t for t in self._background if t.is_alive()]
+        thread = threading.Thread(target=work, name="background", daemon=True)
+        self._background.append(thread)
+        thread.start()
+
+    def _want_snapshot(self, request: Snapshot, reply: Reply) -> None:
+        """Of the next frame, in colour."""
+        if self._worker.tracker is None or self._state is State.NO_CAMERA:
+            raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
+        self._worker.colour = True
+        places = recordings_folder(self._plan.configuration.record)
+        path = next_name(places, suffix=".png") if request.file is None else places / request.file
+        self._snapshots.append((path, reply))
+
+    def _take_snapshots(self, made: Step) -> None:
+        wanted, self._snapshots, self._worker.colour = self._snapshots, [], False
+        tracker, everything = self._worker.tracker, self._plan.configuration.record.everything
+        assert tracker is not None
+        epoch = replace(made.epoch, frame=replace(made.epoch.frame, image=made.epoch.frame.image.copy()))
+
+        def write() -> None:
+            for path, reply in wanted:
+                try:
+                    snapshot(path, epoch, tracker, everything=everything)
+                except (SpheremouseError, OSError) as e:
+                    reply(refused(str(e)))
+                else:
+                    self.say(f"snapshot: {path}")
+                    reply({"file": str(path)})
+
+        self._in_background(write)
+
+    # ---- the status ----
+
+    def status(self) -> dict[str, Any]:
+        """How it is, as docs/control.md says; from any thread."""
+        now = time.monotonic()
+        worker, plan, step = self._worker, self._plan, self._last_step
+        report = self._reporter.status()
+        latency = report.latency
+        state = None if step is None else step.epoch.state
+        return {
+            "state": str(self._state),
+            "reason": self._reason,
+            "since_s": now - self._since,
+            "fps": self._fps(now),
+            "latency_ms": None if latency is None else _ms(latency.p50, latency.p99, latency.max),
+            "stages_ms": {
+                name: _ms(worker.times[name].recent_quantile(0.5), worker.times[name].recent_quantile(0.99))
+                for name in STAGES
+                if worker.times[name].count
+            },
+            "discs": 0 if step is None or self._state is not State.TRACKING else len(step.epoch.used),
+            "discs_seen": 0 if state is None else len(state.points),
+            "discs_known": 0 if state is None else len(state.filter.discs),
+            "frames": worker.frames,
+            "skipped": self._ring.skipped,
+            "dropped": self._capture.dropped,
+            "damaged": worker.damaged,
+            "pose": self._pose(now),
+            "output": {
+                "spec": plan.output,
+                "failed": report.failed,
+                "reports": report.reports,
+                "unsent": list(report.unsent),
+            },
+            "source": {"spec": plan.source, "description": self._capture.description},
+            "unseen_s": self._unseen,
+            "lost_count": worker.lost,
+            "camera_restarts": self._capture.restarts,
+            "uptime_s": now - self._began,
+            "version": __version__,
+            "pid": os.getpid(),
+            "config": None if self._request.file is None else str(self._request.file),
+            "rig": None if plan.rig_path is None else str(plan.rig_path),
+            "map": None if plan.map_path is None else str(plan.map_path),
+            "recording": self._recording(),
+            "memory_mb": _memory_mb(),
+            "cpu_share": self._cpu_share,
+            "scheduling": self._scheduling,
+        }
+
+    def _pose(self, now: float) -> dict[str, Any] | None:
+        pose = self._worker.pose
+        if pose is None:
+            return None
+        sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))
+        return {
+            "position_m": pose.position.tolist(),
+            "sigma_mm": (1e3 * sigma[:3]).tolist(),
+            "sigma_deg": np.degrees(sigma[3:]).tolist(),
+            "age_s": now - self._worker.posed,
+        }
+
+    def _recording(self) -> dict[str, Any] | None:
+        if self._recorder is None:
+            return None
+        s = self._recorder.status()
+        return {
+            "folder": str(s.folder), "frames": s.frames, "seconds": s.seconds, "bytes": s.bytes, "dropped": s.dropped,
+        }  # fmt: skip
+
+    def _fps(self, now: float) -> float:
+        return 0.0 if now - self._last > PATIENCE else float(np.nan_to_num(self._arrivals.rate))
+
+    # ---- parts ----
+
+    def _new_reporter(self, plan: Plan) -> Reporter:
+        return Reporter(lambda: open_output(plan.output), plan.configuration.pointer, self.say)
+
+    def _new_keeper(self, plan: Plan) -> MapKeeper | None:
+        return None if plan.map_path is None else MapKeeper(plan.map_path, self._rig, self.say)
+
+    def _new_worker(self) -> Worker:
+        known = None if self._keeper is None else self._keeper.known
+        return Worker(self._rig, self._plan.configuration, known, self.say)
+
+
+def _ms(median: float, slow: float, most: float | None = None) -> dict[str, float]:
+    made = {"p50": 1e3 * median, "p99": 1e3 * slow}
+    return made if most is None else {**made, "max": 1e3 * most}
+
+
+def _letters(text: str) -> str:
+    """A reason without its numbers: whether it is the same one."""
+    return "".join(c for c in text if not c.isdigit())
+
+
+def _memory_mb() -> float:
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+        return pages * resource.getpagesize() / 1e6
+    except (OSError, ValueError, IndexError):
+        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return most / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+def _stamps_of(request: PlanRequest, plan: Plan) -> dict[Path, int]:
+    """When the files that a plan was read from were last written."""
+    found: dict[Path, int] = {}
+    for path in (request.file, plan.rig_path, plan.camera_path):
+        if path is not None:
+            try:
+                found[path] = path.stat().st_mtime_ns
+            except OSError:
+                found[path] = 0
+    return found
+
+
+def _differences(before: Plan, now: Plan) -> list[str]:
+    """What has changed, in the words of the configuration."""
+    a, b = before.configuration, now.configuration
+    apart = ("source", "output", "rig", "camera_file", "map", "camera", "pointer", "control", "record", "metrics")
+    tracking = [f for f in type(a).__dataclass_fields__ if f not in apart]
+    changed = ["tracker"] if any(getattr(a, f) != getattr(b, f) for f in tracking) else []
+    if before.source != now.source or a.camera != b.camera:
+        changed.append("source")
+    if before.output != now.output:
+        changed.append("output")
+    if before.rig_path != now.rig_path or not _same(before.rig, now.rig) or not _same(before.camera, now.camera):
+        changed.append("rig")
+    if before.map_path != now.map_path:
+        changed.append("map")
+    return changed + [
+        name for name in ("pointer", "control", "record", "metrics") if getattr(a, name) != getattr(b, name)
+    ]
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Are two devices, of nested dataclasses with arrays, equal?"""
+    if a is None or b is None:
+        return a is b
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b)
+    if hasattr(type(a), "__dataclass_fields__"):
+        return type(a) is type(b) and all(_same(getattr(a, f), getattr(b, f)) for f in type(a).__dataclass_fields__)
+    return bool(a == b)

@@ -1,0 +1,30 @@
+"""The whole configuration file: the tracker's parameters, and what the daemon needs besides."""
+
+from dataclasses import dataclass, field
+
+from spheremouse.daemon.control_settings import ControlSettings, MetricsSettings
+from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.pointer import PointerSettings
+from spheremouse.settings import param
+from spheremouse.source._camera_settings import CameraSettings
+from spheremouse.track import Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration(Settings):
+    """All parameters. Options of the command line, where there are some for the same, come before these."""
+
+    source: str | None = param(
+        None, "-", "where frames come from, as --source: v4l2:/dev/v4l/by-id/... or opencv:INDEX for live cameras"
+    )
+    output: str | None = param(
+        None, "-", "where motion goes, as --output: auto, uinput, serial:auto, desktop, text:FILE"
+    )
+    rig: str | None = param(None, "-", "rig file, the device as calibrated; relative to this file's folder")
+    camera_file: str | None = param(None, "-", "camera file in place of the rig's interior orientation; likewise")
+    map: str | None = param(None, "-", "map of the discs; null keeps it beside the rig file where that may be written")
+    camera: CameraSettings = field(default_factory=CameraSettings)
+    pointer: PointerSettings = field(default_factory=PointerSettings)
+    control: ControlSettings = field(default_factory=ControlSettings)
+    record: RecordSettings = field(default_factory=RecordSettings)
+    metrics: MetricsSettings = field(default_factory=MetricsSettings)

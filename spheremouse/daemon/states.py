@@ -1,0 +1,50 @@
+"""How the daemon is, in one word and a reason: facts in, state out. Pure, so that transcripts can test it."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from spheremouse.track import Phase
+
+
+class State(StrEnum):
+    """What the daemon does; in all but `tracking` nothing moves."""
+
+    STARTING = "starting"
+    NO_CAMERA = "no-camera"
+    PAUSED = "paused"
+    SEARCHING_TARGETS = "searching-targets"
+    LOST = "lost"
+    FAILED_OUTPUT = "failed-output"
+    TRACKING = "tracking"
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What the state follows from; a text is a reason, and empty where there is no trouble."""
+
+    starting: str = ""
+    camera: str = ""
+    paused: str = ""
+    targets: str = ""
+    ball: str = ""
+    output: str = ""
+    phase: Phase = Phase.SEARCHING
+
+
+def judge(facts: Facts) -> tuple[State, str]:
+    """State and reason. What is wrong first along the way from the camera to the pointer is what is told."""
+    for state, reason in (
+        (State.STARTING, facts.starting),
+        (State.NO_CAMERA, facts.camera),
+        (State.PAUSED, facts.paused),
+        (State.SEARCHING_TARGETS, facts.targets),
+    ):
+        if reason:
+            return state, reason
+    if facts.phase is Phase.SEARCHING:
+        return State.LOST, facts.ball or "no disc on the ball seen yet"
+    if facts.phase is Phase.LOST:
+        return State.LOST, facts.ball or "the ball is not recognised"
+    if facts.output:
+        return State.FAILED_OUTPUT, facts.output
+    return State.TRACKING, facts.ball or "the ball is followed"

@@ -1,0 +1,281 @@
+"""What is done with each shot: decoded, the targets looked for until the camera's pose is known, then tracked.
+
+One thread calls this; it waits for nothing. What others want to know of it are plain attributes.
+"""
+
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import Pose
+from spheremouse.daemon.ring import Arrival
+from spheremouse.detect.rings import TargetDetections, detect_targets
+from spheremouse.disc_map import DiscMap
+from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
+from spheremouse.frame import Frame
+from spheremouse.motion import Motion
+from spheremouse.resect import Resection, describe, gather, resect
+from spheremouse.rig import Rig
+from spheremouse.session import Epoch
+from spheremouse.timing import FrameTimes
+from spheremouse.track import (
+    Phase,
+    Settings,
+    Tracker,
+    TrackState,
+    begin,
+    build,
+    check_size,
+    current,
+    posed_anew,
+    retuned,
+    step,
+    wants_colour,
+)
+
+_FAULTS, _FAULTS_WITHIN = 5, 60.0  # errors of our own in so many s that end the process: it is begun anew from outside
+_DAMAGED = 1.0  # s of nothing but damaged frames that are told
+STAGES = ("wait", "decode", "detect", "filter")
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What a tracked frame gave, and when."""
+
+    epoch: Epoch
+    rate: tuple[float, float, float]  # counts/s of the three axes
+    holds: bool  # its discs hold the attitude: the rate may be carried on
+
+
+class Worker:
+    """Frames in, motion out, for a device and its settings."""
+
+    def __init__(self, rig: Rig, settings: Settings, known: DiscMap | None, say: Callable[[str], None]) -> None:
+        self.rig, self.settings, self._known, self._say = rig, settings, known, say
+        self.pose: Pose | None = None
+        self.posed = 0.0  # s, time.monotonic() when the pose was found
+        self.state: TrackState | None = None
+        self.trouble = ""  # why no frame can be used
+        self.targets = "the ring targets are looked for"  # why there is no pose; empty where there is one
+        self.ball = ""  # what the tracker said last of the ball
+        self.times = {name: FrameTimes() for name in STAGES}
+        self.frames = 0  # tracked
+        self.seen = 0  # worked on, whatever came of them
+        self.damaged = 0
+        self.lost = 0  # times
+        self._tracker: Tracker | None = None
+        self._views: list[TargetDetections] = []
+        self._first: Frame | None = None  # of the views
+        self._anew: _Reinitialisation | None = None
+        self._buffer: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._faults: deque[float] = deque(maxlen=_FAULTS)
+        self._good = time.monotonic()  # when a frame last could be used
+        self._detected = 0.0
+        self._event = ""
+        self.colour = False  # the next frame is wanted in colour, whatever tracking wants
+        if rig.pose is not None:
+            self._stands(rig.pose, "camera pose: as the rig says")
+        elif len(rig.targets.codes) < 3:
+            raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
+
+    @property
+    def tracker(self) -> Tracker | None:
+        """The tracker in use."""
+        return self._tracker if self.state is None or self._tracker is None else current(self.state, self._tracker)
+
+    @property
+    def phase(self) -> Phase:
+        """What the tracker knows of the ball."""
+        return Phase.SEARCHING if self.state is None else self.state.phase
+
+    def work(self, arrival: Arrival, taken: float) -> Step | None:
+        """Do what there is to be done with a shot of mid-exposure `taken` (s, time.monotonic()).
+
+        None where it was not tracked: damaged, of another size, or the camera's pose is not known yet. The frame of the
+        step is good until the shot is released.
+        """
+        shot, begun = arrival.shot, time.monotonic()
+        self.seen += 1
+        try:
+            frame = self._own(shot.frame(self._in_colour(shot.stamp)))
+            check_size(frame, self.rig)
+            decoded = time.monotonic()
+            self.trouble, self._good = "", decoded
+            if self._tracker is None:
+                self._look_for_targets(frame)
+                return None
+            made = self._track(frame, decoded)
+            self.times["wait"].add(max(0.0, begun - taken), decoded)
+            self.times["decode"].add(decoded - begun, decoded)
+            return made
+        except DamagedFrameError as e:
+            self.damaged += 1
+            if begun - self._good > _DAMAGED:
+                self.trouble = f"nothing but damaged frames for {begun - self._good:.0f} s ({e})"
+        except SourceError as e:
+            self.trouble = str(e)
+        except Exception:
+            if self._too_many_faults(begun):
+                raise
+        return None
+
+    def take_event(self) -> str:
+        """What the tracker has said since this was last asked."""
+        event, self._event = self._event, ""
+        return event
+
+    def retune(self, settings: Settings) -> None:
+        """Other parameters from the next frame on. Raises PoseError where they cannot be used; then all stays."""
+        if self._tracker is not None and self.state is not None:
+            self.state, self._tracker = retuned(self.state, self._tracker, settings)
+        elif self._tracker is not None:
+            self._tracker = build(self.rig, self._tracker.pose, settings)
+        self.settings = settings
+
+    def reinitialise(self, answer: Callable[[str | None, str], None]) -> None:
+        """Estimate the camera's pose anew while the ball is tracked on by the one before; `answer` (error, text)."""
+        if self._tracker is None:
+            answer(None, f"the pose is being looked for: {self.targets}")
+        elif len(self.rig.targets.codes) < 3:
+            answer("the rig has fewer than three targets: its camera pose is that of the rig file", "")
+        elif self._anew is not None:
+            answer("the camera's pose is being estimated already; wait for its end", "")
+        else:
+            self._anew = _Reinitialisation(self.rig, self.settings, answer)
+
+    # ---- within ----
+
+    def _in_colour(self, stamp: float) -> bool:
+        if self.colour or self._tracker is None or (self._anew is not None and self._anew.hungry):
+            return True
+        return self.state is None or wants_colour(self.state, stamp)
+
+    def _own(self, frame: Frame) -> Frame:
+        """The frame as compiled code takes it: rows without gaps, in memory that may be written."""
+        image = frame.image
+        if image.flags.c_contiguous and image.flags.writeable:
+            return frame
+        if self._buffer.shape != image.shape:
+            self._buffer = np.empty(image.shape, np.uint8)
+        np.copyto(self._buffer, image)
+        return replace(frame, image=self._buffer)
+
+    def _look_for_targets(self, frame: Frame) -> None:
+        """One view more; the pose once there are enough, or why not."""
+        try:
+            if frame.image.ndim != 3:
+                raise PoseError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
+            if self._first is None:
+                self._first = replace(frame, image=frame.image.copy())
+            self._views.append(detect_targets(frame.image, self.rig.targets.radii, self.settings.rings))
+            if len(self._views) < self.settings.pose.frames:
+                return
+            found = resect(gather(self._views, self.settings.pose), self.rig, self._first.image)
+            self._stands(found.pose, f"camera pose: {describe(found, self.rig)}")
+        except PoseError as e:
+            self.targets = str(e)
+        self._views, self._first = [], None
+
+    def _stands(self, pose: Pose, text: str) -> None:
+        self._tracker = build(self.rig, pose, self.settings)
+        self.pose, self.posed, self.targets = pose, time.monotonic(), ""
+        self._say(text)
+
+    def _track(self, frame: Frame, begun: float) -> Step:
+        assert self._tracker is not None
+        before = self.state or begin(self._tracker, frame.stamp, known=self._known)
+        self._detected = begun
+        found = None if self._anew is None else self._anew.look(frame)
+        if found is None:
+            state, motion = step(before, frame, self._tracker, self._note_detected)
+        else:
+            state, motion = self._with_pose(before, frame, found)
+        done = time.monotonic()
+        seconds = {"detect": self._detected - begun, "filter": done - self._detected}
+        for name, time_taken in seconds.items():
+            self.times[name].add(time_taken, done)
+        self._remember(before, state)
+        self.state = state
+        self.frames += 1
+        in_use = current(state, self._tracker)
+        rate = in_use.counts @ motion.rate
+        holds = state.phase is Phase.TRACKING and state.holds
+        return Step(Epoch(frame, state, motion, seconds), (float(rate[0]), float(rate[1]), float(rate[2])), holds)
+
+    def _note_detected(self) -> None:
+        self._detected = time.monotonic()
+
+    def _with_pose(self, state: TrackState, frame: Frame, found: Resection) -> tuple[TrackState, Motion]:
+        """The frame with a pose estimated anew; with the one before where the ball would not be seen from there."""
+        assert self._tracker is not None
+        assert self._anew is not None
+        answer, self._anew = self._anew.answer, None
+        try:
+            state, motion = posed_anew(state, frame, self._tracker, found.pose)
+        except PoseError as e:
+            answer(f"{e}; the pose before stays", "")
+            return step(state, frame, self._tracker, self._note_detected)
+        answer(None, f"camera pose: {describe(found, self.rig)}")
+        return state, motion
+
+    def _remember(self, before: TrackState, state: TrackState) -> None:
+        assert self._tracker is not None
+        if self._anew is not None and self._anew.over:
+            self._anew = None
+        if state.event:
+            self.ball = state.event.removeprefix("lost: ").removeprefix("tracking: ")
+            self._event = state.event
+        if state.phase is Phase.LOST and before.phase is not Phase.LOST:
+            self.lost += 1
+        pose = current(state, self._tracker).pose
+        if pose is not self.pose:
+            self.pose, self.posed = pose, time.monotonic()
+
+    def _too_many_faults(self, now: float) -> bool:
+        """An error of our own: told with its traceback, the ball looked for anew. Are there so many that we give up?"""
+        self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+        self.state, self._anew = None, None
+        self._faults.append(now)
+        return len(self._faults) == _FAULTS and now - self._faults[0] < _FAULTS_WITHIN
+
+
+class _Reinitialisation:
+    """Views for a pose, looked at in a thread of its own while the ball is tracked on."""
+
+    def __init__(self, rig: Rig, settings: Settings, answer: Callable[[str | None, str], None]) -> None:
+        self.answer = answer
+        self.over = False  # without a pose
+        self._rig, self._settings = rig, settings
+        self._frames: list[Frame] = []
+        self._thread: threading.Thread | None = None
+        self._found: Resection | None = None
+
+    @property
+    def hungry(self) -> bool:
+        """Does it want another view, in colour?"""
+        return self._thread is None
+
+    def look(self, frame: Frame) -> Resection | None:
+        """One view more, or what came of them."""
+        if self._thread is None:
+            self._frames.append(replace(frame, image=frame.image.copy()))
+            if len(self._frames) == self._settings.pose.frames:
+                self._thread = threading.Thread(target=self._estimate, name="pose", daemon=True)
+                self._thread.start()
+        return self._found
+
+    def _estimate(self) -> None:
+        try:
+            if any(f.image.ndim != 3 for f in self._frames):
+                raise PoseError("the frames are grey: the ring targets need colour")
+            seen = [detect_targets(f.image, self._rig.targets.radii, self._settings.rings) for f in self._frames]
+            self._found = resect(gather(seen, self._settings.pose), self._rig, self._frames[0].image)
+        except SpheremouseError as e:
+            self.over = True
+            self.answer(f"{e}; the pose before stays", "")

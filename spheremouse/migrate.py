@@ -1,0 +1,181 @@
+"""Files of an older schema brought to the one this program reads: a step from each number to the next.
+
+A step changes plain data in place, whether read to be used or read with its comments to be written again. Whoever
+changes a schema writes it; a number shared by several kinds (`yaml_file.SCHEMA`) rises for all of them, and a kind to
+which nothing happened gets `unchanged`. The original stays beside the file.
+"""
+
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml.constructor import RoundTripConstructor
+from ruamel.yaml.representer import RoundTripRepresenter
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.yaml_file import Document, Problem, parse_document, read_document, write_atomically
+
+Step = Callable[[MutableMapping[str, Any]], None]
+
+# The first step of each goes from schema 1 to 2.
+STEPS: dict[str, Sequence[Step]] = {"map": (), "rig": (), "device": (), "configuration": ()}
+
+
+def unchanged(data: MutableMapping[str, Any]) -> None:
+    """The step of a kind that is the same in both schemas."""
+
+
+def newest(kind: str) -> int:
+    """The schema that this program reads and writes."""
+    return 1 + len(STEPS[kind])
+
+
+def kind_of(data: Mapping[str, Any]) -> str:
+    """What a file is, by what only such a file has; camera files count as rigs."""
+    camera = data.get("camera")
+    if "correlation_root" in data:
+        return "map"
+    if isinstance(camera, Mapping) and "fx" in camera:
+        return "rig"
+    return "device" if "axes" in data and "targets" in data else "configuration"
+
+
+def converted(document: Document) -> Document:
+    """The document as the newest schema would say it; as it is where there is nothing to do or no schema to go by.
+
+    Lines are those of the text that was read. ConfigurationError for a file from a newer version.
+    """
+    data = document.data
+    if not isinstance(data, dict) or (version := _version(data)) is None:
+        return document
+    kind = kind_of(data)
+    if version > newest(kind):
+        text = f"is {version}, of a newer spheremouse; this one reads {newest(kind)}: update it, or take an older file"
+        raise document.error([Problem(("schema",), text)])
+    if version == newest(kind):
+        return document
+    copied = _copied(data)
+    _step_up(copied, kind, version)
+    return Document(document.name, copied, document.lines)
+
+
+def due(path: Path) -> str:
+    """What `migrate_file` would do to a file, in words; empty where it would do nothing."""
+    try:
+        document = read_document(path)
+    except ConfigurationError:
+        return ""  # whoever reads it says what is wrong
+    if not isinstance(document.data, dict) or (version := _version(document.data)) is None:
+        return ""
+    wanted = newest(kind_of(document.data))
+    if version < wanted:
+        return f"from schema {version} to {wanted}, the original stays as {backup_path(path, version).name}"
+    if version > wanted and (older := _readable_backup(path, wanted)) is not None:
+        return f"back from schema {version}: {older.name} is what this version reads"
+    return ""
+
+
+def migrate_file(path: Path) -> bool:
+    """Convert a file, comments kept, and keep the original as FILE.schemaN.bak; whether there was anything to do.
+
+    A file from a newer version, of which an original that this version reads was kept, changes places with it: that is
+    what going back to the last version needs. Without one it is refused.
+    """
+    document = read_document(path)
+    if not isinstance(document.data, dict) or (version := _version(document.data)) is None:
+        return False
+    kind = kind_of(document.data)
+    if version == newest(kind):
+        return False
+    original = path.read_text(encoding="utf-8-sig")
+    older = _readable_backup(path, newest(kind)) if version > newest(kind) else None
+    text = _rewritten(original, kind, version, document) if older is None else older.read_text(encoding="utf-8")
+    backup = backup_path(path, version)
+    if not backup.exists() or version > newest(kind):  # of several, the first is what nobody has converted
+        write_atomically(backup, original)
+        backup.chmod(path.stat().st_mode & 0o777)
+    write_atomically(path, text)
+    return True
+
+
+def backup_path(path: Path, version: int) -> Path:
+    """Where the original of a file of schema `version` is kept."""
+    return path.with_name(f"{path.name}.schema{version}.bak")
+
+
+# ---- within ----
+
+
+class _Number(float):
+    """A number that remembers how it was written: ruamel.yaml's own way may change the last digit."""
+
+    text: str
+
+    def __new__(cls, text: str) -> "_Number":
+        number = super().__new__(cls, text.replace("_", "").lower().replace(".inf", "inf").replace(".nan", "nan"))
+        number.text = text
+        return number
+
+
+class _Constructor(RoundTripConstructor):
+    pass
+
+
+class _Representer(RoundTripRepresenter):
+    pass
+
+
+_FLOAT = "tag:yaml.org,2002:float"
+_Constructor.add_constructor(_FLOAT, lambda _, node: _Number(node.value))
+_Representer.add_representer(_Number, lambda r, number: r.represent_scalar(_FLOAT, number.text))
+
+
+def _rewritten(text: str, kind: str, version: int, document: Document) -> str:
+    """The text in the newest schema; it is read again, and must say what the steps make of the plain data."""
+    wanted = converted(document)  # refuses what is newer
+    yaml = YAML(typ="rt")
+    yaml.Constructor, yaml.Representer = _Constructor, _Representer
+    yaml.preserve_quotes = True
+    yaml.width = 1_000_000
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    stream = StringIO()
+    try:
+        data = yaml.load(text)
+        _step_up(data, kind, version)
+        yaml.dump(data, stream)
+        written = parse_document(stream.getvalue(), document.name)
+    except (YAMLError, ConfigurationError) as e:
+        raise _failed(document, " ".join(str(e).split())[:120]) from None
+    if written.data != wanted.data:
+        raise _failed(document, "what was written reads differently")
+    return stream.getvalue()
+
+
+def _failed(document: Document, why: str) -> ConfigurationError:
+    text = f"{document.name}: cannot be brought to the newest schema ({why}); it is as it was: change it by hand"
+    return ConfigurationError(text)
+
+
+def _step_up(data: MutableMapping[str, Any], kind: str, version: int) -> None:
+    for number, step in enumerate(STEPS[kind][version - 1 :], start=version + 1):
+        step(data)
+        data["schema"] = number
+
+
+def _version(data: Mapping[str, Any]) -> int | None:
+    version = data.get("schema")
+    return version if type(version) is int and version >= 1 else None
+
+
+def _readable_backup(path: Path, wanted: int) -> Path | None:
+    backup = backup_path(path, wanted)
+    return backup if backup.exists() else None
+
+
+def _copied(value: Any) -> Any:
+    """Plain data that may be changed: sections of its own. Lists stay tuples, as they are read."""
+    if isinstance(value, dict):
+        return {k: _copied(v) for k, v in value.items()}
+    return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value

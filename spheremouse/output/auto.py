@@ -1,0 +1,58 @@
+"""`auto[:third=none|wheel]`: the best mouse there is here, and standard error says which.
+
+uinput, which every program takes for a mouse, where the kernel lets us; else the board, known by its USB identity and
+never a mere adapter, behind which anything may sit; else the pointer of the desktop.
+"""
+
+import sys
+from collections.abc import Callable
+
+from spheremouse.errors import OutputError
+from spheremouse.output import Output, desktop, serial, uinput
+from spheremouse.spec import options
+
+THIRD = ("none", "wheel")  # what all of them can
+
+
+def open(argument: str) -> Output:
+    """The first that can be opened."""
+    third = str(options(argument, {"third": str}, f"auto:{argument}", OutputError).get("third", "none"))
+    if third not in THIRD:
+        raise OutputError(f"auto: third={third}; write third= with one of {', '.join(THIRD)}")
+    ways: list[Callable[[str], tuple[str, Output]]] = [_uinput, _board, _desktop]
+    failures: list[str] = []
+    for way in ways:
+        try:
+            spec, output = way(f"third={third}" if third != "none" else "")
+        except OutputError as e:
+            failures.append(str(e))
+            continue
+        print(f"auto: takes {spec}", file=sys.stderr)
+        return output
+    raise OutputError(f"auto: no mouse to be had. {' | '.join(failures)}")
+
+
+def _uinput(given: str) -> tuple[str, Output]:
+    return _spec("uinput", given), uinput.open(given)
+
+
+def _board(given: str) -> tuple[str, Output]:
+    from serial.tools import list_ports
+
+    ours = [p for p in list_ports.comports() if serial.PRODUCT in f"{p.product} {p.serial_number}".lower()]
+    if not ours:
+        raise OutputError("serial: no board of ours is plugged in")
+    port = serial.find_board(ports=ours)
+    number = next((p.serial_number for p in ours if p.device == port), None)
+    # By its number, so that it is found again at another port.
+    where = f"auto,id={number}" if number else port
+    whole = ",".join(filter(None, (where, given)))
+    return f"serial:{whole}", serial.open(whole)
+
+
+def _desktop(given: str) -> tuple[str, Output]:
+    return _spec("desktop", given), desktop.open(given)
+
+
+def _spec(kind: str, given: str) -> str:
+    return f"{kind}:{given}" if given else kind

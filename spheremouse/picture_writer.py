@@ -1,0 +1,134 @@
+"""Pictures of one size into a dataset folder, without loss.
+
+A video where OpenCV gives one back bit for bit, tried on noise; PNG files otherwise. A grey video takes a third of the
+time and room of one in colour; a picture in colour among grey ones stands beside it as a PNG file, under its number.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from spheremouse.dataset_format import picture_file, video_images
+from spheremouse.detect.detections import Image
+from spheremouse.errors import DatasetError
+
+SMALL = ("FFV1", "HFYU")  # codecs in the order they are tried: half the size
+FAST = ("HFYU", "FFV1")  # or a sixth of the time
+GREY = ("FFV1",)  # what else OpenCV writes in grey comes back otherwise
+
+
+def lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...], colour: bool) -> str | None:
+    """The first codec that OpenCV writes and reads back bit for bit at (width, height), tried on noise; None: none."""
+    shape = (2, size[1], size[0], 3) if colour else (2, size[1], size[0])
+    images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+    expected = images if colour else np.repeat(images[..., None], 3, axis=3)
+    path = folder / "trial.mkv"
+    for codec in codecs:
+        video = _open(path, codec, 30.0, size, colour)
+        if video.isOpened():
+            for image in images:
+                video.write(image)
+            video.release()
+            back = list(video_images(path))
+            path.unlink(missing_ok=True)
+            if len(back) == len(images) and all(np.array_equal(a, b) for a, b in zip(expected, back, strict=True)):
+                return codec
+    return None
+
+
+class PictureWriter:
+    """Writes pictures, (h, w, 3) BGR or (h, w) grey, into a folder. All are in colour unless `mixed`."""
+
+    def __init__(
+        self,
+        folder: Path,
+        size: tuple[int, int],
+        fps: float,
+        codecs: tuple[str, ...] = SMALL,
+        *,
+        mixed: bool = False,
+    ) -> None:
+        """`size`: width and height, px; `fps` is what a player of the video goes by. Takes some tenths of a second."""
+        self.written = 0
+        self._in_files = 0  # bytes
+        self._folder, self._size, self._fps = folder, size, fps
+        self._codec = lossless_codec(folder, size, codecs, True)
+        self._grey_codec = lossless_codec(folder, size, GREY, False) if mixed else None
+        self._video: cv2.VideoWriter | None = None
+        self._colour = True  # what the video holds
+        self._mixed = mixed
+        self._first: Image | None = None  # the second one tells whether grey is the rule
+
+    def add(self, image: Image) -> None:
+        """One more. DatasetError where it cannot be written, as far as that shows at once."""
+        assert image.shape[:2] == (self._size[1], self._size[0])
+        if self.written == 0 and self._mixed:
+            self._first = image.copy()
+        else:
+            if self.written == 0 or self._first is not None:
+                self._begin(image)
+            self._write(self.written, image)
+        self.written += 1
+
+    def size(self) -> int:
+        """Bytes on the disk so far."""
+        video = self._folder / "video.mkv"
+        return self._in_files + (0 if self._video is None or not video.exists() else video.stat().st_size)
+
+    def close(self) -> None:
+        """End the video. DatasetError where it is not what was written: OpenCV's writer reports no errors."""
+        if self._first is not None:
+            self._begin(self._first)
+        if self._video is None:
+            return
+        self._video.release()
+        self._video = None
+        video = cv2.VideoCapture(str(self._folder / "video.mkv"), cv2.CAP_FFMPEG)
+        count = round(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
+        video.release()
+        if count != self.written:
+            raise DatasetError(f"{self._folder}: the video could not be written; is the disk full?")
+
+    def release(self) -> None:
+        """Let go of the files; what is in them does not matter any more."""
+        if self._video is not None:
+            self._video.release()
+            self._video = None
+
+    def _begin(self, image: Image) -> None:
+        """The video, of the kind of the first two pictures, the second of which is `image`; grey if one of them is."""
+        first, self._first = self._first, None
+        self._colour = image.ndim == 3 and (first is None or first.ndim == 3)
+        codec = self._codec if self._colour else self._grey_codec
+        if codec is not None:
+            self._video = _open(self._folder / "video.mkv", codec, self._fps, self._size, self._colour)
+            if not self._video.isOpened():
+                raise DatasetError(f"{self._folder}: the video cannot be written; is the disk full?")
+        if first is not None:
+            self._write(0, first)
+
+    def _write(self, index: int, image: Image) -> None:
+        if self._video is None or (image.ndim == 3 and not self._colour):
+            self._write_file(index, image)
+        if self._video is None:
+            return
+        if image.ndim == 2 and self._colour:
+            image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+        elif image.ndim == 3 and not self._colour:
+            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        self._video.write(image)
+
+    def _write_file(self, index: int, image: Image) -> None:
+        path = picture_file(self._folder, index)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            self._in_files += path.write_bytes(
+                cv2.imencode(".png", image, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes()
+            )
+        except OSError as e:
+            raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None
+
+
+def _open(path: Path, codec: str, fps: float, size: tuple[int, int], colour: bool) -> cv2.VideoWriter:
+    return cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size, colour)

@@ -1,0 +1,281 @@
+"""The files that make spheremouse a service of systemd: which there are, where they go, and what became of them there.
+
+What is placed begins with a line that holds the digest of the rest, so that a file edited by hand is known without any
+list kept elsewhere: it is never replaced or removed without a copy. Everything is first worked out as deeds, then done.
+"""
+
+import contextlib
+import hashlib
+import os
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from spheremouse.errors import ConfigurationError, ServiceError
+from spheremouse.yaml_file import write_atomically
+
+UNIT = "spheremouse.service"
+USER = "spheremouse"  # and its group
+RESTART_STEPS = 254  # the first systemd that can wait longer from try to try
+_MARK = "# Placed by `spheremouse service install`; do not edit (digest of what follows: {})\n"
+_MARKED = re.compile(re.escape(_MARK.strip()).replace(r"\{\}", "([0-9a-f]{16})"))
+_UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
+
+State = Literal["missing", "ok", "older", "edited"]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a service is placed: of the system or of the user who asks, all of it below `root`."""
+
+    root: Path = Path("/")
+    user: bool = False
+
+    @property
+    def configuration(self) -> Path:
+        """Folder of config.yaml and rig.yaml."""
+        return self._users("XDG_CONFIG_HOME", ".config") / "spheremouse" if self.user else self.at("/etc/spheremouse")
+
+    @property
+    def unit(self) -> Path:
+        return self.files()[0][1]
+
+    @property
+    def link(self) -> Path:
+        """The symbolic link with which systemd starts the unit by itself."""
+        target = "default.target.wants" if self.user else "multi-user.target.wants"
+        return self.unit.parent / target / UNIT
+
+    @property
+    def state(self) -> Path | None:
+        """Folder of map and recordings; a user's map is beside the rig."""
+        return None if self.user else self.at("/var/lib/spheremouse")
+
+    @property
+    def cache(self) -> Path | None:
+        return None if self.user else self.at("/var/cache/spheremouse")
+
+    def files(self) -> list[tuple[str, Path]]:
+        """What is placed: name in the folder of this program's service files, and where it goes; the unit first."""
+        if self.user:
+            configuration = self._users("XDG_CONFIG_HOME", ".config")
+            return [
+                ("systemd/spheremouse-user.service", configuration / "systemd" / "user" / UNIT),
+                ("desktop/spheremouse-tray.desktop", configuration / "autostart" / "spheremouse-tray.desktop"),
+            ]
+        places = {
+            "systemd/spheremouse.service": f"/etc/systemd/system/{UNIT}",
+            "systemd/sysusers.conf": "/etc/sysusers.d/spheremouse.conf",
+            "systemd/tmpfiles.conf": "/etc/tmpfiles.d/spheremouse.conf",
+            "systemd/modules-load.conf": "/etc/modules-load.d/spheremouse.conf",
+            "udev/70-spheremouse.rules": "/etc/udev/rules.d/70-spheremouse.rules",
+            "desktop/90-spheremouse-xorg.conf": "/etc/X11/xorg.conf.d/90-spheremouse.conf",
+            "desktop/spheremouse-tray.desktop": "/etc/xdg/autostart/spheremouse-tray.desktop",
+        }
+        return [(name, self.at(path)) for name, path in places.items()]
+
+    def at(self, path: str | Path) -> Path:
+        """An absolute path, below the root."""
+        return self.root / Path(path).relative_to("/")
+
+    def inside(self, path: Path) -> str:
+        """A path as it is once `root` is the root."""
+        return str(Path("/") / path.relative_to(self.root))
+
+    def _users(self, variable: str, otherwise: str) -> Path:
+        given = os.environ.get(variable, "")
+        return self.at(given if given.startswith("/") else Path.home() / otherwise)
+
+
+@dataclass(frozen=True, slots=True)
+class Deed:
+    """One change, worked out and not done yet."""
+
+    what: str  # "write", "update", ...
+    path: Path
+    do: Callable[[], object]
+    note: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.what} {self.path}{f' ({self.note})' if self.note else ''}"
+
+
+def folder() -> Path:
+    """Where the service's files are: in the repository, or within the installed package."""
+    here = Path(__file__).parent
+    for path in (here.parent / "service", here / "_service"):
+        if (path / "systemd").is_dir():
+            return path
+    raise ServiceError("the service's files are not here; install spheremouse again")
+
+
+def executable(place: Place) -> str:
+    """The program that the unit is to start: this installation's, by the link `current` where it has versions."""
+    prefix = Path(sys.prefix)
+    current = prefix.parent / "current"
+    if current.is_symlink() and current.resolve() == prefix.resolve():
+        prefix = current
+    path = prefix / "bin" / "spheremouse"
+    if not path.exists():
+        raise ServiceError(f"{path} is not there; install spheremouse into a virtual environment: service/install.sh")
+    if place.root != Path("/") and path.is_relative_to(place.root):
+        path = Path(place.inside(path))
+    if re.search(r"[^\w./+~@:=-]", str(path)):
+        raise ServiceError(f"{path}: systemd needs a path without spaces and other signs; install elsewhere")
+    if not place.user and str(path).startswith(tuple(f"{p}/" for p in _UNREACHABLE)) and place.root == Path("/"):
+        raise ServiceError(
+            f"the system's service has a user of its own, who does not see {path}; install under /opt with "
+            "service/install.sh, or make it your own service: spheremouse service install --user"
+        )
+    return str(path)
+
+
+# ---- what is to be done ----
+
+
+def install(place: Place, program: str, systemd: int | None) -> Iterator[Deed]:
+    """What is left to do until the service is in place; nothing where it is. `systemd`: its version, where known."""
+    fresh = not place.unit.exists()
+    for name, path in place.files():
+        text = rendered(name, program, systemd)
+        state = state_of(path, text)
+        if state == "edited":
+            yield _backup(path)
+        if state != "ok":
+            what = "write" if state == "missing" else "update"
+            yield Deed(what, path, partial(_write, path, text))
+    if fresh and not place.link.is_symlink():  # one that was there and is not enabled stays so
+        yield Deed("enable", place.link, partial(_link, place))
+    config = place.configuration / "config.yaml"
+    if not config.exists():
+        yield Deed("write", config, partial(_write, config, configuration(place)))
+
+
+def uninstall(place: Place, purge: bool) -> Iterator[Deed]:
+    """What is left to do until the service is gone. Configuration, calibration and map stay unless `purge`."""
+    if place.link.is_symlink():
+        yield Deed("disable", place.link, place.link.unlink)
+    for _, path in place.files():
+        if path.exists() or path.is_symlink():
+            if state_of(path, None) == "edited" and not purge:
+                yield _backup(path)
+            yield Deed("remove", path, path.unlink)
+        for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
+            yield Deed("remove", backup, backup.unlink)
+    if place.cache is not None and place.cache.exists():
+        yield Deed("remove", place.cache, partial(shutil.rmtree, place.cache), "compiled code")
+    config = place.configuration / "config.yaml"
+    if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
+        yield Deed("remove", config, config.unlink, "as it was placed")
+    for path in (place.configuration, place.state) if purge else ():
+        if path is not None and path.exists():
+            yield Deed("remove", path, partial(shutil.rmtree, path))
+
+
+def left(place: Place) -> list[Path]:
+    """What an uninstallation leaves, since somebody may want it."""
+    found = [p for folder in (place.configuration, place.state) if folder is not None for p in _below(folder)]
+    return sorted([*found, *(p for _, path in place.files() for p in path.parent.glob(f"{path.name}.bak*"))])
+
+
+def tidy(place: Place) -> None:
+    """Remove folders of ours that are empty; below a root of one's own all that are."""
+    folders = (place.configuration, place.state, place.link.parent, *(p.parent for _, p in place.files()))
+    for folder in (f for f in folders if f is not None):
+        for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):
+            if place.root == Path("/") and path.name != "spheremouse":
+                break
+            with contextlib.suppress(OSError):  # not empty, or gone
+                path.rmdir()
+
+
+def state_of(path: Path, text: str | None) -> State:
+    """What became of a file that was to hold `text`; None: whatever some version of ours placed."""
+    if not path.exists():
+        return "missing"
+    try:
+        there = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return "edited"
+    if there == text:
+        return "ok"
+    first, _, rest = there.partition("\n")
+    mark = _MARKED.fullmatch(first)
+    return "edited" if mark is None or mark[1] != _digest(rest) else "ok" if text is None else "older"
+
+
+def rendered(name: str, program: str, systemd: int | None) -> str:
+    """A file of the service as it is placed: with the program's path, without what this systemd does not know."""
+    text = (folder() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
+    known = systemd is not None and systemd >= RESTART_STEPS
+    text = re.sub(r"^@254@(.*\n)", r"\1" if known else "", text, flags=re.M)
+    return _MARK.format(_digest(text)) + text
+
+
+def configuration(place: Place) -> str:
+    """The configuration to begin with."""
+    own = place.configuration
+    learnt = own if place.state is None else place.state
+    text = (folder() / "config.yaml").read_text(encoding="utf-8")
+    for name, path in (("@RIG@", own / "rig.yaml"), ("@MAP@", learnt / "rig.map.yaml")):
+        text = text.replace(name, place.inside(path))
+    return text
+
+
+def carry_out(deeds: Iterator[Deed] | list[Deed]) -> Iterator[str]:
+    """Do them one by one, in words; ServiceError where the system does not let us."""
+    for deed in list(deeds):
+        try:
+            deed.do()
+        except (OSError, ConfigurationError) as e:
+            raise ServiceError(f"{deed}: {e.strerror if isinstance(e, OSError) and e.strerror else e}") from None
+        yield str(deed)
+
+
+def may(place: Place) -> bool:
+    """May this account write where the files go?"""
+    for _, path in place.files():
+        there = path.parent
+        while not there.exists():
+            there = there.parent
+        if not os.access(there, os.W_OK | os.X_OK):
+            return False
+    return True
+
+
+# ---- within ----
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_symlink():  # to /dev/null, for instance: write_atomically asks for the mode of what it leads to
+        path.unlink()
+    write_atomically(path, text)
+    path.chmod(0o644)  # whatever the account's umask: systemd, udev and desktops read them
+
+
+def _link(place: Place) -> None:
+    place.link.parent.mkdir(parents=True, exist_ok=True)
+    place.link.symlink_to(place.inside(place.unit))
+
+
+def _backup(path: Path) -> Deed:
+    names = (path.with_name(f"{path.name}.bak{n or ''}") for n in range(1000))
+    free = next(p for p in names if not p.exists())
+    return Deed("keep", free, partial(shutil.copy2, path, free), f"{path.name} as it was edited")
+
+
+def _below(folder: Path) -> list[Path]:
+    try:
+        return [p for p in folder.rglob("*") if not p.is_dir()]
+    except OSError:
+        return []

@@ -1,0 +1,324 @@
+"""A V4L2 capture device: opened, its mode agreed on, its buffers mapped; every refusal in words with what to do.
+
+Uses linuxpy's functions for the ioctls one by one: the driver's own mapped buffers are handed on, nothing is copied.
+"""
+
+import errno
+import mmap
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from linuxpy.video.device import (
+    IOC,
+    BufferType,
+    Capability,
+    FrameIntervalType,
+    FrameSizeType,
+    Memory,
+    dequeue_buffer,
+    enqueue_buffer,
+    get_fps,
+    get_raw_format,
+    human_pixel_format,
+    iter_read,
+    mmap_from_buffer,
+    query_buffer,
+    raw,
+    read_capabilities,
+    request_buffers,
+    set_format,
+    set_fps,
+    stream_off,
+    stream_on,
+)
+from numpy.typing import NDArray
+
+from spheremouse.errors import SourceError
+from spheremouse.source._camera_settings import CameraSettings, PixelName
+from spheremouse.source._pixels import FORMATS, Layout
+
+CAPTURE = BufferType.VIDEO_CAPTURE
+
+_FOURCC: dict[str, PixelName] = {"YUYV": "YUYV", "NV12": "NV12", "MJPG": "MJPG", "JPEG": "MJPG", "GREY": "GREY"}
+_ENOUGH = 30.0  # Hz; where no rate is asked for, a format that gives it is as good as a faster one
+_NODES = Path("/sys/class/video4linux")
+_BY_ID = Path("/dev/v4l/by-id")
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """What the driver agreed to."""
+
+    layout: Layout
+    fps: float | None  # Hz; None: the driver does not say
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """The sizes of a format, px: some, or all between two."""
+
+    some: tuple[tuple[int, int], ...] = ()
+    least: tuple[int, int] | None = None
+    most: tuple[int, int] | None = None
+
+    @property
+    def told(self) -> bool:
+        """Whether the driver says anything of its sizes."""
+        return bool(self.some) or self.most is not None
+
+    def hold(self, size: tuple[int, int]) -> bool:
+        """Whether there is this size, as far as is known."""
+        if self.least is not None and self.most is not None:
+            return self.least[0] <= size[0] <= self.most[0] and self.least[1] <= size[1] <= self.most[1]
+        return size in self.some or not self.told
+
+    def __str__(self) -> str:
+        if self.least is not None and self.most is not None:
+            return f"{_times(self.least)} to {_times(self.most)}"
+        return ", ".join(_times(s) for s in sorted(self.some))
+
+
+class Device:
+    """An open capture device. All its methods raise SourceError; `close` may be called at any time, and again."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+        try:
+            self.fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError as e:
+            raise SourceError(_cannot_open(path, e)) from None
+        try:
+            told = read_capabilities(self.fd)
+        except OSError:
+            os.close(self.fd)
+            raise SourceError(f"{path}: is no video device; {_cameras_here()}") from None
+        self.driver, self.card, self.bus = (t.decode(errors="replace") for t in (told.driver, told.card, told.bus_info))
+        able = Capability(told.device_caps if told.capabilities & Capability.DEVICE_CAPS else told.capabilities)
+        trouble = _unfit(able)
+        if trouble:
+            os.close(self.fd)
+            raise SourceError(f"{path}: {trouble}; {_cameras_here()}")
+        self._maps: list[mmap.mmap] = []
+        self.buffers: list[NDArray[np.uint8]] = []  # each the whole of a mapped buffer
+        self._streaming = False
+
+    # ---- mode ----
+
+    def negotiate(self, settings: CameraSettings) -> Mode:
+        """Agree on format, size and rate; SourceError that lists what there is where the wish cannot be had."""
+        try:
+            name, fourcc, size = self._chosen(settings)
+            set_format(self.fd, CAPTURE, *size, pixel_format=human_pixel_format(fourcc))
+            if settings.fps is not None:
+                with suppress(OSError):  # some drivers have but one rate
+                    set_fps(self.fd, CAPTURE, settings.fps)
+            pix = get_raw_format(self.fd, CAPTURE).fmt.pix
+            fps = self._rate()
+        except OSError as e:
+            raise self.failure(e) from None
+        got = (pix.width, pix.height)
+        if _FOURCC.get(human_pixel_format(pix.pixelformat)) != name:
+            raise SourceError(
+                f"{self.path}: gives {human_pixel_format(pix.pixelformat)} in place of {name}; {self.modes()}"
+            )
+        if settings.size is not None and got != tuple(settings.size):
+            raise SourceError(f"{self.path}: gives {_times(got)} in place of {_times(settings.size)}; {self.modes()}")
+        if settings.fps is not None and not (fps and abs(fps - settings.fps) <= 0.01 * settings.fps):
+            rates = self._rates(fourcc, *got)
+            has = f"it has {', '.join(f'{r:g}' for r in rates)}" if rates else "leave fps out"
+            given = f"{fps:g}" if fps else "no known number of"
+            asked = f"{settings.fps:g} at {_times(got)} {name}"
+            raise SourceError(f"{self.path}: gives {given} frames per second in place of {asked}; {has}")
+        if name == "NV12" and (got[0] % 2 or got[1] % 2):
+            raise SourceError(f"{self.path}: NV12 of {_times(got)}, which is odd, cannot be read; choose another size")
+        stride = max(pix.bytesperline, got[0] * (2 if name == "YUYV" else 1))
+        return Mode(Layout(name, *got, 0 if name == "MJPG" else stride), fps)
+
+    def modes(self) -> str:
+        """What the device has that can be read here, in words."""
+        formats = self._formats()
+        has = "; ".join(f"{name} {self._sizes(code)}".strip() for name, code in formats.items())
+        return f"it has {has}" if has else f"it has no format that can be read here ({', '.join(FORMATS)})"
+
+    def _chosen(self, settings: CameraSettings) -> tuple[PixelName, int, tuple[int, int]]:
+        """Format, its code, and size to ask for."""
+        formats = self._formats()
+        now = get_raw_format(self.fd, CAPTURE).fmt.pix
+        size = settings.size or (now.width, now.height)
+        if settings.format != "auto" and settings.format not in formats:
+            raise SourceError(f"{self.path}: has no {settings.format}; {self.modes()}")
+        usable: list[PixelName] = [n for n in FORMATS if n in formats and settings.format in ("auto", n)]
+        fitting: list[PixelName] = [n for n in usable if self._sizes(formats[n]).hold(size)]
+        if not fitting and settings.size is None:
+            fitting = usable
+        if not usable:
+            raise SourceError(f"{self.path}: {self.modes()}; use another camera")
+        if not fitting:
+            wish = "" if settings.format == "auto" else f" in {settings.format}"
+            raise SourceError(f"{self.path}: has no {_times(size)}{wish}; {self.modes()}")
+        enough = settings.fps or _ENOUGH
+        name = max(fitting, key=lambda n: (n != "GREY", self._at_most(formats[n], size, enough)))
+        return name, formats[name], size
+
+    def _at_most(self, fourcc: int, size: tuple[int, int], enough: float) -> float:
+        """The highest rate in Hz, as far as it matters; enough where the driver does not say."""
+        return min(enough, max(self._rates(fourcc, *size), default=enough))
+
+    def _formats(self) -> dict[PixelName, int]:
+        """Those of our formats that the device has, with their codes."""
+        query = raw.v4l2_fmtdesc()
+        query.type = CAPTURE
+        found: dict[PixelName, int] = {}
+        for item in iter_read(self.fd, IOC.ENUM_FMT, query):
+            name = _FOURCC.get(human_pixel_format(item.pixelformat))
+            if name is not None:
+                found.setdefault(name, item.pixelformat)
+        return found
+
+    def _sizes(self, fourcc: int) -> Sizes:
+        query = raw.v4l2_frmsizeenum()
+        query.pixel_format = fourcc
+        some = []
+        for item in iter_read(self.fd, IOC.ENUM_FRAMESIZES, query):
+            if item.type != FrameSizeType.DISCRETE:
+                s = item.stepwise
+                return Sizes((), (s.min_width, s.min_height), (s.max_width, s.max_height))
+            some.append((item.discrete.width, item.discrete.height))
+        return Sizes(tuple(dict.fromkeys(some)))
+
+    def _rates(self, fourcc: int, width: int, height: int) -> list[float]:
+        """Frames per second that are told, ascending; of a range its ends."""
+        query = raw.v4l2_frmivalenum()
+        query.pixel_format, query.width, query.height = fourcc, width, height
+        rates = set()
+        for item in iter_read(self.fd, IOC.ENUM_FRAMEINTERVALS, query):
+            if item.type == FrameIntervalType.DISCRETE:
+                rates.add(_hertz(item.discrete))
+            else:
+                rates |= {_hertz(item.stepwise.min), _hertz(item.stepwise.max)}
+                break
+        return sorted(r for r in rates if 0.0 < r < 1e5)
+
+    def _rate(self) -> float | None:
+        with suppress(OSError, ZeroDivisionError):
+            return float(get_fps(self.fd, CAPTURE)) or None
+        return None
+
+    # ---- frames ----
+
+    def start(self, count: int) -> None:
+        """Map `count` buffers (the driver may give more or fewer), queue them all and let frames come."""
+        try:
+            given = request_buffers(self.fd, CAPTURE, Memory.MMAP, count).count
+            for i in range(given):
+                self._maps.append(mmap_from_buffer(self.fd, query_buffer(self.fd, CAPTURE, Memory.MMAP, i)))
+                self.buffers.append(np.frombuffer(self._maps[-1], np.uint8))
+                self.queue(i)
+            stream_on(self.fd, CAPTURE)
+        except OSError as e:
+            raise self.failure(e) from None
+        self._streaming = True
+
+    def queue(self, index: int) -> None:
+        """Give a buffer to the driver; OSError."""
+        enqueue_buffer(self.fd, CAPTURE, Memory.MMAP, 0, index)
+
+    def dequeue(self) -> raw.v4l2_buffer | None:
+        """The oldest filled buffer, as the driver describes it; None where there is none."""
+        try:
+            return dequeue_buffer(self.fd, CAPTURE, Memory.MMAP)
+        except BlockingIOError:
+            return None
+        except OSError as e:
+            raise self.failure(e) from None
+
+    def close(self) -> None:
+        """Stop, and give everything back. Memory that a picture still shows goes when that picture does."""
+        if self.fd < 0:
+            return
+        if self._streaming:
+            with suppress(OSError):
+                stream_off(self.fd, CAPTURE)
+        self.buffers.clear()
+        while self._maps:
+            with suppress(BufferError):
+                self._maps.pop().close()
+        os.close(self.fd)
+        self.fd = -1
+
+    def failure(self, error: OSError) -> SourceError:
+        """What went wrong with the open device, in words."""
+        if error.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
+            return SourceError(f"{self.path}: the camera is gone; plug it in again")
+        if error.errno == errno.EBUSY:
+            return SourceError(f"{self.path}: another program uses it; `fuser -v {self.path}` shows which")
+        if error.errno in (errno.EIO, errno.EPROTO, errno.EPIPE):
+            return SourceError(f"{self.path}: the camera stopped ({error.strerror}); see its cable, hub and power")
+        if error.errno == errno.ENOSPC:
+            return SourceError(
+                f"{self.path}: not enough USB bandwidth; choose format=MJPG, a smaller size or rate, or another port"
+            )
+        if error.errno == errno.EINVAL and self.driver == "v4l2 loopback":
+            return SourceError(f"{self.path}: nobody writes into this loopback device; start its writer first")
+        return SourceError(f"{self.path}: {error.strerror or error}; unplug the camera and plug it in again")
+
+
+def find(text: str) -> Path:
+    """The node that a number, or a path, names."""
+    text = text.strip()
+    if not text:
+        raise SourceError(f"v4l2: needs a device; write v4l2:/dev/video0 ({_cameras_here()})")
+    return Path(f"/dev/video{text}") if text.isdecimal() else Path(text)
+
+
+def lasting_name(path: str) -> str | None:
+    """The name by which a camera is found whatever it is plugged in after, if there is one."""
+    with suppress(OSError):
+        node = Path(path).resolve()
+        for link in sorted(_BY_ID.iterdir()):
+            if link.resolve() == node and str(link) != path:
+                return str(link)
+    return None
+
+
+def _cameras_here() -> str:
+    """The video nodes of this machine, in words."""
+    found = []
+    with suppress(OSError):
+        for node in sorted(_NODES.iterdir(), key=lambda p: (len(p.name), p.name)):
+            with suppress(OSError):
+                found.append(f"/dev/{node.name} ({(node / 'name').read_text().strip()})")
+    return f"here: {', '.join(found)}" if found else "there is no camera here; plug it in"
+
+
+def _cannot_open(path: Path, error: OSError) -> str:
+    if error.errno == errno.ENOENT:
+        return f"{path}: no such device; {_cameras_here()}"
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return f"{path}: may not be opened; as root: usermod -aG video USER, then log in again"
+    if error.errno in (errno.ENODEV, errno.ENXIO):
+        return f"{path}: the camera is gone; plug it in again"
+    if error.errno == errno.EBUSY:
+        return f"{path}: another program uses it; `fuser -v {path}` shows which"
+    return f"{path}: cannot be opened: {error.strerror or error}; {_cameras_here()}"
+
+
+def _unfit(able: Capability) -> str | None:
+    """Why a device with these capabilities gives no frames here."""
+    if Capability.VIDEO_CAPTURE not in able:
+        if Capability.VIDEO_CAPTURE_MPLANE in able:
+            return "has its pictures in several planes, which is not read here"
+        return "gives no pictures (a camera's second node carries other data); name its first"
+    return None if Capability.STREAMING in able else "does not stream; its driver is too old"
+
+
+def _hertz(interval: raw.v4l2_fract) -> float:
+    return interval.denominator / interval.numerator if interval.numerator else 0.0
+
+
+def _times(size: Sequence[int]) -> str:
+    return f"{size[0]}x{size[1]}"
