@@ -141,6 +141,10 @@ class FilmWriter:
         self._pictures.add(frame.image)
         self._stamps.append(stamp)
 
+    def seen_from(self, pose: Pose) -> None:
+        """The camera's pose, where it is another by the first frame."""
+        self._rig = replace(self._rig, pose=pose)
+
     @property
     def frames(self) -> int:
         """Written so far."""

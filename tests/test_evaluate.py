@@ -30,6 +30,7 @@ from spheremouse.evaluate.metrics import (
     identified_from,
     lost_episodes,
     mean_nees,
+    mean_nis,
     pearson,
     per_axis,
     pose_error,
@@ -243,6 +244,21 @@ def test_frame_times_add_the_stages_of_each_frame():
     assert frame_times({}) == {"median": None, "p99": None, "max": None}
 
 
+def test_nis_is_per_degree_of_freedom_of_the_discs_used_and_known_before():
+    """Innovations drawn from their covariance give 1; frames that found their discs, or are lost, do not count."""
+    rng = np.random.default_rng(3)
+    truth = random_motion(4000)
+    used = tuple(np.zeros((n, 2)) for n in rng.integers(1, 9, 4000))
+    nis = np.array([np.sum(rng.normal(size=2 * len(u)) ** 2) for u in used])
+    nis[:500], nis[500:1000] = 0.0, 1e6
+    phase = (T,) * 500 + (L,) * 500 + (T,) * 3000
+    run = replace(perfect_run(truth, used=used), nis=nis, phase=phase)
+    freedom = 2 * sum(len(u) for u in used[1000:])
+    assert mean_nis(run) == pytest.approx(1.0, abs=5 * math.sqrt(2.0 / freedom))
+    assert mean_nis(replace(run, nis=None)) is None
+    assert mean_nis(replace(run, phase=(L,) * 4000)) is None
+
+
 # ---- the report ----
 
 DETECTION = ["recall", "false_share", "centre_rms_px", "recall_15", "centre_rms_60_px"]
@@ -261,6 +277,7 @@ KEYS = {
     "detection": DETECTION,
     "pose_error": ["position_mm", "angle_deg", "sigma_position_mm", "sigma_angle_deg"],
     "nees": ["attitude", "rate"],
+    "nis": None,
     "bound_ratio": ["attitude", "rate"],
     "frame_us": ["median", "p99", "max"],
     "stages_us": ["detect", "filter"],
@@ -495,6 +512,9 @@ def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
     assert result["tracked"] == 15
     assert result["attitude_rmse_deg"]["combined"] is None
     assert result["detection"] is None
+    assert 0.0 < result["nis"] < 3.0
+    assert done.stderr.count("no truth.csv") == 1
+    assert "no truth.csv" not in run_command(filmed, "--pose", "known", "--json", "-").stderr
 
 
 @pytest.mark.parametrize(

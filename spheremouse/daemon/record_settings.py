@@ -16,8 +16,8 @@ class RecordSettings:
     megabytes: float = param(
         1000.0,
         "MB",
-        "and when it has this size: a minute of 640x480 at 60 Hz in colour is larger, in grey a third",
-        gt=0,
+        "and when it has this size: a minute of 640x480 at 60 Hz has 210 MB in grey, 1500 in colour",
+        ge=20,
     )
     free_megabytes: float = param(
         500.0, "MB", "and when no more than this is free on the disk: the system and the map need room", ge=0

@@ -36,6 +36,7 @@ except ImportError:  # Windows, where a folder with an open file in it cannot be
 
 _MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while somebody writes it
 _BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
+_BEHIND = 6e6  # bytes that the video keeps in memory before they are in its file, and its index
 _LOOK = 0.5  # s between two looks at the disk and the clock
 _FPS = 30.0  # of the video, for players only
 
@@ -95,7 +96,7 @@ class Recorder:
             self._free.put(_Buffer(self._frame_bytes))
         self._keep: Image | None = None
         self._masks = 0  # different ones so far
-        self._open = False
+        self._open = self._taken = False
         self._dropped = self._size = 0
         self._begun = self._last = clock()
         self._ended: str | None = None
@@ -130,6 +131,7 @@ class Recorder:
             return False
         buffer.take(frame, keep, number)
         self._full.put(buffer)
+        self._taken = True
         return True
 
     def stop(self) -> None:
@@ -154,7 +156,7 @@ class Recorder:
             self._last - self._begun,
             self._size,
             self._dropped,
-            self._full.qsize(),
+            0 if self._done.is_set() else self._full.qsize(),
             self._ended,
             self._failed,
         )
@@ -163,14 +165,20 @@ class Recorder:
         """What to keep of a frame, and the number of that mask. Where the camera was moved, of that frame both views:
         it was looked at from the pose before, and then from the new one."""
         keep, number = self._keep, self._masks
-        if pose is None or pose is self._pose or keep is None:
+        if pose is None or pose is self._pose:
             return keep, number
         self._pose = pose
+        if not self._taken:
+            self._film.seen_from(pose)
+        if keep is None:
+            return keep, number
         try:
             self._keep = kept(self._rig, pose, self._tracker)
         except SpheremouseError:  # the ball is out of the picture: keep no more of it than before
             return keep, number
         self._masks += 2
+        if not self._taken:
+            return self._keep, self._masks
         return np.asarray(cv2.bitwise_or(keep, self._keep), dtype=np.uint8), self._masks - 1
 
     # ---- the thread that writes ----
@@ -178,6 +186,7 @@ class Recorder:
     def _run(self) -> None:
         try:
             why = self._record()
+            self._open = False
             self._size = self._film.size()
             if fcntl is None:
                 self._mark.close()
@@ -205,7 +214,7 @@ class Recorder:
         self._begun = self._last = looked = self._clock()
         self._open = True
         self._ready.set()
-        limit, seconds = 1e6 * self._settings.megabytes, self._settings.seconds
+        limit, seconds = 1e6 * self._settings.megabytes - _BEHIND - self._frame_bytes, self._settings.seconds
         while True:
             try:
                 buffer = self._full.get(timeout=_LOOK)
@@ -218,7 +227,7 @@ class Recorder:
                 over = now - self._begun >= seconds
                 return f"ended after {seconds:g} s" if over else "ended as asked"
             self._size = self._film.size()
-            if self._size + self._frame_bytes > limit:
+            if self._size > limit:
                 return f"ended at {self._settings.megabytes:g} MB (record.megabytes)"
             if now - looked >= _LOOK:
                 looked = now

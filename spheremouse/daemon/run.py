@@ -157,7 +157,9 @@ class Daemon:
             self._keeper.keep(epoch.state)
         if self._recorder is not None:
             tracker = self._worker.tracker
-            self._recorder.add(epoch.frame, None if tracker is None else tracker.pose)
+            kept = self._recorder.add(epoch.frame, None if tracker is None else tracker.pose)
+            if kept and epoch.frame.image.ndim == 3:
+                self._worker.colour = False
         self._last_step = made
         self._show(made)
         if self._snapshots:
@@ -450,6 +452,7 @@ class Daemon:
             reply(refused(f"recording into {self._recorder.status().folder} already"))
             return
         self._recorder = recorder
+        self._worker.colour = True  # one frame: what tracks the recording needs the targets' colours
         folder = recorder.status().folder
         self.say(f"record: {folder}: begun, {seconds:g} s at most")
         reply({"folder": str(folder), "seconds": seconds})

@@ -1,0 +1,597 @@
+"""Recordings: what was tracked comes back to the last bit, black where people are, bounded, and whole or not at all."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import namedtuple
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from spheremouse.camera import Pose
+from spheremouse.cli import app
+from spheremouse.daemon import recorder as module
+from spheremouse.daemon.privacy import kept, masked
+from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder, tidy
+from spheremouse.daemon.snapshot import snapshot
+from spheremouse.dataset_writer import FilmWriter
+from spheremouse.errors import DatasetError, OutputError
+from spheremouse.frame import Frame
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.rotation import exp
+from spheremouse.session import track
+from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
+from spheremouse.source import open_source
+from spheremouse.track import Phase, Settings, build, current
+
+PATIENCE = 60.0  # s, for what takes a moment
+PLENTY = RecordSettings(free_megabytes=0.0)
+EVERYTHING = replace(PLENTY, everything=True)
+
+
+@cache
+def film(bump=None):
+    """Device, pose with covariances as estimated, and frames of a play."""
+    made = prepare(SimulationOptions(motion="play", seconds=2.2, noise=4.0, seed=4, bump=bump))
+    scene = made.scene
+    random = np.random.default_rng(1).normal(size=(10, 10))
+    C = 1e-8 * random @ random.T
+    pose = Pose(exp(np.array([1e-4, 2e-4, 3e-4])) @ scene.pose.rotation, scene.pose.position, C[:6, :6], C[:6, 6:])
+    n = len(scene.targets.ids)
+    targets = replace(scene.targets, covariance=1e-8 * np.eye(3 * n) + 1e-9)
+    rig = replace(scene.rig(), targets=targets, ball=replace(scene.rig().ball, covariance=C[6:, 6:]))
+    return rig, pose, tuple(f.frame for f in simulate(made))
+
+
+def as_live(frames, colour):
+    """Stamps of a machine that has run for long, numbers of a camera that drops frames, and grey pictures but where
+    `colour(i)`."""
+    live = []
+    for i, frame in enumerate(frames):
+        if i % 17 == 5:
+            continue
+        image = frame.image if colour(i) else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+        live.append(Frame(image, 86400.0 * np.pi + frame.stamp * (1.0 + 1e-9 * i), 4_294_967_000 + i))
+    return live
+
+
+def record(folder, frames, rig, pose, settings=PLENTY, **more):
+    """Track the frames while they are recorded, as the worker does; what tracking said, and the folder."""
+    recorder = Recorder(folder, rig, pose, settings, "a camera", **more)
+    assert recorder.ready(PATIENCE)
+    tracker, epochs = build(rig, pose, Settings()), []
+    for epoch in track(iter(frames), tracker):
+        epochs.append(epoch)
+        wait_for(lambda: recorder.status().waiting < 3)
+        image = epoch.frame.image.copy()
+        assert recorder.add(replace(epoch.frame, image=image), current(epoch.state, tracker).pose)
+        image[:] = 77  # the buffer goes back to the driver
+    return epochs, recorder.finish(PATIENCE)
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def assert_same_epochs(a, b):
+    assert len(a) == len(b)
+    for x, y in zip(a, b, strict=True):
+        assert (x.frame.stamp, x.frame.sequence) == (y.frame.stamp, y.frame.sequence)
+        assert x.frame.image.shape == y.frame.image.shape
+        assert x.motion.counts == y.motion.counts
+        assert (x.state.phase, x.state.event) == (y.state.phase, y.state.event)
+        for name in ("attitude", "rate", "covariance", "discs"):
+            assert np.array_equal(getattr(x.state.filter, name), getattr(y.state.filter, name)), name
+        assert np.array_equal(x.state.detections.centre, y.state.detections.centre)
+
+
+KINDS = {
+    "colour": lambda i: True,
+    "grey": lambda i: False,
+    "grey, targets in colour": lambda i: i in (0, 40, 41),
+    "colour, then grey": lambda i: i < 10,
+}
+
+
+# ---- there and back ----
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_recording_is_tracked_as_it_was_to_the_last_bit(tmp_path, kind):
+    rig, pose, frames = film()
+    live = as_live(frames, KINDS[kind])
+    epochs, folder = record(tmp_path / "made", live, rig, pose)
+    assert sum(e.motion.counts != (0, 0, 0) for e in epochs) > 15
+    keep = kept(rig, pose, Settings())
+    with open_source(f"dataset:{folder}") as source:
+        again = list(source)
+        tracker = build(source.rig, source.rig.pose, Settings())
+    for was, now in zip(live, again, strict=True):
+        assert now.stamp == was.stamp
+        assert now.sequence == was.sequence
+        assert np.array_equal(now.image, masked(was.image, keep))
+    assert_same_epochs(epochs, list(track(iter(again), tracker)))
+
+
+def test_a_bump_is_found_again(tmp_path):
+    """The camera is pushed: the mask goes with the pose, and the targets are still in it where they stand then."""
+    rig, pose, frames = film(bump=1.5)
+    epochs, folder = record(tmp_path / "made", frames, rig, pose)
+    assert any("the camera was moved" in e.state.event for e in epochs)
+    recording = open_dataset(folder)
+    tracker = build(recording.rig, recording.rig.pose, Settings())
+    assert_same_epochs(epochs, list(track(read_frames(recording), tracker)))
+
+
+def test_the_reference_recording_comes_back(far26, tmp_path):
+    recording = open_dataset(far26)
+    frames = [f for f, _ in zip(read_frames(recording), range(60), strict=False)]
+    epochs, folder = record(tmp_path / "made", frames, recording.rig, recording.pose)
+    made = open_dataset(folder)
+    assert_same_epochs(epochs, list(track(read_frames(made), build(made.rig, made.rig.pose, Settings()))))
+
+
+def test_device_and_pose_come_back_with_their_covariances(tmp_path):
+    rig, pose, frames = film()
+    _, folder = record(tmp_path / "made", frames[:2], rig, pose)
+    back = open_dataset(folder).rig
+    for part, names in (
+        ("camera", ("intrinsic", "distortion", "covariance")),
+        ("ball", ("radius", "centre", "covariance")),
+        ("targets", ("ids", "codes", "position", "covariance", "radii")),
+    ):
+        for name in names:
+            assert np.array_equal(getattr(getattr(back, part), name), getattr(getattr(rig, part), name)), name
+    for name in ("rotation", "position", "covariance", "ball_covariance"):
+        assert np.array_equal(getattr(back.pose, name), getattr(pose, name)), name
+    assert (back.disc_radius, back.readout_s, back.exposure_s) == (rig.disc_radius, rig.readout_s, rig.exposure_s)
+
+
+@pytest.mark.parametrize("size", [(64, 48), (63, 47)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_whole_pictures_of_noise_come_back_bit_for_bit(tmp_path, size, kind):
+    rig, pose = small(*size)
+    rng = np.random.default_rng(2)
+    frames = [Frame(rng.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8), 0.1 * i, i) for i in range(45)]
+    live = as_live(frames, KINDS[kind])
+    recorder = Recorder(tmp_path / "made", rig, pose, EVERYTHING)
+    assert recorder.ready(PATIENCE)
+    for frame in live:
+        assert recorder.add(frame)
+    folder = recorder.finish(PATIENCE)
+    again = list(read_frames(open_dataset(folder)))
+    assert [(f.stamp, f.sequence) for f in again] == [(f.stamp, f.sequence) for f in live]
+    assert all(np.array_equal(a.image, b.image) for a, b in zip(again, live, strict=True))
+    assert json.loads((folder / "scene.json").read_text())["kept"] == "everything"
+
+
+def small(width, height):
+    scene = default_scene(width=width, height=height)
+    return scene.rig(), scene.pose
+
+
+def test_who_reads_the_video_alone_gets_the_same_luma(tmp_path):
+    rig, pose, frames = film()
+    live = as_live(frames[:12], KINDS["grey, targets in colour"])
+    _, folder = record(tmp_path / "made", live, rig, pose, EVERYTHING)
+    video = cv2.VideoCapture(str(folder / "video.mkv"))
+    for frame in live:
+        ok, image = video.read()
+        assert ok
+        luma = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+        assert np.array_equal(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), luma)
+    assert not video.read()[0]
+
+
+def test_the_clock_may_be_any(tmp_path):
+    """Stamps that stand still, go back, or are very large come back as they are."""
+    rig, pose = small(64, 48)
+    stamps = [1.7e9 + 1 / 3, 1.7e9 + 1 / 3, 5e-324, -2.0, 0.1 + 0.2, 1e300]
+    recorder = Recorder(tmp_path / "made", rig, pose, EVERYTHING)
+    assert recorder.ready(PATIENCE)
+    image = np.zeros((48, 64), np.uint8)
+    for i, stamp in enumerate(stamps):
+        assert recorder.add(Frame(image, stamp, i))
+    assert not recorder.add(Frame(image, float("nan"), 6))
+    assert not recorder.add(Frame(image[:40], 1.0, 7))
+    folder = recorder.finish(PATIENCE)
+    assert [f.stamp for f in read_frames(open_dataset(folder))] == stamps
+    assert recorder.status().dropped == 2
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_the_commands_replay_a_recording_without_further_options(tmp_path):
+    rig, pose, frames = film()
+    live = as_live(frames, KINDS["grey, targets in colour"])
+    epochs, folder = record(tmp_path / "made", live, rig, pose, configuration="schema: 1\n")
+    sent = np.sum([e.motion.counts for e in epochs], axis=0)
+    done = run("run", "--source", f"dataset:{folder}", "--output", f"text:{tmp_path / 'out.txt'}", "--no-table")
+    assert done.exit_code == 0, done.output
+    x, y, z = sent
+    assert f"counts x {x:+d}, y {y:+d}, third {z:+d}" in done.stderr
+    done = run("evaluate", folder, "--config", folder / "config.yaml", "--json", "-")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert (result["frames"], result["tracked"]) == (len(live), len(epochs))
+    known = [e.state.filter for e in epochs if e.state.phase is Phase.TRACKING and e.state.filter.nis > 0.0]
+    assert result["nis"] == pytest.approx(sum(f.nis for f in known) / sum(2 * len(f.used) for f in known), rel=1e-12)
+    assert result["attitude_rmse_deg"]["combined"] is None
+    assert result["frame_us"]["median"] > 0.0
+    assert "no truth.csv" in done.stderr
+
+
+# ---- what is kept ----
+
+
+def test_nobody_beside_the_ball_reaches_the_disk(tmp_path):
+    """Every file but the pictures is text that holds no pixel; in the pictures all else is black."""
+    rig, pose, frames = film()
+    live = as_live(frames[:20], KINDS["grey, targets in colour"])
+    _, folder = record(tmp_path / "made", live, rig, pose)
+    names = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    assert names == {"scene.json", "rig.yaml", "stamps.csv", "video.mkv", "frames/000000.png"}
+    assert "black" in json.loads((folder / "scene.json").read_text())["kept"]
+    outside = kept(rig, pose, Settings()) == 0
+    assert np.mean(outside) > 0.5
+    video = cv2.VideoCapture(str(folder / "video.mkv"))
+    for _ in live:
+        assert not video.read()[1][outside].any()
+    assert not cv2.imread(str(folder / "frames" / "000000.png"))[outside].any()
+    assert folder.stat().st_mode & 0o007 == 0
+
+
+def test_a_camera_that_was_moved_leaves_nothing_of_the_view_before(tmp_path):
+    rig, pose, frames = film()
+    moved = replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0]))
+    recorder = Recorder(tmp_path / "made", rig, pose, PLENTY)
+    assert recorder.ready(PATIENCE)
+    white = np.full_like(frames[0].image, 255)
+    for i in range(90):  # more than there are buffers
+        wait_for(lambda: recorder.status().waiting < 3)
+        image = white if i % 7 else white[..., 0].copy()
+        assert recorder.add(Frame(image, float(i), i), pose if i < 45 else moved)
+    a, b = (kept(rig, p, Settings()) > 0 for p in (pose, moved))
+    assert np.any(a & ~b)
+    for i, frame in enumerate(read_frames(open_dataset(recorder.finish(PATIENCE)))):
+        shown = frame.image if frame.image.ndim == 2 else frame.image.min(axis=2)
+        assert np.array_equal(shown > 0, a if i < 45 else a | b if i == 45 else b), i
+
+
+@pytest.mark.parametrize("settings", [PLENTY, EVERYTHING], ids=["masked", "everything"])
+def test_the_pose_is_that_of_the_first_frame(tmp_path, settings):
+    """Between the wish to record and the first frame somebody may push the camera."""
+    rig, pose, frames = film()
+    moved = replace(pose, position=pose.position + np.array([0.05, 0.0, 0.0]))
+    recorder = Recorder(tmp_path / "made", rig, pose, settings)
+    assert recorder.ready(PATIENCE)
+    assert recorder.add(frames[0], moved)
+    recording = open_dataset(recorder.finish(PATIENCE))
+    assert np.array_equal(recording.rig.pose.position, moved.position)
+    keep = kept(rig, moved, Settings()) if settings is PLENTY else None
+    assert np.array_equal(next(iter(read_frames(recording))).image, masked(frames[0].image, keep))
+
+
+# ---- in step with the worker, and bounded ----
+
+
+def test_the_worker_never_waits(tmp_path, monkeypatch):
+    """A disk that takes nothing for a while: frames are dropped and counted, what was kept has its own stamps."""
+    go_on, write = threading.Event(), FilmWriter.add
+
+    def slow(self, frame):
+        assert go_on.wait(PATIENCE)
+        write(self, frame)
+
+    monkeypatch.setattr(FilmWriter, "add", slow)
+    rig, pose, frames = film()
+    recorder = Recorder(tmp_path / "made", rig, pose, EVERYTHING)
+    assert recorder.ready(PATIENCE)
+    taken = [i for i in range(300) if recorder.add(Frame(frames[i % 60].image, 0.01 * i, i))]
+    buffers = int(module._BUFFERS / frames[0].image.size)
+    assert taken == list(range(len(taken)))
+    assert buffers <= len(taken) <= buffers + 1
+    assert recorder.status().dropped == 300 - len(taken)
+    go_on.set()
+    wait_for(lambda: recorder.status().waiting == 0)
+    assert recorder.add(Frame(frames[0].image, 10.0, 1000))
+    folder = recorder.finish(PATIENCE)
+    again = list(read_frames(open_dataset(folder)))
+    assert [f.sequence for f in again] == [*taken, 1000]
+    assert [f.stamp for f in again] == [*(0.01 * i for i in taken), 10.0]
+    assert all(np.array_equal(f.image, frames[i % 60].image) for f, i in zip(again, taken, strict=False))
+    assert f"{300 - len(taken)} dropped" in recorder.status().ended
+
+
+def test_it_ends_by_itself_after_its_time(tmp_path):
+    now = [100.0]
+    rig, pose = small(64, 48)
+    recorder = Recorder(tmp_path / "made", rig, pose, replace(EVERYTHING, seconds=5.0), clock=lambda: now[0])
+    assert recorder.ready(PATIENCE)
+    image = np.zeros((48, 64), np.uint8)
+    assert recorder.add(Frame(image, 0.0, 0))
+    now[0] += 4.9
+    assert recorder.add(Frame(image, 1.0, 1))
+    now[0] += 0.2
+    assert not recorder.add(Frame(image, 2.0, 2))
+    wait_for(lambda: recorder.status().ended is not None)
+    assert "2 frames" in recorder.status().ended
+    assert "after 5 s" in recorder.status().ended
+    assert open_dataset(recorder.finish(PATIENCE)).frames == 2
+
+
+def test_it_ends_after_its_time_though_no_frame_comes_any_more(tmp_path):
+    now = [0.0]
+    rig, pose = small(64, 48)
+    recorder = Recorder(tmp_path / "made", rig, pose, EVERYTHING, clock=lambda: now[0])
+    assert recorder.ready(PATIENCE)
+    assert recorder.add(Frame(np.zeros((48, 64), np.uint8), 0.0, 0))
+    wait_for(lambda: recorder.status().frames == 1)
+    now[0] = 61.0
+    wait_for(lambda: recorder.status().ended is not None)
+    assert open_dataset(tmp_path / "made").frames == 1
+
+
+def test_it_ends_at_its_size(tmp_path):
+    """What the video's writer holds back counts: it is no larger in the end."""
+    rig, pose, frames = film()
+    recorder = Recorder(tmp_path / "made", rig, pose, replace(EVERYTHING, megabytes=30.0))
+    assert recorder.ready(PATIENCE)
+    for i in range(60):
+        wait_for(lambda: recorder.status().waiting < 3)
+        recorder.add(frames[i])
+    wait_for(lambda: recorder.status().ended is not None)
+    assert recorder.status().waiting == 0
+    assert "ended at 30 MB" in recorder.status().ended
+    folder = recorder.finish(PATIENCE)
+    assert 20e6 < sum(p.stat().st_size for p in folder.iterdir()) < 30e6
+    assert 5 < open_dataset(folder).frames < 60
+
+
+Usage = namedtuple("Usage", "total used free")
+
+
+def test_it_ends_before_the_disk_is_full(tmp_path, monkeypatch):
+    free, now = [1e9], [0.0]
+    monkeypatch.setattr(module.shutil, "disk_usage", lambda path: Usage(1e12, 0, free[0]))
+    rig, pose = small(64, 48)
+    settings = RecordSettings(free_megabytes=100.0, everything=True)
+    recorder = Recorder(tmp_path / "made", rig, pose, settings, clock=lambda: now[0])
+    assert recorder.ready(PATIENCE)
+    image = np.zeros((48, 64), np.uint8)
+    recorder.add(Frame(image, 0.0, 0))
+    wait_for(lambda: recorder.status().frames == 1)
+    free[0], now[0] = 9e7, 1.0
+    recorder.add(Frame(image, 0.1, 1))
+    wait_for(lambda: recorder.status().ended is not None)
+    assert "record.free_megabytes" in recorder.status().ended
+    assert open_dataset(recorder.finish(PATIENCE)).frames == 1
+    with pytest.raises(DatasetError, match="100 MB are free"):
+        Recorder(tmp_path / "next", rig, pose, settings)
+    assert [p.name for p in tmp_path.iterdir()] == ["made"]
+
+
+# ---- whole or not at all ----
+
+
+def test_no_frame_is_no_recording(tmp_path):
+    recorder = Recorder(tmp_path / "made", *small(64, 48), PLENTY)
+    assert recorder.ready(PATIENCE)
+    with pytest.raises(DatasetError, match="no frame"):
+        recorder.finish(PATIENCE)
+    assert recorder.status().failed
+    assert list(tmp_path.iterdir()) == []
+    assert not recorder.add(Frame(np.zeros((48, 64), np.uint8), 0.0, 0))
+
+
+def test_what_is_there_is_not_overwritten(tmp_path):
+    rig, pose, frames = film()
+    record(tmp_path / "made", frames[:2], rig, pose)
+    with pytest.raises(DatasetError, match="not empty"):
+        Recorder(tmp_path / "made", rig, pose, PLENTY)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatasetError, match="is a file"):
+        Recorder(tmp_path / "file", rig, pose, PLENTY)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "made"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_is_named(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(DatasetError, match="ermission"):
+        Recorder(tmp_path / "made", *small(64, 48), PLENTY)
+
+
+def test_a_folder_below_a_file_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatasetError, match="file"):
+        Recorder(tmp_path / "file" / "made", *small(64, 48), PLENTY)
+
+
+def test_somebody_who_comes_first_is_not_overwritten(tmp_path):
+    rig, pose, frames = film()
+    recorder = Recorder(tmp_path / "made", rig, pose, PLENTY)
+    assert recorder.ready(PATIENCE)
+    recorder.add(frames[0])
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "scene.json").write_text("{}")
+    with pytest.raises(DatasetError, match="not empty"):
+        recorder.finish(PATIENCE)
+    assert [p.name for p in tmp_path.rglob("*")] == ["made", "scene.json"]
+
+
+PRELUDE = """
+import os, resource, signal, sys
+sys.path.insert(0, os.path.dirname(sys.argv[1]))
+from pathlib import Path
+from test_recorder import *
+recorder = Recorder(Path(sys.argv[2]), *small(640, 480), EVERYTHING)
+assert recorder.ready(PATIENCE)
+def feed(n):
+    rng = np.random.default_rng(0)
+    for i in range(n):
+        wait_for(lambda: recorder.status().waiting < 3)
+        recorder.add(Frame(rng.integers(0, 256, (480, 640), dtype=np.uint8), 0.1 * i, i))
+    wait_for(lambda: recorder.status().waiting == 0)
+"""
+
+
+def in_another_process(code, path):
+    return subprocess.run(
+        [sys.executable, "-c", PRELUDE + code, __file__, str(path)],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=2 * PATIENCE,
+    )
+
+
+def test_a_disk_that_fills_up_leaves_nothing(tmp_path):
+    """Writes fail half-way: here by a limit on the size of a file, since OpenCV's writer does not say so."""
+    code = """
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))
+feed(20)
+try:
+    recorder.finish(PATIENCE)
+except DatasetError as e:
+    print(e)
+"""
+    done = in_another_process(code, tmp_path / "made")
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 1
+    assert "is the disk full?" in done.stdout
+    assert str(tmp_path / "made") in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_kill_leaves_no_recording_and_what_it_leaves_is_removed(tmp_path):
+    done = in_another_process("feed(5)\nos.kill(os.getpid(), 9)\n", tmp_path / "made")
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    left = list(tmp_path.iterdir())
+    assert len(left) == 1
+    assert left[0].name.startswith(".made.")
+    assert not (left[0] / "scene.json").exists()
+    (tmp_path / ".hidden").mkdir()
+    (tmp_path / "kept").mkdir()
+    assert tidy(tmp_path) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "kept"]
+
+
+def test_tidying_leaves_alone_what_is_being_written(tmp_path):
+    rig, pose, frames = film()
+    recorder = Recorder(tmp_path / "made", rig, pose, PLENTY)
+    assert tidy(tmp_path) == 0
+    assert recorder.ready(PATIENCE)
+    assert recorder.add(frames[0])
+    assert tidy(tmp_path) == 0
+    recorder.finish(PATIENCE)
+    assert tidy(tmp_path) == 0
+    assert open_dataset(tmp_path / "made").frames == 1
+    assert not list((tmp_path / "made").glob(".*"))
+    assert tidy(tmp_path / "nowhere") == 0
+
+
+# ---- where ----
+
+
+def test_where_recordings_go(monkeypatch, tmp_path):
+    assert recordings_folder(RecordSettings(folder=str(tmp_path))) == tmp_path
+    monkeypatch.setenv("XDG_STATE_HOME", "/state")
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    assert str(recordings_folder(RecordSettings())) == "/state/spheremouse/recordings"
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/spheremouse")
+    assert str(recordings_folder(RecordSettings())) == "/var/lib/spheremouse/recordings"
+
+
+def test_names_are_dates_and_never_taken(tmp_path):
+    now = time.struct_time((2026, 11, 21, 9, 5, 7, 5, 325, 0))
+    assert next_name(tmp_path, now).name == "2026-11-21-090507"
+    (tmp_path / "2026-11-21-090507").mkdir()
+    assert next_name(tmp_path, now).name == "2026-11-21-090507-2"
+    assert next_name(tmp_path, now, ".png").name == "2026-11-21-090507.png"
+
+
+# ---- what may be wrong with a recording ----
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t[:-1], "2 rows, but scene.json says 3"),
+        (lambda t: [t[0], t[2], t[1], t[3]], "frame 1 where 0 is due"),
+        (lambda t: [*t[:2], t[2].replace(",1,", ",1.5,"), t[3]], "whole number"),
+        (lambda t: [*t[:3], t[3][:-1] + "2"], "colour must be 0 or 1"),
+        (lambda t: [*t[:3], t[3].replace(t[3].split(",")[1], "soon")], "line 4: t: 'soon'"),
+        (lambda t: ["frame,t", *t[1:]], "no column sequence, colour"),
+    ],
+)
+def test_spoilt_stamps_are_named(tmp_path, change, words):
+    rig, pose, frames = film()
+    _, folder = record(tmp_path / "made", frames[:3], rig, pose)
+    rows = (folder / "stamps.csv").read_text().splitlines()
+    after = change(rows)
+    assert after != rows
+    (folder / "stamps.csv").write_text("\n".join(after) + "\n")
+    with pytest.raises(DatasetError) as e:
+        open_dataset(folder)
+    assert "stamps.csv" in str(e.value)
+    assert words in str(e.value)
+
+
+def test_a_rig_file_that_was_mended_counts(tmp_path):
+    rig, pose, frames = film()
+    _, folder = record(tmp_path / "made", frames[:2], rig, pose)
+    text = (folder / "rig.yaml").read_text()
+    line = next(row for row in text.splitlines() if row.startswith("disc_radius"))
+    (folder / "rig.yaml").write_text(text.replace(line, "disc_radius: 0.0123"))
+    assert open_dataset(folder).rig.disc_radius == 0.0123
+    (folder / "rig.yaml").write_text(text.replace("width: 640", "width: 320"))
+    with pytest.raises(DatasetError, match="320x480"):
+        open_dataset(folder)
+    (folder / "rig.yaml").write_text("schema: 1\n")
+    with pytest.raises(DatasetError, match=r"rig\.yaml"):
+        open_dataset(folder)
+
+
+# ---- one picture ----
+
+
+@pytest.mark.parametrize("grey", [False, True], ids=["colour", "grey"])
+def test_a_snapshot_shows_what_the_tracker_sees_and_nobody_else(tmp_path, grey):
+    rig, pose, frames = film()
+    tracker = build(rig, pose, Settings())
+    live = as_live(frames[:30], lambda i: not grey)
+    epoch = list(track(iter(live), tracker))[-1]
+    before = epoch.frame.image.copy()
+    path = snapshot(tmp_path / "a.png", epoch, tracker, (1, 2, 3))
+    image = cv2.imread(str(path))
+    assert image.shape == (960, 1280, 3)
+    assert np.array_equal(epoch.frame.image, before)
+    away = cv2.erode((kept(rig, pose, Settings()) == 0).astype(np.uint8), np.ones((41, 41), np.uint8))
+    away = cv2.resize(away, (1280, 960), interpolation=cv2.INTER_NEAREST) > 0
+    away[-60:] = False  # the strip with the numbers
+    assert np.count_nonzero(away) > 50_000
+    assert not image[away].any()
+    drawn = np.abs(image.astype(int) - (40, 40, 255)).max(axis=2) < 60  # the map's discs
+    assert np.count_nonzero(drawn) > 50
+    whole = cv2.imread(str(snapshot(tmp_path / "b.png", epoch, tracker, everything=True)))
+    assert np.mean(whole[away] > 0) > 0.9
+    with pytest.raises(OutputError, match="there already"):
+        snapshot(path, epoch, tracker)
+    with pytest.raises(OutputError, match="cannot be written"):
+        snapshot(tmp_path / "none" / "a.png", epoch, tracker)
