@@ -35,6 +35,8 @@ _COLOURS = {
     "failed-output": "bold red",
 }
 
+_WIDEST = 2 + max(map(len, _COLOURS))
+
 _Json = Annotated[bool, typer.Option("--json", help="Print the reply as JSON.")]
 _Socket = Annotated[
     Path | None,
@@ -173,16 +175,16 @@ def status_table(s: dict[str, Any]) -> Panel:
 def event_line(event: dict[str, Any], clock: str) -> Text:
     """An event of `watch` on one line."""
     if event.get("event") != "status":
-        return Text.assemble((clock, "dim"), "  ", _text(event.get("line", "")))
+        return Text.assemble((clock, "dim"), "  ", _text(event.get("text", "")))
     latency = event.get("latency_ms") or {}
     failed = (event.get("output") or {}).get("failed")
     parts = [
-        f"{_number(event.get('fps'), '5.1f')} frames/s",
+        f"{_number(event.get('fps'), '.1f'):>5} frames/s",
         f"latency {_number(latency.get('p50'), '.1f')}, 99 % {_number(latency.get('p99'), '.1f')} ms",
         f"{_n(event, 'discs')}/{_n(event, 'discs_known')} discs",
     ]
     state = _state(event)
-    state.pad_right(max(0, 17 - len(state)))
+    state.pad_right(max(0, _WIDEST - len(state)))
     words = event.get("reason") if event.get("state") != "tracking" else f"output: {failed}" if failed else ""
     tail = f"  {_plain(words)}" if words else ""
     return Text.assemble((clock, "dim"), "  ", state, "  ", "  ".join(parts), tail)
@@ -194,7 +196,7 @@ def _state(s: dict[str, Any]) -> Text:
 
 
 def _frames(s: dict[str, Any]) -> str:
-    lost = {"skipped": "skipped", "dropped": "dropped by the driver", "damaged": "damaged"}
+    lost = {"skipped": "skipped", "dropped": "dropped", "damaged": "damaged"}
     parts = [f"{s[key]} {words}" for key, words in lost.items() if s.get(key)]
     return ", ".join([f"{_number(s.get('fps'), '.1f')}/s, {_n(s, 'frames')} in all", *parts])
 

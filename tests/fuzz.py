@@ -1,17 +1,23 @@
-"""Broken input of every kind: `python -m tests.fuzz [--short] [--seconds S] [--seed S] [--only NAME]`.
+"""Broken input of every kind: `python -m tests.fuzz [--short] [--seconds S] [--seed S] [--only NAME] [--guided]`.
 
 Files, names of sources and outputs, and parameters may be refused by a SpheremouseError of one message, nothing else.
 Pictures and detections may be anything, and the core takes them all without an exception and without a nan. What
 hypothesis finds it makes small; the example is printed, and the exit code is 1.
+
+With --guided, and `pip install atheris`, text is made by libFuzzer instead, which looks where in our code it leads:
+longer, for control messages, configuration and the files of a device.
 """
 
 import argparse
 import contextlib
+import importlib.util
 import io
 import json
 import math
 import os
 import re
+import socket
+import subprocess
 import sys
 import tempfile
 import time
@@ -30,6 +36,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spheremouse import config
+from spheremouse.daemon.client import Client
+from spheremouse.daemon.control import ControlServer, Limits
+from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.daemon.protocol import COMMANDS, BadRequestError, encode
+from spheremouse.daemon.protocol import parse as parse_request
+from spheremouse.daemon.protocol import refused as refused_reply
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.detect.detections import Detections
 from spheremouse.detect.discs import DiscSettings, disc_detector
@@ -45,9 +57,11 @@ from spheremouse.session import initialise
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.source import open_source
 from spheremouse.track import Settings, advance, begin, build, step
+from spheremouse.yaml_file import parse_document
 
 DT = 1.0 / 30.0
 CLIP = Path(__file__).parent / "data" / "far26_clip"
+ROOT = Path(__file__).parents[1]
 
 # ---- what is broken, and how ----
 
@@ -239,6 +253,113 @@ def check_configuration(content: str | bytes) -> None:
     path = _file(content)
     refused(lambda: config.load(path, Settings))
     refused(lambda: load_rig(path))
+
+
+@target(
+    "daemon's configuration",
+    lambda: st.one_of(st.text("schema: 1\n-{}[]null.controlcord'/", max_size=60), mutated(_whole_configuration())),
+)
+def check_whole_configuration(content: str | bytes) -> None:
+    path = _file(content)
+    found = refused(lambda: config.load(path, _whole()))
+    if found is not None:
+        assert config.loads(parse_document(config.dump(found, _whole()()), "again"), _whole()) == found
+
+
+@cache
+def _whole() -> type[Any]:
+    """The settings of the daemon's file; those of the control socket while there are no others."""
+    try:
+        from spheremouse.daemon.settings import Configuration
+    except ImportError:
+        return ControlSettings
+    return Configuration
+
+
+@cache
+def _whole_configuration() -> str:
+    return config.dump_commented(_whole()())
+
+
+# ---- control ----
+
+MESSAGES = (
+    '{"command": "status", "id": 7}',
+    '{"command": "set", "id": "a", "assignments": ["motion.scale_x=2", "so3.acceleration_sigma=0.5"]}',
+    '{"command": "record", "seconds": 60.0, "folder": "bug-1", "everything": false}',
+    '{"command": "record", "stop": true}',
+    '{"command": "snapshot", "file": "a.png"}',
+    '{"command": "watch", "interval": 0.5}',
+)
+
+
+@target(
+    "control messages",
+    lambda: st.one_of(
+        st.binary(max_size=60),
+        st.sampled_from(MESSAGES).flatmap(lambda m: mutated_json(json.loads(m)).map(json.dumps)),
+        st.sampled_from(MESSAGES).flatmap(mutated),
+        st.builds("{}{}{}".format, st.sampled_from(["[", '{"a":', '{"command":']), words, st.just("]" * 3)),
+        st.builds(
+            lambda part, n: part * n, st.sampled_from(["[", '{"a":', "9", "\\", '"', "[[],"]), st.integers(1, 60000)
+        ),
+    ),
+)
+def check_message(content: str | bytes) -> None:
+    line = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
+    try:
+        request = parse_request(line)
+    except BadRequestError as e:
+        reply = refused_reply(str(e), e.id)
+    else:
+        assert request.command in COMMANDS
+        for name in (getattr(request, "folder", None), getattr(request, "file", None)):
+            assert name is None or Path("/x", name).resolve().parent == Path("/x"), "a name that leads elsewhere"
+        return
+    assert encode(reply).count(b"\n") == 1, "a message of several lines"
+    assert reply["error"]
+
+
+@target(
+    "control socket",
+    lambda: st.lists(
+        st.one_of(
+            st.binary(max_size=30),
+            st.sampled_from([b"\n", b'{"command": "status"}\n', b'{"command": "sta', b"[", b"\xff", b"\x00" * 5000]),
+            st.sampled_from(MESSAGES).flatmap(mutated).map(lambda m: m.encode("utf-8", "surrogatepass") + b"\n"),
+        ),
+        max_size=10,
+    ),
+)
+def check_socket(chunks: list[bytes]) -> None:
+    """Whatever one client sends, in whatever pieces, the next one is answered."""
+    server = _control_server()
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as hostile:
+        hostile.settimeout(10.0)
+        hostile.connect(str(server.path))
+        with contextlib.suppress(ConnectionError):
+            for chunk in chunks:
+                hostile.sendall(chunk)
+        with Client(server.path) as client:
+            assert client.ask("status") == {"state": "tracking"}
+    assert not _SAID, _SAID
+
+
+_SAID: list[str] = []
+
+
+@cache
+def _control_server() -> ControlServer:
+    return ControlServer(
+        Path("control.sock").absolute(),
+        ControlSettings(),
+        lambda request, reply: reply({"state": "tracking"}),
+        _SAID.append,
+        Limits(pace=1e6, burst=1e6),
+    )
+
+
+# ---- recordings, sources, pictures ----
 
 
 @target("rig", lambda: st.one_of(st.binary(max_size=60), mutated(rig_text(known())), mutated(rig_text(small_rig()))))
@@ -469,6 +590,51 @@ def check_detections(drawn: tuple[str, list[tuple[float, Any]]]) -> None:
         assert np.abs(state.filter.attitude @ state.filter.attitude.T - np.eye(3)).max() < 1e-6, "no rotation"
 
 
+# ---- guided by what of our code is reached ----
+
+SEEDS: dict[str, Callable[[], list[str]]] = {
+    "configuration": lambda: [config.dump(Settings(), Settings()), "schema: 1\nso3: {acceleration_sigma: 1}\n"],
+    "daemon's configuration": lambda: [config.dump(_whole()(), _whole()()), "schema: 1\n"],
+    "control messages": lambda: list(MESSAGES),
+    "rig": lambda: [rig_text(small_rig())],
+}
+GUIDING = ("yaml_file", "validate", "config", "rig_file", "daemon.protocol")  # the modules that are looked into
+
+
+def guide(name: str, seconds: float, first: int) -> None:
+    """Let libFuzzer make input for a target in this process, which it ends: with 0 if nothing was found."""
+    import atheris  # pyright: ignore[reportMissingImports]
+
+    with atheris.instrument_imports(include=[f"spheremouse.{m}" for m in GUIDING], enable_loader_override=False):
+        loaded = [importlib.reload(importlib.import_module(f"spheremouse.{m}")) for m in GUIDING]
+    for name_here, value in list(globals().items()):  # what was imported from them by name
+        for module in loaded:
+            if getattr(value, "__module__", None) == module.__name__:
+                globals()[name_here] = getattr(module, value.__name__)
+    corpus = Path("corpus")
+    corpus.mkdir(exist_ok=True)
+    for k, text in enumerate(SEEDS[name]()):
+        (corpus / str(k)).write_text(text, encoding="utf-8")
+    words = [
+        f"-max_total_time={seconds:.0f}",
+        f"-seed={first + 1}",
+        "-max_len=20000",
+        "-print_final_stats=1",
+        str(corpus),
+    ]
+    atheris.Setup([sys.argv[0], *words], TARGETS[name])
+    atheris.Fuzz()
+
+
+def guided(name: str, seconds: float, first: int) -> tuple[int, str | None]:
+    """As `run`, by `guide` in a process of its own."""
+    words = [sys.executable, "-m", "tests.fuzz", "--guide", name, "--seconds", str(seconds), "--seed", str(first)]
+    here = os.environ | {"TMPDIR": str(Path.cwd())}  # it cannot tidy up
+    done = subprocess.run(words, capture_output=True, text=True, errors="replace", check=False, cwd=ROOT, env=here)
+    count = re.search(r"number_of_executed_units: (\d+)", done.stderr)
+    return int(count[1]) if count else 0, None if done.returncode == 0 else (done.stdout + done.stderr)[-5000:]
+
+
 # ---- the run ----
 
 
@@ -522,15 +688,24 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, metavar="S", help="in all")
     parser.add_argument("--seed", type=int, default=0, metavar="S")
     parser.add_argument("--only", choices=list(TARGETS), help="one target, with its share of the time")
+    parser.add_argument("--guided", action="store_true", help="by atheris, targets of text only; 60 s each unless told")
+    parser.add_argument("--guide", choices=list(SEEDS), help=argparse.SUPPRESS)
     args = parser.parse_args()
-    share = (args.seconds or (28.0 if args.short else 600.0)) / len(TARGETS)
+    names = list(SEEDS) if args.guided else list(TARGETS)
+    if args.only is not None and args.only not in names:
+        parser.error(f"--guided: {args.only} is not among {', '.join(names)}")
+    if args.guided and importlib.util.find_spec("atheris") is None:
+        parser.error("--guided needs atheris: pip install atheris")
+    share = (args.seconds or (28.0 if args.short else 60.0 * len(names) if args.guided else 600.0)) / len(names)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # broken videos are meant to be broken
     cv2.utils.logging.setLogLevel(0)
     warnings.simplefilter("error", RuntimeWarning)  # what NumPy warns of is on its way to a nan
     failed = 0
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        for name in TARGETS if args.only is None else (args.only,):
-            count, found = run(name, share, args.seed)
+        if args.guide:
+            guide(args.guide, args.seconds, args.seed)
+        for name in names if args.only is None else (args.only,):
+            count, found = (guided if args.guided else run)(name, share, args.seed)
             print(f"{name}: {count} examples, {'FAILED' if found else 'nothing found'}", flush=True)
             if found:
                 failed += 1

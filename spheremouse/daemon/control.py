@@ -48,10 +48,10 @@ _LISTENER, _WAKE = -1, -2
 class Limits:
     """What a client may cost."""
 
-    pace: float = 200.0  # requests per s, of all clients together; connections likewise
+    pace: float = 100.0  # requests per s, of all clients together; connections likewise
     burst: float = 50.0  # of them at once
     kilobyte: float = 1.0  # requests that a kilobyte of a request counts for
-    reading: float = 0.1  # requests that a look at what came counts for
+    reading: float = 0.25  # requests that a look at what came counts for
     unsent: int = 262144  # bytes that may wait for a client to read them
     stalled: float = 5.0  # s in which a client must have read something of what waits for it
     idle: float = 30.0  # s that a client may be silent
@@ -471,7 +471,7 @@ class ControlServer:
             self._clients[number].status_asked = None
         body = {k: v for k, v in message.items() if k not in ("ok", "id")}
         failed = not message.get("ok", True)
-        event = {"event": "log", "line": f"no status: {body.get('error')}"} if failed else {"event": "status", **body}
+        event = {"event": "log", "text": f"no status: {body.get('error')}"} if failed else {"event": "status", **body}
         self._to_watchers(event, numbers)
 
     def _to_watchers(self, event: dict[str, Any], numbers: list[int]) -> None:
@@ -480,7 +480,7 @@ class ControlServer:
         try:
             line = encode(event)
         except ValueError as e:
-            line = encode({"event": "log", "line": f"an event was left out: {e}"})
+            line = encode({"event": "log", "text": f"an event was left out: {e}"})
         for number in numbers:
             if (client := self._clients.get(number)) is not None:
                 self._guarded(number, client, self._send_line, line)

@@ -1,0 +1,79 @@
+"""What the worst clients cost a daemon: `python -m tests.control_flood [--seconds S]`.
+
+A server in this process, a client in another that floods it in one way; shown are the server's share of a core, and
+how late a thread of this process wakes that wants to 250 times a second, as the reporter does.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from spheremouse.daemon.control import ControlServer
+from spheremouse.daemon.control_settings import ControlSettings
+
+PERIOD = 1 / 250  # s
+WAYS = {
+    "nothing": "time.sleep(left())",
+    "requests": 'c = connected()\nwhile left(): c.sendall(b\'{"command": "status"}\\n\' * 100); c.recv(4096)',
+    "long requests": "c = connected()\nwhile left(): c.sendall(b'[' + b'1,' * 3900 + b'1]' + b' ' * 50000 + b'\\n')",
+    "letters": "c = connected()\nwhile left(): c.send(b' ')",
+    "connections": "while left(): connected().close()",
+}
+CLIENT = """
+import socket, time
+end = time.time() + {seconds}
+def left(): return max(0.0, end - time.time())
+def connected():
+    c = socket.socket(socket.AF_UNIX)
+    c.connect({path!r})
+    c.settimeout(1.0)
+    return c
+while left():
+    try:
+        {body}
+    except OSError:
+        pass
+"""
+
+
+def lateness(stop: threading.Event, late: list[float]) -> None:
+    """Seconds by which this thread wakes too late, until told to stop."""
+    due = time.monotonic()
+    while not stop.is_set():
+        due += PERIOD
+        time.sleep(max(0.0, due - time.monotonic()))
+        late.append(time.monotonic() - due)
+        due = max(due, time.monotonic() - PERIOD)
+
+
+def main() -> int:
+    """Try each way and print a line of it."""
+    parser = argparse.ArgumentParser(prog="python -m tests.control_flood", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--seconds", type=float, default=5.0, metavar="S", help="for each way")
+    seconds = parser.parse_args().seconds
+    for name, body in WAYS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "c"
+            stop, late = threading.Event(), list[float]()
+            with ControlServer(path, ControlSettings(), lambda request, reply: reply({"state": "tracking"})):
+                code = CLIENT.format(seconds=seconds, path=str(path), body=body.replace("\n", "\n        "))
+                thread = threading.Thread(target=lateness, args=(stop, late))
+                thread.start()
+                before = time.process_time()
+                subprocess.run([sys.executable, "-c", code], check=True)
+                share = (time.process_time() - before) / seconds
+                stop.set()
+                thread.join()
+        median, most = 1e3 * np.quantile(late, [0.5, 0.99])
+        print(f"{name}: {100 * share:.1f} % of a core; woken late by {median:.2f} ms (median), {most:.2f} ms (99 %)")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1133 @@
+"""The control socket against its description (docs/control.md), and against clients that mean it ill."""
+
+import contextlib
+import json
+import math
+import os
+import re
+import shutil
+import socket
+import stat
+import subprocess
+import sys
+import threading
+import time
+import typing
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spheremouse.daemon import control, control_socket, places, protocol
+from spheremouse.daemon.client import Client, NoDaemonError, RefusedError
+from spheremouse.daemon.control import ControlServer, Limits
+from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.daemon.control_socket import Peer
+from spheremouse.daemon.protocol import MAX_LINE, BadRequestError, Request, StatusReport, encode, parse
+from spheremouse.errors import ControlError
+
+PAGE = Path(__file__).parents[1] / "docs" / "control.md"
+GENEROUS = 20.0  # s, for what takes milliseconds
+OTHER = 54321  # a uid that nobody has
+pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="no peer credentials on this system")
+as_root = pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv")
+
+
+def answer(request, reply):
+    """A daemon that tracks."""
+    reply({"state": "tracking", "command": request.command})
+
+
+@pytest.fixture
+def path(tmp_path_factory):
+    """A short path; those of pytest may be too long for a socket."""
+    folder = Path(tmp_path_factory.mktemp("s"))
+    return folder / "c"
+
+
+@pytest.fixture
+def serve(path):
+    """Makes servers that are closed in the end."""
+    with contextlib.ExitStack() as stack:
+        yield lambda handle=answer, limits=None, said=None, **options: stack.enter_context(
+            ControlServer(path, ControlSettings(**options), handle, ([] if said is None else said).append, limits)
+        )
+
+
+class Wire:
+    """A raw connection."""
+
+    def __init__(self, path):
+        self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.settimeout(GENEROUS)
+        self.socket.connect(str(path))
+        self.lines = self.socket.makefile("rb")
+
+    def send(self, data):
+        self.socket.sendall(data if isinstance(data, bytes) else data.encode())
+
+    def read(self):
+        """The next message; None at the end."""
+        line = self.lines.readline()
+        return json.loads(line) if line else None
+
+    def ask(self, data):
+        self.send(data)
+        return self.read()
+
+    def ended(self):
+        """Whether the server hangs up, sooner or later."""
+        try:
+            return self.lines.readline() == b""
+        except ConnectionResetError:
+            return True
+
+
+STATUS = b'{"command": "status"}\n'
+FINE = {"ok": True, "state": "tracking", "command": "status"}
+
+
+def wait_for(condition):
+    end = time.monotonic() + GENEROUS
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.002)
+
+
+# ---- the description ----
+
+
+def conversations():
+    """Blocks of the page: each a list of (line sent, replies)."""
+    blocks = PAGE.read_text(encoding="utf-8").split("```text\n")[1:]
+    found = []
+    for block in blocks:
+        asked = []
+        for line in block.partition("\n```")[0].splitlines():
+            if line.startswith("> "):
+                asked.append((line[2:], []))
+            elif line.startswith("< "):
+                asked[-1][1].append(json.loads(line[2:]))
+        found.append(asked)
+    return found
+
+
+class Daemon:
+    """Says what a daemon in the situations of the page would say."""
+
+    def __init__(self):
+        self.paused = False
+        self.status = next(r[0] for c in conversations() for q, r in c if q == '{"command": "status"}')
+
+    def __call__(self, request, reply):
+        folder = "/var/lib/spheremouse/recordings/"
+        match request:
+            case protocol.Set(assignments=what):
+                reply({"message": f"{len(what)} parameters set"})
+            case protocol.Record(stop=True):
+                reply({"message": "512 frames", "folder": folder + "bug-1"})
+            case protocol.Record(seconds=60.0, folder=name, everything=False):
+                reply({"message": "recording the ball and the targets, 60 s at most", "folder": folder + name})
+            case protocol.Snapshot(file=name):
+                reply({"file": folder + name})
+            case Request(command="status"):
+                reply({"state": "paused", "reason": "ctl pause"} if self.paused else self.status)
+            case Request(command="pause"):
+                self.paused = True
+                reply({"message": "paused"})
+            case Request(command="resume"):
+                self.paused = False
+                reply({"message": "tracking"})
+            case Request(command="stop"):
+                reply({"message": "the daemon ends"})
+            case Request(command="reinit"):
+                raise ControlError("no picture from the camera; plug it in")
+            case Request(command="reload"):
+                where = "/etc/spheremouse/config.yaml:3: motion.scale_x"
+                raise ControlError(f"{where}: must be a number, is 'two'; the default is 1.0")
+            case _:
+                raise AssertionError(request)
+
+
+def test_the_examples_of_the_description_are_what_happens(serve, path):
+    daemon = Daemon()
+    server = serve(daemon)
+    played = set()
+    for conversation in conversations():
+        daemon.paused = '"watch", "interval": 60' in conversation[0][0]
+        wire = Wire(path)
+        for asked, replies in conversation:
+            wire.send(asked + "\n")
+            with contextlib.suppress(ValueError, AttributeError):
+                played.add(json.loads(asked).get("command"))
+            for expected in replies:
+                if expected.get("event") == "log":
+                    server.publish(expected)
+                assert wire.read() == expected
+    assert played >= set(protocol.COMMANDS)
+
+
+def test_the_status_of_the_description_is_as_promised():
+    status = {k: v for k, v in Daemon().status.items() if k != "ok"}
+    report = StatusReport.model_validate(status)
+    assert set(status) == set(StatusReport.model_fields)
+    assert report.state in protocol.STATES
+    text = PAGE.read_text(encoding="utf-8")
+    assert all(f"`{state}`" in text for state in protocol.STATES)
+
+
+def test_every_test_that_the_security_page_names_is_there():
+    here = Path(__file__).parent
+    names = set(re.findall(r"`(test_\w+)`", (here.parent / "docs" / "security.md").read_text(encoding="utf-8")))
+    tests = "".join(p.read_text(encoding="utf-8") for p in here.glob("test_*.py"))
+    assert len(names) > 20
+    assert not {name for name in names if f"def {name}(" not in tests}
+
+
+# ---- requests and replies ----
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        (b"\xff\xfe", "not UTF-8 text; send one JSON object a line"),
+        (b'{"command": "status", "command": "stop"}', "not JSON: a key stands twice in one object; send"),
+        (b'{"command": "status"} {}', "not JSON: Extra data"),
+        (b'"status"', "a request is a JSON object"),
+        (b"{}", "command: missing; known here: status, "),
+        (b'{"command": 1}', "command: missing"),
+        (b'{"command": "status", "id": 1.5}', "id: must be"),
+        (b'{"command": "status", "id": true}', "id: must be"),
+        (b'{"command": "status", "id": "%s"}' % (65 * b"x"), "id: must be"),
+        (b'{"command": "status", "id": 9007199254740992}', "id: must be"),
+        (b'{"command": "status", "id": "\\ud800"}', "not JSON: half a surrogate pair"),
+        (b'{"command": "status", "interval": 1}', "status: interval: unknown key"),
+        (b'{"command": "watch", "interval": 0}', "watch: interval: must be at least 0.1, is 0"),
+        (b'{"command": "watch", "interval": "1"}', "watch: interval: must be a number, is '1'"),
+        (b'{"command": "watch", "interval": 1e999}', "watch: interval: must be a finite number, is inf"),
+        (b'{"command": "record", "seconds": 1e999}', "record: seconds: must be a finite number, is inf"),
+        (b'{"command": "record", "stop": true, "seconds": 1}', "record: stop goes alone"),
+        (b'{"command": "record", "folder": ".."}', "record: folder: must be a name"),
+        (b'{"command": "record", "folder": "a/b"}', "record: folder: must be a name"),
+        (b'{"command": "record", "folder": "a\\u0000b"}', "record: folder: must be a name"),
+        (b'{"command": "record", "folder": "a\\n"}', "record: folder: must be a name"),
+        (b'{"command": "record", "folder": "-rf"}', "record: folder: must be a name"),
+        (b'{"command": "snapshot", "file": "config.yaml"}', "snapshot: file: must end in .png or .jpg"),
+        (b'{"command": "set"}', "set: assignments: missing"),
+        (b'{"command": "set", "assignments": "a=1"}', "set: assignments: must be a list"),
+        (b'{"command": "set", "assignments": [1]}', "set: assignments[0]: must be text, is 1"),
+        (b"[" * 60000, "not a request: more than 4000 values"),
+        (b"[" + 4000 * b"1," + b"1]", "not a request: more than 4000 values"),
+        (b"[" * 4000, "not a request: nested too deep"),
+        (b'{"command":' * 4000, "not a request: nested too deep"),
+        (b"9" * 60000, "not JSON: Exceeds the limit"),
+    ],
+)
+def test_what_is_no_request_is_one_line_that_helps(line, error):
+    with pytest.raises(BadRequestError) as e:
+        parse(line)
+    assert str(e.value).startswith(error)
+    assert len(str(e.value).splitlines()) == 1
+    assert len(str(e.value)) < 600
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda v: st.lists(v, max_size=4) | st.dictionaries(st.text(max_size=8), v, max_size=4),
+    max_leaves=12,
+)
+keys = st.sampled_from(["command", "id", "assignments", "seconds", "folder", "file", "everything", "stop", "interval"])
+lines = st.one_of(
+    st.binary(max_size=60),
+    st.text(max_size=60).map(str.encode),
+    st.dictionaries(keys, values | st.sampled_from(protocol.COMMANDS), max_size=4).map(json.dumps).map(str.encode),
+    st.builds(lambda c, d: {**d, "command": c}, st.sampled_from(protocol.COMMANDS), st.dictionaries(keys, values))
+    .map(json.dumps)
+    .map(str.encode),
+)
+
+
+@settings(deadline=None)
+@given(lines)
+def test_any_line_is_a_request_or_an_error_that_can_be_sent(line):
+    try:
+        request = parse(line)
+    except BadRequestError as e:
+        sent = encode(protocol.refused(str(e), e.id))
+        assert json.loads(sent)["error"]
+        assert sent.count(b"\n") == 1
+    else:
+        assert request.command in protocol.COMMANDS
+        assert parse(request.model_dump_json(exclude_unset=True).encode()) == request
+
+
+@settings(deadline=None)
+@given(st.dictionaries(st.text(max_size=8), values, max_size=5))
+def test_any_message_is_one_line_of_json(message):
+    line = encode(message)
+    assert line.endswith(b"\n")
+    assert line.count(b"\n") == 1
+
+    def finite(v):
+        if isinstance(v, float):
+            return v if math.isfinite(v) else None
+        if isinstance(v, list):
+            return [finite(x) for x in v]
+        return {k: finite(x) for k, x in v.items()} if isinstance(v, dict) else v
+
+    assert json.loads(line.decode("utf-8")) == finite(message)
+
+
+def test_what_the_daemon_computes_with_becomes_json():
+    class Phase(StrEnum):
+        LOST = "lost"
+
+    message = {
+        "f": np.float64(1.5), "n": np.int64(3), "b": np.bool_(True), "v": np.array([1.0, np.nan]), "p": Path("/a"),
+        "e": Phase.LOST, "t": (1, 2), "bad": float("inf"), "half": "\udcff", 3: None,
+    }  # fmt: skip
+    expected = {
+        "f": 1.5, "n": 3, "b": True, "v": [1.0, None], "p": "/a", "e": "lost", "t": [1, 2], "bad": None,
+        "half": "\udcff", "3": None,
+    }  # fmt: skip
+    assert json.loads(encode(message).decode("utf-8")) == expected
+    with pytest.raises(ValueError, match="bytes"):
+        encode({"x": MAX_LINE * "x"})
+
+
+# ---- one client ----
+
+
+def test_several_requests_in_one_go_are_answered_in_their_order(serve, path):
+    later = []
+
+    def handle(request, reply):
+        if request.command == "reinit":
+            later.append(reply)
+        else:
+            reply({"command": request.command})
+
+    serve(handle)
+    wire = Wire(path)
+    wire.send('{"command": "reinit", "id": 1}\n\n{"command": "pause", "id": 2}\r\n{"command": "stop", "id": 3}\n')
+    wait_for(lambda: later)
+    thread = threading.Thread(target=later[0], args=({"message": "done"},))
+    thread.start()
+    thread.join()
+    later[0]({"message": "twice"})  # a slip of the daemon's
+    assert [wire.read() for _ in range(3)] == [
+        {"ok": True, "id": 1, "message": "done"},
+        {"ok": True, "id": 2, "command": "pause"},
+        {"ok": True, "id": 3, "command": "stop"},
+    ]
+
+
+def test_a_request_in_pieces_is_one_request_and_half_of_one_is_none(serve, path):
+    asked = []
+
+    def handle(request, reply):
+        asked.append(request.command)
+        answer(request, reply)
+
+    serve(handle)
+    wire = Wire(path)
+    for piece in (STATUS[:5], STATUS[5:9], STATUS[9:]):
+        wire.send(piece)
+        time.sleep(0.01)
+    assert wire.read() == FINE
+    wire.send(b'{"command": "stop"}')  # no end of line
+    wire.socket.shutdown(socket.SHUT_WR)
+    assert wire.ended()
+    assert asked == ["status"]
+
+
+def test_who_has_sent_all_still_gets_the_answers(serve, path):
+    """As a pipe into socat does."""
+    serve()
+    wire = Wire(path)
+    wire.send(STATUS + STATUS)
+    wire.socket.shutdown(socket.SHUT_WR)
+    assert [wire.read(), wire.read(), wire.read()] == [FINE, FINE, None]
+
+
+def test_a_daemon_that_does_not_answer_is_said_not_to(serve, path):
+    serve(lambda request, reply: None, Limits(answer=0.05))
+    wire = Wire(path)
+    assert wire.ask(STATUS) == {"ok": False, "error": "no answer within 0.05 s"}
+
+
+def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(serve, path):
+    late = []
+
+    def handle(request, reply):
+        if request.id == 1:
+            late.append(reply)
+        else:
+            late[0]({"message": "late"})
+            reply({"message": "mine"})
+
+    serve(handle, Limits(answer=0.05))
+    wire = Wire(path)
+    assert wire.ask(b'{"command": "status", "id": 1}\n')["ok"] is False
+    assert wire.ask(b'{"command": "status", "id": 2}\n') == {"ok": True, "id": 2, "message": "mine"}
+
+
+def test_what_goes_wrong_in_the_daemon_is_an_error_of_one_request(serve, path):
+    said = []
+
+    def handle(request, reply):
+        if request.command == "reload":
+            raise ControlError("a.yaml:1: wrong\na.yaml:2: wrong too")
+        if request.command == "snapshot":
+            reply({"file": MAX_LINE * "x"})
+            return
+        raise ZeroDivisionError("a slip")
+
+    serve(handle, said=said)
+    wire = Wire(path)
+    assert wire.ask('{"command": "reload"}\n') == {"ok": False, "error": "a.yaml:1: wrong; a.yaml:2: wrong too"}
+    expected = "internal error (ZeroDivisionError: a slip); please report it"
+    assert wire.ask('{"command": "reinit"}\n') == {"ok": False, "error": expected}
+    assert said == ["control: reinit: internal error (ZeroDivisionError: a slip)"]
+    reply = wire.ask('{"command": "snapshot", "id": 5}\n')
+    assert (reply["ok"], reply["id"]) == (False, 5)
+    assert "65536" in reply["error"]
+
+
+# ---- watching ----
+
+
+def test_who_watches_sees_status_and_log_and_may_ask_meanwhile(serve, path):
+    server = serve()
+    wire = Wire(path)
+    assert wire.ask('{"command": "watch", "interval": 60}\n') == {"ok": True}
+    status = {"event": "status", "state": "tracking", "command": "status"}
+    assert wire.read() == status
+    server.publish({"event": "log", "text": "lost: hands"})
+    assert wire.read() == {"event": "log", "text": "lost: hands"}
+    assert wire.ask('{"command": "pause"}\n') == {"ok": True, "state": "tracking", "command": "pause"}
+    assert wire.ask('{"command": "watch", "interval": 0.1}\n') == {"ok": True}
+    assert [wire.read() for _ in range(4)] == 4 * [status]
+
+
+def test_all_watchers_together_cost_the_daemon_one_question(serve, path):
+    asked = []
+    server = serve(lambda request, reply: asked.append(reply))
+    wires = [Wire(path) for _ in range(3)]
+    for wire in wires:
+        assert wire.ask('{"command": "watch", "interval": 60}\n') == {"ok": True}
+    wait_for(lambda: len(asked) == 3)  # each one its first
+    for reply in asked:
+        reply({"state": "lost"})
+    for wire in wires:
+        assert wire.read() == {"event": "status", "state": "lost"}
+    now = time.monotonic()
+    for client in server._clients.values():
+        client.due = now
+    server._wake()
+    wait_for(lambda: len(asked) == 4)
+    asked[-1]({"state": "tracking"})
+    assert [wire.read()["state"] for wire in wires] == 3 * ["tracking"]
+
+
+def test_a_daemon_without_status_is_said_to_the_watcher(serve, path):
+    def handle(request, reply):
+        raise ControlError("no status today")
+
+    serve(handle)
+    wire = Wire(path)
+    assert wire.ask('{"command": "watch"}\n') == {"ok": True}
+    assert wire.read() == {"event": "log", "text": "no status: no status today"}
+
+
+def test_nobody_watches_and_events_cost_nothing(serve, path):
+    server = serve()
+    for _ in range(3):
+        server.publish({"event": "log", "text": "x"})
+    assert len(server._events) == 0
+    assert Wire(path).ask(STATUS) == FINE
+
+
+def test_a_watcher_that_never_reads_is_dropped_and_others_are_served(serve, path):
+    server = serve(limits=Limits(stalled=0.2))
+    deaf = Wire(path)
+    assert deaf.ask('{"command": "watch", "interval": 60}\n') == {"ok": True}
+    server.publish({"event": "log", "text": "so far it reads"})
+    end = time.monotonic() + GENEROUS
+    served = 0
+    while server._watchers:
+        assert time.monotonic() < end
+        for _ in range(50):
+            server.publish({"event": "log", "text": 2000 * "x"})
+        assert Wire(path).ask(STATUS) == FINE
+        served += 1
+    assert served > 0
+    assert server._clients.keys() <= {server._count}
+
+
+# ---- who means it ill ----
+
+
+def test_ten_megabytes_without_an_end_of_line_are_not_kept(serve, path):
+    server = serve()
+    wire = Wire(path)
+    with contextlib.suppress(ConnectionError):
+        wire.send(10_000_000 * b"x")
+    assert wire.read() == {"ok": False, "error": "a line of more than 65536 bytes; send one JSON object a line"}
+    assert wire.ended()
+    assert Wire(path).ask(STATUS) == FINE
+    assert all(len(c.received) <= 2 * MAX_LINE for c in server._clients.values())
+
+
+def test_a_line_may_be_just_as_long_as_promised(serve, path):
+    serve()
+    line = STATUS[:-1].ljust(MAX_LINE - 1) + b"\n"
+    assert Wire(path).ask(line) == FINE
+    assert Wire(path).ask(line[:-1] + b" \n")["ok"] is False
+
+
+def test_megabytes_of_requests_are_read_no_faster_than_they_are_served(serve, path):
+    server = serve(limits=Limits(pace=1000.0))
+    wire = Wire(path)
+    wire.socket.settimeout(0.3)
+    with contextlib.suppress(TimeoutError):
+        wire.send(400_000 * STATUS)
+    assert Wire(path).ask(STATUS) == FINE
+    most = max(len(c.received) + len(c.unsent) for c in server._clients.values())
+    assert most <= 2 * MAX_LINE + Limits().unsent
+
+
+def test_the_pace_is_kept_and_all_have_their_turn(serve, path):
+    """A flood is served at the pace; another client waits for one turn, not for the flood."""
+    asked = []
+
+    def handle(request, reply):
+        asked.append(time.monotonic())
+        answer(request, reply)
+
+    limits = Limits(pace=100.0, burst=5.0)
+    serve(handle, limits)
+    flood = Wire(path)
+    flood.send(1000 * STATUS)
+    wait_for(lambda: len(asked) > 10)
+    before = len(asked)
+    assert Wire(path).ask('{"command": "pause"}\n')["command"] == "pause"
+    assert len(asked) - before < 200
+    for k in range(1, len(asked)):  # never more than the burst beyond the pace; and what a busy machine lets us see
+        assert k - limits.burst - 50 <= limits.pace * (asked[k] - asked[0])
+
+
+def test_a_thousand_connections_do_not_keep_the_operator_out(serve, path):
+    server = serve(limits=Limits(pace=5000.0))
+    crowd = []
+    for _ in range(1000):
+        s = socket.socket(socket.AF_UNIX)
+        s.connect(str(path))
+        crowd.append(s)
+        assert len(server._clients) <= ControlSettings().clients
+        assert server._thread.is_alive()
+    assert Client(path).ask("status")["state"] == "tracking"
+    for s in crowd:
+        s.close()
+
+
+def test_watchers_hold_their_places_and_who_comes_then_is_told(serve, path):
+    server = serve(clients=2)
+    wires = [Wire(path) for _ in range(2)]
+    for wire in wires:
+        assert wire.ask('{"command": "watch", "interval": 60}\n') == {"ok": True}
+    late = Wire(path)
+    assert late.read() == {"ok": False, "error": "busy: all places for clients are taken (2); close one and try again"}
+    assert late.ended()
+    wires[0].socket.close()
+    wires[0].lines.close()
+    wait_for(lambda: len(server._clients) == 1)  # though nothing is to be sent to it for a minute
+    assert Wire(path).ask(STATUS) == FINE
+
+
+def test_who_says_nothing_goes(serve, path):
+    server = serve(limits=Limits(idle=0.05))
+    silent, half = Wire(path), Wire(path)
+    half.send(b'{"comm')
+    assert silent.ended()
+    assert half.ended()
+    wait_for(lambda: not server._clients)
+
+
+def test_letters_one_by_one_do_not_keep_a_connection(serve, path):
+    server = serve(limits=Limits(idle=0.1))
+    wire = Wire(path)
+    end = time.monotonic() + GENEROUS
+    with contextlib.suppress(ConnectionError):
+        while time.monotonic() < end:
+            wire.send(b"x")
+            time.sleep(0.01)
+    assert time.monotonic() < end
+    assert not server._clients
+
+
+def test_who_goes_before_the_answer_costs_nobody_anything(serve, path):
+    replies = []
+    server = serve(
+        lambda request, reply: replies.append(reply) if request.command == "reinit" else answer(request, reply)
+    )
+    for k in range(5):
+        wire = Wire(path)
+        wire.send('{"command": "reinit"}\n')
+        wait_for(lambda n=k: len(replies) > n)
+        wire.lines.close()
+        wire.socket.close()
+        replies[k]({"message": "to nobody"})
+    for _ in range(5):  # in the middle of a reply: it is longer than what the kernel takes unread
+        wire = Wire(path)
+        wire.send(200 * STATUS)
+        wire.read()
+        wire.lines.close()
+        wire.socket.close()
+    assert Wire(path).ask(STATUS) == FINE
+    wait_for(lambda: len(server._clients) == 0 or all(c.asked is None for c in server._clients.values()))
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    st.lists(st.one_of(st.binary(max_size=40), st.sampled_from([b"\n", STATUS, STATUS[:7], b"{", b"\xff"])), max_size=8)
+)
+def test_any_bytes_in_any_pieces_leave_the_server_well(chunks):
+    server, path = _standing()
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as s:
+        s.settimeout(GENEROUS)
+        s.connect(str(path))
+        with contextlib.suppress(ConnectionError):
+            for chunk in chunks:
+                s.sendall(chunk)
+    assert Wire(path).ask(STATUS) == FINE
+    assert server._thread.is_alive()
+
+
+_STANDING = []
+
+
+def _standing():
+    """One server for all examples of a test."""
+    if not _STANDING:
+        import tempfile
+
+        folder = Path(tempfile.mkdtemp())
+        said = []
+        server = ControlServer(folder / "c", ControlSettings(), answer, said.append, Limits(pace=1e5, burst=1e5))
+        _STANDING.append((server, folder / "c", said))
+    return _STANDING[0][:2]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _end_standing():
+    yield
+    for server, path, said in _STANDING:
+        server.close()
+        path.parent.rmdir()
+        assert said == []
+
+
+def test_a_slip_of_the_server_itself_costs_one_client(serve, path, monkeypatch):
+    said = []
+    serve(said=said)
+
+    def slip(line):
+        raise KeyError("unthought of")
+
+    wire = Wire(path)
+    with monkeypatch.context() as m:
+        m.setattr(control, "parse", slip)
+        wire.send(STATUS)
+        assert wire.ended()
+    assert said == ["control: a client dropped: internal error (KeyError: 'unthought of')"]
+    assert Wire(path).ask(STATUS) == FINE
+
+
+def test_no_descriptors_left_is_waited_out(serve, path, monkeypatch):
+    said = []
+    server = serve(said=said)
+    real = server._listener
+
+    class Full:
+        def accept(self):
+            server._listener = real
+            raise OSError(24, "Too many open files")
+
+        def __getattr__(self, name):
+            return getattr(real, name)
+
+    server._listener = Full()
+    assert Wire(path).ask(STATUS) == FINE
+    assert said == ["control: a client cannot be let in: Too many open files"]
+
+
+# ---- who may ----
+
+
+def as_peer(monkeypatch, uid, groups=()):
+    """Let the kernel's word be another one; the only function that asks it is replaced."""
+    monkeypatch.setattr(control_socket, "peer_of", lambda connection: Peer(uid, 4711, frozenset(groups)))
+
+
+def test_another_user_gets_one_line_and_nothing_else(serve, path, monkeypatch):
+    said, asked = [], []
+    serve(lambda request, reply: asked.append(request), said=said)
+    as_peer(monkeypatch, OTHER)
+    for _ in range(3):
+        wire = Wire(path)
+        with contextlib.suppress(ConnectionError):
+            wire.send(STATUS)
+        expected = f"user {OTHER} may not control this daemon; its own user, root may"
+        assert wire.read() == {"ok": False, "error": expected}
+        assert wire.ended()
+    assert asked == []
+    assert said == [f"control: refused user {OTHER} (process 4711)"]  # and not once more: logs are not to be filled
+
+
+@pytest.mark.parametrize("uid", [os.geteuid(), 0])
+def test_the_own_user_and_root_may(serve, path, monkeypatch, uid):
+    serve()
+    as_peer(monkeypatch, uid)
+    assert Wire(path).ask(STATUS) == FINE
+
+
+def a_group():
+    """A group of this machine that this process may give files to."""
+    import grp
+
+    for entry in grp.getgrall():
+        if entry.gr_gid and (os.geteuid() == 0 or entry.gr_gid in os.getgroups()):
+            return entry
+    pytest.skip("no group to give the socket to")
+
+
+def test_members_of_the_group_may_and_others_may_not(serve, path, monkeypatch):
+    group = a_group()
+    serve(group=group.gr_name)
+    as_peer(monkeypatch, OTHER, [1, group.gr_gid])
+    assert Wire(path).ask(STATUS) == FINE
+    as_peer(monkeypatch, OTHER, [group.gr_gid + 1])
+    error = Wire(path).read()["error"]
+    assert error == f"user {OTHER} may not control this daemon; its own user, root and the group {group.gr_name} may"
+
+
+def test_members_may_set_parameters_but_not_what_the_daemon_opens(serve, path, monkeypatch):
+    group = a_group()
+    asked = []
+
+    def handle(request, reply):
+        asked.append(request.assignments)
+        reply({})
+
+    serve(handle, group=group.gr_name)
+    as_peer(monkeypatch, OTHER, [group.gr_gid])
+    wire = Wire(path)
+    assert wire.ask('{"command": "set", "assignments": ["motion.scale_x=2"]}\n') == {"ok": True}
+    for assignment in (
+        "output=text:/etc/passwd",
+        " control.group = users",
+        "metrics.address=0.0.0.0",
+        "record.x=1",
+        "camera.controls=[a=1]",
+    ):
+        reply = wire.ask(json.dumps({"command": "set", "assignments": ["motion.scale_x=3", assignment]}) + "\n")
+        key = assignment.partition("=")[0].strip()
+        assert reply["error"] == f"set: {key} says what the daemon opens; only its own user and root may set it"
+    assert asked == [("motion.scale_x=2",)]
+    as_peer(monkeypatch, os.geteuid())
+    assert Wire(path).ask('{"command": "set", "assignments": ["output=null"]}\n') == {"ok": True}
+
+
+def test_every_parameter_that_is_text_is_among_what_members_may_not_set():
+    """Text is what can be a path, a device or an address; a new one must be thought about here."""
+    settings_module = pytest.importorskip("spheremouse.daemon.settings")
+
+    def texts(cls, prefix=""):
+        hints = typing.get_type_hints(cls)
+        for f in fields(cls):
+            hint = hints[f.name]
+            if is_dataclass(hint):
+                yield from texts(hint, f"{prefix}{f.name}.")
+            elif hint is str or str in typing.get_args(hint):
+                yield prefix + f.name
+
+    found = list(texts(settings_module.Configuration))
+    assert "control.socket" in found
+    for key in found:
+        assert any(key == place or key.startswith(place + ".") for place in control.PLACES), key
+
+
+def test_members_together_leave_places_to_the_owner(serve, path, monkeypatch):
+    group = a_group()
+    serve(group=group.gr_name, clients=4)
+    as_peer(monkeypatch, OTHER, [group.gr_gid])
+    wires = [Wire(path) for _ in range(2)]
+    for wire in wires:
+        assert wire.ask('{"command": "watch", "interval": 60}\n') == {"ok": True}
+    assert Wire(path).read()["error"].startswith("busy: ")
+    as_peer(monkeypatch, os.geteuid())
+    assert Wire(path).ask(STATUS) == FINE
+
+
+def test_the_file_is_the_owners_alone_or_the_groups_too(path):
+    with ControlServer(path, ControlSettings(), answer):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    group = a_group()
+    with ControlServer(path, ControlSettings(group=group.gr_name), answer):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+        assert path.stat().st_gid == group.gr_gid
+
+
+def test_the_file_never_has_a_wider_mode_while_it_listens(path, monkeypatch):
+    """Whatever the process's umask: the mode is set before anybody can connect."""
+    modes = []
+    listen = socket.socket.listen
+
+    def look(self, *backlog):
+        modes.append(stat.S_IMODE(path.stat().st_mode))
+        listen(self, *backlog)
+
+    monkeypatch.setattr(socket.socket, "listen", look)
+    before = os.umask(0)
+    try:
+        ControlServer(path, ControlSettings(), answer).close()
+    finally:
+        os.umask(before)
+    assert modes == [0o600]
+
+
+ASKER = """
+import socket, sys
+s = socket.socket(socket.AF_UNIX)
+try:
+    s.connect(sys.argv[1])
+except PermissionError:
+    print("permission denied")
+else:
+    try:
+        s.sendall(b'{"command": "status"}\\n')
+    except BrokenPipeError:
+        pass
+    print(s.makefile().readline().strip())
+"""
+
+
+def ask_as(path, uid, gid, *groups):
+    """What a process of another user reads from the socket."""
+    extra = ["--groups", ",".join(map(str, groups))] if groups else ["--clear-groups"]
+    words = ["setpriv", "--reuid", str(uid), "--regid", str(gid), *extra, sys.executable, "-I", "-c", ASKER, str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True, cwd="/")
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def open_folder():
+    """A folder that other users may enter."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+
+
+@as_root
+def test_another_user_in_fact(open_folder):
+    """The file's mode keeps it out; and where somebody has opened that, the credentials do."""
+    path = open_folder / "c"
+    with ControlServer(path, ControlSettings(), answer):
+        assert ask_as(path, OTHER, OTHER) == "permission denied"
+        path.chmod(0o666)
+        reply = json.loads(ask_as(path, OTHER, OTHER))
+        assert reply["error"] == f"user {OTHER} may not control this daemon; its own user, root may"
+        assert json.loads(ask_as(path, 0, 0)) == FINE
+
+
+@as_root
+def test_members_of_the_group_in_fact(open_folder):
+    path, gid = open_folder / "c", a_group().gr_gid
+    with ControlServer(path, ControlSettings(group=a_group().gr_name), answer):
+        assert json.loads(ask_as(path, OTHER, gid)) == FINE  # by its first group
+        assert json.loads(ask_as(path, OTHER, OTHER, gid)) == FINE  # by another one
+        assert ask_as(path, OTHER, OTHER, gid + 1) == "permission denied"
+
+
+def test_the_kernels_word_is_about_the_process_at_the_other_end(path):
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(path))
+    listener.listen()
+    with Wire(path).socket, listener.accept()[0] as accepted, listener:
+        peer = control_socket.peer_of(accepted)
+    assert peer is not None
+    assert (peer.uid, peer.pid) == (os.geteuid(), os.getpid())
+    assert peer.groups >= {os.getegid(), *os.getgroups()}
+
+
+# ---- the path ----
+
+
+def test_a_path_that_is_too_long_is_refused_with_what_to_do(tmp_path):
+    path = tmp_path / (200 * "x")
+    with pytest.raises(ControlError, match=r"too long for a socket; set control.socket to a path of 107 bytes or less"):
+        ControlServer(path, ControlSettings(), answer)
+    with pytest.raises(NoDaemonError, match="too long"):
+        Client(path).ask("status")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_path_of_the_longest_length_does(tmp_path_factory):
+    folder = Path(tmp_path_factory.mktemp("s"))
+    room = 107 - len(os.fsencode(folder)) - 1
+    if room < 1:
+        pytest.skip("the folder's own name is too long")
+    path = folder / (room * "x")
+    with ControlServer(path, ControlSettings(), answer):
+        assert Client(path).ask("status")["state"] == "tracking"
+
+
+def test_what_a_daemon_that_was_killed_left_is_replaced(path):
+    code = f"""
+import os
+from pathlib import Path
+from spheremouse.daemon.control import ControlServer
+from spheremouse.daemon.control_settings import ControlSettings
+ControlServer(Path({str(path)!r}), ControlSettings(), lambda request, reply: None)
+os.kill(os.getpid(), 9)
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=120).returncode == -9
+    assert stat.S_ISSOCK(path.stat().st_mode)
+    with pytest.raises(NoDaemonError, match="no daemon runs"):
+        Client(path).ask("status")
+    with ControlServer(path, ControlSettings(), answer):
+        assert Client(path).ask("status")["state"] == "tracking"
+    assert list(path.parent.iterdir()) == []
+
+
+def test_a_second_daemon_on_one_path_is_refused_with_the_firsts_process(path):
+    with ControlServer(path, ControlSettings(), answer):
+        with pytest.raises(ControlError) as e:
+            ControlServer(path, ControlSettings(), answer)
+        assert str(e.value).startswith(f"{path}: another daemon listens there (process {os.getpid()}); ")
+        assert Client(path).ask("status")["state"] == "tracking"
+    with ControlServer(path, ControlSettings(), answer):  # and its place is free again
+        assert Client(path).ask("status")["state"] == "tracking"
+
+
+def test_many_that_start_at_once_are_one(path):
+    path.touch()
+    path.unlink()
+    started, refused = [], []
+    gate = threading.Barrier(8)
+
+    def start():
+        gate.wait()
+        try:
+            started.append(ControlServer(path, ControlSettings(), answer))
+        except ControlError as e:
+            refused.append(str(e))
+
+    threads = [threading.Thread(target=start) for _ in range(8)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert len(started) == 1
+    assert len(refused) == 7
+    assert Client(path).ask("status")["state"] == "tracking"
+    started[0].close()
+
+
+def test_another_programs_socket_or_file_is_left_alone(path):
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as other:
+        other.bind(str(path))
+        other.listen()
+        with pytest.raises(ControlError, match="another daemon listens there"):
+            ControlServer(path, ControlSettings(), answer)
+        assert path.exists()
+    path.unlink()
+    path.write_text("precious")
+    with pytest.raises(ControlError, match="is no socket; move it away"):
+        ControlServer(path, ControlSettings(), answer)
+    assert path.read_text() == "precious"
+    path.unlink()
+    target = path.parent / "target"
+    target.write_text("precious")
+    path.symlink_to(target)
+    with pytest.raises(ControlError, match="is no socket"):
+        ControlServer(path, ControlSettings(), answer)
+    lock = control_socket.lock_path(path)
+    path.unlink()
+    lock.unlink(missing_ok=True)
+    lock.symlink_to(target)
+    with pytest.raises(ControlError, match="cannot be made"):
+        ControlServer(path, ControlSettings(), answer)
+    assert target.read_text() == "precious"
+
+
+def test_a_folder_where_anybody_may_write_is_refused(path):
+    path.parent.chmod(0o777)
+    with pytest.raises(ControlError, match="anybody may write there"):
+        ControlServer(path, ControlSettings(), answer)
+    path.parent.chmod(0o1777)  # as /tmp
+    ControlServer(path, ControlSettings(), answer).close()
+
+
+@pytest.mark.parametrize(
+    ("options", "place", "message"),
+    [
+        ({}, "missing/c", "cannot be made (No such file or directory); set control.socket"),
+        ({"group": "no-such-group-here"}, "c", "control.group: no group 'no-such-group-here' on this machine"),
+    ],
+)
+def test_what_cannot_be_is_said_in_a_line(path, options, place, message):
+    with pytest.raises(ControlError) as e:
+        ControlServer(path.parent / place, ControlSettings(**options), answer)
+    assert message in str(e.value)
+
+
+def test_closing_answers_who_waits_removes_the_socket_and_spares_anothers(path):
+    replies = []
+    server = ControlServer(path, ControlSettings(), lambda request, reply: replies.append(reply))
+    wire = Wire(path)
+    wire.send('{"command": "stop"}\n')
+    wait_for(lambda: replies)
+    ending = threading.Thread(target=server.close)
+    ending.start()
+    replies[0]({"message": "the daemon ends"})
+    assert wire.read() == {"ok": True, "message": "the daemon ends"}
+    assert wire.ended()
+    ending.join()
+    server.close()  # twice is once
+    server.publish({"event": "log", "text": "to nobody"})
+    replies[0]({})
+    assert list(path.parent.iterdir()) == []
+    server = ControlServer(path, ControlSettings(), answer)
+    path.unlink()
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as other:
+        other.bind(str(path))
+        server.close()
+        assert path.exists()
+
+
+# ---- where it is ----
+
+
+@pytest.fixture
+def bare(monkeypatch, tmp_path_factory):
+    """No daemon of this machine, and a user's folders of our own."""
+    for name in ("SPHEREMOUSE_SOCKET", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    folder = Path(tmp_path_factory.mktemp("p"))
+    monkeypatch.setattr(places, "_SYSTEM", folder / "run")
+    monkeypatch.setattr(places.tempfile, "gettempdir", lambda: str(folder))
+    monkeypatch.setattr(places, "_uid", lambda: os.geteuid() or 0)
+    return folder
+
+
+def test_the_daemons_folder_is_systemds_else_the_systems_else_the_users(bare, monkeypatch):
+    monkeypatch.setattr(places, "_uid", lambda: 0)
+    assert places.socket_path(None) == bare / "run" / "control.sock"
+    assert stat.S_IMODE((bare / "run").stat().st_mode) == 0o755
+    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/a:/run/b")
+    assert places.socket_path(None) == Path("/run/a/control.sock")
+    assert places.socket_path("/run/c/my.sock") == Path("/run/c/my.sock")
+
+
+def test_a_user_without_a_runtime_folder_has_one_of_its_own_and_no_other(bare, monkeypatch):
+    mine = os.geteuid() or 1000
+    monkeypatch.setattr(places, "_uid", lambda: mine)
+    path = bare / f"spheremouse-{mine}"
+    assert places.runtime_folder() == path
+    assert stat.S_IMODE(path.stat().st_mode) == 0o700
+    path.chmod(0o770)  # as somebody else would make it to get in
+    with pytest.raises(ControlError, match="another user's, or others may write there"):
+        places.runtime_folder()
+    assert path / "control.sock" not in list(places.candidates())
+    path.rmdir()
+    elsewhere = bare / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    path.symlink_to(elsewhere)
+    with pytest.raises(ControlError, match="another user's"):
+        places.runtime_folder()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(bare))
+    assert places.runtime_folder() == bare / "spheremouse"
+
+
+def test_a_client_finds_the_daemon_that_answers(bare, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(bare))
+    user, system = bare / "spheremouse" / "control.sock", bare / "run" / "control.sock"
+    for p in (user, system):
+        p.parent.mkdir(mode=0o755)
+    assert places.find_socket() == user
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as dead:
+        dead.bind(str(user))  # what a user's daemon that was killed left
+    assert places.find_socket() == user
+    with ControlServer(system, ControlSettings(), answer):
+        assert places.find_socket() == system
+        assert Client().ask("status")["state"] == "tracking"
+        with ControlServer(user, ControlSettings(), answer):
+            assert places.find_socket() == user
+        monkeypatch.setenv("SPHEREMOUSE_SOCKET", "/elsewhere")
+        assert places.find_socket() == Path("/elsewhere")
+
+
+# ---- the client ----
+
+
+def test_the_client_says_what_is_wrong(path, serve):
+    with pytest.raises(NoDaemonError, match=rf"no daemon runs \(nobody listens at {path}\); start one with"):
+        Client(path).ask("status")
+    serve()
+    with Client(path) as client:
+        with pytest.raises(RefusedError, match="did you mean status"):
+            client.ask("statsu")
+        assert client.ask("status") == {"state": "tracking", "command": "status"}
+        with pytest.raises(RefusedError, match="65536 is the most"):
+            client.ask("set", assignments=[70000 * "x"])
+
+
+def test_the_client_sees_the_daemon_end(path):
+    server = ControlServer(path, ControlSettings(), answer)
+    with Client(path) as client:
+        events = client.watch(0.1)
+        assert next(events)["event"] == "status"
+        server.close()
+        with pytest.raises(NoDaemonError, match="the daemon has ended"):
+            for _ in events:
+                pass
+
+
+@pytest.mark.parametrize(
+    ("said", "message"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "no daemon of spheremouse"),
+        (b"[1]\n", "no daemon of spheremouse"),
+        (200_000 * b"x", "no daemon of spheremouse"),
+        (b"\xff\n", "no daemon of spheremouse"),
+        (b"[" * 60000 + b"\n", "no daemon of spheremouse"),
+        (b"", "has ended, or hung up"),
+        (b'{"ok": true', "has ended, or hung up"),
+        (b'{"ok": false, "error": "\\u001b[2Jgone"}\n', "\N{REPLACEMENT CHARACTER}\\[2Jgone"),
+        (b'{"ok": 1}\n', "does not say why"),
+    ],
+)
+def test_the_client_believes_no_stranger(path, said, message):
+    """Whatever answers at the path: an error in words, and nothing that steers the terminal."""
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(path))
+    listener.listen()
+
+    def stranger():
+        with contextlib.closing(listener.accept()[0]) as s, contextlib.suppress(OSError):
+            s.recv(100)
+            s.sendall(said)
+
+    thread = threading.Thread(target=stranger)
+    thread.start()
+    with listener, pytest.raises(ControlError, match=message):
+        Client(path).ask("status")
+    thread.join()

@@ -1,0 +1,276 @@
+"""`spheremouse ctl` as an operator meets it: words in; the two streams and the exit code out."""
+
+import io
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from rich.console import Console
+from test_control import Daemon, conversations
+from typer.testing import CliRunner
+
+from spheremouse import cli_ctl
+from spheremouse.daemon import protocol
+from spheremouse.daemon.control import ControlServer
+from spheremouse.daemon.control_settings import ControlSettings
+
+
+class Recorder(Daemon):
+    """The daemon of docs/control.md, which also keeps what it was asked."""
+
+    def __init__(self):
+        super().__init__()
+        self.asked = []
+
+    def __call__(self, request, reply):
+        self.asked.append(request)
+        super().__call__(request, reply)
+
+
+@pytest.fixture
+def path(tmp_path_factory):
+    return Path(tmp_path_factory.mktemp("s")) / "c"
+
+
+@pytest.fixture
+def daemon(path):
+    made = Recorder()
+    with ControlServer(path, ControlSettings(), made):
+        yield made
+
+
+@pytest.fixture
+def ctl(path, monkeypatch):
+    """Runs a command: (*words) -> exit code, standard output, standard error."""
+    monkeypatch.setenv("SPHEREMOUSE_SOCKET", str(path))
+
+    def run(*words):
+        done = CliRunner().invoke(cli_ctl.app, list(words), prog_name="spheremouse ctl", terminal_width=100)
+        if done.exception is not None and not isinstance(done.exception, SystemExit):
+            raise done.exception
+        return done.exit_code, done.stdout, done.stderr
+
+    return run
+
+
+def shown(status, width=80):
+    """A status as it stands on a terminal without colours."""
+    console = Console(width=width, highlight=False, record=True, file=io.StringIO())
+    console.print(cli_ctl.status_table(status))
+    return console.export_text()
+
+
+def test_there_is_a_command_for_every_request():
+    assert set(typer.main.get_command(cli_ctl.app).commands) == set(protocol.COMMANDS)
+
+
+@pytest.mark.parametrize("command", protocol.COMMANDS)
+def test_every_help_is_short_and_has_both_options(ctl, command):
+    code, out, _ = ctl(command, "--help")
+    assert code == 0
+    assert "--json" in out
+    assert "--socket" in out
+    assert len(out.splitlines()) < 35
+
+
+def test_the_status_is_a_short_table(ctl, daemon):
+    code, out, err = ctl("status")
+    assert (code, err) == (0, "")
+    for words in (
+        "● tracking for 70 min",
+        "19 discs in view",
+        "59.9/s, 252630 in all, 12 skipped, 3 dropped, 1 damaged",
+        "median 2.9 ms, 99 % 6.4 ms, longest 11.2 ms",
+        "17 used, 19 seen, 26 known",
+        "70 min old, within 3.3 mm (1 sigma)",
+        "uinput, 810344 reports, not sent: +0 -12 +0 counts",
+        "/dev/video0: MJPG 640x480, 60 frames/s",
+        "31 s of 71 min, lost 2 times",
+    ):
+        assert words in out
+    assert len(out.splitlines()) <= 14
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_the_status_as_json_is_the_plain_dict(ctl, daemon):
+    code, out, _ = ctl("status", "--json")
+    assert code == 0
+    assert json.loads(out) == {k: v for k, v in daemon.status.items() if k != "ok"}
+    issue = {
+        "state",
+        "reason",
+        "fps",
+        "latency_ms",
+        "discs",
+        "frames",
+        "skipped",
+        "pose",
+        "output",
+        "uptime_s",
+        "version",
+    }
+    assert issue <= set(json.loads(out))
+
+
+@pytest.mark.parametrize("state", protocol.STATES)
+def test_every_state_has_a_colour(state):
+    assert cli_ctl._COLOURS[state]
+    assert f"● {state}" in shown({"state": state})
+
+
+def test_a_status_that_knows_nothing_yet_is_shown_too():
+    empty = {"state": "starting", "reason": "", "since_s": 0.2, "fps": None, "latency_ms": None, "pose": None}
+    text = shown(
+        {**empty, "output": {"spec": "uinput", "failed": "/dev/uinput: permission denied", "unsent": [0, 0, 0]}}
+    )
+    assert "● starting for 0.2 s" in text
+    assert "not known" in text
+    assert "uinput: /dev/uinput: permission denied" in text
+    assert shown({})
+
+
+def test_a_recording_is_shown_while_it_runs():
+    recording = {"folder": "/r/bug-1", "frames": 90, "seconds": 3.0, "bytes": 41_000_000, "dropped": 2}
+    assert "/r/bug-1: 90 frames, 3.0 s, 41 MB, 2 dropped" in shown({"state": "tracking", "recording": recording})
+
+
+def test_what_the_daemon_quotes_does_not_steer_the_terminal():
+    bad = "\x1b[2J\x1b]0;owned\x07[bold]x[/bold]"
+    status = {"state": bad, "reason": bad, "output": {"spec": bad, "failed": bad}, "source": {"description": bad}}
+    text = shown(status, 200)
+    assert "\x1b" not in text
+    assert "\x07" not in text
+    assert text.count("[bold]x[/bold]") >= 4  # and is no markup
+    event = cli_ctl.event_line({"event": "log", "text": bad}, "12:00:00")
+    assert "\x1b" not in event.plain
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.04, "0.0 s"),
+        (9.96, "10.0 s"),
+        (119, "119 s"),
+        (120, "2 min"),
+        (7300, "2 h"),
+        (1e6, "12 days"),
+        (None, "-"),
+    ],
+)
+def test_times_are_said_as_people_say_them(seconds, words):
+    assert cli_ctl._span(seconds) == words
+
+
+@pytest.mark.parametrize(
+    ("words", "request_", "said"),
+    [
+        (["pause"], {"command": "pause"}, "paused"),
+        (["resume"], {"command": "resume"}, "tracking"),
+        (["stop"], {"command": "stop"}, "the daemon ends"),
+        (
+            ["set", "motion.scale_x=2", "motion.scale_y=2"],
+            {"command": "set", "assignments": ("motion.scale_x=2", "motion.scale_y=2")},
+            "2 parameters set",
+        ),
+        (
+            ["record", "bug-1", "--seconds", "60"],
+            {"command": "record", "folder": "bug-1", "seconds": 60.0},
+            "recording the ball and the targets, 60 s at most",
+        ),
+        (["record", "--stop"], {"command": "record", "stop": True}, "512 frames"),
+        (
+            ["snapshot", "bug-1.png"],
+            {"command": "snapshot", "file": "bug-1.png"},
+            "/var/lib/spheremouse/recordings/bug-1.png: written",
+        ),
+    ],
+)
+def test_a_command_is_passed_on_and_says_what_was_done(ctl, daemon, words, request_, said):
+    code, out, err = ctl(*words)
+    assert (code, out, err) == (0, said + "\n", "")
+    assert daemon.asked[-1].model_dump(exclude_unset=True) == request_
+    code, out, _ = ctl(*words, "--json")
+    assert code == 0
+    assert set(json.loads(out).values()) >= {said.removesuffix(": written")}
+
+
+def test_what_the_daemon_refuses_is_its_line_and_exit_code_1(ctl, daemon):
+    refusal = next(r for c in conversations() for q, (r, *_) in c if '"reload"' in q)
+    assert ctl("reload") == (1, "", f"spheremouse: {refusal['error']}\n")
+    assert ctl("reinit", "--json") == (1, "", "spheremouse: no picture from the camera; plug it in\n")
+    code, _, err = ctl("record", "../x")
+    assert (code, err.startswith("spheremouse: record: folder: must be a name")) == (1, True)
+
+
+def test_wrong_usage_is_exit_code_2(ctl, daemon):
+    for words in (["statsu"], ["set"], ["record", "--stop", "--seconds", "3"], ["watch", "--interval", "x"], []):
+        assert ctl(*words)[0] == 2
+    assert daemon.asked == []
+
+
+def test_no_daemon_is_exit_code_3_and_says_how_to_start_one(ctl, path):
+    code, out, err = ctl("status")
+    assert (code, out) == (3, "")
+    assert err.startswith(f"spheremouse: no daemon runs (nobody listens at {path}); start one with `spheremouse run`")
+    code, _, err = ctl("pause", "--socket", "/nowhere/at/all")
+    assert (code, "/nowhere/at/all" in err) == (3, True)
+
+
+def test_an_event_is_a_line():
+    status = {"event": "status", **Daemon().status}
+    line = cli_ctl.event_line(status, "12:00:00").plain
+    assert line == "12:00:00  ● tracking            59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs"
+    line = cli_ctl.event_line({**status, "state": "lost", "reason": "hands"}, "12:00:00").plain
+    assert line.endswith("  hands")
+    line = cli_ctl.event_line({"event": "status", "state": "no-camera", "reason": "unplugged"}, "12:00:00").plain
+    assert line == "12:00:00  ● no-camera              - frames/s  latency -, 99 % - ms  -/- discs  unplugged"
+    assert cli_ctl.event_line({"event": "log", "text": "lost: hands"}, "12:00:00").plain == "12:00:00  lost: hands"
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_watching_streams_until_interrupted(path, daemon, as_json):
+    """In a process of its own, for the signal; status and log arrive while it runs, not when it ends."""
+    words = ["watch", "--interval", "0.1", *(["--json"] if as_json else [])]
+    code = f"from spheremouse.cli_ctl import app; app({[*words, '--socket', str(path)]!r})"
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    lines = [process.stdout.readline() for _ in range(3)]
+    process.send_signal(signal.SIGINT)
+    rest, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    if as_json:
+        assert all(json.loads(line)["state"] == "tracking" for line in lines)
+    else:
+        assert all(re.match(r"\d\d:\d\d:\d\d  ● tracking ", line) for line in lines)
+    assert rest.count("\n") < 100
+
+
+def test_watching_a_daemon_that_ends_is_exit_code_3(ctl, path):
+    daemon = Recorder()
+    server = ControlServer(path, ControlSettings(), daemon)
+
+    class Ending:
+        def __call__(self, request, reply):
+            daemon(request, reply)
+            if len(daemon.asked) == 2:
+                server._ending.set()
+
+    server._handle = Ending()
+    code, out, err = ctl("watch", "--interval", "0.1")
+    server._ending.clear()
+    server.close()
+    assert code == 3
+    assert "● tracking" in out
+    assert "the daemon has ended" in err
+
+
+def test_an_error_of_the_connection_is_a_line(ctl, path):
+    path.mkdir()
+    code, _, err = ctl("status")
+    assert code == 3
+    assert len(err.splitlines()) == 1

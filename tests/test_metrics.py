@@ -1,0 +1,303 @@
+"""The figures for Prometheus: against the status they come from, the page that lists them and the dashboard."""
+
+import contextlib
+import http.client
+import json
+import re
+import socket
+import threading
+import time
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import pytest
+from test_control import Daemon
+
+from spheremouse.daemon import metrics
+from spheremouse.daemon.control_settings import MetricsSettings
+from spheremouse.daemon.protocol import STATES
+from spheremouse.errors import ControlError
+
+pytest.importorskip("prometheus_client")
+from prometheus_client.parser import text_string_to_metric_families
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
+BOARD = json.loads((ROOT / "service" / "grafana" / "spheremouse.json").read_text(encoding="utf-8"))
+GENEROUS = 20.0  # s
+
+
+def a_status():
+    return {k: v for k, v in Daemon().status.items() if k != "ok"}
+
+
+@pytest.fixture
+def scrape(monkeypatch):
+    """Serves a status and reads it back: {(name, labels): value}, and the kind of each name."""
+    monkeypatch.setattr(metrics, "_FRESH", 0.0)
+
+    def read(status):
+        with metrics.MetricsServer(MetricsSettings(port=0), lambda: status) as server:
+            code, text = get(server)
+        assert code == 200
+        found = list(text_string_to_metric_families(text))
+        samples = {(s.name, tuple(sorted(s.labels.items()))): s.value for f in found for s in f.samples}
+        return samples, {s.name: f.type for f in found for s in f.samples}
+
+    return read
+
+
+def address_of(server):
+    return server._server.server_address[:2]
+
+
+def get(server, path="/metrics", method="GET"):
+    connection = http.client.HTTPConnection(*address_of(server), timeout=GENEROUS)
+    with contextlib.closing(connection):
+        connection.request(method, path)
+        response = connection.getresponse()
+        return response.status, response.read().decode()
+
+
+def test_the_figures_are_those_of_the_status(scrape):
+    status, before = a_status(), time.time()
+    samples, kinds = scrape(status)
+
+    def value(name, **labels):
+        return samples["spheremouse_" + name, tuple(sorted(labels.items()))]
+
+    assert {s: value("state", state=s) for s in STATES} == {s: float(s == "tracking") for s in STATES}
+    assert value("info", version="0.1.0", source="v4l2", output="uinput") == 1.0
+    assert before <= value("start_time_seconds") + status["uptime_s"] <= time.time()
+    counters = {
+        "not_tracked_seconds_total": "unseen_s", "lost_total": "lost_count", "frames_total": "frames",
+        "camera_restarts_total": "camera_restarts", "skipped_frames_total": "skipped",
+        "dropped_frames_total": "dropped", "damaged_frames_total": "damaged",
+    }  # fmt: skip
+    for name, key in counters.items():
+        assert value(name) == status[key]
+        assert kinds["spheremouse_" + name] == "counter"
+    assert value("reports_total") == status["output"]["reports"]
+    for quantile, key in (("0.5", "p50"), ("0.99", "p99"), ("1", "max")):
+        assert value("latency_seconds", quantile=quantile) == pytest.approx(status["latency_ms"][key] / 1000, rel=1e-12)
+    for stage, values in status["stages_ms"].items():
+        assert value("stage_seconds", stage=stage, quantile="0.99") == pytest.approx(values["p99"] / 1000, rel=1e-12)
+    assert [value("discs", kind=k) for k in ("used", "seen", "known")] == [17, 19, 26]
+    assert [value("unsent_counts", axis=a) for a in ("x", "y", "third")] == [0, -12, 0]
+    assert value("state_age_seconds") == status["since_s"]
+    assert value("frames_per_second") == status["fps"]
+    assert value("pose_age_seconds") == status["pose"]["age_s"]
+    assert (value("output_failed"), value("recording")) == (0.0, 0.0)
+    assert value("resident_memory_bytes") == pytest.approx(143.2e6)
+    assert value("cpu_ratio") == status["cpu_share"]
+
+
+def test_what_is_not_known_is_left_out(scrape):
+    samples, _ = scrape({"state": "starting", "fps": None, "latency_ms": None, "pose": None, "uptime_s": 0.1})
+    names = {name for name, _ in samples}
+    assert "spheremouse_state" in names
+    assert not names & {"spheremouse_latency_seconds", "spheremouse_pose_age_seconds", "spheremouse_frames_per_second"}
+    assert "nan" not in str(samples)
+
+
+def test_a_failed_output_and_a_recording_show(scrape):
+    status = a_status()
+    status["output"] |= {"failed": "/dev/uinput: gone"}
+    status["recording"] = {"folder": "/r", "frames": 1, "seconds": 1.0, "bytes": 1, "dropped": 0}
+    samples, _ = scrape(status)
+    assert samples["spheremouse_output_failed", ()] == 1.0
+    assert samples["spheremouse_recording", ()] == 1.0
+
+
+def test_no_path_of_a_file_is_given_out(monkeypatch):
+    monkeypatch.setattr(metrics, "_FRESH", 0.0)
+    status = a_status() | {"reason": "/home/somebody/secret"}
+    status["output"]["spec"] = "text:/home/somebody/log"
+    with metrics.MetricsServer(MetricsSettings(port=0), lambda: status) as server:
+        text = get(server)[1]
+    assert "/" not in re.sub(r"^# .*", "", text, flags=re.M)
+
+
+def test_names_and_units_follow_the_conventions(scrape):
+    """Base units, `_total` on counters and on nothing else, help for each."""
+    _, kinds = scrape(a_status())
+    for name, kind in kinds.items():
+        assert re.fullmatch(r"spheremouse_[a-z_]+", name)
+        assert name.endswith("_total") == (kind == "counter")
+        assert not re.search(r"_(ms|milliseconds|minutes|mb|megabytes|percent|mm)(_|$)", name)
+    status = a_status()
+    assert all(len(f.documentation) > 5 for f in metrics.families(status, 0.0))
+
+
+def test_a_restart_is_seen_and_none_is_imagined(monkeypatch):
+    monkeypatch.setattr(metrics, "_FRESH", 0.0)
+    status = a_status()
+
+    def started(server):
+        found = re.search(r"^spheremouse_start_time_seconds (\S+)", get(server)[1], re.M)
+        assert found
+        return found[1]
+
+    with metrics.MetricsServer(MetricsSettings(port=0), lambda: status) as server:
+        first = started(server)
+        status["uptime_s"] += 0.01  # measured a little late
+        assert started(server) == first
+    with metrics.MetricsServer(MetricsSettings(port=0), lambda: {**status, "uptime_s": 0.0}) as server:
+        assert float(started(server)) > float(first)
+
+
+# ---- the page and the dashboard ----
+
+
+def test_the_page_lists_every_figure_with_its_kind_and_labels(scrape):
+    samples, kinds = scrape(a_status())
+    labels = {name: {k for k, _ in found} for name, found in samples}
+    listed = {
+        name: (kind, set(names.strip("{}").split(",")) - {""})
+        for name, names, kind in re.findall(r"^\| `(spheremouse_[a-z_]+)(\{[a-z,]+\})?` \| (\w+) \|", PAGE, re.M)
+    }
+    kinds = {name: "info" if name.endswith("_info") else kind for name, kind in kinds.items()}
+    assert listed == {name: (kinds[name], labels[name]) for name in kinds}
+
+
+def queries():
+    """Every query of the dashboard and of the page's alarms."""
+    for panel in BOARD["panels"]:
+        for target in panel["targets"]:
+            yield target["expr"]
+    for variable in BOARD["templating"]["list"][1:]:
+        yield variable["query"]["query"]
+    yield from re.findall(r"expr: (.+)", PAGE)
+
+
+def test_dashboard_and_alarms_ask_for_what_there_is(scrape):
+    samples, kinds = scrape(a_status())
+    asked = set()
+    for query in queries():
+        bare = re.sub(r'"[^"]*"', '""', query)
+        assert bare.count("(") == bare.count(")")
+        names = set(re.findall(r"\bspheremouse_\w+", query))
+        assert names <= set(kinds), query
+        asked |= names
+        for name, selector in re.findall(r"\b(spheremouse_\w+)\{([^}]*)\}", query):
+            known = {k for n, ls in samples for k, _ in ls if n == name} | {"job", "instance"}
+            for label, value in re.findall(r'(\w+)=~?"([^"]*)"', selector):
+                assert label in known, query
+                if not value.startswith("$"):
+                    there = {v for n, ls in samples for k, v in ls if (n, k) == (name, label)}
+                    assert set(value.split("|")) <= there, query
+        for function, name in re.findall(r"\b(rate|increase|changes)\((spheremouse_\w+)", query):
+            assert (kinds[name] == "counter") == (function != "changes"), query
+    wanted = {"state", "not_tracked_seconds_total", "latency_seconds", "start_time_seconds", "camera_restarts_total"}
+    assert asked >= {"spheremouse_" + name for name in wanted}
+
+
+def test_the_dashboard_is_in_order():
+    panels = BOARD["panels"]
+    assert len({p["id"] for p in panels}) == len(panels)
+    for panel in panels:
+        at = panel["gridPos"]
+        assert at["x"] + at["w"] <= 24
+        assert len({t["refId"] for t in panel["targets"]}) == len(panel["targets"])
+    for a, b in combinations([p["gridPos"] for p in panels], 2):
+        apart_x = a["x"] + a["w"] <= b["x"] or b["x"] + b["w"] <= a["x"]
+        apart_y = a["y"] + a["h"] <= b["y"] or b["y"] + b["h"] <= a["y"]
+        assert apart_x or apart_y
+    table = next(p for p in panels if p["type"] == "table")
+    organise = table["transformations"][1]["options"]
+    shown = {f"Value #{t['refId']}" for t in table["targets"]}
+    named = set(organise["renameByName"]) | {k for k, hidden in organise["excludeByName"].items() if hidden}
+    assert shown <= named
+    columns = set(organise["renameByName"].values())
+    assert {o["matcher"]["options"] for o in table["fieldConfig"]["overrides"]} <= columns
+    assert table["options"]["sortBy"][0]["displayName"] in columns
+
+
+# ---- the server ----
+
+
+def test_no_port_opens_none():
+    assert metrics.serve(MetricsSettings(), a_status) is None
+
+
+def test_only_this_machine_is_served_unless_told():
+    assert MetricsSettings().address == "127.0.0.1"
+    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
+        assert address_of(server)[0] == "127.0.0.1"
+        assert server.url == f"http://127.0.0.1:{address_of(server)[1]}/metrics"
+
+
+def test_other_pages_and_methods_are_not_there():
+    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
+        assert get(server, "/metrics?x=1")[0] == 200
+        for path in ("/", "/metrics/", "/../etc/passwd", "/metricsx"):
+            assert get(server, path)[0] == 404
+        for method in ("POST", "PUT", "DELETE"):
+            assert get(server, method=method)[0] == 501
+
+
+def test_a_status_that_fails_is_an_error_of_one_answer_without_a_traceback(monkeypatch):
+    monkeypatch.setattr(metrics, "_FRESH", 0.0)
+    broken = [True]
+
+    def status():
+        if broken[0]:
+            raise ValueError("/secret")
+        return a_status()
+
+    with metrics.MetricsServer(MetricsSettings(port=0), status) as server:
+        code, text = get(server)
+        assert code == 500
+        assert "Traceback" not in text
+        assert "secret" not in text
+        broken[0] = False
+        assert get(server)[0] == 200
+
+
+def test_who_asks_all_the_time_does_not_ask_the_daemon():
+    asked = []
+
+    def status():
+        asked.append(time.monotonic())
+        return a_status()
+
+    with metrics.MetricsServer(MetricsSettings(port=0), status) as server:
+        for _ in range(20):
+            assert get(server)[0] == 200
+    assert all(b - a >= metrics._FRESH for a, b in pairwise(asked))
+
+
+def test_connections_that_say_nothing_are_few_and_end(monkeypatch):
+    monkeypatch.setattr(metrics, "_LONGEST", 0.3)
+    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
+        crowd = [socket.create_connection(address_of(server), GENEROUS) for _ in range(12)]
+        for s in crowd:
+            with contextlib.suppress(OSError):
+                s.sendall(b"GET /metr")
+        for s in crowd:
+            with contextlib.suppress(ConnectionResetError):
+                assert b"200" not in s.recv(100)
+            s.close()
+        assert sum("process_request_thread" in t.name for t in threading.enumerate()) <= metrics._AT_ONCE
+        end = time.monotonic() + GENEROUS
+        while True:
+            try:
+                assert get(server)[0] == 200
+                break
+            except (ConnectionError, http.client.HTTPException):
+                assert time.monotonic() < end
+
+
+def test_what_cannot_be_is_said_in_a_line():
+    with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(ControlError, match=rf"cannot listen at 127.0.0.1 port {port} \(Address already in use\)"):
+            metrics.serve(MetricsSettings(port=port), a_status)
+    with pytest.raises(ControlError, match=r"metrics.address: 'localhost' is no IP address"):
+        metrics.serve(MetricsSettings(port=1, address="localhost"), a_status)
+
+
+def test_without_the_library_the_message_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "prometheus_client", None)
+    with pytest.raises(ControlError, match=r"pip install 'spheremouse\[metrics\]'"):
+        metrics.serve(MetricsSettings(port=1), a_status)
