@@ -150,7 +150,7 @@ def _foresight(counts: int, before: float, rate: float, interval: float, horizon
     be anything, even no numbers: what the counts do not bear out is not believed. The mean speed up to the horizon is
     not above `full`.
     """
-    if interval <= 0.0 or horizon <= 0.0 or counts == 0:
+    if interval <= 0.0 or horizon <= 0.0:
         return 0.0, 0.0, 0.0
     way = 1.0 if counts > 0 else -1.0
     full = _FULL * abs(counts) / interval

@@ -1,4 +1,4 @@
-"""`auto[:third=none|wheel]`: the best mouse there is here, and standard error says which.
+"""`auto[:third=none|wheel]`: the best mouse there is here, and standard error says which, and why none before it.
 
 uinput, which every program takes for a mouse, where the kernel lets us; else the board, known by its USB identity and
 never a mere adapter, behind which anything may sit; else the pointer of the desktop.
@@ -27,7 +27,7 @@ def open(argument: str) -> Output:
         except OutputError as e:
             failures.append(str(e))
             continue
-        print(f"auto: takes {spec}", file=sys.stderr)
+        print(f"auto: takes {spec}" + (f" ({' | '.join(failures)})" if failures else ""), file=sys.stderr)
         return output
     raise OutputError(f"auto: no mouse to be had. {' | '.join(failures)}")
 

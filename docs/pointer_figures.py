@@ -1,0 +1,193 @@
+"""The figure and the table of docs/pointer.md: python docs/pointer_figures.py [--write].
+
+The figure is drawn for a ball whose counts and rates are exact; the table is of simulated films that the tracker
+tracked. `--write` replaces both; without it the table is printed. Takes about two minutes, and the extra `plot`.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from spheremouse.pointer import PointerSettings, Resampler, due, take
+from spheremouse.rotation import Array
+from spheremouse.session import initialise, track
+from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.track import Phase, Settings, build
+from spheremouse.yaml_file import write_atomically
+
+PAGE = Path(__file__).with_name("pointer.md")
+PICTURE = Path(__file__).parent / "images" / "pointer.svg"
+MARKS = ("<!-- made by docs/pointer_figures.py --write -->", "<!-- end -->")
+LATENCY = {30.0: 0.05, 60.0: 0.03}  # s, from stamp to arrival: exposure, the wire, decoding, a step
+WAYS = {  # settings, and whether the rates tell an acceleration
+    "each frame at once (horizon 0)": (PointerSettings(horizon=0.0), True),
+    "the rate alone, no acceleration": (PointerSettings(), False),
+    "corrected at once (smooth 0)": (PointerSettings(smooth=0.0), True),
+    "the default": (PointerSettings(), True),
+    "smooth 1": (PointerSettings(smooth=1.0), True),
+}
+FILMS = {
+    "somebody plays, 30 Hz": SimulationOptions(motion="play", seconds=20.0, noise=3.0),
+    "somebody plays, 60 Hz": SimulationOptions(motion="play", seconds=20.0, noise=3.0, fps=60.0),
+    "400 °/s, stopped in 50 ms and flicked back, 30 Hz": SimulationOptions(motion="flick", noise=3.0),
+    "the same at 60 Hz": SimulationOptions(motion="flick", noise=3.0, fps=60.0),
+}
+
+
+@dataclass(frozen=True)
+class Told:
+    """What frames say, and the ball itself."""
+
+    stamp: Array  # (n,) s
+    counts: Array  # (n, 3)
+    rate: Array  # (n, 3) counts/s
+    tracking: Array  # (n,) bool
+    clock: Array  # (m,) s
+    place: Array  # (m, 3) counts, of the ball
+
+
+def pointer(told: Told, latency: float, settings: PointerSettings, accelerated: bool = True) -> tuple[Array, Array]:
+    """Times (k,) s of the reports at the steady rate, and what the pointer has moved by then, (k, 3) counts."""
+    times, places = [], []
+    resampler, sent = Resampler(), (0, 0, 0)
+    arrivals = [*(told.stamp + latency), told.stamp[-1] + 1.0]
+    for k, stamp in enumerate(told.stamp):
+        now, rate = arrivals[k], tuple(told.rate[k].tolist())
+        x, y, z = (int(n) for n in told.counts[k])
+        if not accelerated:
+            resampler = replace(resampler, rate=None)
+        resampler = take(resampler, sent, (x, y, z), rate, stamp, now, bool(told.tracking[k]), settings)
+        for n in range(int((arrivals[k + 1] - now) * settings.rate + 1.0 - 1e-6)):
+            times.append(now + n / settings.rate)
+            sent = due(resampler, times[-1])
+            places.append(sent)
+    return np.array(times), np.array(places, dtype=float)
+
+
+# ---- the table ----
+
+
+def filmed(options: SimulationOptions) -> Told:
+    """A simulated film, tracked."""
+    simulation, settings = prepare(options), Settings()
+    rig = simulation.scene.rig()
+    start = initialise((made.frame for made in simulate(simulation)), rig, settings)
+    tracker = build(rig, start.pose, settings)
+    epochs = [(e.motion, e.state.phase is Phase.TRACKING) for e in track(start.frames, tracker, None)]
+    stamp = np.array([m.stamp for m, _ in epochs])
+    clock = np.arange(stamp[0], stamp[-1], 1e-3)
+    speed = simulation.profile.rate(clock) @ tracker.counts.T
+    place = np.cumsum(np.vstack([np.zeros(3), speed[:-1]]), axis=0) * 1e-3
+    counts = np.array([m.counts for m, _ in epochs], dtype=float)
+    rate = np.array([m.rate for m, _ in epochs]) @ tracker.counts.T
+    return Told(stamp, counts, rate, np.array([t for _, t in epochs]), clock, place)
+
+
+def figures(told: Told, latency: float, settings: PointerSettings, accelerated: bool) -> list[str]:
+    """Cells of a row: roughness, distance from the ball, and what is withheld at the end."""
+    times, places = pointer(told, latency, settings, accelerated)
+    clock = np.arange(times[0], told.clock[-1], 0.004)
+    shown = places[np.searchsorted(times, clock + 1e-9) - 1]
+    ball = np.stack([np.interp(clock, told.clock, told.place[:, k]) for k in range(3)], axis=1)
+    rough, off = np.sqrt(np.mean(np.diff(shown, 2, axis=0) ** 2)), np.sqrt(np.mean((shown - ball) ** 2))
+    left = np.abs(places[-1] - told.counts.sum(axis=0)).max()
+    return [f"{rough:.2f}", f"{off:.1f}", f"{np.abs(shown - ball).max():.0f}", f"{left:.0f}"]
+
+
+def table() -> str:
+    """The table as Markdown."""
+    head = ["", "", "roughness", "from the ball, RMS", "at most", "withheld at the end"]
+    rows = []
+    for film, options in FILMS.items():
+        told = filmed(options)
+        for k, (way, (settings, accelerated)) in enumerate(WAYS.items()):
+            rows.append(["" if k else film, way, *figures(told, LATENCY[options.fps], settings, accelerated)])
+    return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---"] * len(head), *rows])
+
+
+# ---- the figure ----
+
+
+def exact(stretches: Sequence[tuple[float, float]], fps: float = 30.0) -> Told:
+    """Frames of a ball whose rate (counts/s) runs straight from one (time, rate) to the next."""
+    clock = np.arange(0.0, stretches[-1][0], 1e-4)
+    speed = np.interp(clock, *np.array(stretches).T)
+    place = np.concatenate([[0.0], np.cumsum(speed[:-1])]) * 1e-4
+    stamp = np.arange(1.0 / fps, clock[-1], 1.0 / fps)
+    total = np.round(np.interp(stamp, clock, place))
+    three = np.array([[1.0, 0.0, 0.0]])
+    return Told(
+        stamp,
+        np.diff(total, prepend=0.0)[:, None] * three,
+        np.interp(stamp, clock, speed)[:, None] * three,
+        np.ones(len(stamp), dtype=bool),
+        clock,
+        place[:, None] * three,
+    )
+
+
+STOP = (
+    (0.0, 0),
+    (0.1, 0),
+    (0.25, 1500),
+    (0.45, 1500),
+    (0.55, 0),
+    (0.8, 0),
+    (0.9, 900),
+    (1.2, 900),
+    (1.35, 0),
+    (1.5, 0),
+)
+REVERSAL = ((0.0, 0), (0.1, 0), (0.25, 1500), (0.5, 1500), (0.7, -1500), (1.0, -1500), (1.25, 0), (1.5, 0))
+PANELS = {"a stop within 0.1 s, and on": STOP, "a reversal": REVERSAL}
+
+
+def draw() -> None:
+    """The figure."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    mpl.rcParams["svg.hashsalt"] = "spheremouse"
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
+    for axis, (title, stretches) in zip(axes, PANELS.items(), strict=True):
+        told = exact(stretches)
+        axis.plot(told.clock, told.place[:, 0], color="0.6", linewidth=4.0, label="the ball")
+        for label, colour, settings in (
+            ("horizon 0", "tab:orange", PointerSettings(horizon=0.0)),
+            ("the default", "tab:blue", PointerSettings()),
+        ):
+            times, places = pointer(told, LATENCY[30.0], settings)
+            shown = times < told.clock[-1]
+            axis.step(times[shown], places[shown, 0], where="post", color=colour, linewidth=1.2, label=label)
+        axis.set(title=title, xlabel="s", xlim=(0.0, 1.5))
+    axes[0].set_ylabel("counts")
+    axes[0].legend(frameon=False)
+    figure.savefig(PICTURE, metadata={"Date": None})
+    plt.close(figure)
+
+
+def main() -> None:
+    """Draw, and print or write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="replace figure and table of the page")
+    parser.add_argument("--figure", action="store_true", help="draw the figure alone")
+    given = parser.parse_args()
+    if given.write or given.figure:
+        draw()
+    if given.figure:
+        return
+    made = table()
+    print(made)
+    if given.write:
+        before, rest = PAGE.read_text(encoding="utf-8").split(MARKS[0])
+        after = rest.split(MARKS[1])[1]
+        write_atomically(PAGE, f"{before}{MARKS[0]}\n\n{made}\n\n{MARKS[1]}{after}")
+
+
+if __name__ == "__main__":
+    main()

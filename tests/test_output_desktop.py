@@ -1,0 +1,212 @@
+"""The desktop's pointer: what is made of counts, what is said where there is none, and a real X server's pointer."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import desktop, open_output
+from spheremouse.output.desktop import Desktop
+
+REPOSITORY = Path(__file__).parents[1]
+
+
+def motion(x=0, y=0, z=0):
+    return Motion(1.5, (x, y, z), np.zeros(3), np.zeros(3))
+
+
+class Pointer:
+    """In place of pynput's controller."""
+
+    def __init__(self):
+        self.at, self.scrolled, self.calls, self.error = [0, 0], 0, 0, None
+
+    def move(self, x, y):
+        self._call()
+        self.at = [self.at[0] + x, self.at[1] + y]
+
+    def scroll(self, x, y):
+        self._call()
+        assert x == 0
+        self.scrolled += y
+
+    def _call(self):
+        self.calls += 1
+        if self.error is not None:
+            raise self.error
+
+
+@pytest.mark.parametrize(
+    ("third", "counts", "words"),
+    [
+        ("none", (3, -2, 900), "pointer +3 -2"),
+        ("none", (0, 0, 900), ""),
+        ("wheel", (0, 5, 119), "pointer +0 +5"),
+        ("wheel", (0, 0, -250), "scroll -2"),
+        ("wheel", (1, 0, 120), "pointer +1 +0 scroll +1"),
+        ("none", (10**9, -(10**9), 0), "pointer +10000 -10000"),
+    ],
+)
+def test_the_text_twin_says_what_is_done(third, counts, words):
+    pointer = Pointer()
+    with Desktop(pointer, third) as output:
+        assert output.describe(motion(*counts)) == words
+        output.send(motion(*counts))
+    done = [f"pointer {pointer.at[0]:+d} {pointer.at[1]:+d}"] if any(pointer.at) else []
+    assert " ".join(done + ([f"scroll {pointer.scrolled:+d}"] if pointer.scrolled else [])) == words
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(-500, 500), max_size=50))
+def test_notches_follow_the_counts(turns):
+    pointer = Pointer()
+    output = Desktop(pointer, "wheel")
+    for k, z in enumerate(turns):
+        output.send(motion(z=z))
+        assert abs(sum(turns[: k + 1]) - desktop.NOTCH * pointer.scrolled) < desktop.NOTCH
+
+
+def test_an_empty_motion_asks_nothing_of_the_desktop():
+    pointer = Pointer()
+    Desktop(pointer, "none").send(motion(z=3))
+    assert pointer.calls == 0
+
+
+def test_a_desktop_that_goes_away_is_one_line():
+    pointer = Pointer()
+    pointer.error = ConnectionError("Display connection closed\nby server")
+    with pytest.raises(OutputError, match=r"any more: Display connection closed by server$"):
+        Desktop(pointer, "none").send(motion(1))
+
+
+def refused(spec):
+    with pytest.raises(OutputError) as e:
+        open_output(spec)
+    assert "\n" not in str(e.value)
+    return str(e.value)
+
+
+def test_arguments():
+    assert refused("desktop:third=rz") == "desktop: third=rz; write third= with one of none, wheel"
+    assert "unknown key thrid; did you mean third?" in refused("desktop:thrid=wheel")
+
+
+@pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="X11 and Wayland")
+def test_what_is_missing_is_said(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "XDG_SESSION_TYPE"):
+        monkeypatch.delenv(name, raising=False)
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "pynput" else real(name, *a))
+    assert "pip install 'spheremouse[desktop]'" in refused("desktop")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: object())
+    assert "DISPLAY is not set" in refused("desktop")
+    monkeypatch.setenv("DISPLAY", ":4711")  # Wayland sessions have an X server for old programs
+    monkeypatch.setenv("XDG_SESSION_TYPE", "wayland")
+    assert "on Wayland no program may move the pointer; use uinput" in refused("desktop")
+
+
+# ---- a real X server ----
+
+needs_x = pytest.mark.skipif(
+    not (shutil.which("Xvfb") and shutil.which("xdotool") and importlib.util.find_spec("pynput")),
+    reason="needs Xvfb, xdotool and pynput",
+)
+
+PROGRAM = """
+import sys
+import numpy as np
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import open_output
+
+try:
+    with open_output("desktop:third=wheel") as output:
+        print("open", flush=True)
+        for line in sys.stdin:
+            counts = tuple(map(int, line.split()))
+            output.send(Motion(0.0, counts, np.zeros(3), np.zeros(3)))
+            print("sent", flush=True)
+except OutputError as e:
+    print(e, flush=True)
+"""
+
+
+@pytest.fixture
+def display():
+    """A screen of 1280 x 1024 that nobody sees; its name, and the server's process."""
+    read, write = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x1024x24", "-nolisten", "tcp"]
+    with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
+        os.close(write)
+        with os.fdopen(read) as number:
+            name = number.readline().strip()  # empty where the server ended
+        if not name:
+            pytest.skip("Xvfb does not start here")
+        yield f":{name}", server
+        server.terminate()
+
+
+def program(name):
+    env = {k: v for k, v in os.environ.items() if k not in ("WAYLAND_DISPLAY", "XDG_SESSION_TYPE")}
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM],
+        env={**env, "DISPLAY": name},
+        cwd=REPOSITORY,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        bufsize=1,
+    )
+
+
+def place(name):
+    """Where the X server says that the pointer is."""
+    said = subprocess.run(
+        ["xdotool", "getmouselocation", "--shell"], env={"DISPLAY": name}, capture_output=True, text=True, check=True
+    ).stdout
+    found = dict(line.split("=") for line in said.splitlines())
+    return int(found["X"]), int(found["Y"])
+
+
+@needs_x
+def test_the_pointer_of_a_real_x_server_moves_by_the_counts(display):
+    name, server = display
+    with program(name) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stdout.readline() == "open\n"
+        subprocess.run(["xdotool", "mousemove", "600", "500"], env={"DISPLAY": name}, check=True)
+
+        def send(*counts):
+            process.stdin.write(" ".join(map(str, counts)) + "\n")
+            return process.stdout.readline()
+
+        x, y = 600, 500
+        for k in range(50):
+            dx, dy = 7 * k % 23 - 11, 5 * k % 17 - 8
+            x, y = x + dx, y + dy
+            assert send(dx, dy, 7) == "sent\n"
+        assert place(name) == (x, y)
+        assert send(100_000, 0, 0) == "sent\n"  # a screen has edges
+        assert place(name) == (1279, y)
+        server.kill()
+        server.wait()
+        assert send(1, 0, 0).startswith("desktop: the pointer cannot be moved any more: ")
+
+
+@needs_x
+def test_a_server_that_does_not_answer():
+    with program(":4711") as process:
+        said, _ = process.communicate(timeout=60)
+    assert said == (
+        "desktop: the X11 display :4711 does not answer or refuses; check DISPLAY and XAUTHORITY, or use uinput\n"
+    )

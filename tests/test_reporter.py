@@ -1,0 +1,387 @@
+"""The reporter: outputs that fail, hang and come back, and a ledger that is always even."""
+
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spheremouse.daemon import reporter as module
+from spheremouse.daemon.reporter import Reporter
+from spheremouse.errors import OutputError
+from spheremouse.motion import Motion
+from spheremouse.output import OutputClosed, open_output
+from spheremouse.pointer import PointerSettings
+
+PATIENCE = 20.0  # s, for what takes milliseconds
+EXACT = PointerSettings(horizon=0.0)
+NONE = (0.0, 0.0, 0.0)
+
+
+@dataclass
+class World:
+    """Outputs as the test wants them, and what became of them."""
+
+    motions: list[Any] = field(default_factory=list)
+    opened: int = 0
+    closed: list[Any] = field(default_factory=list)  # error with which each was left
+    broken: BaseException | None = None  # raised by send
+    missing: BaseException | None = None  # raised on opening
+    gate: threading.Event | None = None  # sending waits for it
+    door: threading.Event | None = None  # opening waits for it
+    said: list[str] = field(default_factory=list)
+
+    def open(self):
+        self.opened += 1
+        if self.door is not None:
+            assert self.door.wait(PATIENCE)
+        if self.missing is not None:
+            raise self.missing
+        return Fake(self)
+
+    @property
+    def sum(self):
+        return tuple(np.sum([m.counts for m in self.motions], axis=0)) if self.motions else (0, 0, 0)
+
+
+class Fake:
+    """An output that writes down."""
+
+    def __init__(self, world):
+        self._world = world
+
+    def send(self, motion):
+        if self._world.gate is not None:
+            assert self._world.gate.wait(PATIENCE)
+        if self._world.broken is not None:
+            raise self._world.broken
+        self._world.motions.append(motion)
+
+    def describe(self, motion):
+        return ""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        self._world.closed.append(error)
+        raise RuntimeError("leaving fails as well")
+
+
+class Given:
+    """Frames, with their sum."""
+
+    def __init__(self, reporter):
+        self._reporter, self.sum, self._frames = reporter, np.zeros(3, int), 0
+
+    def __call__(self, *counts, rate=NONE, tracking=True, taken=None):
+        self._frames += 1
+        motion = Motion(float(self._frames), counts, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]))
+        self.sum += counts
+        self._reporter.give(motion, rate, time.monotonic() if taken is None else taken, tracking)
+
+
+def until(condition):
+    """Wait until it is so."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it never came to be"
+        time.sleep(0.002)
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    monkeypatch.setattr(module, "BACK_OFF", (0.005, 0.02))
+    monkeypatch.setattr(module, "LATE", PATIENCE)  # a test machine may hang as well
+
+
+@pytest.fixture
+def start():
+    """Reporters that end with the test."""
+    started = []
+
+    def begin(world, settings=EXACT, open_it=None):
+        reporter = Reporter(open_it or world.open, settings, world.said.append)
+        started.append(reporter)
+        return reporter, Given(reporter)
+
+    yield begin
+    for reporter in started:
+        reporter.close()
+        assert not reporter._thread.is_alive()
+
+
+def even(reporter, given):
+    """Given = sent + unsent - ahead, and nothing is ahead at horizon 0."""
+    status = reporter.status()
+    return np.array_equal(np.add(status.sent, status.unsent), given.sum + status.ahead)
+
+
+# ---- frames ----
+
+
+def test_every_frame_is_sent_once_even_if_it_is_empty(start):
+    """Some outputs want to know that the tracker lives."""
+    world = World()
+    reporter, given = start(world)
+    for counts in ((3, -2, 1), (0, 0, 0), (5, 0, 0)):
+        given(*counts)
+        until(lambda n=given._frames: len(world.motions) == n)
+    assert [m.counts for m in world.motions] == [(3, -2, 1), (0, 0, 0), (5, 0, 0)]
+    assert [m.stamp for m in world.motions] == [1.0, 2.0, 3.0]
+    until(lambda: reporter.status().reports == 2)
+    status = reporter.status()
+    assert (status.failed, status.sent, status.unsent, status.ahead) == (None, (8, -2, 1), (0, 0, 0), (0, 0, 0))
+
+
+def test_motion_is_carried_on_to_the_horizon_and_no_further(start):
+    world = World()
+    reporter, given = start(world, PointerSettings(horizon=0.1))
+    now = time.monotonic()
+    given(0, 0, 0, rate=(900.0, -900.0, 0.0), taken=now - 1 / 30)
+    given(30, -30, 0, rate=(900.0, -900.0, 1e6), taken=now)
+    until(lambda: world.sum == (120, -120, 0))
+    assert len([m for m in world.motions if any(m.counts)]) >= 2  # the first had its share alone
+    until(lambda: reporter.status().ahead == (90, -90, 0))
+    assert even(reporter, given)
+    stamps = [m.stamp for m in world.motions]
+    assert stamps == sorted(stamps)
+    assert all(np.any(m.rotation) == (m.stamp in (1.0, 2.0)) for m in world.motions)  # a rotation is told once
+    given(80, 0, 0, taken=now + 1 / 30)  # less than what was overshot
+    given(13, 1, 0, taken=now + 2 / 30)
+    until(lambda: world.sum == (123, -119, 0))  # and of y, which turned round, all
+    until(lambda: reporter.status().ahead == (0, -90, 0))
+    assert even(reporter, given)
+
+
+def test_the_latency_is_from_the_stamp_to_the_end_of_send(start):
+    world = World(gate=threading.Event())
+    reporter, given = start(world)
+    assert reporter.status().latency is None
+    taken = time.monotonic()
+    given(1, 0, 0, taken=taken)
+    time.sleep(0.02)
+    world.gate.set()
+    until(lambda: reporter.status().latency is not None)
+    latency = reporter.status().latency
+    assert 0.02 <= latency.p50 == latency.p99 == latency.max <= time.monotonic() - taken
+
+
+def test_settings_change_while_it_runs(start):
+    world = World()
+    reporter, given = start(world, PointerSettings(horizon=0.1))
+    now = time.monotonic()
+    given(0, 0, 0, rate=(100.0, 0.0, 0.0), taken=now - 0.1)
+    given(10, 0, 0, rate=(100.0, 0.0, 0.0), taken=now)
+    until(lambda: world.sum == (20, 0, 0) and reporter._next == np.inf)
+    reporter.change(EXACT)
+    given(20, 0, 0, rate=(1000.0, 0.0, 0.0), taken=now + 0.1)
+    until(lambda: world.sum == (30, 0, 0))
+    until(lambda: reporter.status().ahead == (0, 0, 0))
+
+
+def test_giving_never_waits_and_what_is_pushed_out_is_counted(start, monkeypatch):
+    monkeypatch.setattr(module, "QUEUED", 5)
+    world = World(gate=threading.Event())
+    reporter, given = start(world)
+    for _ in range(200):
+        given(1, 2, 3)
+    assert world.motions == []  # all were given while the output hung
+    world.gate.set()
+    until(lambda: even(reporter, given))
+    assert 1 <= len(world.motions) <= 6
+    assert world.sum == reporter.status().sent
+
+
+def test_counts_that_waited_too_long_are_not_wanted(start, monkeypatch):
+    monkeypatch.setattr(module, "LATE", 0.0)
+    world = World()
+    reporter, given = start(world)
+    given(1, 2, 3)
+    until(lambda: reporter.status().unsent == (1, 2, 3))
+    assert world.motions == []
+
+
+# ---- pause ----
+
+
+def test_while_paused_nothing_is_sent(start):
+    world = World()
+    reporter, given = start(world)
+    given(1, 1, 1)
+    until(lambda: world.sum == (1, 1, 1))
+    reporter.pause(True)
+    for _ in range(10):
+        given(7, 0, -7)
+    reporter.pause(False)  # maybe before the thread has seen any of them
+    given(2, 2, 2)
+    until(lambda: world.sum == (3, 3, 3))
+    assert reporter.status().unsent == (70, 0, -70)
+    assert even(reporter, given)
+
+
+def test_a_pause_ends_what_was_under_way(start):
+    world = World()
+    reporter, given = start(world, PointerSettings(horizon=0.25, smooth=1.0))
+    now = time.monotonic()
+    given(0, 0, 0, taken=now - 1.0)
+    given(100_000, 0, 0, rate=(1e5, 0.0, 0.0), taken=now)
+    until(lambda: len(world.motions) >= 2)
+    reporter.pause(True)
+    until(lambda: reporter._resampler.stamp is None)
+    sent = len(world.motions)
+    until(lambda: even(reporter, given))
+    time.sleep(0.05)
+    assert len(world.motions) == sent
+
+
+# ---- outputs that fail ----
+
+
+@pytest.mark.parametrize(
+    "error", [OutputError("uinput: gone"), OSError(19, "No such device"), ValueError(), RuntimeError("two\nlines")]
+)
+def test_an_output_that_fails_is_opened_again_and_nothing_jumps(start, error):
+    world = World()
+    reporter, given = start(world)
+    given(1, 0, 0)
+    until(lambda: world.sum == (1, 0, 0))
+    world.missing = world.broken = error
+    given(10, 0, 0)
+    until(lambda: reporter.status().failed is not None)
+    status = reporter.status()
+    assert status.failed
+    assert "\n" not in status.failed
+    for _ in range(5):
+        given(100, 0, 0)
+    until(lambda: reporter.status().unsent == (510, 0, 0))
+    until(lambda: world.opened > 3)
+    world.missing = world.broken = None
+    until(lambda: reporter.status().failed is None)
+    given(2, 0, 0)
+    until(lambda: world.sum == (3, 0, 0))
+    until(lambda: reporter._failures == 0)
+    assert world.closed == [error]
+    assert world.said == [f"output: {status.failed}; trying again until it works", "output: works again"]
+    assert even(reporter, given)
+
+
+def test_an_output_that_is_not_there_at_the_start(start):
+    world = World(missing=OutputError("serial: no board"))
+    reporter, given = start(world)
+    until(lambda: reporter.status().failed == "serial: no board")
+    given(5, 0, 0)
+    until(lambda: reporter.status().unsent == (5, 0, 0))
+    world.missing = None
+    until(lambda: reporter.status().failed is None)
+    given(6, 0, 0)
+    until(lambda: world.sum == (6, 0, 0))
+
+
+def test_what_comes_while_an_output_is_opened_again_is_not_sent(start):
+    world = World(broken=OutputError("gone"))
+    reporter, given = start(world)
+    world.door = threading.Event()
+    world.door.set()
+    until(lambda: reporter._output is not None)
+    world.door.clear()
+    given(1, 0, 0)
+    until(lambda: world.opened == 2)  # and waits for the door
+    world.broken = None
+    given(50, 0, 0)  # not late yet, when the door opens
+    world.door.set()
+    until(lambda: reporter.status().unsent == (51, 0, 0))
+    assert world.motions == []
+
+
+def test_patience_grows_while_nothing_can_be_sent_though_it_opens(start):
+    """A device that is created and refuses each report would come and go hundreds of times a second."""
+    world = World(broken=OutputError("refuses"))
+    reporter, given = start(world)
+    for k in range(4):
+        until(lambda k=k: world.opened == k + 1 and reporter._output is not None)
+        assert reporter._failures == k
+        given(1, 0, 0)
+    until(lambda: reporter._failures == 4)
+
+
+def test_the_time_between_two_openings_grows(start, monkeypatch):
+    monkeypatch.setattr(module, "BACK_OFF", (0.0, 0.0, 3600.0))
+    world = World(missing=OutputError("not there"))
+    reporter, _ = start(world)
+    until(lambda: reporter._failures == 3)
+    assert reporter._again > time.monotonic() + 1800.0
+    assert world.opened == 3
+
+
+def test_a_reader_that_has_gone_is_the_end(start):
+    world = World(broken=OutputClosed("standard output"))
+    reporter, given = start(world)
+    given(1, 0, 0)
+    until(lambda: reporter.status().ended)
+    given(2, 0, 0)
+    until(lambda: reporter.status().unsent == (3, 0, 0))
+    assert world.opened == 1
+    assert reporter.status().failed == "whoever read the output has gone"
+
+
+def test_closing_leaves_the_output(start):
+    world = World()
+    reporter, given = start(world)
+    given(1, 0, 0)
+    until(lambda: world.motions)
+    reporter.close()
+    assert world.closed == [None]
+    given(9, 0, 0)  # too late, and harmless
+
+
+def test_the_ledger_stays_even_whatever_happens(start):
+    """Faults at random, motion all the while; then it comes to rest."""
+    rng = np.random.default_rng(1)
+    world = World()
+    reporter, given = start(world, PointerSettings(rate=1000.0))
+    for _ in range(300):
+        counts = rng.integers(-50, 50, 3)
+        given(*counts.tolist(), rate=tuple(30.0 * counts))
+        world.broken = OutputError("gone") if rng.random() < 0.1 else None
+        world.missing = OutputError("missing") if rng.random() < 0.1 else None
+        if rng.random() < 0.05:
+            reporter.pause(bool(rng.random() < 0.5))
+        time.sleep(float(rng.uniform(0.0, 0.004)))
+    world.broken = world.missing = None
+    reporter.pause(False)
+    until(lambda: even(reporter, given) and tuple(world.sum) == reporter.status().sent)
+    assert world.said
+
+
+# ---- logs ----
+
+
+def test_a_log_has_a_line_per_frame_as_the_frames_say(start, tmp_path):
+    path = tmp_path / "log.txt"
+    world = World()
+    reporter, given = start(world, PointerSettings(), lambda: open_output(f"text:{path}"))
+    for k in range(40):
+        given(k, -k, 0, rate=(1e4, 1e4, 0.0))
+    until(lambda: even(reporter, given) and reporter.status().sent[0] == 780)
+    reporter.close()
+    lines = [line.split() for line in path.read_text().splitlines()[1:]]
+    assert [line[:4] for line in lines] == [[f"{k + 1.0}", str(k), str(-k), "0"] for k in range(40)]
+    assert {tuple(line[4:]) for line in lines} == {("0.1", "0.2", "0.3", "1.0", "2.0", "3.0")}
+
+
+def test_or_a_line_per_report_where_that_is_wanted(start, tmp_path):
+    path = tmp_path / "log.txt"
+    reporter, given = start(World(), PointerSettings(text=True), lambda: open_output(f"text:{path}"))
+    now = time.monotonic()
+    given(0, 0, 0, rate=(900.0, 0.0, 0.0), taken=now - 1 / 30)
+    given(30, 0, 0, rate=(900.0, 0.0, 0.0), taken=now)
+    until(lambda: reporter.status().sent == (120, 0, 0))
+    reporter.close()
+    lines = [line.split() for line in path.read_text().splitlines()[1:]]
+    assert len(lines) > 2
+    assert sum(int(line[1]) for line in lines) == 120
+    assert lines[0][:2] == ["1.0", "0"]
+    assert float(lines[-1][0]) > 2.0
