@@ -9,7 +9,9 @@ from spheremouse.errors import SpheremouseError
 
 
 def begin_folder(path: Path, error: type[SpheremouseError]) -> Path:
-    """An empty folder beside `path`, for what is to become `path`."""
+    """An empty folder beside `path`, for what is to become `path`; `error` where that is there and no folder."""
+    if path.exists() and not path.is_dir():
+        raise error(f"{path}: is a file; name a folder")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))

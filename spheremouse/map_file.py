@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from spheremouse import __version__
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
+from spheremouse.migrate import converted
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.validate import validated
@@ -177,11 +178,9 @@ def _of_this_schema(document: Document) -> Document:
     """The document less its `schema` key, which is of its own: maps and rigs change at different times."""
     if not isinstance(document.data, dict):
         raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {MAP_SCHEMA}`")])
+    document = converted(document)
     data = dict(document.data)
     version = data.pop("schema", None)
-    if type(version) is int and version > MAP_SCHEMA:
-        text = f"is {shown(version)}, of a newer spheremouse; this one reads {MAP_SCHEMA}: update it"
-        raise document.error([Problem(("schema",), text)])
     if type(version) is not int or version != MAP_SCHEMA:
         raise document.error(
             [Problem(("schema",), f"must be {MAP_SCHEMA}, is {'missing' if version is None else shown(version)}")]

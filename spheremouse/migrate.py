@@ -52,7 +52,7 @@ def converted(document: Document) -> Document:
         return document
     kind = kind_of(data)
     if version > newest(kind):
-        text = f"is {version}, of a newer spheremouse; this one reads {newest(kind)}: update it, or take an older file"
+        text = f"is {version}, of a newer spheremouse; this one reads {newest(kind)}: update it"
         raise document.error([Problem(("schema",), text)])
     if version == newest(kind):
         return document

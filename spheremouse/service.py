@@ -26,6 +26,8 @@ _MARK = "# Placed by `spheremouse service install`; do not edit (digest of what 
 _MARKED = re.compile(re.escape(_MARK.strip()).replace(r"\{\}", "([0-9a-f]{16})"))
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
+_MADE = ("spheremouse", "xorg.conf.d", "X11")  # folders that a system may have had no use for before
+
 State = Literal["missing", "ok", "older", "edited"]
 
 
@@ -185,10 +187,10 @@ def left(place: Place) -> list[Path]:
 
 def tidy(place: Place) -> None:
     """Remove folders of ours that are empty; below a root of one's own all that are."""
-    folders = (place.configuration, place.state, place.link.parent, *(p.parent for _, p in place.files()))
+    folders = (place.configuration, place.state, place.cache, place.link.parent, *(p.parent for _, p in place.files()))
     for folder in (f for f in folders if f is not None):
         for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):
-            if place.root == Path("/") and path.name != "spheremouse":
+            if place.root == Path("/") and path.name not in _MADE:
                 break
             with contextlib.suppress(OSError):  # not empty, or gone
                 path.rmdir()

@@ -121,6 +121,9 @@ def without_schema(document: Document) -> Document:
     """The document less its `schema` key, which must be the version this program reads."""
     if not isinstance(document.data, dict):
         raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {SCHEMA}`")])
+    from spheremouse.migrate import converted  # late: it reads and writes by this module
+
+    document = converted(document)
     data = dict(document.data)
     version = data.pop("schema", None)
     if version is None:
@@ -142,8 +145,14 @@ def write_json(path: Path, data: Any) -> bool:
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write a text file so that at any moment either the old or the new one is there, whole."""
+    """Write a text file so that at any moment either the old or the new one is there, whole.
+
+    A device or a pipe is written to, never replaced.
+    """
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            path.write_text(text, encoding="utf-8")
+            return
         mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
         descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".new")
         try:

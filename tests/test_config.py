@@ -297,7 +297,7 @@ def test_no_value_becomes_a_number_by_surprise(problems, value):
         ("", "1: empty; the first line is `schema: 1`"),
         ("# only a comment\n", "1: empty;"),
         ("so3: {}\n", "1: schema: missing;"),
-        ("schema: 2\n", "1: schema: is 2; this program reads version 1"),
+        ("schema: 2\n", "1: schema: is 2, of a newer spheremouse; this one reads 1"),
         ("so3: {}\nschema: '1'\n", "2: schema: is '1';"),
         ("schema: true\n", "1: schema: is true;"),
         ("[1]\n", "1: must be `key: value` lines"),

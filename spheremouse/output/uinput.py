@@ -99,7 +99,7 @@ def _create(third: str) -> Any:
     try:
         import evdev
     except ImportError:
-        raise OutputError("uinput: needs Linux and the Python package evdev; use text:- elsewhere") from None
+        raise OutputError("uinput: needs Linux and the package evdev; elsewhere use serial:auto or desktop") from None
     node = "/dev/uinput"
     if not os.path.exists(node):
         raise OutputError(f"uinput: {node} does not exist; load the kernel module: sudo modprobe uinput")
@@ -110,8 +110,14 @@ def _create(third: str) -> Any:
             "and log in again"
         )
     capabilities = {EV_KEY: [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], EV_REL: [REL_X, REL_Y, *_AXES[third]]}
+    class Mouse(evdev.UInput):
+        """Without a look at its own event node: a service may write to uinput and read no input device."""
+
+        def _find_device(self, _fd: int) -> Any:
+            return None
+
     try:
-        return evdev.UInput(
+        return Mouse(
             capabilities,
             name=NAME,
             vendor=VENDOR,

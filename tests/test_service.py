@@ -1,0 +1,363 @@
+"""`spheremouse service`: what is placed, kept and removed below a root of its own, and that systemd and udev accept it.
+
+systemd's own tools judge the unit where they are installed; the others need nothing.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from spheremouse import service
+from spheremouse.cli_service import app
+from spheremouse.errors import ServiceError
+from spheremouse.service import Place
+
+PROGRAM = "/opt/spheremouse/current/bin/spheremouse"
+UNIT = "etc/systemd/system/spheremouse.service"
+LIMIT = 2.5  # of `systemd-analyze security`: how much is open
+
+
+def tree(root):
+    """Every path below a folder, with the text of files and the aim of links."""
+    return {
+        str(p.relative_to(root)): os.readlink(p) if p.is_symlink() else p.read_text() if p.is_file() else None
+        for p in sorted(root.rglob("*"))
+    }
+
+
+def call(*arguments, root=None):
+    """Output of the command; it must not fail."""
+    given = [*arguments, *([] if root is None else ["--root", str(root)])]
+    result = CliRunner().invoke(app, given)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture
+def root(tmp_path):
+    path = tmp_path / "root"
+    path.mkdir()
+    return path
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """A home of one's own, where nothing is known of this account's services."""
+    path = tmp_path / "home"
+    path.mkdir()
+    monkeypatch.setenv("HOME", str(path))
+    for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "SUDO_USER"):
+        monkeypatch.delenv(name, raising=False)
+    return path
+
+
+# ---- place and remove ----
+
+
+def test_installing_places_every_file_and_a_second_time_changes_nothing(root):
+    call("install", root=root)
+    once = tree(root)
+    assert {str(p.relative_to(root)) for _, p in Place(root).files()} < set(once)
+    assert once["etc/systemd/system/multi-user.target.wants/spheremouse.service"] == f"/{UNIT}"
+    assert f"ExecStart={sys.prefix}/bin/spheremouse run --config /etc/spheremouse/config.yaml\n" in once[UNIT]
+    assert "all files are in place" in call("install", root=root)
+    assert tree(root) == once
+
+
+def test_nothing_is_left_unfilled(root):
+    call("install", root=root)
+    placed = [p for p in root.rglob("*") if p.is_file()]
+    assert len(placed) == len(Place(root).files()) + 1
+    for path in placed:
+        assert not re.search(r"@[A-Z0-9]+@", path.read_text()), path
+
+
+def test_uninstalling_leaves_nothing_where_nobody_changed_anything(root):
+    (root / "etc").mkdir()
+    (root / "etc" / "hostname").write_text("cabinet\n")
+    before = tree(root)
+    call("install", root=root)
+    assert "the service is gone" in call("uninstall", root=root)
+    assert tree(root) == before
+    assert "there was no service" in call("uninstall", root=root)
+
+
+@pytest.mark.parametrize("purge", [False, True])
+def test_configuration_calibration_and_map_stay_unless_purged(root, purge):
+    call("install", root=root)
+    kept = {"etc/spheremouse/config.yaml": "schema: 1\n", "etc/spheremouse/rig.yaml": "rig"}
+    kept["var/lib/spheremouse/rig.map.yaml"] = "map"
+    for name, text in kept.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    said = call("uninstall", *(["--purge"] if purge else []), root=root)
+    files = {name: text for name, text in tree(root).items() if text is not None}
+    assert files == ({} if purge else kept)
+    assert all(str(root / name) in said for name in kept) or purge
+
+
+def test_compiled_code_goes_with_the_service(root):
+    call("install", root=root)
+    (root / "var/cache/spheremouse/x").mkdir(parents=True)
+    (root / "var/cache/spheremouse/x/y.nbc").write_text("code")
+    call("uninstall", root=root)
+    assert tree(root) == {}
+
+
+def test_a_configuration_that_is_there_is_not_touched(root):
+    (root / "etc/spheremouse").mkdir(parents=True)
+    (root / "etc/spheremouse/config.yaml").write_text("schema: 1\n# mine\n")
+    call("install", root=root)
+    assert (root / "etc/spheremouse/config.yaml").read_text() == "schema: 1\n# mine\n"
+
+
+@pytest.mark.parametrize("name", [p for _, p in Place().files()])
+def test_an_edited_file_is_kept_as_a_copy_by_installing_and_by_uninstalling(root, name):
+    path = root / name.relative_to("/")
+    call("install", root=root)
+    ours = path.read_text()
+    for edit, backup in (("# one\n", ".bak"), ("# two\n", ".bak1")):
+        path.write_text(ours + edit)
+        call("install", root=root)
+        assert path.read_text() == ours
+        assert path.with_name(path.name + backup).read_text() == ours + edit
+    path.write_text(ours + "# three\n")
+    call("uninstall", root=root)
+    assert not path.exists()
+    assert path.with_name(path.name + ".bak2").read_text() == ours + "# three\n"
+    call("uninstall", "--purge", root=root)
+    assert tree(root) == {}
+
+
+def test_a_file_of_another_version_is_updated_without_a_copy(root):
+    place = Place(root)
+    for program, what in ((PROGRAM, "write"), ("/opt/spheremouse/other/bin/spheremouse", "update")):
+        said = list(service.carry_out(service.install(place, program, None)))
+        assert f"{what} {root / UNIT}" in said
+        assert f"ExecStart={program} run" in (root / UNIT).read_text()
+    assert not list(root.rglob("*.bak*"))
+
+
+def test_a_service_that_was_disabled_stays_disabled(root):
+    call("install", root=root)
+    Place(root).link.unlink()
+    (root / UNIT).unlink(missing_ok=False)
+    (root / UNIT).write_text("[Service]\nExecStart=/bin/true\n")
+    call("install", root=root)
+    assert not Place(root).link.is_symlink()
+
+
+@pytest.mark.parametrize("command", ["install", "uninstall"])
+def test_a_dry_run_says_all_and_does_nothing(root, command):
+    if command == "uninstall":
+        call("install", root=root)
+    before = tree(root)
+    said = call(command, "--dry-run", root=root)
+    assert tree(root) == before
+    for _, path in Place(root).files():
+        assert str(path) in said
+
+
+def test_a_users_own_service_goes_to_the_home_alone(root, home):
+    call("install", "--user", root=root)
+    below = root / home.relative_to("/")
+    assert all(p.is_relative_to(below) or below.is_relative_to(p) for p in root.rglob("*"))
+    unit = below / ".config/systemd/user/spheremouse.service"
+    assert "run --config %E/spheremouse/config.yaml" in unit.read_text()
+    assert os.readlink(unit.parent / "default.target.wants" / unit.name) == f"{home}/.config/systemd/user/{unit.name}"
+    assert f"rig: {home}/.config/spheremouse/rig.yaml\n" in (below / ".config/spheremouse/config.yaml").read_text()
+    call("uninstall", "--user", root=root)
+    assert tree(root) == {}
+
+
+def test_status_tells_what_is_missing_edited_or_foreign(root):
+    assert CliRunner().invoke(app, ["status", "--root", str(root)]).exit_code == 1
+    call("install", root=root)
+    assert "edited" not in call("status", root=root)
+    (root / UNIT).write_text((root / UNIT).read_text() + "# more\n")
+    assert f"{root / UNIT}: edited by hand\n" in call("status", root=root)
+    (root / UNIT).unlink()
+    result = CliRunner().invoke(app, ["status", "--root", str(root)])
+    assert result.exit_code == 1
+    assert f"{root / UNIT}: missing\n" in result.output
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_without_rights_the_command_to_repeat_is_said(root):
+    root.chmod(0o555)
+    with pytest.raises(ServiceError, match=r"sudo .*spheremouse service install"):
+        call("install", root=root)
+
+
+def test_without_rights_the_command_to_repeat_is_said_to_root_too(root, monkeypatch):
+    monkeypatch.setattr(service, "may", lambda place: False)
+    with pytest.raises(ServiceError, match=r"sudo .*spheremouse service install"):
+        call("install", root=root)
+    assert tree(root) == {}
+
+
+# ---- the program's path ----
+
+
+def test_the_unit_starts_the_version_in_use_by_the_link_that_upgrades_move(tmp_path, monkeypatch):
+    for version in ("1.0", "2.0"):
+        (tmp_path / version / "bin").mkdir(parents=True)
+        (tmp_path / version / "bin" / "spheremouse").write_text("")
+    (tmp_path / "current").symlink_to("2.0")
+    place = Place(tmp_path)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "2.0"))
+    assert service.executable(place) == "/current/bin/spheremouse"
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "1.0"))
+    assert service.executable(place) == "/1.0/bin/spheremouse"
+
+
+@pytest.mark.parametrize("folder", ["/home/a/venv", "/root/venv", "/tmp/venv"])
+def test_a_program_that_the_service_cannot_reach_is_refused(folder, monkeypatch):
+    monkeypatch.setattr(sys, "prefix", folder)
+    monkeypatch.setattr(Path, "exists", lambda path: True)
+    with pytest.raises(ServiceError, match="user of its own"):
+        service.executable(Place())
+    assert service.executable(Place(user=True)) == f"{folder}/bin/spheremouse"
+
+
+@pytest.mark.parametrize("folder", ["/opt/my venv", "/opt/100%", '/opt/a"b', "/opt/a\nb"])
+def test_a_path_that_systemd_would_read_otherwise_is_refused(folder, monkeypatch):
+    monkeypatch.setattr(sys, "prefix", folder)
+    monkeypatch.setattr(Path, "exists", lambda path: True)
+    with pytest.raises(ServiceError, match="without spaces"):
+        service.executable(Place())
+
+
+# ---- what is in the files ----
+
+
+def unit(name="systemd/spheremouse.service", systemd=None):
+    return service.rendered(name, "/bin/true", systemd)
+
+
+def test_waiting_longer_from_try_to_try_is_left_out_where_systemd_does_not_know_it():
+    assert "RestartSteps" not in unit(systemd=None)
+    assert "RestartSteps" not in unit(systemd=252)
+    assert re.search(r"^RestartSteps=\d+\nRestartMaxDelaySec=\d+$", unit(systemd=254), re.M)
+
+
+def test_the_kernel_knows_every_driver_of_the_device_list_before_the_service_starts():
+    """A `char-` line whose name is not in /proc/devices then is skipped, and what is plugged in later stays closed."""
+    modules = {"video4linux": "videodev", "ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
+    loaded = (service.folder() / "systemd/modules-load.conf").read_text().split("\n")
+    listed = re.findall(r"^DeviceAllow=char-(\S+) rw$", unit(), re.M)
+    assert set(listed) == set(modules)
+    assert {modules[name] for name in listed} | {"uinput"} <= set(loaded)
+    assert "After=systemd-modules-load.service" in unit()
+
+
+def test_names_agree_with_the_code():
+    from spheremouse.output import uinput
+
+    xorg = (service.folder() / "desktop/90-spheremouse-xorg.conf").read_text()
+    assert f'MatchProduct "{uinput.NAME}"' in xorg
+    assert 'Option "AccelProfile" "flat"' in xorg
+    rules = (service.folder() / "udev/70-spheremouse.rules").read_text()
+    boot = (service.folder() / "firmware/pico/boot.py").read_text()
+    product = re.search(r'set_usb_identification\("\w+", "(\w+)"\)', boot)
+    assert product is not None
+    assert f'ENV{{ID_MODEL}}!="{product[1]}*"' in rules
+
+
+def test_the_configuration_to_begin_with_is_one_that_the_program_reads(root):
+    from spheremouse import config
+
+    settings = pytest.importorskip("spheremouse.daemon.settings")
+    call("install", root=root)
+    given = config.load(root / "etc/spheremouse/config.yaml", settings.Configuration)
+    assert (given.source, given.output) == ("v4l2:/dev/video0", "auto")
+    assert (given.rig, given.map) == ("/etc/spheremouse/rig.yaml", "/var/lib/spheremouse/rig.map.yaml")
+
+
+# ---- what systemd and udev say ----
+
+
+def judged(*command):
+    """Output of a tool that must find nothing wrong; skips where it is missing."""
+    if shutil.which(command[0]) is None:
+        pytest.skip(f"{command[0]} is not installed")
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return result.returncode, result.stdout + result.stderr
+
+
+@pytest.mark.parametrize("user", [False, True])
+def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path, monkeypatch, user):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    version = re.match(r"systemd (\d+)", judged("systemd-analyze", "--version")[1])
+    assert version is not None
+    path = tmp_path / "spheremouse.service"
+    path.write_text(
+        unit("systemd/spheremouse-user.service" if user else "systemd/spheremouse.service", int(version[1]))
+    )
+    code, said = judged("systemd-analyze", "verify", *(["--user"] if user else []), str(path))
+    if "Failed to initialize manager" in said or "Operation not permitted" in said:
+        pytest.skip(f"systemd-analyze verify does not work here: {said.strip()}")
+    assert [line for line in said.splitlines() if "spheremouse" in line] == []
+    assert code == 0
+
+
+def test_the_unit_is_closed(tmp_path):
+    path = tmp_path / "spheremouse.service"
+    path.write_text(unit())
+    code, said = judged("systemd-analyze", "security", "--offline=true", f"--threshold={10 * LIMIT:.0f}", str(path))
+    if "offline" in said and "nrecognized" in said:
+        pytest.skip("this systemd-analyze has no --offline")
+    found = re.search(r"Overall exposure level for \S+: ([\d.]+)", said)
+    assert found is not None, said
+    assert float(found[1]) <= LIMIT
+    assert code == 0
+
+
+def test_udev_finds_nothing_wrong_with_the_rules():
+    if "verify" not in judged("udevadm", "--help")[1]:
+        pytest.skip("udevadm verify came with systemd 254")
+    code, said = judged("udevadm", "verify", str(service.folder() / "udev/70-spheremouse.rules"))
+    assert code == 0, said
+
+
+def test_sysusers_and_tmpfiles_are_what_systemd_makes_of_them(tmp_path):
+    """The user with its groups, and folders that are its own, below another root."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can make users and give folders away")
+    (tmp_path / "etc").mkdir()
+    folder = service.folder() / "systemd"
+    code, said = judged("systemd-sysusers", f"--root={tmp_path}", str(folder / "sysusers.conf"))
+    assert code == 0, said
+    passwd = (tmp_path / "etc/passwd").read_text()
+    uid = re.search(r"^spheremouse:[^:]*:(\d+):", passwd, re.M)
+    assert uid is not None
+    groups = (tmp_path / "etc/group").read_text()
+    for group in ("video", "input", "dialout"):
+        assert re.search(rf"^{group}:[^:]*:\d+:spheremouse$", groups, re.M), groups
+    code, said = judged("systemd-tmpfiles", "--create", f"--root={tmp_path}", str(folder / "tmpfiles.conf"))
+    assert code == 0, said
+    cache = (tmp_path / "var/cache/spheremouse").stat()
+    assert (cache.st_uid, cache.st_mode & 0o777) == (int(uid[1]), 0o700)
+
+
+def test_the_tray_starts_with_a_desktop(tmp_path):
+    path = tmp_path / "spheremouse-tray.desktop"
+    path.write_text(service.rendered("desktop/spheremouse-tray.desktop", "/bin/true", None))
+    code, said = judged("desktop-file-validate", str(path))
+    assert (code, said) == (0, "")
+
+
+def test_the_installer_is_a_script_that_bash_reads_and_refuses_what_it_does_not_know():
+    script = str(service.folder() / "install.sh")
+    assert judged("bash", "-n", script) == (0, "")
+    code, said = judged("bash", script, "--backwards")
+    assert code == 1
+    assert said == "install.sh: --backwards: unknown; see --help\n"
