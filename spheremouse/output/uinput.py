@@ -113,7 +113,7 @@ def _create(third: str) -> Any:
     class Mouse(evdev.UInput):
         """Without a look at its own event node: a service may write to uinput and read no input device."""
 
-        def _find_device(self, _fd: int) -> Any:
+        def _find_device(self, fd: int) -> Any:
             return None
 
     try:
