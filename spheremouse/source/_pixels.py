@@ -5,6 +5,7 @@ luma only where that is enough. It is asked to say so where data is missing; wha
 Luma of YUYV and NV12 is as coded, usually from 16 (black) to 235 (white), ITU-R BT.601; of MJPG and GREY from 0 to 255.
 """
 
+import re
 from dataclasses import dataclass
 from typing import cast
 
@@ -21,6 +22,7 @@ Image = NDArray[np.uint8]
 FORMATS: tuple[PixelName, ...] = ("YUYV", "NV12", "MJPG", "GREY")  # the best first: what costs least, and has colour
 
 _JPEG = b"\xff\xd8\xff"
+_STRAY = 64  # bytes before a marker that nobody needs: many cameras send some; more are what damage leaves over
 _REFUSED = (
     ValueError,
     KeyError,
@@ -92,7 +94,8 @@ def _decoded(payload: Image, layout: Layout, space: str) -> Image:
     try:
         return simplejpeg.decode_jpeg(payload, colorspace=space, strict=True)
     except _REFUSED as e:
-        if "extraneous bytes before marker" not in str(e):  # a habit of many cameras, which does no harm
+        stray = re.search(r"(\d+) extraneous bytes before marker", str(e))
+        if stray is None or int(stray[1]) > _STRAY:
             raise DamagedFrameError(f"damaged JPEG: {_said(e)}") from None
     try:
         return simplejpeg.decode_jpeg(payload, colorspace=space, strict=False)

@@ -21,6 +21,7 @@ from linuxpy.video.device import (
     Memory,
     dequeue_buffer,
     enqueue_buffer,
+    free_buffers,
     get_fps,
     get_raw_format,
     human_pixel_format,
@@ -237,7 +238,10 @@ class Device:
             raise self.failure(e) from None
 
     def close(self) -> None:
-        """Stop, and give everything back. Memory that a picture still shows goes when that picture does."""
+        """Stop, and give everything back. Memory that a picture still shows goes when that picture does.
+
+        Such a mapping keeps the device open in the kernel; freeing the buffers makes it usable for others all the same.
+        """
         if self.fd < 0:
             return
         if self._streaming:
@@ -247,6 +251,8 @@ class Device:
         while self._maps:
             with suppress(BufferError):
                 self._maps.pop().close()
+        with suppress(OSError):
+            free_buffers(self.fd, CAPTURE, Memory.MMAP)
         os.close(self.fd)
         self.fd = -1
 

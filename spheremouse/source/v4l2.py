@@ -8,10 +8,11 @@ frames' numbers show that.
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from select import POLLIN, poll
-from threading import Condition
+from threading import Lock
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, cast, get_args
 
@@ -78,7 +79,7 @@ class V4L2Camera:
         self.notes: tuple[str, ...] = ()  # what was wrong with stamps, each told once
         self._device: Device | None = device
         self._controls = controls
-        self._free = Condition()
+        self._lock = Lock()
         self._out: dict[int, Shot] = {}
         self._ready = poll()
         self._ready.register(device.fd, POLLIN)
@@ -105,9 +106,6 @@ class V4L2Camera:
         device = self._device
         if device is None:
             raise SourceError("the camera is closed")
-        with self._free:
-            if not self._free.wait_for(lambda: len(self._out) < len(device.buffers), timeout):
-                return None
         waited = False
         while not (events := self._ready.poll(0)):
             left = deadline - time.monotonic()
@@ -132,22 +130,19 @@ class V4L2Camera:
         self._count, sequence = counted(self._count, buffer.sequence)
         payload = device.buffers[buffer.index][: buffer.bytesused]
         shot = Shot(self, buffer.index, payload, bool(flags & _ERROR), stamp, sequence)
-        with self._free:
+        with self._lock:
             self._out[buffer.index] = shot
         return shot
 
     def take_back(self, index: int, shot: Shot) -> None:
         """Queue a shot's buffer again, unless that was done, or the camera is closed."""
-        with self._free:
+        with self._lock:
             if self._out.get(index) is not shot:
                 return
             del self._out[index]
             if self._device is not None:
-                try:
+                with suppress(OSError):  # the camera is gone, which `next` will say
                     self._device.queue(index)
-                except OSError:
-                    return  # the camera is gone, which `next` will say
-            self._free.notify()
 
     def describe(self) -> str:
         """Device, mode, what the stamps are, what was set, and what was wrong with stamps."""
@@ -164,9 +159,8 @@ class V4L2Camera:
 
     def close(self) -> None:
         """Controls as they were, the device closed; shots that are out stay readable until they are released."""
-        with self._free:
+        with self._lock:
             device, self._device = self._device, None
-            self._free.notify_all()
         if device is not None:
             self._controls.restore()
             device.close()

@@ -1,6 +1,6 @@
 #!/bin/bash
-# Run one command as root in a QEMU guest that has a real kernel with uinput, evdev and USB on top of this machine's own
-# files: the guest sees them read-only, what it writes goes to its memory, and nothing outside can be harmed.
+# Run one command as root in a QEMU guest that has a real kernel with uinput, evdev, USB and cameras on top of this
+# machine's own files: the guest sees them read-only, what it writes goes to its memory, and nothing outside can be harmed.
 #
 #     run_in_vm.sh [--setup] [--timeout SECONDS] COMMAND [ARGUMENT...]
 #
@@ -9,11 +9,15 @@
 # The kernel is Debian's linux-image-amd64, downloaded once (70 MB) and kept with an initramfs in
 # ${XDG_CACHE_HOME:-~/.cache}/spheremouse-vm; nothing of it is installed. Another kernel: SPHEREMOUSE_VM_KERNEL=DIR,
 # a folder with boot/vmlinuz-VERSION and lib/modules/VERSION ("/" for the machine's own, where those can be read).
+# Cameras are not loaded, but lie in /run/cameras: NAME lists the files that insmod takes, in their order, the module
+# itself last; NAME.missing says why there is none. v4l2loopback is built for that kernel, once, from Debian's source
+# package and headers (14 MB more), where gcc and make are at hand.
 set -euo pipefail
 
 cache=${XDG_CACHE_HOME:-$HOME/.cache}/spheremouse-vm
 modules="virtio_pci 9pnet_virtio 9p overlay evdev uinput" # the first four make the root file system
 modules+=" libcomposite usb_f_hid usb_f_acm dummy_hcd usbhid hid-generic cdc-acm" # a USB device in software, and its drivers
+cameras="vivid v4l2loopback"
 limit=300
 
 say() { echo "run_in_vm: $*" >&2; }
@@ -48,41 +52,82 @@ fetch_kernel() {
     rm -f "$new"/*.deb
 }
 
+# Into the modules of a fetched kernel; on failure the reason is the only output.
+build_loopback() {
+    local new=$1 version=$2 tree=$1/headers packages package
+    [ -z "${SPHEREMOUSE_VM_KERNEL:-}" ] || { echo "this kernel has none"; return 1; }
+    command -v gcc >/dev/null && command -v make >/dev/null || { echo "gcc and make are needed to build it"; return 1; }
+    packages=$(apt-cache depends "linux-headers-$version" 2>/dev/null |
+        awk '/Depends: linux-(headers|kbuild)-/ { print $2 }')
+    [ -n "$packages" ] || { echo "apt knows no linux-headers-$version"; return 1; }
+    mkdir -p "$tree"
+    # shellcheck disable=SC2086  # a list
+    (cd "$tree" && apt-get -qq download v4l2loopback-dkms "linux-headers-$version" $packages 2>/dev/null) ||
+        { echo "its source or the kernel's headers could not be downloaded"; return 1; }
+    for package in "$tree"/*.deb; do dpkg-deb -x "$package" "$tree"; done
+    sed -i "s#/usr/src/#$tree/usr/src/#" "$tree/usr/src/linux-headers-$version/Makefile"
+    make -s -C "$tree/usr/src/linux-headers-$version" M="$(echo "$tree"/usr/src/v4l2loopback-*)" modules \
+        >"$new/make" 2>&1 || { echo "it could not be built: $(grep -iE 'error|not found' "$new/make" | head -1)"; return 1; }
+    mkdir -p "$kernel/lib/modules/$version/extra"
+    cp "$tree"/usr/src/v4l2loopback-*/v4l2loopback.ko "$kernel/lib/modules/$version/extra/"
+}
+
+# The files that a module needs, in loading order, itself last.
+files_of() { /sbin/modprobe -d "$kernel" -S "$version" --show-depends "$1" 2>/dev/null | awk '/^insmod/ { print $2 }'; }
+
+# A module's file, unpacked.
+unpacked() {
+    case $1 in
+    *.xz) xz -dc "$1" ;;
+    *.zst) zstd -qdc "$1" ;;
+    *) cat "$1" ;;
+    esac
+}
+
 # The kernel, and an initramfs of busybox, the modules in loading order, and `guest_init`.
 setup() {
-    local new version module file number=100
+    local new version module file target reason number=100
     mkdir -p "$(dirname "$cache")"
     new=$(mktemp -d "$cache.XXXXXX")
     trap 'rm -rf "$new"' EXIT
     fetch_kernel "$new"
     version=$(basename "$(find "$kernel/boot" -name 'vmlinuz-*' | sort -V | tail -1)" | sed s/^vmlinuz-//)
     [ -r "$kernel/boot/vmlinuz-$version" ] || die "$kernel/boot has no vmlinuz-* that can be read"
+    reason=$(build_loopback "$new" "$version") || true
     [ "$kernel" = / ] || /sbin/depmod -b "$kernel" "$version"
-    mkdir -p "$new/tree"/{bin,modules,proc,sys,dev,low,top,root}
+    mkdir -p "$new/tree"/{bin,modules,cameras,proc,sys,dev,low,top,root}
     cp /bin/busybox "$new/tree/bin/"
     for module in $modules; do
-        while read -r _ file _; do
+        for file in $(files_of "$module"); do
             number=$((number + 1))
-            case $file in
-            *.xz) xz -dc "$file" ;;
-            *.zst) zstd -qdc "$file" ;;
-            *) cat "$file" ;;
-            esac >"$new/tree/modules/$number"
-        done < <(/sbin/modprobe -d "$kernel" -S "$version" --show-depends "$module" | grep '^insmod')
+            unpacked "$file" >"$new/tree/modules/$number"
+        done
+    done
+    for module in $cameras; do
+        [ -n "$(files_of "$module")" ] ||
+            { echo "no module $module: ${reason:-the kernel has none}" >"$new/tree/cameras/$module.missing"; continue; }
+        for file in $(files_of "$module"); do
+            target=$(basename "$file" | sed 's/[.][xz].*$//')
+            unpacked "$file" >"$new/tree/cameras/$target"
+            echo "$target" >>"$new/tree/cameras/$module"
+        done
     done
     guest_init >"$new/tree/init"
     chmod 755 "$new/tree/init"
     (cd "$new/tree" && find . | cpio -o -H newc --quiet) >"$new/initrd"
     cp "$kernel/boot/vmlinuz-$version" "$new/vmlinuz"
     recipe >"$new/made_from"
-    rm -rf "$new/tree" "$new/kernel" "$cache"
+    rm -rf "$new/tree" "$new/kernel" "$new/headers" "$new/make" "$cache"
     mv "$new" "$cache"
     trap - EXIT
     say "kernel $version is ready in $cache"
 }
 
 # Tells whether the cache was made by another version of this script.
-recipe() { { echo "$modules" "${SPHEREMOUSE_VM_KERNEL:-}" && guest_init; } | cksum; }
+recipe() {
+    { echo "$modules" "$cameras" "${SPHEREMOUSE_VM_KERNEL:-}" && command -v gcc make; declare -f build_loopback guest_init; } |
+        cksum
+}
 
 # What runs first in the guest. `job`, from the kernel's command line, is the path of the script to run. The command
 # writes to the second serial port; its exit code, plus 1, leaves by QEMU's debug port. Modules that are loaded already (as
@@ -105,7 +150,7 @@ $B mount -t tmpfs -o size=75% top /top && $B mkdir /top/upper /top/work || leave
 $B mount -t overlay -o lowerdir=/low,upperdir=/top/upper,workdir=/top/work all /root || leave 125
 $B mount -t devtmpfs dev /root/dev && $B mount -t proc proc /root/proc && $B mount -t sysfs sys /root/sys || leave 125
 $B mkdir -p /root/dev/shm && $B mount -t tmpfs shm /root/dev/shm
-$B mount -t tmpfs run /root/run
+$B mount -t tmpfs run /root/run && $B cp -r /cameras /root/run/
 $B ifconfig lo 127.0.0.1 up
 $B stty -F /dev/ttyS1 raw -echo
 $B chroot /root /bin/bash "$job" >/dev/ttyS1 2>&1

@@ -1,0 +1,444 @@
+"""Source v4l2 on devices of a real kernel: vivid, a camera in software, and v4l2loopback, into which the tests write.
+
+Run by tests/system/run; the modules lie in /run/cameras (run_in_vm.sh). No deadline here is tight: the guest is slow.
+"""
+
+import os
+import subprocess
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from spheremouse.errors import DamagedFrameError, SourceError
+from spheremouse.source import open_source
+from spheremouse.source._camera_settings import CameraSettings
+from spheremouse.source.v4l2 import open_camera
+
+linuxpy = pytest.importorskip("linuxpy.video.device")
+
+MODULES = Path("/run/cameras")
+W, H = 160, 96
+WAIT = 60.0  # s for one frame; thousands of times what it takes
+LOOPBACK = 9
+RED = 160  # Cr of what is written in colour
+
+
+def insert(name, **parameters):
+    """Load a module and what it needs; skips the test where there is none."""
+    missing = MODULES / f"{name}.missing"
+    if missing.exists():
+        pytest.skip(missing.read_text().strip())
+    *needs, module = (MODULES / name).read_text().split()
+    for file in needs:
+        subprocess.run(["/sbin/insmod", MODULES / file], check=False, capture_output=True)  # it may be there already
+    given = [f"{k}={v}" for k, v in parameters.items()]
+    subprocess.run(["/sbin/insmod", MODULES / module, *given], check=True)
+
+
+def node(name):
+    """The number of the video node whose name holds `name`."""
+    (found,) = [p for p in Path("/sys/class/video4linux").iterdir() if name in (p / "name").read_text()]
+    return found.name.removeprefix("video")
+
+
+@pytest.fixture(scope="module")
+def vivid():
+    """A function that says which node is the camera; the node may change."""
+    insert("vivid", n_devs=1, node_types="0x101", num_inputs=1, input_types=0, num_outputs=1, output_types=0)
+    return lambda: node("vid-cap")
+
+
+@pytest.fixture(scope="module")
+def loopback():
+    insert("v4l2loopback", video_nr=LOOPBACK, max_buffers=8)
+    return str(LOOPBACK)
+
+
+def drain(camera):
+    """Take frames until none comes."""
+    while (shot := camera.next(2.0)) is not None:
+        shot.release()
+
+
+def controls(path, *names):
+    """Values of controls, asked for by another file descriptor."""
+    with linuxpy.Device(f"/dev/video{path}") as device:
+        return [int(device.controls[n].value) for n in names]
+
+
+# ---- v4l2loopback: every format, and what is in the pictures ----
+
+
+def picture(number):
+    """Luma (H, W) that holds a number in its first row's brightness and is smooth elsewhere."""
+    y, x = np.mgrid[0:H, 0:W]
+    image = (60 + x // 2 + y // 4).astype(np.uint8)
+    image[:16] = 20 + 8 * (number % 25)
+    return image
+
+
+def number_in(image):
+    return round((float(image[4:12].mean()) - 20) / 8)
+
+
+def encoded(name, number):
+    luma = picture(number)
+    if name == "YUYV":
+        data = np.full((H, W, 2), 128, np.uint8)
+        data[:, :, 0], data[:, 1::2, 1] = luma, RED
+        return data.tobytes()
+    if name == "NV12":
+        chroma = np.full((H // 2, W // 2, 2), 128, np.uint8)
+        chroma[:, :, 1] = RED
+        return luma.tobytes() + chroma.tobytes()
+    if name == "MJPG":
+        return cv2.imencode(".jpg", luma, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+    return luma.tobytes()
+
+
+@contextmanager
+def writing(name, damage=lambda data, number: data, interval=0.05):
+    """A loopback device that is written into; yields what ends it. Frames are numbered in their pictures."""
+    device = linuxpy.Device.from_id(LOOPBACK)
+    device.open()
+    device.set_format(linuxpy.BufferType.VIDEO_OUTPUT, W, H, name)
+    frames = [damage(encoded(name, n), n) for n in range(25)]
+    stop, first = threading.Event(), threading.Event()
+
+    def write():
+        number = 0
+        while not stop.is_set():
+            os.write(device.fileno(), frames[number % 25])
+            number += 1
+            if number > 2:
+                first.set()
+            time.sleep(interval)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+
+    def end():
+        stop.set()
+        thread.join()
+        device.close()
+
+    assert first.wait(WAIT)
+    try:
+        yield end
+    finally:
+        end()
+
+
+@pytest.mark.parametrize("name", ["YUYV", "NV12", "GREY", "MJPG"])
+def test_frames_of_every_format_arrive_as_they_were_written(loopback, name):
+    with writing(name), open_camera(loopback, CameraSettings()) as camera:
+        assert f"{W}x{H} {name}" in camera.describe()
+        numbers, sequences, stamps = [], [], []
+        for _ in range(20):
+            shot = camera.next(WAIT)
+            frame = shot.frame(colour=False)
+            number = number_in(frame.image)
+            expected = picture(number)
+            if name == "MJPG":
+                np.testing.assert_allclose(frame.image.astype(int), expected, rtol=0, atol=12)
+                assert np.abs(frame.image.astype(int) - expected).mean() < 1.5
+            else:
+                np.testing.assert_array_equal(frame.image, expected)
+                assert np.shares_memory(frame.image, camera._device.buffers[shot._index])  # the driver's own
+            assert shot.stamp < time.monotonic()
+            numbers.append(number)
+            sequences.append(shot.sequence)
+            stamps.append(shot.stamp)
+            shot.release()
+    print(camera.describe())
+    assert np.all(np.diff(stamps) > 0)
+    # the first buffer is handed out twice by v4l2loopback 0.12; from then on what it counts is what was written
+    np.testing.assert_array_equal(np.diff(numbers)[2:] % 25, np.diff(sequences)[2:] % 25)
+
+
+@pytest.mark.parametrize("name", ["YUYV", "NV12"])
+def test_colours_where_they_are_asked_for(loopback, name):
+    with writing(name), open_source(f"v4l2:{loopback}") as source:
+        assert source.live
+        frame = next(iter(source))
+    blue, green, red = (frame.image[40:, :, c].astype(float).mean() for c in range(3))
+    luma = picture(0)[40:].astype(float).mean()
+    assert frame.image.shape == (H, W, 3)
+    assert blue == pytest.approx(1.164 * (luma - 16), abs=2)
+    assert red - blue == pytest.approx(1.596 * (RED - 128), abs=2)
+    assert blue - green == pytest.approx(0.813 * (RED - 128), abs=2)
+
+
+def test_a_writer_that_ends_is_a_camera_that_gives_nothing_until_it_comes_back(loopback):
+    with writing("GREY") as end, open_camera(loopback, CameraSettings()) as camera:
+        camera.next(WAIT).release()
+        end()
+        drain(camera)
+        assert camera.next(0.2) is None
+        with writing("GREY"):
+            shot = camera.next(WAIT)
+            np.testing.assert_array_equal(shot.frame(False).image, picture(number_in(shot.frame(False).image)))
+            shot.release()
+
+
+def test_nobody_has_written_yet(loopback):
+    subprocess.run(["/sbin/rmmod", "v4l2loopback"], check=True)
+    insert("v4l2loopback", video_nr=LOOPBACK, max_buffers=8)
+    with pytest.raises(SourceError, match="nobody writes into this loopback device"):
+        open_camera(loopback, CameraSettings())
+
+
+def test_damaged_pictures_are_said_and_the_next_is_whole(loopback):
+    def damage(data, number):
+        half = data[: len(data) // 2]
+        return {1: half, 2: bytes(1000), 3: half + b"\xff\xd9"}.get(number % 5, data)
+
+    with writing("MJPG", damage), open_camera(loopback, CameraSettings()) as camera:
+        whole, damaged = 0, 0
+        for _ in range(40):
+            shot = camera.next(WAIT)
+            try:
+                image = shot.frame(False).image
+                assert number_in(image) % 5 in (0, 4)
+                whole += 1
+            except DamagedFrameError:
+                damaged += 1
+            shot.release()
+    print(f"{whole} whole, {damaged} damaged")
+    assert 10 <= whole <= 22
+
+
+# ---- vivid: modes, controls, stamps, plug and unplug ----
+
+
+PATTERNS = {"100% White": (255, 255, 255), "100% Black": (0, 0, 0), "100% Red": (0, 0, 255), "100% Blue": (255, 0, 0)}
+
+
+@pytest.mark.parametrize("name", ["YUYV", "NV12", "GREY"])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_size_rate_format_and_what_is_seen_are_as_asked(vivid, name, pattern):
+    settings = CameraSettings(controls=(f"test_pattern={pattern}", "osd_text_mode=none"))
+    with open_camera(f"{vivid()},width=320,height=180,fps=15,format={name}", settings) as camera:
+        assert f"320x180 {name}, 15 frames/s" in camera.describe()
+        shot = camera.next(WAIT)
+        luma, colours = shot.frame(False).image, shot.frame(True).image.astype(int)
+        b, g, r = PATTERNS[pattern]
+        if name == "GREY":  # vivid weighs that as BT.709
+            np.testing.assert_allclose(luma.astype(int), 0.213 * r + 0.715 * g + 0.072 * b, rtol=0, atol=3)
+        else:
+            grey = 0.299 * r + 0.587 * g + 0.114 * b  # BT.601
+            np.testing.assert_allclose(luma.astype(int), 16 + grey * 219 / 255, rtol=0, atol=3)
+            np.testing.assert_allclose(colours, np.broadcast_to([b, g, r], colours.shape), rtol=0, atol=6)
+        shot.release()
+
+
+def test_two_shots_are_held_while_others_come(vivid):
+    asked = CameraSettings(size=(320, 180), fps=30.0, controls=("horizontal_movement=Move Right",))
+    with open_camera(vivid(), asked) as camera:
+        held = [camera.next(WAIT), camera.next(WAIT)]
+        before = [s.frame(False).image.copy() for s in held]
+        assert np.any(before[0] != before[1])
+        for _ in range(15):
+            camera.next(WAIT).release()
+        for shot, image in zip(held, before, strict=True):
+            np.testing.assert_array_equal(shot.frame(False).image, image)
+            shot.release()
+
+
+def test_while_all_buffers_are_held_the_driver_drops_and_says_so(vivid):
+    with open_camera(vivid(), CameraSettings(size=(320, 180), fps=30.0)) as camera:
+        held = [camera.next(WAIT) for _ in camera._device.buffers]
+        assert camera.next(0.5) is None
+        time.sleep(1.0)
+        for shot in held:
+            shot.release()
+        shot = camera.next(WAIT)
+        assert shot.sequence > held[-1].sequence + 10
+        shot.release()
+
+
+@pytest.mark.parametrize(
+    ("ask", "words"),
+    [
+        ("format=MJPG", "has no MJPG; it has YUYV 320x180, 640x360"),
+        ("width=321,height=180", "has no 321x180; it has YUYV 320x180"),
+        ("width=321,height=180,format=GREY", "has no 321x180 in GREY"),
+        (
+            "width=320,height=180,fps=59",
+            "gives 60 frames per second in place of 59 at 320x180 YUYV; it has 1, 2, .*50, 60",
+        ),
+    ],
+)
+def test_what_the_camera_has_not_is_said_with_what_it_has(vivid, ask, words):
+    with pytest.raises(SourceError, match=words) as e:
+        open_camera(f"{vivid()},{ask}", CameraSettings())
+    assert "\n" not in str(e.value)
+    with open_camera(vivid(), CameraSettings()) as camera:  # nothing was left open
+        camera.next(WAIT).release()
+
+
+@pytest.mark.parametrize("source", ["end of frame", "start of exposure"])
+def test_stamps_ahead_of_the_clock_come_out_behind_it_and_regular(vivid, source):
+    moment = 0 if source == "end of frame" else 1
+    settings = CameraSettings(size=(320, 180), fps=25.0, controls=(f"timestamp_source={moment}",))
+    with open_camera(vivid(), settings) as camera:
+        stamps, ages, sequences = [], [], []
+        for _ in range(60):
+            shot = camera.next(WAIT)
+            ages.append(time.monotonic() - shot.stamp)
+            stamps.append(shot.stamp)
+            sequences.append(shot.sequence)
+            shot.release()
+    print(camera.describe())
+    assert f"stamps at {source}, monotonic clock" in camera.describe()
+    assert any("ahead of the clock" in note for note in camera.notes) == (source == "end of frame")
+    assert min(ages) > 0
+    assert np.all(np.diff(stamps) > 0)
+    settled = np.polyfit(sequences[15:], stamps[15:], 1)[0]
+    assert settled == pytest.approx(1 / 25, rel=0.08)
+
+
+@pytest.mark.parametrize(
+    ("control", "words"),
+    [("wrap_timestamp=64 Bit", "clock that is not known"), ("wrap_timestamp=32 Bit", "clock that is not known")],
+)
+def test_stamps_of_no_known_clock_are_replaced(vivid, control, words):
+    with open_camera(vivid(), CameraSettings(size=(320, 180), fps=30.0, controls=(control,))) as camera:
+        for _ in range(10):
+            shot = camera.next(WAIT)
+            assert 0 < time.monotonic() - shot.stamp < WAIT
+            shot.release()
+        assert [words in note for note in camera.notes] == [True], camera.notes
+
+
+def test_numbers_of_frames_go_on_where_the_driver_s_wrap_and_show_what_it_dropped(vivid):
+    asked = ("wrap_sequence_number=on", "percentage_of_dropped_buffers=50")
+    with open_camera(vivid(), CameraSettings(size=(320, 180), fps=50.0, controls=asked)) as camera:
+        numbers = []
+        for _ in range(150):  # vivid wraps 128 frames after the start
+            shot = camera.next(WAIT)
+            numbers.append(shot.sequence)
+            shot.release()
+    steps = np.diff(numbers)
+    assert numbers[0] == 0
+    assert numbers[-1] > 200  # half of the frames are missing
+    assert steps.min() == 1
+    assert 2 <= steps.max() < 60
+
+
+def test_controls_are_set_by_name_and_restored(vivid):
+    names = ("brightness", "menu", "gain_automatic", "horizontal_flip")
+    before = controls(vivid(), *names)
+    settings = CameraSettings(gain=33, controls=("brightness=77", "menu=Menu Item 4", "horizontal_flip=on"))
+    with open_camera(vivid(), settings) as camera:
+        assert controls(vivid(), *names, "gain") == [77, 4, 0, 1, 33]
+        assert "set gain 33, brightness 77, menu 4, horizontal_flip 1" in camera.describe()
+    assert controls(vivid(), *names) == before
+    assert before == [128, 3, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (
+            CameraSettings(controls=("brightness=77", "brightness_=3")),
+            "no control brightness_; did you mean brightness",
+        ),
+        (
+            CameraSettings(controls=("brightness=77", "contrast=256")),
+            "contrast: 256 is not possible; the camera takes 0 to 255",
+        ),
+        (
+            CameraSettings(controls=("brightness=77", "menu=x")),
+            r"menu must be 1 \(menu item 1\), .*, is 'x'|menu must be",
+        ),
+        (CameraSettings(controls=("brightness=77",), exposure_s=0.01), "exposure_s: the camera has no such control"),
+        (CameraSettings(controls=("brightness=77",), focus=1), "focus: the camera has no such control"),
+    ],
+)
+def test_controls_that_cannot_be_set_leave_the_others_as_they_were(vivid, settings, words):
+    before = controls(vivid(), "brightness")
+    with pytest.raises(SourceError, match=words) as e:
+        open_camera(vivid(), settings)
+    assert "\n" not in str(e.value)
+    assert controls(vivid(), "brightness") == before != [77]
+
+
+def test_a_second_program_is_told_that_the_camera_is_in_use(vivid):
+    with open_camera(vivid(), CameraSettings(size=(320, 180))) as camera:
+        camera.next(WAIT).release()
+        with pytest.raises(SourceError, match="another program uses it; `fuser -v /dev/video"):
+            open_camera(vivid(), CameraSettings())
+        camera.next(WAIT).release()
+
+
+def test_a_picture_that_is_still_looked_at_does_not_keep_the_camera_from_others(vivid):
+    with open_camera(vivid(), CameraSettings(size=(320, 180), fps=50.0)) as camera:
+        image = camera.next(WAIT).frame(False).image
+        before = image.copy()
+    for size in ((320, 180), (640, 360)):
+        with open_camera(vivid(), CameraSettings(size=size)) as camera:
+            camera.next(WAIT).release()
+    np.testing.assert_array_equal(image, before)
+
+
+def test_a_node_that_gives_no_pictures(vivid):
+    with pytest.raises(SourceError, match=r"gives no pictures .*; here: /dev/video"):
+        open_camera(node("vid-out"), CameraSettings())
+
+
+def test_without_permission_the_error_says_what_to_do(vivid):
+    path = f"/dev/video{vivid()}"
+    pid = os.fork()
+    if pid == 0:
+        os.setgroups([])
+        os.setgid(65534)
+        os.setuid(65534)
+        try:
+            open_camera(path, CameraSettings())
+        except SourceError as error:
+            os._exit(0 if "may not be opened; as root: usermod -aG video" in str(error) else 3)
+        os._exit(4)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+def test_a_camera_that_is_pulled_out_is_said_and_comes_back(vivid):
+    path, driver = vivid(), Path("/sys/bus/platform/drivers/vivid")
+    with open_camera(path, CameraSettings(size=(320, 180), fps=30.0, controls=("brightness=77",))) as camera:
+        held = camera.next(WAIT)
+        image = held.frame(False).image
+        before = image.copy()
+        (driver / "unbind").write_text("vivid.0")
+        with pytest.raises(SourceError, match="gone"):
+            drain(camera)
+        np.testing.assert_array_equal(image, before)  # what is held stays readable
+        held.release()
+    with pytest.raises(SourceError, match="no such device"):
+        open_camera(path, CameraSettings())
+    (driver / "bind").write_text("vivid.0")
+    with open_camera(vivid(), CameraSettings()) as camera:
+        camera.next(WAIT).release()
+
+
+def test_opening_and_closing_leaks_nothing(vivid):
+    def open_files():
+        return len(os.listdir("/proc/self/fd")), sum(
+            "/dev/video" in x for x in Path("/proc/self/maps").read_text().splitlines()
+        )
+
+    def once():
+        with open_camera(vivid(), CameraSettings(size=(320, 180), fps=50.0)) as camera:
+            camera.next(WAIT).release()
+        with pytest.raises(SourceError):
+            open_camera(f"{vivid()},format=MJPG", CameraSettings())
+
+    once()
+    before = open_files()
+    for _ in range(5):
+        once()
+    assert open_files() == before
