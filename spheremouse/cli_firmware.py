@@ -1,7 +1,7 @@
 """`spheremouse firmware`: put the firmware on a board, see how a board fares, do without a board."""
 
 import contextlib
-import json
+import math
 import os
 import time
 from pathlib import Path
@@ -11,13 +11,18 @@ import numpy as np
 import typer
 
 from spheremouse import firmware
+from spheremouse.calibrate.outputs import Force, Json, check_outputs
 from spheremouse.errors import ConfigurationError, OutputError
 from spheremouse.firmware import Drive, words
+from spheremouse.yaml_file import write_json
 
 app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check, simulate.")
 
 _INTERVAL = 4e-3  # s, of a camera with 250 frames a second
 _SHARE = 0.05  # of it, that sending may add
+_BAD = 0.01  # share of frames that may come damaged before a line is called bad
+_SLOWEST = 38400  # baud, as output/serial.py has it
+_DAMAGE = "Share of bytes that are damaged, each way; above 3 a session may not come to begin."
 
 _DriveOption = Annotated[
     Path | None, typer.Option(metavar="FOLDER", help="The board's drive, CIRCUITPY.  [default: the only one there]")
@@ -31,19 +36,27 @@ def install(
 ) -> None:
     """Copy the firmware to a board with CircuitPython (Raspberry Pi Pico and other RP2040 boards)."""
     source, board = firmware.folder(), _drive(drive)
-    if board.circuitpython < firmware.OLDEST:
-        found, least = (".".join(map(str, v)) for v in (board.circuitpython, firmware.OLDEST))
-        raise OutputError(f"{board.path}: CircuitPython {found} is too old; install {least} or newer: {_how()}")
+    if too_old := _too_old(board):
+        raise OutputError(f"{board.path}: {too_old}")
     others = firmware.foreign(source, board.path)
+    if stays := _what_stays(board.path, others):
+        raise OutputError(stays)
     if others and not force:
         raise OutputError(f"{board.path}: {', '.join(others)} of another program there; save them and use --force")
     new, old = firmware.version_of(source), firmware.version_of(board.path)
+    if old is not None and new is not None and old > new and not force:
+        raise OutputError(
+            f"{board.path}: firmware {words(old)} there is newer than {words(new)} of this program; "
+            "update spheremouse, or go back with --force"
+        )
     names = firmware.stale(source, board.path)
     if not names:
         typer.echo(f"{board.path}: {board.board} has firmware {words(new)} already")
         return
     firmware.copy(source, board.path, names)
     typer.echo(f"{board.path}: firmware {words(new)} in place of {words(old)} on {board.board}: {', '.join(names)}")
+    if not board.board.startswith("raspberry_pi_pico"):
+        typer.echo("this board is no Raspberry Pi Pico: for two computers it must have pins named GP0 and GP1")
     typer.echo("eject the drive, pull the board and plug it in again; then: spheremouse firmware check")
 
 
@@ -53,12 +66,14 @@ def check(
     port: Annotated[
         str, typer.Option(metavar="PORT", help="Serial port; auto finds the board, none asks no port.")
     ] = "auto",
-    baud: Annotated[int, typer.Option(metavar="N", help="Of a plain serial line.")] = 115200,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write what was found; - prints.")
-    ] = None,
+    baud: Annotated[int, typer.Option(metavar="N", min=_SLOWEST, help="Of a plain serial line.")] = 115200,
+    json_file: Json = None,
+    force: Force = False,
 ) -> None:
     """Compare the firmware on the board's drive, the one that runs, and the one that belongs here."""
+    if not port:
+        raise OutputError("--port: is empty; write a port's name, auto or none")
+    check_outputs([json_file], [drive], force)
     source = firmware.folder()
     ours = firmware.version_of(source)
     found: dict[str, Any] = {"here": words(ours)}
@@ -66,16 +81,23 @@ def check(
     lines = [f"here: firmware {words(ours)}"]
     with contextlib.suppress(_NoDriveError):
         board = _drive(drive)
-        stale = firmware.stale(source, board.path)
         there = firmware.version_of(board.path)
-        found["drive"] = {"path": str(board.path), "board": board.board, "version": words(there), "stale": stale}
-        lines.append(f"drive {board.path}: {board.board}, firmware {words(there)}")
-        if stale:
-            wrong.append(f"{', '.join(stale)} on the drive differ; run `spheremouse firmware install`")
+        found["drive"] = {
+            "path": str(board.path),
+            "board": board.board,
+            "circuitpython": ".".join(map(str, board.circuitpython)),
+            "version": words(there),
+            "stale": firmware.stale(source, board.path),
+        }
+        lines.append(
+            f"drive {board.path}: {board.board}, CircuitPython {found['drive']['circuitpython']}, "
+            f"firmware {words(there)}"
+        )
+        wrong += _wrong_with_drive(board, there, ours)
     identity = None
     if port != "none":
         try:
-            identity, text = _ask(port, baud)
+            identity, text, faults = _ask(port, baud)
         except OutputError as e:
             if "drive" not in found:
                 raise
@@ -83,26 +105,21 @@ def check(
         else:
             found["port"] = text
             lines.append(f"{text['port']}: {identity}; {text['state']}")
-    if identity is not None and identity.firmware != ours and identity.kind == 1:
-        wrong.append(
-            f"firmware {words(identity.firmware)} runs; pull the board and plug it in again, "
-            "or run `spheremouse firmware install`"
-        )
+            wrong += faults
+    if identity is not None and ours is not None and identity.firmware != ours:
+        wrong.append(_wrong_version(identity.firmware, ours, identity.kind))
     if len(found) == 1:
         raise OutputError(f"no board: no drive CIRCUITPY and no port asked; {_how()}")
     found["wrong"] = wrong
-    if json_file == Path("-"):
-        typer.echo(json.dumps(found, indent=1))
-    else:
+    printed = json_file is not None and write_json(json_file, found)
+    if not printed:
         for line in [*lines, *wrong]:
             typer.echo(line)
-        if json_file is not None:
-            from spheremouse.yaml_file import write_atomically
-
-            write_atomically(json_file, json.dumps(found, indent=1) + "\n")
     if wrong:
         raise typer.Exit(1)
-    if json_file != Path("-"):
+    if not printed and port == "none":
+        typer.echo("the drive is as it should be; whether it runs was not asked; next: spheremouse firmware check")
+    elif not printed:
         typer.echo(f"all is well; next: spheremouse run --source ... --output serial:{port}")
 
 
@@ -111,10 +128,10 @@ def simulate(
     link: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Make a symbolic link to the port, to have a steady name.")
     ] = None,
-    damage: Annotated[
-        float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Share of bytes that are damaged, each way.")
-    ] = 0.0,
-    baud: Annotated[int | None, typer.Option(metavar="N", min=1200, help="Speed of the line.  [default: any]")] = None,
+    damage: Annotated[float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help=_DAMAGE)] = 0.0,
+    baud: Annotated[
+        int | None, typer.Option(metavar="N", min=_SLOWEST, help="Speed of the line.  [default: any]")
+    ] = None,
     seconds: Annotated[
         float | None, typer.Option(metavar="S", min=0.0, help="End after so long.  [default: Ctrl-C ends it]")
     ] = None,
@@ -123,8 +140,12 @@ def simulate(
     from spheremouse.output._serial_simulator import Simulator
     from spheremouse.stopping import Stopping
 
-    if link is not None and (link.exists() and not link.is_symlink()):
-        raise ConfigurationError(f"--link: {link} is there and is no link; choose another name")
+    if link is not None:
+        if not link.parent.is_dir():
+            raise ConfigurationError(f"--link: there is no folder {link.parent}; make it, or choose another name")
+        ours = link.is_symlink() and os.readlink(link).startswith(("/dev/pts/", "/dev/tty"))
+        if os.path.lexists(link) and not ours:
+            raise ConfigurationError(f"--link: {link} is there and is no link to a port; choose another name")
     with Stopping() as stopping, Simulator(damage / 100.0, baud=baud) as board:
         if link is not None:
             link.unlink(missing_ok=True)
@@ -154,18 +175,17 @@ def simulate(
 def measure(
     rate: Annotated[float, typer.Option(metavar="HZ", min=1.0, max=2000.0, help="Motions per second.")] = 1000.0,
     seconds: Annotated[float, typer.Option(metavar="S", min=0.1, max=3600.0, help="For how long.")] = 10.0,
-    damage: Annotated[
-        float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help="Share of bytes that are damaged, each way.")
-    ] = 0.0,
-    baud: Annotated[int | None, typer.Option(metavar="N", min=1200, help="Speed of the line.  [default: any]")] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints.")
+    damage: Annotated[float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help=_DAMAGE)] = 0.0,
+    baud: Annotated[
+        int | None, typer.Option(metavar="N", min=_SLOWEST, help="Speed of the line.  [default: any]")
     ] = None,
+    json_file: Json = None,
+    force: Force = False,
 ) -> None:
     """Measure what sending costs, against a simulated board in a process of its own, whose times are in it."""
     from spheremouse.output._serial_benchmark import measure as measured
-    from spheremouse.yaml_file import write_atomically
 
+    check_outputs([json_file], [], force)
     m = measured(rate, max(2, int(rate * seconds)), damage / 100.0, baud)
     figures = {
         "rate": m.rate,
@@ -176,23 +196,16 @@ def measure(
         "baud": baud,
         "call_us": _quantiles(m.call),
         "latency_us": _quantiles(m.latency),
-        "round_trip_us": {"median": 1e6 * m.line.round_trip[0], "p99": 1e6 * m.line.round_trip[1]},
+        "round_trip_us": {"median": _us(m.line.round_trip[0]), "p99": _us(m.line.round_trip[1])},
         "call_share_of_250_Hz": float(np.median(m.call)) / _INTERVAL,
-        "latency_share_of_250_Hz": float(np.median(m.latency)) / _INTERVAL,
+        "latency_share_of_250_Hz": float(np.median(m.latency)) / _INTERVAL if len(m.latency) else None,
     }
-    if json_file == Path("-"):
-        typer.echo(json.dumps(figures, indent=1))
-        return
-    if json_file is not None:
-        write_atomically(json_file, json.dumps(figures, indent=1) + "\n")
-    exact = "exact" if m.exact else "OFF"
-    typer.echo(f"{len(m.call)} motions at {m.rate:.1f}/s, {m.reports} reports; the sum is {exact}")
-    for name, key in (("in send()", "call_us"), ("to the board's report", "latency_us")):
-        q = figures[key]
-        typer.echo(f"{name:22} median {q['median']:.0f} µs, 99 % {q['p99']:.0f} µs, worst {q['max']:.0f} µs")
-    share = figures["latency_share_of_250_Hz"]
-    typer.echo(f"median latency {100 * share:.1f} % of a 250 Hz interval (asked for: {100 * _SHARE:.0f} % at most)")
-    typer.echo(f"line: {m.line}")
+    printed = json_file is not None and write_json(json_file, figures)
+    if not printed:
+        _print(figures)
+        typer.echo(f"line: {m.line}")
+    if not m.exact:
+        raise typer.Exit(1)
 
 
 # ---- within ----
@@ -202,7 +215,29 @@ class _NoDriveError(OutputError):
     """No board's drive is mounted."""
 
 
-def _quantiles(seconds: Any) -> dict[str, float]:
+def _print(figures: dict[str, Any]) -> None:
+    exact = "exact" if figures["exact"] else "OFF"
+    typer.echo(
+        f"{figures['motions']} motions at {figures['rate']:.1f}/s, {figures['reports']} reports; the sum is {exact}"
+    )
+    for name, key in (("in send()", "call_us"), ("to the board's report", "latency_us")):
+        q = figures[key]
+        if q is None:
+            typer.echo(f"{name:22} none arrived")
+        else:
+            typer.echo(f"{name:22} median {q['median']:.0f} µs, 99 % {q['p99']:.0f} µs, worst {q['max']:.0f} µs")
+    if (share := figures["latency_share_of_250_Hz"]) is not None:
+        typer.echo(f"median latency {100 * share:.1f} % of a 250 Hz interval (asked for: {100 * _SHARE:.0f} % at most)")
+
+
+def _us(seconds: float) -> float | None:
+    """As JSON can hold it."""
+    return None if math.isnan(seconds) else 1e6 * seconds
+
+
+def _quantiles(seconds: Any) -> dict[str, float] | None:
+    if not len(seconds):
+        return None
     return {
         "median": 1e6 * float(np.median(seconds)),
         "p99": 1e6 * float(np.quantile(seconds, 0.99)),
@@ -224,18 +259,67 @@ def _drive(path: Path | None) -> Drive:
             f"{waiting[0]}: a board without CircuitPython; copy its .uf2 file there "
             "(https://circuitpython.org/downloads), wait until the drive is called CIRCUITPY, and repeat"
         )
-    raise _NoDriveError(f"no drive CIRCUITPY is mounted; {_how()}")
+    raise _NoDriveError(
+        "no drive CIRCUITPY is mounted; if the board has CircuitPython, mount its drive and name it with --drive, or "
+        f"take the jumper off pins 28 and 29 and plug it in again; if not, {_how()}"
+    )
 
 
 def _how() -> str:
     return (
         "hold BOOTSEL down while you plug the board in, copy CircuitPython's .uf2 file for your board "
-        "(https://circuitpython.org/downloads) to the drive RPI-RP2 that appears, and wait for the drive CIRCUITPY"
+        "(https://circuitpython.org/downloads) to the drive RPI-RP2 or RP2350 that appears, and wait for the drive "
+        "CIRCUITPY"
     )
 
 
-def _ask(port: str, baud: int) -> tuple[Any, dict[str, Any]]:
-    """Identity of the board that answers, and how it fares."""
+def _too_old(board: Drive) -> str | None:
+    if board.circuitpython >= firmware.OLDEST:
+        return None
+    found, least = (".".join(map(str, v)) for v in (board.circuitpython, firmware.OLDEST))
+    return f"CircuitPython {found} is too old; install {least} or newer: {_how()}"
+
+
+def _what_stays(path: Path, others: list[str]) -> str | None:
+    """What `--force` cannot mend."""
+    for name in others:
+        if (path / name).is_dir():
+            return f"{path / name}: is a folder, where a file has to be; move it away"
+        if name not in firmware.FILES:
+            return f"{path / name}: CircuitPython runs it in place of our program; move it away"
+    return None
+
+
+def _wrong_with_drive(board: Drive, there: firmware.Version | None, ours: firmware.Version | None) -> list[str]:
+    source = firmware.folder()
+    if too_old := _too_old(board):
+        return [too_old]
+    if others := firmware.foreign(source, board.path):
+        stays = _what_stays(board.path, others)
+        return [
+            stays
+            or f"{', '.join(others)} on the drive belong to another program; save them and run "
+            "`spheremouse firmware install --force`"
+        ]
+    if there is not None and ours is not None and there > ours:
+        return [f"firmware {words(there)} on the drive is newer than this program; update spheremouse"]
+    stale = firmware.stale(source, board.path)
+    return [f"{', '.join(stale)} on the drive differ; run `spheremouse firmware install`"] if stale else []
+
+
+def _wrong_version(runs: firmware.Version, ours: firmware.Version, kind: int) -> str:
+    if runs > ours:
+        return f"firmware {words(runs)} runs, which is newer than this program; update spheremouse"
+    how = {
+        1: "pull the board and plug it in again, or run `spheremouse firmware install`",
+        2: "load the new one as docs/microcontroller.md says for the ATmega32U4 (make upload)",
+    }.get(kind, "start it again")
+    return f"firmware {words(runs)} runs; {how}"
+
+
+def _ask(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
+    """Identity of the board that answers, how it fares, and what is wrong with that."""
+    from spheremouse.output._serial_protocol import Flags
     from spheremouse.output.serial import Serial, find_board
 
     name = find_board() if port == "auto" else port
@@ -245,16 +329,28 @@ def _ask(port: str, baud: int) -> tuple[Any, dict[str, Any]]:
     finally:
         output.close()
     if identity is None or status is None:
-        raise OutputError(f"serial: {name}: answers, but does not say how it fares; pull the board, plug it in again")
-    ready = "its computer takes the mouse" if status.flags & 0x04 else "its computer sleeps or is not connected"
+        raise OutputError(
+            f"serial: {name}: answers, but does not say how it fares: the line damages frames; use shorter wires, "
+            "and see that GND is connected"
+        )
+    wrong, takes = [], bool(status.flags & Flags.USB_READY)
+    if not takes:
+        wrong.append("no computer takes its mouse; plug the board into the game's computer, or wake that up")
+    if status.damaged > _BAD * (status.frames + status.damaged) + 2:  # the first on a line may be
+        wrong.append(
+            f"{status.damaged} damaged frames beside {status.frames} whole ones; use shorter wires, see that GND is "
+            "connected, and plug the board in again to count anew"
+        )
     state = (
-        f"up {status.uptime} s, {ready}; {status.frames} frames, {status.damaged} damaged, {status.refused} refused, "
+        f"up {status.uptime} s, its mouse is {'taken' if takes else 'not taken'}; "
+        f"{status.frames} frames, {status.damaged} damaged, {status.refused} refused, "
         f"{status.lost} lost; {status.reports} reports, {status.usb_errors} USB errors"
     )
-    return identity, {
+    found = {
         "port": name,
         "firmware": words(identity.firmware),
         "board": identity.board,
         "kind": identity.kind,
         "state": state,
     }
+    return identity, found, wrong

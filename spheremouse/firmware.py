@@ -16,7 +16,10 @@ from spheremouse.errors import OutputError
 
 FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last: the board runs it when it changes
 MARK = "boot_out.txt"
+BOOT_LOADER = "INFO_UF2.TXT"
 OLDEST = (9, 0)  # CircuitPython
+_FIRST = b"# spheremouse firmware"  # of each of our files
+_INSTEAD = ("code.txt", "boot.txt")  # that CircuitPython runs, or may run, in place of ours
 _IDENTITY = re.compile(r"CircuitPython (\d+)\.(\d+)\S* on [^;]*; (.+)")
 _BOARD = re.compile(r"^Board ID:(\S+)", re.M)
 _UID = re.compile(r"^UID:(\S+)", re.M)
@@ -76,6 +79,11 @@ def read_drive(path: Path) -> Drive:
     try:
         text = (path / MARK).read_text(encoding="utf-8", errors="replace")
     except OSError:
+        if (path / BOOT_LOADER).exists():
+            raise OutputError(
+                f"{path}: this is the boot loader; copy CircuitPython's .uf2 file for your board there "
+                "(https://circuitpython.org/downloads), and name the drive CIRCUITPY that comes then"
+            ) from None
         raise OutputError(
             f"{path}: no {MARK} in it, so this is no board with CircuitPython; name the drive called CIRCUITPY"
         ) from None
@@ -101,7 +109,7 @@ def in_boot_loader() -> list[Path]:
     found = []
     for path in _mounts():
         with contextlib.suppress(OSError):
-            if (path / "INFO_UF2.TXT").is_file() and not (path / MARK).exists():
+            if (path / BOOT_LOADER).is_file() and not (path / MARK).exists():
                 found.append(path)
     return found
 
@@ -132,18 +140,19 @@ def stale(source: Path, target: Path) -> list[str]:
 
 
 def foreign(source: Path, target: Path) -> list[str]:
-    """Programs of somebody else that installing would replace."""
-    ours = version_of(target) is not None and b"spheremouse" in (_bytes(target / "boot.py") or b"")
-    if ours:
-        return []
-    usual = (b"", b'print("Hello World!")', b"import board")  # what a fresh CircuitPython brings
-    return [
-        name
-        for name in FILES
-        if (there := _bytes(target / name)) is not None
-        and there != (source / name).read_bytes()
-        and there.strip() not in usual
-    ]
+    """Programs of somebody else that installing would replace, or that would run in its place."""
+    others = [name for name in _INSTEAD if (target / name).exists()]
+    for name in FILES:
+        there = _bytes(target / name)
+        if (target / name).is_dir() or (there is not None and not _is_ours(there, (source / name).read_bytes())):
+            others.append(name)
+    return others
+
+
+def _is_ours(there: bytes, here: bytes) -> bool:
+    """Of any version, or cut short when it was copied; or what nobody misses."""
+    fresh = (b'print("Hello World!")', b"import board")  # what CircuitPython brings
+    return there.startswith(_FIRST) or here.startswith(there.rstrip(b"\0")) or there.strip() in fresh
 
 
 def copy(source: Path, target: Path, names: list[str]) -> None:

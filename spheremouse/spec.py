@@ -38,6 +38,8 @@ def options(
             raise error(f"{name}: {item!r} is not KEY=VALUE; keys are {', '.join(known)}")
         if key not in known:
             raise error(f"{name}: unknown key {key}; {nearest(key, list(known))}")
+        if key in found:
+            raise error(f"{name}: {key} is given twice; leave one out")
         try:
             found[key] = known[key](value)
         except ValueError:

@@ -29,7 +29,7 @@ board *board_new(uint32_t now) {
 void board_free(board *b) { free(b); }
 
 void board_usb(board *b, bool ready, bool takes) {
-    b->device.usb_ready = ready;
+    sm_set_usb(&b->device, ready);
     b->takes = takes;
 }
 

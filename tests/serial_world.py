@@ -39,7 +39,7 @@ class Board:
             if line.length:
                 device.handle(line, now)
         device.tick(now)
-        device.usb_ready = self.usb
+        device.set_usb(self.usb)
         if device.due():
             for k in range(4):
                 value = int.from_bytes(device.report[1 + 2 * k : 3 + 2 * k], "little", signed=True)

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from spheremouse import firmware
 from spheremouse.cli_firmware import app
 from spheremouse.errors import OutputError
+from spheremouse.firmware import words
 from spheremouse.output import _serial_protocol as host
 
 HERE = Path(__file__).parent
@@ -80,7 +81,7 @@ class MicroPythonBoard:
         answer = self._call("turn", {"now": now, "bytes": data.hex(), **self._asked})
         self._asked = {}
         self.moved = [m - b for m, b in zip(answer["moved"], self._began, strict=True)]
-        self.buttons, self.led = answer["buttons"], answer["led"]
+        self.buttons, self.led, self.tries = answer["buttons"], answer["led"], answer["tries"]
         return bytes.fromhex(answer["bytes"])
 
 
@@ -168,19 +169,109 @@ def test_the_loop_allocates_nothing(micropython):
     assert micropython("allocated", {"bytes": frames.hex(), "step": 190, "now": 100_000})["bytes"] == 0
 
 
-def test_a_computer_that_takes_no_reports(micropython):
+def acked(board, frame, now, **asked):
+    """The last ACK to a frame; `asked` of the desk."""
+    board._asked |= asked
+    ack = [host.parse(f) for f in host.Splitter().take(board.turn(frame, now))][-1]
+    assert isinstance(ack, host.Ack)
+    return ack
+
+
+def test_a_computer_that_fetches_no_reports(micropython):
+    """Trying costs 2 s in which nothing is answered: seldom, and the flag says so meanwhile."""
     board = MicroPythonBoard(micropython)
     board.turn(host.hello(0, 9), 0)
-    board._asked = {"refuses": True}
-    (frame,) = host.Splitter().take(board.turn(host.motion(1, (5, 0, 0, 0), 1), 1))
-    ack = host.parse(frame)
-    assert isinstance(ack, host.Ack)
-    assert ack.counters == (0, 0, 0, 0)
-    board._asked = {"refuses": False}
-    (frame,) = host.Splitter().take(board.turn(host.motion(2, (6, 0, 0, 0), 1), 2))
-    ack = host.parse(frame)
-    assert isinstance(ack, host.Ack)
-    assert ack.counters[0] == board.moved[0] == 6
+    acked(board, host.motion(1, (5, 0, 0, 0), 1), 1)
+    ack, tries = acked(board, host.motion(2, (6, 0, 0, 0), 0), 2, refuses=True), board.tries
+    assert (ack.counters[0], bool(ack.flags & host.Flags.USB_READY)) == (5, False)
+    for n in range(3, 4900):  # the frames go on
+        ack = acked(board, host.motion(n, (6, 0, 0, 0), 0), n, refuses=False)
+    assert (ack.counters[0], bool(ack.flags & host.Flags.USB_READY)) == (5, False)
+    assert board.tries == tries
+    ack = acked(board, host.motion(5002, (7, 0, 0, 0), 0) + host.motion(5003, (7, 0, 0, 0), 0), 5002)
+    assert (ack.counters[0], board.moved[0], board.buttons) == (7, 7, 0)
+    assert ack.flags & host.Flags.USB_READY
+    acked(board, host.motion(5004, (8, 0, 0, 0), 0), 5004, refuses=True)
+    board.turn(b"", 5005)
+    board._asked = {"usb": False}  # another computer, or that one started again
+    board.turn(b"", 5006)
+    ack = acked(board, host.motion(5005, (9, 0, 0, 0), 0), 5007, usb=True, refuses=False)
+    assert ack.counters[0] == board.moved[0] == 9
+
+
+def test_a_computer_that_falls_asleep_while_a_report_waits(micropython):
+    """CircuitPython gives no sign of it: what was not fetched stays due, and buttons are told anew on waking."""
+    board = MicroPythonBoard(micropython)
+    board.turn(host.hello(0, 9), 0)
+    assert acked(board, host.motion(1, (5, 0, 0, 0), 1), 1).counters[0] == 5
+    ack = acked(board, host.motion(2, (405, 0, 0, 0), 0), 2, nods_off=True)
+    assert (ack.counters[0], board.buttons) == (5, 1)
+    ack = acked(board, host.motion(3, (405, 0, 0, 0), 0), 3)
+    assert (ack.counters[0], bool(ack.flags & host.Flags.USB_READY)) == (5, False)
+    ack = acked(board, host.motion(4, (405, 0, 0, 0), 0), 4, usb=True)
+    assert (ack.counters[0], board.moved[0], board.buttons) == (405, 405, 0)
+    tries = board.tries
+    for usb in (False, True):  # asleep with nothing due
+        acked(board, host.motion(5 + usb, (405, 0, 0, 0), 0), 5 + usb, usb=usb)
+    assert board.tries == tries + 1
+
+
+# ---- how often the computer asks ----
+
+
+def test_a_computer_that_asks_every_8_ms(mouse):
+    """CircuitPython's mouse: `send_report` waits for the report before; 30 us a byte in Python. The page's figures."""
+    clock = SimpleNamespace(ms=0.0)
+    arrived, given, free = [], [], 0.0
+
+    def send_report(report, report_id):
+        nonlocal free
+        clock.ms = max(clock.ms, free)
+        arrived.append((clock.ms, int.from_bytes(report[1:3], "little", signed=True)))
+        free = 8.0 * (clock.ms // 8 + 1)
+
+    port = SimpleNamespace(in_waiting=0, out_waiting=0, connected=True)
+    came, went = bytearray(), bytearray()
+
+    def readinto(buffer):
+        n = min(len(buffer), len(came))
+        buffer[:n] = came[:n]
+        del came[:n]
+        port.in_waiting = len(came)
+        clock.ms += 0.03 * n
+        return n
+
+    def write(frame):
+        went.extend(frame)
+        clock.ms += 0.03 * len(frame)
+
+    port.readinto, port.write = readinto, write
+    hid = SimpleNamespace(get_last_received_report=lambda report_id: None, send_report=send_report)
+    board = mouse.Mouse(1, b"", hid, port, None, None, SimpleNamespace(usb_connected=True))
+    link = host.Link(iter(range(1, 100)).__next__)
+    came.extend(link.opened(0.0))
+    for ms in range(8000):
+        if ms % 4 == 0 and ms < 7900:
+            link.add((1, 0, 0, 0), ms / 1000)
+            given.append(ms)
+        while (frame := link.due(ms / 1000)) is not None:
+            came.extend(frame)
+        port.in_waiting = len(came)
+        if clock.ms <= ms:  # its turn before is over
+            clock.ms = float(ms)
+            board.turn(ms)
+            clock.ms += 0.3
+            link.receive(bytes(went), ms / 1000)
+            went.clear()
+    when, counts = zip(*arrived, strict=True)
+    assert sum(counts) == len(given)
+    assert link.sessions == 1
+    assert len(arrived) == pytest.approx(125 * 8, rel=0.02)
+    latency = np.array(when)[np.searchsorted(np.cumsum(counts), np.arange(1, len(given) + 1))] - given
+    median, slow = np.quantile(latency, (0.5, 0.99))
+    assert f"adds {median:.0f} ms in the median and {slow:.0f} ms at worst" in " ".join(
+        (HERE.parent / "docs" / "microcontroller.md").read_text(encoding="utf-8").split()
+    )
 
 
 # ---- the light ----
@@ -188,9 +279,11 @@ def test_a_computer_that_takes_no_reports(micropython):
 
 def test_the_light(mouse):
     led, runtime = SimpleNamespace(value=None), SimpleNamespace(usb_connected=False)
+    noise = SimpleNamespace(in_waiting=0, readinto=lambda b: b.__setitem__(slice(3), b"\x01\x07\0") or 3)
     port = SimpleNamespace(in_waiting=0, out_waiting=0, connected=False, readinto=None)
     hid = SimpleNamespace(get_last_received_report=lambda report_id: None, send_report=lambda report, report_id: None)
-    pico = mouse.Mouse(1, b"", hid, port, None, led, runtime)
+    pico = mouse.Mouse(1, b"", hid, port, noise, led, runtime)
+    dark = mouse.Mouse(1, b"", hid, port, None, None, runtime)  # a board without a plain LED
 
     def lights(begin, end, frame=b""):
         """States of the LED, a ms apart."""
@@ -199,6 +292,7 @@ def test_the_light(mouse):
             data, frame = frame, b""
             port.in_waiting, port.readinto = len(data), lambda b, d=data: b.__setitem__(slice(len(d)), d) or len(d)
             pico.turn(now)
+            dark.turn(now)
             port.in_waiting = 0
             seen.append(bool(led.value))
         return seen
@@ -210,7 +304,15 @@ def test_the_light(mouse):
     assert all(lights(4150, 4200, host.motion(1, (1, 0, 0, 0), 0)))
     worried = lights(4200, 4250, host.motion(3, (1, 0, 0, 0), 0))  # a frame was lost: flicker
     assert 0 < sum(worried) < 50
-    lights(4250, 6144)
+    damaged = bytearray(host.motion(4, (1, 0, 0, 0), 0))
+    damaged[7] ^= 1
+    assert all(lights(4550, 4580, host.motion(5, (1, 0, 0, 0), 0)[:0] + host.hello(4, 6)))
+    assert 0 < sum(lights(4580, 4640, bytes(damaged))) < 60  # a wrong check sum: flicker
+    assert all(lights(4900, 4930, host.hello(5, 7)))
+    noise.in_waiting = 3  # an open pin
+    assert all(lights(4930, 4980))
+    noise.in_waiting = 0
+    lights(4980, 6144)
     assert sum(lights(6144, 8192)) == 1024  # silence: waits again
 
 
@@ -362,15 +464,23 @@ def stand_in(monkeypatch, name, **members):
     return module
 
 
-def test_boot_enables_the_mouse_and_the_data_port(mouse, monkeypatch):
-    usb_hid, usb_cdc, usb_midi, supervisor = Everything(), Everything(), Everything(), Everything()
+@pytest.mark.parametrize("jumper", [False, True, None])
+def test_boot_enables_the_mouse_and_the_data_port(mouse, monkeypatch, jumper):
+    """A jumper on GP22 hides console and drive; there are boards without that pin."""
+    usb_hid, usb_cdc, usb_midi, supervisor, storage = (Everything() for _ in range(5))
     devices = []
     stand_in(monkeypatch, "usb_hid", Device=lambda **k: devices.append(k) or "device", enable=usb_hid.enable)
-    for name, module in (("usb_cdc", usb_cdc), ("usb_midi", usb_midi), ("supervisor", supervisor)):
+    modules = {"usb_cdc": usb_cdc, "usb_midi": usb_midi, "supervisor": supervisor, "storage": storage}
+    for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
+    pin = SimpleNamespace(switch_to_input=lambda pull: setattr(pin, "value", pull == "up" and not jumper))
+    pin.deinit = lambda: None
+    stand_in(monkeypatch, "board", **({} if jumper is None else {"GP22": 22}))
+    stand_in(monkeypatch, "digitalio", DigitalInOut=lambda number: {22: pin}[number], Pull=SimpleNamespace(UP="up"))
     runpy.run_path(str(PICO / "boot.py"))
     assert usb_hid.calls["enable"] == ((("device",),), {})
-    assert usb_cdc.calls["enable"] == ((), {"console": True, "data": True})
+    assert usb_cdc.calls["enable"] == ((), {"console": not jumper, "data": True})
+    assert ("disable_usb_drive" in storage.calls) == bool(jumper)
     assert supervisor.calls["set_usb_identification"][0][1] == "spheremouse"
     (told,) = devices
     assert told["report_descriptor"] == mouse.DESCRIPTOR
@@ -383,7 +493,7 @@ class EndOfTestError(Exception):
     """The watchdog has been fed often enough."""
 
 
-def board_modules(monkeypatch, reason="STARTUP", data=True, frames=b""):
+def board_modules(monkeypatch, reason="STARTUP", data=True, frames=b"", **pins):
     """What code.py imports; the loop ends after five turns."""
     seen = SimpleNamespace(resets=0, reports=[], out=b"", fed=0)
 
@@ -424,7 +534,7 @@ def board_modules(monkeypatch, reason="STARTUP", data=True, frames=b""):
         send_report=lambda report, report_id: seen.reports.append((report_id, bytes(report))),
     )
     idle = SimpleNamespace(in_waiting=0, write=lambda data: None)
-    stand_in(monkeypatch, "board", board_id="raspberry_pi_pico", LED=1, GP0=0, GP1=1)
+    stand_in(monkeypatch, "board", board_id="raspberry_pi_pico", GP0=0, GP1=1, **pins)
     stand_in(monkeypatch, "busio", UART=lambda *a, **k: idle)
     stand_in(monkeypatch, "digitalio", DigitalInOut=lambda pin: led)
     stand_in(monkeypatch, "microcontroller", watchdog=Dog(), reset=reset)
@@ -442,9 +552,10 @@ def run_code():
     runpy.run_path(str(PICO / "code.py"))
 
 
-def test_code_moves_and_answers(mouse, monkeypatch):
+@pytest.mark.parametrize("pins", [{"LED": 25}, {}])
+def test_code_moves_and_answers(mouse, monkeypatch, pins):
     frames = b"\0" + host.hello(0, 5) + host.motion(1, (3, -4, 0, 0), 1)
-    seen = board_modules(monkeypatch, frames=frames)
+    seen = board_modules(monkeypatch, frames=frames, **pins)
     with pytest.raises(EndOfTestError):
         run_code()
     assert seen.reports == [(1, bytes([1, 3, 0, 0xFC, 0xFF, 0, 0, 0, 0]))]
@@ -505,7 +616,8 @@ def test_installing_and_again(drive):
     assert "has firmware 1.0.0 already" in run("install", "--drive", drive).output
     result = run("check", "--drive", drive, "--port", "none")
     assert result.exit_code == 0
-    assert "firmware 1.0.0" in result.output
+    assert "CircuitPython 9.2, firmware 1.0.0" in result.output
+    assert "whether it runs was not asked; next: spheremouse firmware check" in result.output
 
 
 def test_every_file_of_the_firmware_is_installed():
@@ -514,13 +626,62 @@ def test_every_file_of_the_firmware_is_installed():
 
 def test_an_older_firmware_is_replaced_and_check_sees_it(drive):
     run("install", "--drive", drive)
-    old = (PICO / "protocol.py").read_text().replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (0, 9, 1)")
-    (drive / "protocol.py").write_text(old)
+    new = (PICO / "protocol.py").read_text()
+    (drive / "protocol.py").write_text(new.replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (0, 9, 1)"))
     result = run("check", "--drive", drive, "--port", "none")
     assert result.exit_code == 1
     assert "firmware 0.9.1" in result.output
     assert "protocol.py on the drive differ; run `spheremouse firmware install`" in result.output
     assert "1.0.0 in place of 0.9.1 on raspberry_pi_pico: protocol.py" in run("install", "--drive", drive).output
+    (drive / "protocol.py").write_text(new.replace("FIRMWARE = (1, 0, 0)", "FIRMWARE = (1, 2, 0)"))
+    assert (
+        "1.2.0 on the drive is newer than this program; update spheremouse"
+        in run("check", "--drive", drive, "--port", "none").output
+    )
+    assert "newer than 1.0.0 of this program; update spheremouse, or go back with --force" in refusal(
+        "install", "--drive", drive
+    )
+    assert run("install", "--drive", drive, "--force").exit_code == 0
+
+
+@pytest.mark.parametrize("name", firmware.FILES)
+@pytest.mark.parametrize("left", [0, 5, 300, "zeros"])
+def test_a_copy_that_was_cut_short_is_ours(drive, name, left):
+    """The plug was pulled while it was written."""
+    run("install", "--drive", drive)
+    data = (PICO / name).read_bytes()
+    (drive / name).write_bytes(bytes(len(data)) if left == "zeros" else data[:left] + bytes(64))
+    result = run("install", "--drive", drive)
+    assert result.exit_code == 0, result.exception
+    assert (drive / name).read_bytes() == data
+
+
+def test_each_file_says_whose_it_is():
+    for name in firmware.FILES:
+        assert (PICO / name).read_bytes().startswith(firmware._FIRST + b"\n")
+
+
+def test_both_firmwares_have_the_version_that_check_compares_with():
+    text = (firmware.folder("avr") / "spheremouse" / "protocol.c").read_text()
+    assert f"FIRMWARE[3] = {{{words(firmware.version_of(PICO)).replace('.', ', ')}}}" in text
+
+
+def test_what_stands_in_the_way_of_the_program(drive):
+    (drive / "code.txt").write_text("print(1)")
+    assert "code.txt: CircuitPython runs it in place of our program; move it away" in refusal(
+        "install", "--drive", drive, "--force"
+    )
+    (drive / "code.txt").unlink()
+    (drive / "mouse.py").mkdir()
+    assert "mouse.py: is a folder, where a file has to be; move it away" in refusal("install", "--drive", drive)
+    assert "is a folder" in run("check", "--drive", drive, "--port", "none").output
+
+
+def test_boards_that_may_lack_pins_are_remarked_on(drive):
+    assert "GP0 and GP1" not in run("install", "--drive", drive).output
+    (drive / "boot_out.txt").write_text(BOOT_OUT.replace("raspberry_pi_pico", "adafruit_qtpy_rp2040"))
+    (drive / "mouse.py").unlink()
+    assert "it must have pins named GP0 and GP1" in run("install", "--drive", drive).output
 
 
 def test_another_program_is_not_overwritten_unasked(drive):
@@ -530,6 +691,10 @@ def test_another_program_is_not_overwritten_unasked(drive):
     assert "code.py of another program there; save them and use --force" in str(result.exception)
     assert (drive / "code.py").read_text() == "import my_keyboard\n"
     assert not (drive / "boot.py").exists()
+    result = run("check", "--drive", drive, "--port", "none")
+    assert "code.py on the drive belong to another program; save them and run `spheremouse firmware install --f" in (
+        result.output
+    )
     assert run("install", "--drive", drive, "--force").exit_code == 0
 
 
@@ -544,10 +709,19 @@ def test_drives_that_are_none(drive, tmp_path, monkeypatch):
     assert "no boot_out.txt in it" in refusal("install", "--drive", tmp_path / "none")
     (drive / "boot_out.txt").write_text("Adafruit CircuitPython 7.3.3 on 2022-08-29; Raspberry Pi Pico with rp2040\n")
     assert "CircuitPython 7.3 is too old; install 9.0 or newer: hold BOOTSEL" in refusal("install", "--drive", drive)
+    result = run("check", "--drive", drive, "--port", "none")
+    assert result.exit_code == 1
+    assert "CircuitPython 7.3 is too old" in result.output
+    (tmp_path / "INFO_UF2.TXT").write_text("UF2 Bootloader v3.0\n")
+    (drive / "boot_out.txt").unlink()
+    assert "this is the boot loader; copy CircuitPython's .uf2 file" in refusal("install", "--drive", tmp_path)
     (drive / "boot_out.txt").write_text("something else\n")
     assert "says nothing of CircuitPython" in refusal("install", "--drive", drive)
     monkeypatch.setattr(firmware, "_mounts", lambda: iter(()))
-    assert "no drive CIRCUITPY is mounted; hold BOOTSEL down while you plug the board in" in refusal("install")
+    said = refusal("install")
+    assert "no drive CIRCUITPY is mounted; if the board has CircuitPython, mount its drive and name it with" in said
+    assert "or take the jumper off pins 28 and 29" in said
+    assert "if not, hold BOOTSEL down while you plug the board in" in said
 
 
 def test_the_drive_is_found_among_others(drive, tmp_path_factory, monkeypatch):
@@ -587,6 +761,54 @@ def test_checking_over_the_port():
         assert "all is well" in run("check", "--port", simulator.port).output
 
 
+def test_a_board_whose_computer_sleeps_is_not_all_well(tmp_path):
+    pytest.importorskip("pty")
+    from spheremouse.output._serial_simulator import Simulator
+
+    with Simulator() as simulator:
+        simulator.awake = False
+        result = run("check", "--port", simulator.port, "--json", tmp_path / "found.json")
+    assert result.exit_code == 1
+    assert "plug the board into the game's computer, or wake that up" in result.output
+    assert "all is well" not in result.output
+    assert json.loads((tmp_path / "found.json").read_text())["wrong"]
+    assert "there already" in str(run("check", "--port", "none", "--json", tmp_path / "found.json").exception)
+
+
+def test_checking_over_a_bad_line():
+    """One frame that is lost is no reason to give up; many are a reason to say so."""
+    pytest.importorskip("pty")
+    from spheremouse.output._serial_simulator import Simulator
+
+    with Simulator(damage=0.02, seed=2) as simulator:
+        for _ in range(5):
+            result = run("check", "--port", simulator.port)
+            assert "frames," in result.output, result.exception
+        assert result.exit_code == 1
+        assert "use shorter wires, see that GND is connected" in result.output
+
+
+@pytest.mark.parametrize(
+    ("runs", "kind", "advice"),
+    [
+        ((0, 9, 0), 1, "pull the board and plug it in again, or run `spheremouse firmware install`"),
+        ((0, 9, 0), 2, "load the new one as docs/microcontroller.md says for the ATmega32U4"),
+        ((1, 1, 0), 1, "newer than this program; update spheremouse"),
+        ((1, 1, 0), 2, "newer than this program; update spheremouse"),
+    ],
+)
+def test_another_version_runs(runs, kind, advice):
+    pytest.importorskip("pty")
+    from spheremouse.output._serial_simulator import Simulator
+
+    protocol = firmware.load_protocol()
+    protocol.FIRMWARE, protocol.SIMULATOR = runs, kind
+    with Simulator(protocol=protocol) as simulator:
+        result = run("check", "--port", simulator.port)
+    assert result.exit_code == 1
+    assert advice in result.output
+
+
 def test_a_board_that_was_not_plugged_in_anew(drive, tmp_path):
     run("install", "--drive", drive)
     result = run("check", "--drive", drive, "--port", tmp_path / "none")
@@ -601,3 +823,33 @@ def test_the_simulator_ends_with_what_its_mouse_did(tmp_path):
     assert "a simulated board" in result.output
     assert "in all: X +0 Y +0 wheel +0 pan +0 in 0 reports" in result.output
     assert not (tmp_path / "board").is_symlink()
+    result = run("simulate", "--link", tmp_path / "none" / "board", "--seconds", "0.1")
+    assert "there is no folder" in str(result.exception)
+    (tmp_path / "precious").symlink_to(tmp_path)
+    result = run("simulate", "--link", tmp_path / "precious", "--seconds", "0.1")
+    assert "is there and is no link to a port" in str(result.exception)
+    assert (tmp_path / "precious").is_symlink()
+
+
+def test_measuring_refuses_before_it_measures(tmp_path):
+    result = run("measure", "--seconds", "3000", "--json", tmp_path / "none" / "x.json")
+    assert "there is no folder" in str(result.exception)
+    assert run("measure", "--baud", "1200").exit_code == 2
+    assert run("check", "--port", "x", "--baud", "1200").exit_code == 2
+    assert "write a port's name, auto or none" in refusal("check", "--port", "")
+
+
+def test_a_measure_in_which_nothing_arrives_is_no_success(monkeypatch):
+    from spheremouse.output import _serial_benchmark as benchmark
+    from spheremouse.output.serial import Statistics
+
+    nothing = Statistics((float("nan"), float("nan")), 0, 0, 0, 0, 0, 0, 0, 0, 5)
+    found = benchmark.Measured(np.full(5, 1e-6), np.empty(0), 100.0, 0, False, nothing)
+    monkeypatch.setattr(benchmark, "measure", lambda *_: found)
+    result = run("measure", "--json", "-")
+    assert result.exit_code == 1
+    assert json.loads(result.output)["round_trip_us"] == {"median": None, "p99": None}
+    result = run("measure")
+    assert result.exit_code == 1
+    assert "the sum is OFF" in result.output
+    assert "5 not confirmed at the end" in result.output

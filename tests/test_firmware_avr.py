@@ -147,6 +147,28 @@ def test_a_computer_that_sleeps_gets_it_when_it_wakes(board):
     assert (board.moved[0], board.buttons) == (50, 3)
 
 
+def test_a_computer_that_wakes_is_told_the_buttons_anew(board):
+    begin(board)
+    board.turn(host.motion(1, (3, 0, 0, 0), 1), 1)
+    before = board.reports
+    board.usb(ready=False)
+    board.turn(b"", 2)
+    board.usb(ready=True)
+    board.turn(b"", 3)
+    board.turn(b"", 4)
+    assert (board.reports, board.buttons) == (before + 1, 1)
+
+
+def test_a_hello_of_another_session_is_no_gap(board):
+    begin(board, session=1, number=40_000)
+    board.turn(host.motion(40_001, (1, 0, 0, 0), 0), 1)
+    begin(board, session=2, number=0, now=5)
+    (ack,) = answers(board.turn(host.motion(1, (1, 0, 0, 0), 0), 6))
+    assert ack.lost == 0
+    board.turn(host.hello(4, 2), 7)
+    assert answers(board.turn(host.motion(5, (1, 0, 0, 0), 0), 8))[0].lost == 2  # of its own one there is
+
+
 def test_two_lines(board):
     begin(board, session=7)
     board.turn(host.motion(1, (3, 0, 0, 0), 1), 1)
@@ -328,7 +350,8 @@ class Pico:
         self.device.tick(0)
 
     def usb(self, ready, takes):
-        self.device.usb_ready, self.takes = ready, takes
+        self.device.set_usb(ready)
+        self.takes = takes
 
     def _pass_on(self):
         if not self.device.due():

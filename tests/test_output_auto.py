@@ -46,11 +46,10 @@ def test_uinput_comes_first_then_the_board_then_the_desktop(world, capsys):
     assert open_output("auto") == ("desktop", "")
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.splitlines() == [
-        "auto: takes uinput",
-        "auto: takes serial:auto,id=E661 (uinput: not here)",
-        "auto: takes desktop (uinput: not here | serial: no board of ours is plugged in)",
-    ]
+    first, second, third = said.err.splitlines()
+    assert first == "auto: takes uinput"
+    assert second == "auto: takes serial:auto,id=E661 (uinput: not here)"
+    assert third.startswith("auto: takes desktop (uinput: not here | serial:auto: no board of ours among ")
 
 
 def test_the_third_axis_is_passed_on(world):
@@ -77,9 +76,8 @@ def test_an_adapter_is_never_taken_for_a_board(world):
     world.ports = [ADAPTER]
     with pytest.raises(OutputError) as e:
         open_output("auto")
-    assert str(e.value) == (
-        "auto: no mouse to be had. uinput: not here | serial: no board of ours is plugged in | desktop: not here"
-    )
+    assert str(e.value).startswith("auto: no mouse to be had. uinput: not here | serial:auto: no board of ours among ")
+    assert str(e.value).endswith(" | desktop: not here")
 
 
 def test_several_boards_are_told(world):

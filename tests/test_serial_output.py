@@ -8,15 +8,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import serial as pyserial
+from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
+from spheremouse.firmware import load_protocol
 from spheremouse.motion import Motion
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
-from spheremouse.output._serial_protocol import encode
+from spheremouse.output._serial_protocol import STOP, Flags, encode
 from spheremouse.output.serial import Serial, find_board
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
+import termios  # noqa: E402
 import tty  # noqa: E402
 
 from spheremouse.output._serial_simulator import Simulator  # noqa: E402  needs them
@@ -58,6 +62,7 @@ def test_what_is_sent_is_what_the_mouse_does(board, capsys):
     said = capsys.readouterr().err.splitlines()
     assert said[0] == f"serial: firmware 1.0.0 (simulator) on simulator at {board.port}"
     assert said[1].startswith("serial: round trip ")
+    assert said[1].endswith("; every count arrived")
     assert len(said) == 2
 
 
@@ -144,10 +149,12 @@ def test_the_board_comes_back_at_another_port(tmp_path, capsys):
             until(lambda: "waits" not in output.describe(motion(1)))
             output.send(motion(7))
             until(lambda: second.moved[0] == 7)
+            assert output.statistics().breaks == 1
     said = capsys.readouterr().err
     assert f"serial: {link}: " in said
     assert "trying again until it is back" in said
     assert said.count("(simulator) on simulator") == 2
+    assert f"on simulator at {link} is back" in said
 
 
 def test_sending_never_waits_for_a_line_that_takes_nothing(board):
@@ -187,11 +194,172 @@ def test_how_it_fares(board):
         assert status.damaged == 0
 
 
+def test_what_did_not_arrive_is_told(board, capsys):
+    with open_output(f"serial:{board.port}") as output:
+        output.send(motion(5))
+        until(lambda: output.settled)
+        board.awake = False
+
+        def asleep():
+            output.send(motion())
+            return not output._link.ack.flags & Flags.USB_READY
+
+        until(asleep)
+        output.send(motion(7))
+    assert board.moved[0] == 5
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1].endswith("; counts that did not arrive: 7 not confirmed at the end")
+
+
+def test_a_computer_that_sleeps_is_told_of_when_it_does_and_when_it_is_over(board, capsys):
+    with open_output(f"serial:{board.port}") as output:
+        output.send(motion(5))
+        until(lambda: output.settled)
+        board.nods_off = True  # while the next report waits for it
+        said = ""
+
+        def tells(what):
+            nonlocal said
+            output.send(motion())
+            said += capsys.readouterr().err
+            return what in said
+
+        output.send(motion(3))
+        until(lambda: tells(output_module.NOT_TAKEN))
+        assert board.moved[0] == 5
+        board.awake = True
+        until(lambda: tells(output_module.TAKEN))
+        until(lambda: output.settled)
+    assert board.moved[0] == 8
+    assert said.count(output_module.NOT_TAKEN) == 1
+
+
+def test_how_it_fares_over_a_bad_line():
+    """Question and answer are each lost now and then: it is asked again."""
+    with Simulator(damage=0.02, seed=3) as board, open_output(f"serial:{board.port}") as output:
+        assert isinstance(output, Serial)
+        assert all(output.status(10.0) for _ in range(12))
+
+
+def returning(first, finding):
+    """An output whose board has just been unplugged, and what it says; `finding` names the port at the n-th time."""
+    calls = []
+
+    def find():
+        calls.append(1)
+        return first.port if len(calls) == 1 else finding(len(calls))
+
+    said = []
+    output = Serial(find, 115200, "none", said.append)
+    output.send(motion(1))
+    until(lambda: output.settled)
+    first.unplug()
+    return output, said
+
+
+def test_a_board_comes_back_whatever_goes_wrong_meanwhile(board, monkeypatch):
+    """Lists of ports and ports themselves fail in odd ways while a board is plugged in."""
+    real, fails = pyserial.Serial.reset_input_buffer, [termios.error(5, "Input/output error")]
+
+    def reset(port):
+        if fails:
+            raise fails.pop()
+        real(port)
+
+    with Simulator() as second:
+
+        def finding(n):
+            if n == 2:
+                raise TypeError("int() can't convert non-string with explicit base")
+            if n == 3:
+                monkeypatch.setattr(pyserial.Serial, "reset_input_buffer", reset)
+            return second.port
+
+        output, said = returning(board, finding)
+        with output:
+            until(lambda: any("is back" in s for s in said))
+            output.send(motion(4))
+            until(lambda: second.moved[0] == 4)
+        assert not fails
+
+
+def test_a_port_that_goes_away_at_once_is_an_output_error(board, monkeypatch):
+    def gone(self, data):
+        raise output_module.PortGoneError("Input/output error")
+
+    monkeypatch.setattr(output_module.Port, "write", gone)
+    assert "the port went away (Input/output error); plug the board in again" in refused(f"serial:{board.port}")
+
+
+def test_ports_that_change_while_they_are_listed(monkeypatch):
+    def comports():
+        raise TypeError("int() can't convert non-string with explicit base")
+
+    monkeypatch.setattr(list_ports, "comports", comports)
+    assert "ports are changing just now; try again" in refused("serial:auto")
+
+
+def test_sending_does_not_wait_for_a_port_that_closes_slowly(board, monkeypatch):
+    """Systems drain a port that is closed, for up to 30 s."""
+    closing, close = threading.Event(), output_module.Port.close
+    slow = threading.Event()
+
+    def drain(self):
+        closing.set()
+        slow.wait(10.0)
+        close(self)
+
+    def finding(n):
+        raise OutputError("gone")
+
+    monkeypatch.setattr(output_module.Port, "close", drain)
+    output, _ = returning(board, finding)
+    assert closing.wait(10.0)
+    sender = threading.Thread(target=lambda: output.send(motion(1)), daemon=True)
+    sender.start()
+    sender.join(5.0)
+    assert not sender.is_alive()
+    slow.set()
+    output.close()
+
+
+def test_a_stop_after_half_a_frame_arrives(board, monkeypatch):
+    output = open_output(f"serial:{board.port}")
+    assert isinstance(output, Serial)
+    output.hold(1)
+    until(lambda: board.buttons == 1)
+    write = output_module.Port.write
+    monkeypatch.setattr(output_module.Port, "write", lambda port, data: write(port, data[:5]))  # a line that is full
+    with output._lock:
+        output._over.set()  # the thread writes no more
+    output._thread.join()
+    output._over.clear()
+    output._unsent = encode(0x02, 9999, bytes(9))[9:]
+    handle, kinds = board.device.handle, []
+    board.device.handle = lambda line, now: (kinds.append(line.content[1]), handle(line, now))
+    output.close()
+    until(lambda: kinds)
+    assert kinds == [STOP]
+    assert not board.device.running
+
+
+def test_a_board_of_another_version_that_comes_back_is_told_of_once(board):
+    other = load_protocol()
+    other.VERSION = 2
+    with Simulator(protocol=other) as second:
+        output, said = returning(board, lambda n: second.port)
+        with output:
+            until(lambda: len(said) == 3 or output.send(motion()))
+            time.sleep(0.3)
+            assert len(said) == 3
+            assert "the board speaks version 2 of the protocol, this program 1; update spheremouse" in said[2]
+
+
 # ---- refusals ----
 
 
 def test_arguments():
-    assert "names no port; write serial:auto" in refused("serial")
+    assert refused("serial").startswith("serial: names no port; write serial:auto")
     assert "names no port" in refused("serial:baud=9600")
     assert refused("serial:x,third=rz") == "serial: third=rz; write third= with one of none, wheel, pan"
     assert "unknown key bauds; did you mean baud?" in refused("serial:x,bauds=9600")
@@ -200,7 +368,7 @@ def test_arguments():
 
 
 def test_ports_that_cannot_be_used(tmp_path, board):
-    assert "does not exist; plug the board in" in refused(f"serial:{tmp_path / 'none'}")
+    assert "does not exist; there is " in refused(f"serial:{tmp_path / 'none'}")
     (tmp_path / "file").write_text("")
     assert "cannot be opened" in refused(f"serial:{tmp_path / 'file'}")
     with open_output(f"serial:{board.port}"):
@@ -217,24 +385,39 @@ def test_nobody_answers(monkeypatch):
         os.close(slave)
 
 
-def test_a_board_of_another_version():
+@contextlib.contextmanager
+def somebody_who_says(data):
+    """A port at whose other end somebody answers once."""
     master, slave = pty.openpty()
     try:
         tty.setraw(slave)
 
         def answer():
             os.read(master, 100)
-            os.write(master, encode(0x81, 0, bytes(44), version=9))
+            os.write(master, data)
 
         thread = threading.Thread(target=answer)
         thread.start()
-        assert "the board speaks version 9 of the protocol, this is 1; run `spheremouse firmware install`" in refused(
-            f"serial:{os.ttyname(slave)}"
-        )
+        yield os.ttyname(slave)
         thread.join()
     finally:
         os.close(master)
         os.close(slave)
+
+
+def test_somebody_answers_but_garbled(monkeypatch):
+    monkeypatch.setattr(output_module, "FIRST_ANSWER", 0.2)
+    with somebody_who_says(b"\x05garb\0") as name:
+        assert "something answers, but garbled; use shorter wires" in refused(f"serial:{name}")
+
+
+@pytest.mark.parametrize(
+    ("version", "advice"), [(9, "update spheremouse"), (0, "load this program's firmware: `spher")]
+)
+def test_a_board_of_another_version(version, advice):
+    with somebody_who_says(encode(0x81, 0, bytes(44), version=version)) as name:
+        said = refused(f"serial:{name}")
+    assert f"the board speaks version {version} of the protocol, this program 1; {advice}" in said
 
 
 # ---- which port ----
@@ -265,7 +448,8 @@ def test_a_lone_adapter_is_taken_and_several_boards_are_not():
     adapter = port("/dev/ttyUSB0", "USB Serial", 0x1A86, 0x7523, None, location="1-2")
     assert find_board(None, [none, adapter]) == "/dev/ttyUSB0"
     first, second = (port(f"/dev/ttyACM{k}", "spheremouse", serial=f"S{k}") for k in (1, 3))
-    with pytest.raises(OutputError, match=r"several boards \(id=S1 at /dev/ttyACM1, id=S3 at /dev/ttyACM3\)"):
+    several = r"several boards; write serial:auto,id=S1 \(/dev/ttyACM1\) or serial:auto,id=S3 \(/dev/ttyACM3\)$"
+    with pytest.raises(OutputError, match=several):
         find_board(None, [first, second, adapter])
     assert find_board("S3", [first, second, adapter]) == "/dev/ttyACM3"
     with pytest.raises(OutputError, match=r"no board with id=S4 among /dev/ttyACM1"):
@@ -274,3 +458,45 @@ def test_a_lone_adapter_is_taken_and_several_boards_are_not():
         find_board(None, [none])
     with pytest.raises(OutputError, match=r"among /dev/ttyACM7; name its port"):
         find_board(None, [port("/dev/ttyACM7", "modem")])
+
+
+def test_a_pico_on_windows_which_tells_no_names():
+    console = port("COM5", None, location="1-2:x.0")
+    data = port("COM6", None, location="1-2:x.2")
+    assert find_board(None, [data, console]) == "COM6"
+    assert find_board("E660", [console, data]) == "COM6"
+    with pytest.raises(OutputError, match="no board of ours among COM5"):
+        find_board(None, [console])  # may be a console
+    with pytest.raises(OutputError, match="no board with id=E660 among COM5"):
+        find_board("E660", [console])
+    avr = port("COM7", None, 0x2341, 0x8036, "SPHEREMOUSE", location="1-3:x.0")
+    assert find_board(None, [avr]) == "COM7"
+    pico2 = [port(f"COM{k}", None, 0x2E8A, 0x000B, "E7", location=f"1-4:x.{k}") for k in (0, 2)]
+    assert find_board(None, pico2) == "COM2"
+
+
+def test_the_console_of_a_fresh_board_is_not_taken_by_its_number_either():
+    fresh = port("/dev/ttyACM0", "Pico", interface="CircuitPython CDC control", location="1-1:1.0")
+    with pytest.raises(OutputError, match="no board with id=E660"):
+        find_board("E660", [fresh])
+
+
+def test_boards_with_the_same_number_are_two():
+    clones = [port(f"/dev/ttyUSB{k}", "CP2102", 0x10C4, 0xEA60, "0001", location=f"1-{k}") for k in (1, 4)]
+    with pytest.raises(OutputError, match=r"several boards; write serial:/dev/ttyUSB1 or serial:/dev/ttyUSB4$"):
+        find_board(None, clones)
+    ours = [
+        port(f"/dev/ttyACM{k}", "spheremouse", 0x2341, 0x8036, "spheremouse", location=f"1-{k}:1.0") for k in (0, 1)
+    ]
+    with pytest.raises(OutputError, match=r"write serial:/dev/ttyACM0 or serial:/dev/ttyACM1$"):
+        find_board(None, ours)
+    with pytest.raises(OutputError, match=r"write serial:/dev/ttyACM0 or serial:/dev/ttyACM1$"):
+        find_board("spheremouse", ours)
+
+
+@pytest.mark.parametrize("pid", [0x23A3, 0x2303])
+def test_adapters_of_several_makes(pid):
+    adapter = port("/dev/ttyUSB0", "USB-Serial Controller", 0x067B, pid, None, location="1-1")
+    assert find_board(None, [adapter]) == "/dev/ttyUSB0"
+    with pytest.raises(OutputError, match="no board of ours"):
+        find_board(None, [adapter], adapters=False)

@@ -224,6 +224,28 @@ def test_stop_releases_buttons():
     assert not ack.flags & Flags.RUNNING
 
 
+def test_a_hello_of_another_session_is_no_gap():
+    board = begun(session=1, number=40_000)
+    asked(board, host.motion(40_001, (1, 0, 0, 0), 0))
+    asked(board, host.hello(0, 2))
+    assert asked(board, host.motion(1, (1, 0, 0, 0), 0))[0].lost == 0
+    asked(board, host.hello(4, 2))
+    assert asked(board, host.motion(5, (1, 0, 0, 0), 0))[0].lost == 2  # of its own one there is
+
+
+def test_a_computer_that_wakes_is_told_the_buttons_anew():
+    board = begun()
+    asked(board, host.motion(101, (1, 0, 0, 0), 1))
+    board.usb = False
+    board.turn(b"", 1)
+    board.usb, board.buttons = True, 0  # it has started again, and knows of none
+    board.turn(b"", 2)
+    assert board.buttons == 1
+    assert board.device.reports == 2
+    board.turn(b"", 3)
+    assert board.device.reports == 2
+
+
 def test_another_version_is_told_ours():
     board = Board()
     (frame,) = Splitter().take(board.turn(host.encode(host.HELLO, 1, b"\1\2\3\4", version=2), 0))
@@ -404,6 +426,37 @@ def test_a_board_of_another_protocol_is_noticed():
     link.opened(0.0)
     link.receive(host.encode(host.IDENTITY, 0, bytes(44), version=2), 0.0)
     assert link.foreign == 2
+    assert link.heard == -np.inf  # it is none that is there
+    link.receive(Board().turn(link.due(0.0) or b"", 0), 1.0)
+    assert link.heard == 1.0
+
+
+def test_a_name_of_control_characters_stays_off_the_terminal():
+    frame = bytearray(host._IDENTITY.size)
+    frame[28:] = b"\x1b[2Jdesk\x07".ljust(16, b"\0")
+    (found,) = map(parse, Splitter().take(host.encode(host.IDENTITY, 0, bytes(frame))))
+    assert isinstance(found, host.Identity)
+    assert found.board == "?[2Jdesk?"
+
+
+def test_breaks_are_those_that_nobody_here_made():
+    w = world()
+    for _ in range(50):
+        w.give((1, 0, 0, 0))
+        w.step()
+    for _ in range(1500):  # the tracker pauses, and goes on
+        w.step()
+    w.give((1, 0, 0, 0))
+    w.settle()
+    assert (w.link.sessions, w.link.breaks) == (2, 0)
+    w.up.cut = True
+    for _ in range(300):
+        w.give((1, 0, 0, 0))
+        w.step()
+    assert sum(w.link.waiting) > 290
+    w.settle()
+    assert w.link.breaks == 1
+    assert w.link.waiting == [0, 0, 0, 0]
 
 
 def test_round_trip_times():
@@ -440,3 +493,34 @@ def test_large_move_after_small_ones_is_not_refused_however_late_the_answers(del
         world.step()
     assert world.short == [0, 0, 0, 0]
     assert world.link.sessions == 1
+
+
+@pytest.mark.parametrize("delay", [1, 3, 8])
+def test_a_sharp_turn_with_answers_under_way_is_not_refused(delay):
+    """The board may have obeyed any of what is under way, the way out as well as the way back."""
+    rng = np.random.default_rng(delay)
+    world = World(Board(), Wire(rng), LateWire(rng, delay))
+    world.link.buttons, edges, buttons = 1, [], 0
+    for k in range(400):
+        world.link.alive(world.now)
+        for at, x in ((50, 600), (51, -1200), (52 + delay, 5000)):
+            if k == at:
+                world.give((x, 0, 0, 0))
+        world.step()
+        if world.board.buttons != buttons:
+            buttons = world.board.buttons
+            edges.append(buttons)
+    assert (world.link.sessions, world.board.device.refused, edges) == (1, 0, [1])
+    assert world.short == [0, 0, 0, 0]
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 12), st.integers(0, 12), st.integers(0, 2**32), st.floats(0.0, 0.5))
+def test_no_step_is_refused_whatever_is_under_way(there, back, seed, lose):
+    rng = np.random.default_rng(seed)
+    world = World(Board(), LateWire(rng, there), LateWire(rng, back))
+    world.up._lose = world.down._lose = lose
+    for _ in range(300):
+        world.give(rng.choice([-2000, -700, -100, 0, 0, 100, 700, 2000], 4))
+        world.step()
+        assert not world.board.line.too_large

@@ -217,6 +217,7 @@ class Link:
         self._moved = self._said = self._since = -np.inf  # s: last MOTION, last `add`, nothing confirmed since
         self._flying: dict[int, float] = {}
         self._targets: deque[tuple[int, list[int], list[int]]] = deque()  # number, from, to: where the board may go
+        self._lowest, self._highest = [0] * 4, [0] * 4  # of them, and of `confirmed`
         self._times: deque[float] = deque(maxlen=_TIMES)
         self._wants_status = self._wants_stop = False
 
@@ -305,6 +306,7 @@ class Link:
         self.sent, self._pressed, self._moved = target, self.buttons, now
         self.motions += 1
         self._targets.append((self._number, target, target))
+        self._lowest, self._highest = _hull([self._lowest, self._highest, target])
         if len(self._targets) > _FLYING:  # two as one, that reaches as far as both
             (_, *one), (number, *other) = self._targets.popleft(), self._targets.popleft()
             self._targets.appendleft((number, *_hull([*one, *other])))
@@ -345,10 +347,9 @@ class Link:
 
     def _target(self) -> list[int]:
         """Where the next MOTION goes: no step is too large, whichever of what is under way the board has obeyed."""
-        lowest, highest = _hull([self.confirmed, *(t for _, *two in self._targets for t in two)])
         return [
             min(max(t, c - _REACH, high - STEP), c + _REACH, low + STEP)
-            for t, c, low, high in zip(self.total, self.confirmed, lowest, highest, strict=True)
+            for t, c, low, high in zip(self.total, self.confirmed, self._lowest, self._highest, strict=True)
         ]
 
     def _next(self, now: float) -> int:
@@ -385,6 +386,7 @@ class Link:
         self.sent, self._base, self._acked = list(self.confirmed), list(self.confirmed), [0] * 4
         self._flying.clear()
         self._targets.clear()
+        self._lowest, self._highest = list(self.confirmed), list(self.confirmed)
         self._answered, self._pressed, self._moved = (self._number - 1) & 0xFFFF, 0, now
         self.running = True
         self.sessions += 1
@@ -412,6 +414,7 @@ class Link:
                 self._targets.popleft()
             if self._targets and self._targets[0] == (ack.number, self.confirmed, self.confirmed):
                 self._targets.popleft()
+        self._lowest, self._highest = _hull([self.confirmed, *(t for _, *two in self._targets for t in two)])
         if before != self.confirmed or self.settled:
             self._since = now
 

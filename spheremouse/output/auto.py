@@ -37,13 +37,9 @@ def _uinput(given: str) -> tuple[str, Output]:
 
 
 def _board(given: str) -> tuple[str, Output]:
-    from serial.tools import list_ports
-
-    ours = [p for p in list_ports.comports() if serial.PRODUCT in f"{p.product} {p.serial_number}".lower()]
-    if not ours:
-        raise OutputError("serial: no board of ours is plugged in")
-    port = serial.find_board(ports=ours)
-    number = next((p.serial_number for p in ours if p.device == port), None)
+    ports = serial.ports_here()
+    port = serial.find_board(ports=ports, adapters=False)
+    number = next((p.serial_number for p in ports if p.device == port), None)
     # By its number, so that it is found again at another port.
     where = f"auto,id={number}" if number else port
     whole = ",".join(filter(None, (where, given)))

@@ -409,7 +409,7 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
 
     Where none is ours, the only adapter there is, if `adapters` are allowed.
     """
-    ports = [p for p in (_ports() if ports is None else ports) if p.vid is not None]
+    ports = [p for p in (ports_here() if ports is None else ports) if p.vid is not None]
     boards = [board for board in _boards(ports) if _data_port(board) is not None]
     if identifier is not None:
         found = [b for b in boards if b[-1].serial_number == identifier]
@@ -435,7 +435,8 @@ def find_board(identifier: str | None = None, ports: list[Any] | None = None, ad
     )
 
 
-def _ports() -> list[Any]:
+def ports_here() -> list[Any]:
+    """All serial ports, as pyserial lists them."""
     from serial.tools import list_ports
 
     try:
@@ -488,7 +489,7 @@ def _foreign(version: int) -> str:
     advice = (
         "update spheremouse"
         if version > VERSION
-        else "load this program's firmware: `spheremouse firmware install`, on an ATmega32U4 see docs/microcontroller.md"
+        else "load this program's firmware: `spheremouse firmware install`, or as docs/microcontroller.md says"
     )
     return f"the board speaks version {version} of the protocol, this program {VERSION}; {advice}"
 
@@ -506,7 +507,7 @@ def _refusal(name: str, error: Exception) -> str:
 
 def _there() -> str:
     try:
-        names = [p.device for p in _ports()]
+        names = [p.device for p in ports_here()]
     except OutputError:
         names = []
     return f"there is {', '.join(names)}" if names else "there is no serial port here: plug the board in"

@@ -49,6 +49,8 @@ class Hid:
 
     def __init__(self):
         self.moved, self.buttons, self.refuses, self.feature = [0, 0, 0, 0], 0, False, None
+        self.nods_off = False  # while the next report waits
+        self.tries = 0
 
     def get_last_received_report(self, report_id):
         feature = self.feature
@@ -56,8 +58,12 @@ class Hid:
         return feature
 
     def send_report(self, report, report_id):
+        self.tries += 1
         if self.refuses:
             raise OSError
+        if self.nods_off:  # CircuitPython asks to wake the computer up, and returns as if all were well
+            self.nods_off = runtime.usb_connected = False
+            return
         assert report_id == MOUSE
         k = 0
         while k < 4:
@@ -92,12 +98,15 @@ def turn(text):
     if "feature" in asked:
         hid.feature = bytes([asked["feature"]])
     hid.refuses = asked.get("refuses", hid.refuses)
+    hid.nods_off = asked.get("nods_off", hid.nods_off)
     runtime.usb_connected = asked.get("usb", runtime.usb_connected)
     port.fill(bytes.fromhex(asked.get("bytes", "")))
     mouse.turn(asked["now"])
     while port.in_waiting:
         mouse.turn(asked["now"])
-    return json.dumps({"bytes": port.empty().hex(), "moved": hid.moved, "buttons": hid.buttons, "led": led.value})
+    return json.dumps(
+        {"bytes": port.empty().hex(), "moved": hid.moved, "buttons": hid.buttons, "led": led.value, "tries": hid.tries}
+    )
 
 
 def moved(text):

@@ -101,9 +101,9 @@ class Port:
         assert data[0] == 2, data
         return data[1]
 
-    def room(self) -> bool:
-        """Whether a report can be handed over."""
-        return bool(select.select([], [self._hid], [], 0)[1])
+    def room(self, timeout: float = 0.0) -> bool:
+        """Whether a report can be handed over, within `timeout` s."""
+        return bool(select.select([], [self._hid], [], timeout)[1])
 
     def send(self, report: bytes) -> None:
         """OSError where it is not taken."""
@@ -149,7 +149,7 @@ def pico(port: Port, ready: Callable[[], None]) -> None:
             port.write(bytes(frame))
 
         def send_report(self, report: bytearray, number: int) -> None:
-            if number != 1 or not port.room():
+            if number != 1 or not port.room(2.0):  # as long as CircuitPython waits
                 raise OSError(errno.EAGAIN, "busy")
             port.send(bytes(report))
 

@@ -1,3 +1,4 @@
+# spheremouse firmware
 """The board's program: finds its hardware, starts the watchdog, and turns the loop of mouse.py for ever."""
 
 import board
@@ -17,8 +18,9 @@ if supervisor.runtime.run_reason != supervisor.RunReason.STARTUP:
 if usb_cdc.data is None:
     raise RuntimeError("boot.py has not run yet: unplug the board and plug it in again")
 
-led = digitalio.DigitalInOut(board.LED)
-led.switch_to_output(False)
+led = digitalio.DigitalInOut(board.LED) if hasattr(board, "LED") else None  # some boards have a coloured one only
+if led is not None:
+    led.switch_to_output(False)
 usb_cdc.data.timeout = 0
 usb_cdc.data.write_timeout = 0
 uart = None

@@ -1,3 +1,4 @@
+# spheremouse firmware
 """The mouse and its loop: bytes from the serial lines, through protocol.py, into HID reports; the LED says how it is.
 
 The report descriptor is that of docs/protocol.md. Hardware comes in as objects, so that this runs on a desk as well.
@@ -64,7 +65,8 @@ DESCRIPTOR = bytes(
     )
 )  # fmt: skip
 
-_TROUBLE = 300  # ms that the LED flickers after a frame that was lost or refused
+_TROUBLE = 300  # ms that the LED flickers after a frame that was damaged, lost or refused
+_PAUSE = 5000  # ms from one report that the computer did not fetch to the next try: CircuitPython waits 2000 of them
 _UART_ANSWERS = 4  # ms between two answers on a UART, whose writing waits for the line
 
 
@@ -72,12 +74,14 @@ class Mouse:
     """Serial lines in, one mouse out. `turn` is the loop's body and allocates nothing."""
 
     def __init__(self, kind, board, hid, usb, uart, led, runtime):
-        """`usb`: data port; `uart`: may be None; `runtime` has `usb_connected`; `led` has `value`."""
+        """`usb`: data port; `uart`: may be None; `runtime` has `usb_connected`; `led`: has `value`, may be None."""
         self.device = protocol.Device(kind, board)
         self._hid, self._usb, self._uart, self._led, self._runtime = hid, usb, uart, led, runtime
         self._usb_line, self._uart_line = protocol.Line(), protocol.Line()
         self._buffer = bytearray(128)
         self._answered = 0
+        self._connected = False
+        self._unfetched = -1  # ticks of a report that the computer did not fetch; -1: it does
         self._lit = False
 
     def turn(self, now):
@@ -87,7 +91,7 @@ class Mouse:
         if self._uart is not None:
             self._read(self._uart, self._uart_line, now)
         device.tick(now)
-        self._move()
+        self._move(now)
         self._answer(now)
         self._show(now)
 
@@ -97,25 +101,38 @@ class Mouse:
         count = port.readinto(self._buffer)
         if not count:
             return
+        damaged = line.damaged
         at = 0
         while at < count:
             at = line.take(self._buffer, at, count)
             if line.length:
                 self.device.handle(line, now)
+        if line.damaged != damaged:
+            self.device.worry(line, now)
 
-    def _move(self):
+    def _move(self, now):
         device = self.device
-        device.usb_ready = self._runtime.usb_connected
+        connected = self._runtime.usb_connected
+        if connected != self._connected or (self._unfetched >= 0 and protocol.elapsed(now, self._unfetched) >= _PAUSE):
+            self._connected = connected
+            self._unfetched = -1
+        if not connected or self._unfetched < 0:
+            device.set_usb(connected)
         feature = self._hid.get_last_received_report(MULTIPLIERS)
         if feature is not None:
             device.set_multipliers(feature[0])
         if device.due():
             try:
                 self._hid.send_report(device.report, MOUSE)
-            except OSError:
+            except OSError:  # enumerated, and nobody fetches: a BIOS, a system that no program reads mice of
                 device.not_passed_on()
+                device.usb_ready = False
+                self._unfetched = now
             else:
-                device.passed_on()
+                if self._runtime.usb_connected:
+                    device.passed_on()
+                else:  # the computer fell asleep while CircuitPython waited for it, which is no error to that
+                    device.not_passed_on()
 
     def _answer(self, now):
         usb = self._usb
@@ -131,7 +148,7 @@ class Mouse:
                 uart.write(frame)
 
     def _show(self, now):
-        """Dark: no computer. Slow blinking: waits for a session. Steady: runs. Flicker: frames were lost or refused."""
+        """Dark: no computer. Slow blinking: waits for a session. Steady: runs. Flicker: bad or lost frames."""
         device = self.device
         if not device.usb_ready:
             lit = False
@@ -141,4 +158,6 @@ class Mouse:
             device.troubled = -1
             lit = True if device.running else bool(now & 512)
         if lit != self._lit:
-            self._led.value = self._lit = lit
+            self._lit = lit
+            if self._led is not None:
+                self._led.value = lit

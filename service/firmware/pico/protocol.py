@@ -1,3 +1,4 @@
+# spheremouse firmware
 """Frames in, frames and mouse reports out: the device's end of docs/protocol.md, as arithmetic without hardware.
 
 Runs under CircuitPython, MicroPython and CPython alike. Nothing is allocated after construction: buffers have their
@@ -150,14 +151,15 @@ class Device:
         self.running = False
         self.buttons = 0  # asked for
         self.reported = 0  # of the last report
-        self.usb_ready = False
+        self.usb_ready = False  # by `set_usb`
+        self.untold = False  # the computer has been away: what it knows of the buttons is not known
         self.fine = 0  # resolution multipliers: bit 0 wheel, bit 1 pan
         self.report = bytearray(9)
         self.refused = self.lost = 0  # modulo 2^16
         self.frames = self.reports = 0  # modulo 2^30
         self.usb_errors = 0  # modulo 2^16
         self.uptime = 0  # s
-        self.troubled = -1  # ticks of the last frame that was refused or lost; -1: none
+        self.troubled = -1  # ticks of the last frame that was damaged, refused or lost; -1: none
         self._line = None  # of the session
         self._taken = False  # a MOTION, in this session
         self._heard = 0  # ticks
@@ -180,21 +182,22 @@ class Device:
         length = line.length
         kind = content[1]
         if length == _HELLO_LENGTH and kind == HELLO and content[0] != VERSION:
-            self._damaged(line, now)
+            self._damaged(line)
             self._owe_identity(line, False)
             return
         if content[0] != VERSION or length != (
             _HELLO_LENGTH if kind == HELLO else _MOTION_LENGTH if kind == MOTION else _BARE_LENGTH
         ):
-            self._damaged(line, now)
+            self._damaged(line)
             return
         if kind == 0 or kind > STOP:
-            self._damaged(line, now)
+            self._damaged(line)
             return
         self.frames = (self.frames + 1) & _COUNT
         number = content[2] | content[3] << 8
         newer = False
-        if self.running and line is self._line:
+        ours = kind != HELLO or self._is_session(line, self._session)
+        if self.running and ours and line is self._line:
             gap = (number - line.last - 1) & 0xFFFF
             newer = gap < 0x7FFF
             if newer:
@@ -212,6 +215,11 @@ class Device:
             self._owe_ack(line, number, False)
         else:
             line.owes_status = True
+
+    def worry(self, line, now):
+        """Frames came damaged on this line. Where another has the session, that is the noise of an open pin."""
+        if line is self._line or not self.running:
+            self.troubled = now
 
     def tick(self, now):
         """Let time pass: silence ends the session."""
@@ -282,9 +290,8 @@ class Device:
         self.refused = (self.refused + 1) & 0xFFFF
         self.troubled = now
 
-    def _damaged(self, line, now):
+    def _damaged(self, line):
         line.damaged = (line.damaged + 1) & 0xFFFF
-        self.troubled = now
 
     def _is_session(self, line, session):
         for k in range(4):  # noqa: SIM110  all() would make a generator
@@ -298,6 +305,12 @@ class Device:
 
     # ---- to USB ----
 
+    def set_usb(self, ready):
+        """Whether USB takes reports. A computer that was away is told the buttons anew when it is back."""
+        if not ready and self.reports:
+            self.untold = True
+        self.usb_ready = ready
+
     def due(self):
         """Whether `report` has to be sent now; `passed_on` says that it was."""
         if not self.usb_ready:
@@ -307,7 +320,7 @@ class Device:
         target = self._target
         passed = self._passed
         notch = self._notch
-        send = self.buttons != self.reported
+        send = self.untold or self.buttons != self.reported
         report[0] = self.buttons
         for k in range(4):
             step = signed(target[k] - passed[k])
@@ -325,6 +338,7 @@ class Device:
 
     def passed_on(self):
         """USB has taken `report`."""
+        self.untold = False
         self.reported = self.report[0]
         self.reports = (self.reports + 1) & _COUNT
         for k in range(4):

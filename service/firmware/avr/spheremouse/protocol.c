@@ -164,7 +164,8 @@ static void refuse(sm_device *device) {
 
 static void damaged(sm_device *device, sm_line *line) {
     line->damaged++;
-    device->trouble = true;
+    if (line == device->line || !device->running) /* else it is the noise of an open pin */
+        device->trouble = true;
 }
 
 static void owe_ack(sm_line *line, uint16_t number) {
@@ -257,7 +258,7 @@ static uint8_t length_of(uint8_t type) {
 static void obey(sm_device *device, sm_line *line, uint32_t now) {
     uint8_t type = line->content[TYPE_AT];
     uint16_t number = get16(line->content + NUMBER_AT);
-    bool newer = false;
+    bool newer = false, ours = type != SM_HELLO || get32(line->content + BODY_AT) == device->session;
     if (line->length != length_of(type) || line->content[VERSION_AT] != SM_VERSION) {
         damaged(device, line);
         if (type == SM_HELLO && line->length == length_of(type))
@@ -265,7 +266,7 @@ static void obey(sm_device *device, sm_line *line, uint32_t now) {
         return;
     }
     device->frames = (device->frames + 1) & COUNT;
-    if (device->running && line == device->line) {
+    if (device->running && ours && line == device->line) {
         uint16_t gap = (uint16_t)(number - line->last - 1);
         newer = signed16((uint16_t)(gap + 1)) > 0;
         if (newer) {
@@ -322,9 +323,14 @@ void sm_tick(sm_device *device, uint32_t now) {
     }
 }
 
+void sm_set_usb(sm_device *device, bool ready) {
+    device->untold = device->untold || (!ready && device->reports);
+    device->usb_ready = ready;
+}
+
 bool sm_due(sm_device *device) {
     uint8_t k, *at = device->report;
-    bool send = device->buttons != device->reported;
+    bool send = device->untold || device->buttons != device->reported;
     if (!device->usb_ready)
         return false;
     *at++ = device->buttons;
@@ -344,6 +350,7 @@ bool sm_due(sm_device *device) {
 
 void sm_passed_on(sm_device *device) {
     uint8_t k;
+    device->untold = false;
     device->reported = device->report[0];
     device->reports = (device->reports + 1) & COUNT;
     for (k = 0; k < SM_AXES; k++)

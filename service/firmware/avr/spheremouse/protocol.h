@@ -52,7 +52,8 @@ typedef struct {
 typedef struct {
     bool running;
     bool taken;           /* a MOTION, in this session */
-    bool usb_ready;       /* set by the caller: enumerated and awake */
+    bool usb_ready;       /* enumerated and awake */
+    bool untold;          /* the computer has been away: what it knows of the buttons is not known */
     uint8_t fine;         /* resolution multipliers: bit 0 wheel, bit 1 pan */
     uint8_t buttons;      /* asked for */
     uint8_t reported;     /* buttons of the last report that USB took */
@@ -81,6 +82,8 @@ void sm_take(sm_device *device, sm_line *line, uint8_t byte, uint32_t now);
 /* Time passes. */
 void sm_tick(sm_device *device, uint32_t now);
 
+/* Whether USB takes reports. A computer that was away is told the buttons anew when it is back. */
+void sm_set_usb(sm_device *device, bool ready);
 /* Whether `report` has to be sent now. One of the two below says what became of it. */
 bool sm_due(sm_device *device);
 void sm_passed_on(sm_device *device);

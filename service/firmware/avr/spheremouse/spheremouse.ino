@@ -44,7 +44,7 @@ bool answers(const sm_line &line, Stream &from) {
 }
 
 void pass_on() {
-    device.usb_ready = mouse.ready();
+    sm_set_usb(&device, mouse.ready());
     sm_set_multipliers(&device, mouse.multipliers());
     if (!device.usb_ready || !mouse.room() || !sm_due(&device))
         return;
