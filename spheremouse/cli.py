@@ -13,6 +13,7 @@ from spheremouse import (
     cli_bench,
     cli_config,
     cli_ctl,
+    cli_doctor,
     cli_firmware,
     cli_layout,
     cli_map,
@@ -41,6 +42,7 @@ app.command(epilog=cli_simulate.EXAMPLE)(cli_simulate.simulate)
 app.command(epilog="Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json")(evaluate)
 app.command(epilog=cli_bench.EXAMPLE)(cli_bench.bench)
 app.command(epilog=cli_layout.EXAMPLE)(cli_layout.layout)
+app.command(epilog=cli_doctor.EXAMPLE)(cli_doctor.doctor)
 app.add_typer(cli_ctl.app, name="ctl", epilog=cli_ctl.EPILOG)
 app.add_typer(cli_service.app, name="service", epilog="Example: sudo spheremouse service install")
 app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")

@@ -1,0 +1,136 @@
+"""The files of a run: configuration, rig, camera and map; each that cannot be read is a line, and the rest goes on."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from spheremouse import config
+from spheremouse.daemon.plan import Plan, Request, read_plan
+from spheremouse.daemon.settings import Configuration
+from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
+from spheremouse.errors import ConfigurationError
+from spheremouse.map_file import age, check_fits, load_map
+from spheremouse.rig import Rig
+from spheremouse.service import Place
+from spheremouse.yaml_file import read_document
+
+_DAY = 86400.0  # s
+
+
+def usual(request: Request, status: dict[str, Any] | None) -> Request:
+    """The request, with the configuration of the daemon that runs, or of the service, where nothing is named."""
+    if request != Request():
+        return request
+    told = None if status is None else status.get("config")
+    places = [*([Path(told)] if told else []), *(Place(user=u).configuration / "config.yaml" for u in (False, True))]
+    return replace(request, file=next((p for p in places if os.access(p, os.R_OK)), None))
+
+
+def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Finding]]:
+    """As much of the plan as can be read, and what cannot; `camera` is looked at where no source is named."""
+    findings: list[Finding] = []
+    bare = replace(request, assignments=(*request.assignments, "rig=null", "camera_file=null"), rig=None, camera=None)
+    attempts = [request, replace(bare, no_map=True, map=None), Request(None, (), request.source, request.output)]
+    said: set[str] = set()
+    plan: Plan | None = None
+    for attempt in attempts:
+        try:
+            plan = read_plan(_completed(attempt, camera))
+            break
+        except ConfigurationError as e:
+            if str(e) not in said:
+                said.add(str(e))
+                findings.append(refused("configuration", e))
+    if not findings:
+        where = "none: built-in parameters" if request.file is None else str(request.file)
+        findings.append(ok("configuration", where))
+    return plan, findings
+
+
+def _completed(request: Request, camera: str | None) -> Request:
+    """With a source and an output, which a plan wants."""
+    c = Configuration() if request.file is None else config.load(request.file, Configuration)
+    for assignment in request.assignments:
+        c = config.override(c, assignment)
+    return replace(
+        request, source=request.source or c.source or camera or "v4l2:", output=request.output or c.output or "auto"
+    )
+
+
+def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
+    """Is there a rig, and since when? `given` is what a recording brings."""
+    if rig is None and given is not None:
+        return ok("rig", "the source brings its own")
+    if rig is None or path is None:
+        return unchecked(
+            "rig",
+            "none is named: what is seen cannot be measured",
+            "give --rig FILE, or `rig:` in the configuration; `spheremouse calibrate next` makes one",
+        )
+    made, how = _made(path)
+    days = (datetime.now(UTC) - made).total_seconds() / _DAY
+    targets = f"{len(rig.targets.codes)} targets" if rig.pose is None else "the camera's pose"
+    text = f"{path}: {how} {_since(days)}; {targets}, ball of {_length(rig)}"
+    if days < -1.0:
+        return warning("rig", text, "its date lies ahead: set this computer's clock", age_days=days)
+    return ok("rig", text, age_days=round(days, 1), targets=len(rig.targets.codes))
+
+
+def size(rig: Rig, width: int, height: int) -> Finding:
+    """Are the pictures of the size that the camera was calibrated with?"""
+    there = (rig.camera.width, rig.camera.height)
+    values: dict[str, Any] = {"calibrated_px": list(there), "pictures_px": [width, height]}
+    if there == (width, height):
+        return ok("size", f"{width}x{height}, as calibrated", **values)
+    return wrong(
+        "size",
+        f"pictures of {width}x{height}, but the camera was calibrated at {there[0]}x{there[1]}",
+        f"set camera.size: [{there[0]}, {there[1]}], or calibrate at this size",
+        **values,
+    )
+
+
+def map_of(path: Path | None, rig: Rig | None) -> Finding:
+    """The map of the discs, which is made while the ball is used."""
+    if path is None:
+        return ok("map", "none is kept for this source")
+    if not path.exists():
+        return ok("map", f"{path}: not there yet; it is made as the ball turns")
+    try:
+        saved = load_map(path)
+        if rig is not None:
+            check_fits(saved, rig, path)
+    except ConfigurationError as e:
+        return warning("map", *str(e).partition("; ")[::2])
+    return ok("map", f"{path}: {len(saved.map)} discs, saved {age(saved)}", discs=len(saved.map))
+
+
+def _made(path: Path) -> tuple[datetime, str]:
+    """When a rig was calibrated, by what it says itself, else by its file."""
+    for found in _dates(path):
+        return found, "calibrated"
+    return datetime.fromtimestamp(path.stat().st_mtime, UTC), "written"
+
+
+def _dates(path: Path) -> Iterator[datetime]:
+    data = read_document(path).data
+    told = data.get("provenance") if isinstance(data, dict) else None
+    value = told.get("date") if isinstance(told, dict) else None
+    try:
+        made = datetime.fromisoformat(str(value))
+    except ValueError:
+        return
+    yield made if made.tzinfo is not None else made.replace(tzinfo=UTC)
+
+
+def _since(days: float) -> str:
+    if days < -1.0:
+        return f"{-days:.0f} days from now"
+    return "today" if days < 1.0 else f"{days:.0f} day{'' if round(days) == 1 else 's'} ago"
+
+
+def _length(rig: Rig) -> str:
+    return "unknown size" if rig.scale_free else f"{2.0 * rig.ball.radius:.3g} m"

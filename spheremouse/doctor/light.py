@@ -1,0 +1,177 @@
+"""The light: how bright the ball is, how much of it is blown out, and whether lamps flicker.
+
+Limits follow from what the disc detector asks of a picture (detect.discs, detect.fit), not from taste.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from spheremouse.detect.detections import Image
+from spheremouse.detect.discs import DiscSettings
+from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
+from spheremouse.doctor.footage import Footage
+from spheremouse.doctor.timing import steadiness
+from spheremouse.rotation import Array
+
+_CLIPPED = 254  # grey value: the last two hold what is blown out, whatever the noise
+_BRIGHTEST = 95.0  # per cent of the picture that are darker
+_MUCH = 0.1  # of the ball blown out: one disc in ten has a rim whose bright side is cut off
+_PRINT = 0.8  # contrast of black print on white
+_LAMPS = (100.0, 120.0)  # Hz: twice the mains of 50 and 60
+_DRIFT = 0.5  # Hz about them: mains within 0.2 %, the camera's clock and its stamps over two seconds
+_FALSE = 1e-4  # chance that noise alone is taken for flicker
+_LEAST = 0.005  # depth below which nobody need know
+
+
+def brightness(views: list[Image], mask: Image | None, settings: DiscSettings, noise: float) -> Finding:
+    """Of the ball's paper, grey values, in `views` (h, w) where `mask` (h, w) is not 0.
+
+    Without one, of what is brightest in the picture: the ball is not the darkest thing in it.
+
+    A disc of the least contrast must stand out of the noise at its edge, where half of it is left: four standard
+    deviations and a grey value, as the detector asks.
+    """
+    name = "brightness"
+    values = np.concatenate([v[mask > 0] if mask is not None else v.ravel() for v in views])
+    middle = float(np.median(values) if mask is not None else np.percentile(values, _BRIGHTEST))
+    clipped = float(np.mean(values >= _CLIPPED))
+    least = (4.0 * noise + 1.0) / (0.5 * settings.contrast)
+    hopeless = (4.0 * noise + 1.0) / (0.5 * _PRINT)
+    where = "the ball" if mask is not None else "the brightest of the picture"
+    text = f"{where} is at {middle:.0f} of 255, noise {noise:.1f}, {100 * clipped:.1f} % blown out"
+    numbers: dict[str, Any] = {
+        "grey": round(middle, 1),
+        "noise": round(noise, 2),
+        "blown_out": round(clipped, 4),
+        "least": round(least, 1),
+    }
+    darken = "a shorter exposure (camera.exposure_s), less gain, or a lamp less"
+    lighten = "more light on the ball; then gain, then exposure"
+    level = 255.0 - middle if settings.polarity == "light" else middle
+    if clipped > 0.5 and mask is not None:
+        return wrong(name, f"{text}: most discs have no true rim", darken, **numbers)
+    if mask is not None and level < hopeless:
+        return wrong(
+            name, f"{text}: even black print stands out of the noise from {hopeless:.0f} on", lighten, **numbers
+        )
+    if clipped > _MUCH and mask is not None:
+        return warning(name, f"{text}: discs there are measured badly", darken, **numbers)
+    if level < least:
+        return warning(name, f"{text}: discs in haze or shade need {least:.0f}", lighten, **numbers)
+    return ok(name, text, **numbers)
+
+
+@dataclass(frozen=True, slots=True)
+class Flicker:
+    """What a film shows of lamps on the mains."""
+
+    lamp: float  # Hz
+    seen_at: float  # Hz, in the film: how far from a whole multiple of its rate
+    depth: float  # of the mean grey value, amplitude
+    chance: float  # that noise alone does this
+
+
+def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Finding:
+    """Do grey values go up and down with the mains? Bands as dark as a faint disc are a warning."""
+    name = "flicker"
+    interval, _ = steadiness(footage.stamps, footage.sequence)
+    if len(footage.stamps) < 20 or interval <= 0.0:
+        return unchecked(name, "too few frames to tell")
+    found, hidden = search(footage.grid, footage.stamps, footage.sequence, mask)
+    blind = "".join(f"; {lamp / 2:g} Hz mains cannot be told at {1 / interval:.4g} frames/s" for lamp in hidden)
+    if len(hidden) == len(_LAMPS):
+        return unchecked(name, f"at {1 / interval:.4g} frames/s lamps of 50 and 60 Hz mains stand still or look alike")
+    real = [f for f in found if f.chance < _FALSE and f.depth > _LEAST]
+    if not real:
+        return ok(name, f"none seen{blind}", hidden_hz=list(hidden))
+    worst = max(real, key=lambda f: f.depth)
+    mains = worst.lamp / 2.0
+    numbers: dict[str, Any] = {
+        "mains_hz": mains,
+        "depth": round(worst.depth, 4),
+        "chance": worst.chance,
+        "seen_at_hz": round(worst.seen_at, 2),
+    }
+    text = f"mains of {mains:g} Hz: grey values go up and down by {100 * worst.depth:.1f} %"
+    if worst.depth > 0.3 * settings.contrast:  # peak to peak what the detector takes for the darkness of a disc
+        return warning(
+            name,
+            f"{text}, as much as a faint disc",
+            f"set camera.exposure_s to a whole number of {1 / worst.lamp:.4g} s, or camera.mains_hz: {mains:g}; "
+            "or lamps that do not flicker",
+            **numbers,
+        )
+    return ok(name, f"{text}, which does no harm", **numbers)
+
+
+def search(grid: Array, stamps: Array, sequence: Array, mask: Image | None) -> tuple[list[Flicker], tuple[float, ...]]:
+    """Flicker at each frequency of lamps that the film can show, and the frequencies that it cannot.
+
+    A film of F frames/s shows f as |f - n F|: at less than one and a half turns in the film it looks like a slow
+    change, and within a turn of F/2 its depth is not determined. Strips of rows each have a phase of their own, for a
+    rolling shutter reads them at different times; their powers are added. Compared with the median power at all other
+    frequencies, noise exceeds k times its mean with a chance of exp(-k) (a strip's power is exponentially
+    distributed; strips may have their noise in common and count as one), times the number of frequencies tried.
+    """
+    interval, _ = steadiness(stamps, sequence)
+    t = _times(stamps, interval)
+    signal = _strips(grid, mask)
+    span, half = float(t[-1] - t[0]), 0.5 / interval
+    frequencies = np.arange(1.5 / span, half - 1.0 / span, 0.25 / span)
+    if len(frequencies) < 8 or signal.shape[1] == 0:
+        return [], _LAMPS
+    power = _power(signal, t, frequencies)
+    alias = {lamp: abs(lamp - np.rint(lamp * interval) / interval) for lamp in _LAMPS}
+    alike = abs(alias[100.0] - alias[120.0]) < 2.0 / span
+    found, hidden = [], []
+    for lamp, seen in alias.items():
+        near = np.abs(frequencies - seen) <= max(_DRIFT, 0.5 / span)
+        if not near.any() or seen < frequencies[0] or seen > frequencies[-1] or alike:
+            hidden.append(lamp)
+            continue
+        away = np.abs(frequencies - seen) > max(_DRIFT, 0.5 / span) + 1.0 / span
+        mean = float(np.median(power[away])) / np.log(2.0) if away.any() else np.inf
+        best = float(power[near].max())
+        tries = max(1.0, 2.0 * _DRIFT * span)
+        chance = min(1.0, tries * float(np.exp(-best / max(mean, 1e-30))))
+        found.append(Flicker(lamp, float(seen), float(np.sqrt(best)), chance))
+    return found, tuple(hidden)
+
+
+def _times(stamps: Array, interval: float) -> Array:
+    """Times of a regular camera, free of the jitter of its stamps; the stamps where it is not regular."""
+    number = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(np.diff(stamps) / interval), 1.0))])
+    regular = number * interval
+    rest = stamps - stamps[0] - regular
+    return regular if np.std(rest) < 0.25 * interval else stamps - stamps[0]
+
+
+def _strips(grid: Array, mask: Image | None) -> Array:
+    """Grey of strips of rows as parts of their mean, less a slow change, (n, strips)."""
+    n, rows, columns = grid.shape
+    weight = np.ones((rows, columns))
+    if mask is not None:
+        weight = (cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA) > 0.95 * 255) * 1.0
+    if not weight.any():
+        weight[:] = 1.0
+    good = weight.sum(axis=1) > 0
+    strips = (grid * weight).sum(axis=2)[:, good] / weight.sum(axis=1)[good]
+    mean = strips.mean(axis=0)
+    strips = strips[:, mean > 1.0] / mean[mean > 1.0] - 1.0
+    x = np.linspace(-1.0, 1.0, n)
+    slow = np.stack([np.ones(n), x, x**2], axis=1)
+    return strips - slow @ np.linalg.lstsq(slow, strips, rcond=None)[0]
+
+
+def _power(signal: Array, t: Array, frequencies: Array) -> Array:
+    """Squared amplitude of the harmonic that fits best, the mean over strips, (frequencies,)."""
+    found = np.empty(len(frequencies))
+    for i, f in enumerate(frequencies):
+        angle = 2.0 * np.pi * f * t
+        wave = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        ab = np.linalg.lstsq(wave, signal, rcond=None)[0]
+        found[i] = np.mean(np.sum(ab**2, axis=0))
+    return found

@@ -1,0 +1,105 @@
+"""The findings for people (rich, words beside every colour) and for programs (plain data)."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from spheremouse import __version__
+from spheremouse.doctor.finding import Finding, Section, Verdict
+
+FORMAT = 1  # of the data
+_LOOKS = {
+    Verdict.OK: ("✓", "+", "green"),
+    Verdict.WARNING: ("▲", "!", "bold yellow"),
+    Verdict.WRONG: ("✗", "X", "bold red"),
+    Verdict.UNCHECKED: ("·", "-", "dim"),
+}
+_NAMES = 16  # columns of the longest name of a check
+
+
+def show(section: Section, console: Console) -> None:
+    """A section: a line to a finding, and one below it where there is something to do."""
+    console.print(Text(section.subject, style="bold"))
+    table = Table.grid(padding=(0, 1))
+    table.add_column(width=_word_width() + 2, no_wrap=True)
+    table.add_column(width=_NAMES, no_wrap=True)
+    table.add_column(ratio=1, overflow="fold")
+    for finding in section.findings:
+        table.add_row(_mark(finding, console), finding.name, _words(finding, console))
+    console.print(Padding(table, (0, 0, 0, 2)))
+
+
+def summary(sections: Sequence[Section]) -> Text:
+    """How many there are of each, in one line."""
+    every = [f.verdict for s in sections for f in s.findings]
+    bad, poor = every.count(Verdict.WRONG), every.count(Verdict.WARNING)
+    if bad:
+        return Text(f"{bad} wrong, {_counted(poor)}: mend what is wrong first, from above", style="bold red")
+    if poor:
+        return Text(f"nothing wrong, {_counted(poor)}", style="bold yellow")
+    return Text("all is well", style="bold green")
+
+
+def data(sections: Sequence[Section]) -> dict[str, Any]:
+    """As JSON."""
+    every = [f.verdict for s in sections for f in s.findings]
+    return {
+        "format": FORMAT,
+        "version": __version__,
+        "wrong": every.count(Verdict.WRONG),
+        "warnings": every.count(Verdict.WARNING),
+        "checks": [
+            {
+                "subject": section.subject,
+                "name": f.name,
+                "verdict": str(f.verdict),
+                "text": f.text,
+                "advice": f.advice,
+                "values": {k: _finite(v) for k, v in f.values.items()},
+            }
+            for section in sections
+            for f in section.findings
+        ],
+    }
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no infinity and no NaN."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _mark(finding: Finding, console: Console) -> Text:
+    sign, plain, style = _LOOKS[finding.verdict]
+    return Text(f"{sign if _draws(console) else plain} {finding.verdict}", style=style)
+
+
+def _words(finding: Finding, console: Console) -> Text:
+    dim = finding.verdict in (Verdict.OK, Verdict.UNCHECKED)
+    words = Text(printable(finding.text), style="" if not dim or finding.verdict is Verdict.OK else "dim")
+    if finding.advice:
+        arrow = "→" if _draws(console) else "->"
+        words.append(f"\n{arrow} {printable(finding.advice)}", style="dim" if dim else "bold")
+    return words
+
+
+def printable(text: str) -> str:
+    """Text for a terminal: what files and devices call themselves must not steer it."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
+def _draws(console: Console) -> bool:
+    """Has the terminal more than ASCII?"""
+    return (console.encoding or "").lower().replace("-", "").startswith("utf")
+
+
+def _word_width() -> int:
+    return max(map(len, Verdict))
+
+
+def _counted(n: int) -> str:
+    return f"{n} warning{'' if n == 1 else 's'}"

@@ -1,0 +1,107 @@
+"""The daemon that runs, by what it says of itself: the camera is its own then, and its figures count."""
+
+from pathlib import Path
+from typing import Any
+
+from spheremouse import __version__
+from spheremouse.daemon.client import Client, NoDaemonError
+from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
+from spheremouse.errors import ControlError
+
+_LOST = 0.01  # of the frames; fewer a filter bridges unseen
+_INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it
+_FEW = 3  # discs that hold the attitude and check it
+_ADVICE = {
+    "starting": "wait; the first start compiles for a minute",
+    "no-camera": "see its cable and hub, and `ls -l /dev/v4l/by-id`",
+    "searching-targets": "uncover and light the targets on the frame",
+    "lost": "uncover the ball, or turn it; light on it",
+    "failed-output": "see the section output",
+    "paused": "spheremouse ctl resume",
+}
+
+
+def ask(socket: Path | None = None) -> tuple[dict[str, Any] | None, Finding]:
+    """Its status, None where none answers."""
+    try:
+        with Client(socket) as client:
+            status = client.ask("status")
+    except NoDaemonError:
+        return None, ok("daemon", "none runs: the camera is free")
+    except ControlError as e:
+        return None, unchecked("daemon", str(e).partition("; ")[0], str(e).partition("; ")[2])
+    hours = float(status.get("uptime_s") or 0.0) / 3600.0
+    text = f"process {status.get('pid')}, version {status.get('version')}, for {hours:.1f} h"
+    if status.get("version") != __version__:
+        return status, warning(
+            "daemon", f"{text}; this program is {__version__}", "start it anew to run what is installed"
+        )
+    return status, ok("daemon", text)
+
+
+def check(status: dict[str, Any]) -> list[Finding]:
+    """What its status tells; keys that it does not have are passed over."""
+    return [f for f in (_state(status), _frames(status), _latency(status), _discs(status), _output(status)) if f]
+
+
+def _state(s: dict[str, Any]) -> Finding:
+    state, reason = str(s.get("state")), str(s.get("reason"))
+    text = f"{state}: {reason}"
+    if state == "tracking":
+        return ok("state", text, state=state)
+    make = wrong if state in ("no-camera", "failed-output") else warning
+    return make("state", text, _ADVICE.get(state, ""), state=state)
+
+
+def _frames(s: dict[str, Any]) -> Finding | None:
+    fps, frames = s.get("fps"), int(s.get("frames") or 0)
+    dropped, skipped, damaged = (int(s.get(k) or 0) for k in ("dropped", "skipped", "damaged"))
+    if fps is None or frames == 0:
+        return None
+    every = frames + dropped + skipped + damaged
+    described = str((s.get("source") or {}).get("description") or "")
+    text = f"{fps:.1f} frames/s; of {every} lost {dropped}, passed over {skipped}, damaged {damaged}"
+    text += f" ({described})" if described else ""
+    numbers: dict[str, Any] = {"fps": fps, "frames": frames, "dropped": dropped, "skipped": skipped, "damaged": damaged}
+    if skipped > _LOST * every:
+        return warning("frames", text, "this computer is too slow for them: a smaller size or rate", **numbers)
+    if dropped + damaged > _LOST * every:
+        return warning("frames", text, "a port of its own for the camera, a shorter cable, a lower rate", **numbers)
+    return ok("frames", text, **numbers)
+
+
+def _latency(s: dict[str, Any]) -> Finding | None:
+    told, fps = s.get("latency_ms"), float(s.get("fps") or 0.0)
+    if not told or told.get("p50") is None or told.get("p99") is None or fps <= 0.0:
+        return None
+    slow, share = float(told["p99"]), float(told["p99"]) * fps / 1e3
+    text = f"{float(told['p50']):.1f} ms from frame to event, 1 in 100 takes {slow:.1f} ms ({share:.1f} intervals)"
+    text += f"; {s['scheduling']}" if s.get("scheduling") else ""
+    if share > _INTERVALS:
+        return warning(
+            "latency", text, "real-time scheduling (the service has it), fewer programs, a faster computer", **told
+        )
+    return ok("latency", text, **told)
+
+
+def _discs(s: dict[str, Any]) -> Finding | None:
+    used, seen, known = s.get("discs"), s.get("discs_seen"), s.get("discs_known")
+    if used is None or s.get("state") not in ("tracking", "lost", "failed-output"):
+        return None
+    text = f"{used} used, {seen} seen, {known} known"
+    pose = s.get("pose")
+    if pose:
+        text += f"; camera pose {float(pose['age_s']) / 3600.0:.1f} h old"
+    if s.get("state") == "tracking" and int(used) < _FEW:
+        return warning("discs", text, "uncover and light the ball", used=used)
+    return ok("discs", text, used=used)
+
+
+def _output(s: dict[str, Any]) -> Finding | None:
+    told = s.get("output")
+    if not told:
+        return None
+    if told.get("failed"):
+        text, _, advice = str(told["failed"]).partition("; ")
+        return wrong("sending", f"{told.get('spec')}: {text}", advice)
+    return ok("sending", f"{told.get('spec')}: {told.get('reports')} reports sent")

@@ -1,0 +1,208 @@
+"""What is seen with the rig right now: targets and camera pose, the ball, its discs, and how fast it may turn."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from spheremouse.camera import Pose
+from spheremouse.detect.cap import ball_outline, largest_disc
+from spheremouse.detect.detections import Detections, Image
+from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.detect.rings import detect_targets
+from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
+from spheremouse.errors import SpheremouseError
+from spheremouse.frame import Frame
+from spheremouse.resect import gather, resect
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.track import Settings, build
+
+_PLACED = 1e-3  # m: as well as targets keep their place on a frame that is wood or steel
+_USUAL_RADIUS = 0.6  # m, of a ball whose size nobody measured
+_BRISK = 1.0  # m/s of the ball's surface: an arm's length in less than a second
+_CORE = 0.5  # of a disc's diameter
+_FEW = 3  # directions that hold an attitude and check it
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """The camera's pose with the detector for it."""
+
+    rig: Rig
+    pose: Pose
+    detector: DiscDetector
+
+    @property
+    def disc(self) -> float:
+        """px, diameter of a disc in the middle of the ball."""
+        return self.detector.diameter
+
+
+def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pose | None, Finding]:
+    """The camera's pose from what is seen of the targets, and how well they fit."""
+    if rig.pose is not None:
+        return rig.pose, ok("targets", "none are needed: the rig knows where the camera is")
+    if len(rig.targets.codes) < 3:
+        return None, wrong(
+            "targets", "the rig has fewer than three", "calibrate the device: spheremouse calibrate next"
+        )
+    colour = [v.image for v in views if v.image.ndim == 3]
+    if not colour:
+        return None, unchecked("targets", "the pictures are grey", "choose a format with colour: YUYV or MJPG")
+    sightings = gather([detect_targets(i, rig.targets.radii, settings.rings) for i in colour], settings.pose)
+    seen = sorted({s.code for s in sightings} & set(rig.targets.codes))
+    numbers: dict[str, Any] = {"seen": len(seen), "of": len(rig.targets.codes), "codes": seen}
+    try:
+        found = resect(sightings, rig, colour[0])
+    except SpheremouseError as e:
+        return None, refused("targets", e, **numbers)
+    residual = float(np.sqrt(np.mean(found.residual**2)))
+    limit = expected_residual(rig, found.pose, settings.pose.target_sigma)
+    numbers |= {"seen": len(found.codes), "residual_px": round(residual, 3), "limit_px": round(limit, 3)}
+    text = (
+        f"{len(found.codes)} of {len(rig.targets.codes)} found ({', '.join(found.codes)}), residual {residual:.2f} px"
+    )
+    hidden = [c for c in rig.targets.codes if c not in found.codes]
+    if residual > limit:
+        return found.pose, warning(
+            "targets",
+            f"{text}; {limit:.2f} px would be a millimetre on the frame",
+            "was a target moved, the lens turned, or the camera exchanged? calibrate what has changed",
+            **numbers,
+        )
+    if len(found.codes) == 3 and len(rig.targets.codes) > 3:
+        return found.pose, warning(
+            "targets", f"{text}: nothing checks them", f"uncover or light {', '.join(hidden)}", **numbers
+        )
+    return found.pose, ok("targets", text, **numbers)
+
+
+def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
+    """px, three standard deviations of a target's place in the picture: measured, and put where the rig says."""
+    unit = rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0
+    depth = np.maximum(pose.to_cam(rig.targets.position)[:, 2], 1e-6)
+    placed = rig.camera.fx * _PLACED * unit / float(np.median(depth))
+    told = rig.camera.fx * np.sqrt(np.mean(np.diag(rig.targets.covariance))) / float(np.median(depth))
+    return 3.0 * float(np.sqrt(sigma**2 + placed**2 + told**2))
+
+
+def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Finding]:
+    """Is the ball in the picture, and are its discs large enough? The detector where it is."""
+    try:
+        build(rig, pose, settings)
+        detector = disc_detector(settings.discs, rig, pose)
+    except SpheremouseError as e:
+        return None, refused("ball", e)
+    rim = ball_outline(rig, pose)
+    c = rig.camera
+    inside = np.all((rim > -0.5) & (rim < (c.width - 0.5, c.height - 0.5)), axis=1)
+    across = float(np.ptp(rim, axis=0).mean())
+    disc = largest_disc(rig, pose)
+    distance = float(np.linalg.norm(pose.position - rig.ball.centre)) / (rig.ball.radius if rig.scale_free else 1.0)
+    unit = "radii" if rig.scale_free else "m"
+    text = f"{across:.0f} px across, {distance:.2f} {unit} from the camera; a disc is {disc:.1f} px"
+    numbers: dict[str, Any] = {"ball_px": round(across, 1), "disc_px": round(disc, 2), "distance": round(distance, 3)}
+    area = 0.25 * np.pi * disc**2
+    seen = Sight(rig, pose, detector)
+    closer = "a camera closer by, a longer lens, or more pixels"
+    if area < settings.discs.min_area:
+        return seen, wrong("ball", f"{text}: none is large enough to be found", closer, **numbers)
+    if area < 4.0 * settings.discs.min_area:  # seen at 75 degrees it has a quarter of its area
+        return seen, warning("ball", f"{text}: found in the middle of the ball only", closer, **numbers)
+    if not inside.all():
+        share = 1.0 - float(inside.mean())
+        return seen, warning(
+            "ball", f"{text}; {100 * share:.0f} % of its outline is out of the picture", "turn the camera", **numbers
+        )
+    return seen, ok("ball", text, **numbers)
+
+
+def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:
+    """How many disc candidates there are, in the median view, and their contrast."""
+    found = [seen.detector.detect(v.image) for v in views]
+    counts = [len(d) for d in found]
+    count = int(np.median(counts))
+    contrasts = np.concatenate([contrast(grey(v.image), d, settings) for v, d in zip(views, found, strict=True)])
+    numbers: dict[str, Any] = {"seen": count, "least": min(counts), "most": max(counts)}
+    if count == 0:
+        return wrong(
+            "discs",
+            "none is seen on the ball",
+            "light the ball; uncover it; are the discs' size in the rig and discs.polarity right?",
+            **numbers,
+        )
+    text = f"{count} seen"
+    if len(contrasts):
+        strength = float(np.median(contrasts))
+        numbers["contrast"] = round(strength, 3)
+        text += f", contrast {strength:.2f} (print has 0.8; {settings.contrast:g} is the least)"
+    if count < _FEW:
+        return warning(
+            "discs", f"{text}: with two nothing checks the attitude", "uncover the ball, or more discs", **numbers
+        )
+    return ok("discs", text, **numbers)
+
+
+def contrast(image: Image, found: Detections, settings: DiscSettings) -> Array:
+    """Of each disc, (k,): one less its grey over that around it; those whose surroundings are out of sight left out."""
+    values = image if settings.polarity == "dark" else cv2.bitwise_not(image)
+    made = []
+    for (u, v), area in zip(found.centre, found.area, strict=True):
+        r = float(np.sqrt(area / np.pi))
+        half = int(np.ceil(2.0 * r)) + 1
+        x, y = round(u), round(v)
+        if x < half or y < half or x + half >= values.shape[1] or y + half >= values.shape[0]:
+            continue
+        patch = values[y - half : y + half + 1, x - half : x + half + 1].astype(float)
+        grid = np.arange(-half, half + 1)
+        d = np.hypot(grid[None, :] - (u - x), grid[:, None] - (v - y))
+        core, ring = patch[d <= max(0.5 * r, 0.8)], patch[(d >= 1.5 * r) & (d <= 2.0 * r)]
+        if len(core) and len(ring) and np.median(ring) > 0.0:
+            made.append(1.0 - float(np.median(core)) / float(np.median(ring)))
+    return np.array(made)
+
+
+def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: bool) -> Finding:
+    """How far a disc smears while the shutter is open; `known` says that the tracker has been told the exposure.
+
+    At a brisk turn the disc in the middle of the ball moves by speed * f / distance. Smeared by more than
+    `size_tolerance` of its diameter it no longer has the size that is expected; where the tracker knows the exposure it
+    expects that, and half of the disc must stay dark all the time. Smeared by all of it no dark core is left.
+    """
+    rig, pose = seen.rig, seen.pose
+    near = float(np.linalg.norm(pose.position - rig.ball.centre)) - rig.ball.radius
+    speed = _BRISK * (rig.ball.radius / _USUAL_RADIUS if rig.scale_free else 1.0)
+    rate = speed / rig.ball.radius
+    per_second = speed * rig.camera.fx / near  # px/s
+    words = f"{np.degrees(rate):.0f} °/s"
+    if exposure is None or exposure <= 0.0:
+        longest = 1e3 * settings.size_tolerance * seen.disc / per_second
+        return unchecked(
+            "blur",
+            f"the exposure is not known; up to {longest:.1f} ms keep discs sharp at {words}",
+            "set camera.exposure_s, or exposure_s in the rig file",
+            longest_ms=round(longest, 2),
+        )
+    smear, turn = per_second * exposure, float(np.degrees(rate * exposure))
+    share = _CORE if known else settings.size_tolerance
+    longest = share * seen.disc / per_second
+    numbers: dict[str, Any] = {
+        "exposure_ms": 1e3 * exposure, "blur_px": round(smear, 2), "blur_deg": round(turn, 3),
+        "disc_px": round(seen.disc, 2), "at_deg_s": round(float(np.degrees(rate)), 1),
+        "longest_ms": round(1e3 * longest, 2),
+    }  # fmt: skip
+    text = f"{1e3 * exposure:g} ms are {turn:.2f}° or {smear:.1f} px at {words}; a disc is {seen.disc:.1f} px"
+    shorter = f"an exposure of {1e3 * longest:.1f} ms or less (camera.exposure_s), and more light"
+    if smear >= seen.disc:
+        return wrong("blur", f"{text}: a turning ball shows none", shorter, **numbers)
+    if smear > share * seen.disc:
+        told = "" if known else "; or exposure_s in the rig file, so that blur is expected"
+        return warning("blur", text, shorter + told, **numbers)
+    return ok("blur", text, **numbers)
+
+
+def grey(image: Image) -> Image:
+    """Grey of a picture, (h, w)."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

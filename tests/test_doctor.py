@@ -1,0 +1,758 @@
+"""`spheremouse doctor`: what is wrong is said with its number and what to do, whatever else is wrong beside it."""
+
+import json
+import os
+import stat
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from rich.console import Console
+from typer.testing import CliRunner
+
+from spheremouse import doctor, service
+from spheremouse.camera import project
+from spheremouse.cli_doctor import doctor as command
+from spheremouse.daemon.plan import Request, read_plan
+from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.detect.cap import ball_mask
+from spheremouse.detect.discs import DiscSettings
+from spheremouse.doctor import (
+    access,
+    computer,
+    controls,
+    files,
+    installed,
+    light,
+    nodes,
+    outputs,
+    report,
+    running,
+    timing,
+)
+from spheremouse.doctor import sight as sights
+from spheremouse.doctor.finding import Section, Verdict, ok, warning, wrong
+from spheremouse.doctor.footage import GRID, Footage, film
+from spheremouse.doctor.private import redactor
+from spheremouse.errors import SourceError
+from spheremouse.recording import open_dataset
+from spheremouse.rotation import exp
+from spheremouse.service import Place
+
+OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
+FAR26_RIG = "the source brings its own"
+
+
+@pytest.fixture(autouse=True)
+def nobody_home(monkeypatch, tmp_path):
+    """No daemon and no service of this computer, and a home of the test's own."""
+    monkeypatch.setenv("SPHEREMOUSE_SOCKET", str(tmp_path / "nobody"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setattr(files, "Place", lambda user=False: Place(tmp_path, user))
+    monkeypatch.setattr(doctor.installed, "Place", lambda root, user=False: Place(tmp_path, user))
+
+
+def examined(**request):
+    """Findings by subject and name; names that occur twice in lists."""
+    found = {}
+    for section in doctor.examine(Request(**request), seconds=1.0):
+        for f in section.findings:
+            found.setdefault((section.subject, f.name), []).append(f)
+    return found
+
+
+def one(found, subject, name):
+    (finding,) = found[subject, name]
+    return finding
+
+
+def film_of(options, seconds, size="[512,384]"):
+    spec = f"synthetic:seconds={seconds + 0.1},size={size},{options}"
+    return film(read_plan(Request(source=spec, output="null")), seconds, None)
+
+
+@pytest.fixture(scope="module")
+def good():
+    """A film in order."""
+    return film_of("noise=2", seconds=0.4)
+
+
+@pytest.fixture(scope="module")
+def seen(good):
+    """The camera's pose from the targets of that film, and what sees discs."""
+    footage = good
+    rig = footage.rig
+    settings = read_plan(Request(source="null", output="null")).configuration
+    pose, _ = sights.targets(footage.views, rig, settings)
+    return sights.sight(rig, pose, settings)[0]
+
+
+def a_film(stamps, grid=None, sequence=None, **changes):
+    n = len(stamps)
+    grid = np.full((n, *GRID), 120.0) if grid is None else grid
+    sequence = np.arange(n) if sequence is None else sequence
+    made = Footage(stamps, stamps + 0.01, sequence, grid, (), 30.0, True, True, 0, (), "a camera", None, None)
+    return replace(made, **changes)
+
+
+# ---- all of it ----
+
+
+def test_the_reference_recording_is_well_and_the_discs_are_those_of_its_truth(far26):
+    found = examined(source=f"dataset:{far26}")
+    assert {f.verdict for (subject, _), all_ in found.items() if subject in ("camera", "picture") for f in all_} <= {
+        OK,
+        UNCHECKED,
+    }
+    targets = one(found, "picture", "targets")
+    assert targets.values["seen"] == 4
+    assert targets.values["residual_px"] < 0.1
+    truth = open_dataset(far26).discs
+    assert truth is not None
+    whole = [np.count_nonzero(truth.state[truth.frame == k] == 3) for k in range(31)]
+    partly = [np.count_nonzero(truth.state[truth.frame == k] >= 2) for k in range(31)]
+    assert min(whole) - 1 <= one(found, "picture", "discs").values["seen"] <= max(partly) + 4  # bolts look like discs
+    assert one(found, "configuration", "rig").text == FAR26_RIG
+    assert one(found, "picture", "blur").verdict is UNCHECKED  # this camera had no exposure
+
+
+def test_one_thing_wrong_hides_nothing_else(tmp_path, far26):
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        f"schema: 1\nsource: dataset:{far26}\nrig: gone.yaml\noutput: teleport\ndiscs: {{contrast: 0.3}}\n"
+    )
+    found = examined(file=config)
+    said = one(found, "configuration", "configuration")
+    assert said.verdict is WRONG
+    assert "gone.yaml" in said.text
+    assert "no such file" in said.text
+    assert one(found, "output", "output").verdict is WRONG
+    assert "teleport" in one(found, "output", "output").text
+    assert one(found, "picture", "targets").verdict is OK  # the recording brings a rig
+    assert "0.3 is the least" in one(found, "picture", "discs").text  # the rest of the file holds
+    assert ("computer", "disk") in found
+
+
+def test_a_configuration_that_cannot_be_read_is_told_with_its_line_and_the_rest_goes_on(tmp_path, far26):
+    config = tmp_path / "config.yaml"
+    config.write_text("schema: 1\ndiscs:\n  contrast: much\n")
+    found = examined(file=config, source=f"dataset:{far26}")
+    assert f"{config}:3: discs.contrast" in one(found, "configuration", "configuration").text
+    assert one(found, "picture", "discs").verdict is OK
+
+
+def test_a_source_that_gives_nothing_leaves_the_other_subjects(tmp_path):
+    found = examined(source=f"dataset:{tmp_path / 'gone'}", output="text:-")
+    assert one(found, "camera", "film").verdict is WRONG
+    assert ("picture", "targets") not in found
+    assert one(found, "output", "output").verdict is OK
+
+
+def test_a_check_that_fails_itself_is_a_line(monkeypatch, far26):
+    def broken(*_):
+        raise ZeroDivisionError("of its own")
+
+    monkeypatch.setattr(light, "flicker", broken)
+    found = examined(source=f"dataset:{far26}")
+    assert one(found, "picture", "flicker").verdict is WRONG
+    assert "ZeroDivisionError: of its own" in one(found, "picture", "flicker").text
+    assert one(found, "picture", "discs").verdict is OK
+
+
+def test_compiled_code_counts_where_it_is_for_this_processor(tmp_path, monkeypatch):
+    """A function with a cache of its own: none, compiled, of another processor, damaged."""
+    from numba import njit
+    from numba.core.registry import cpu_target
+
+    from spheremouse.doctor import program
+
+    source = tmp_path / "compiled_for_doctor.py"
+    source.write_text("def twice(x):\n    return 2 * x\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    import compiled_for_doctor  # type: ignore[import-not-found]
+
+    function = njit(cache=True)(compiled_for_doctor.twice)
+    assert program.compiled([function]).verdict is WARNING
+    assert function(2) == 4
+    told = program.compiled([function])
+    assert (told.verdict, told.values["kept"]) == (OK, 1)
+    with monkeypatch.context() as patch:
+        codegen = cpu_target.target_context.codegen()
+        patch.setattr(type(codegen), "magic_tuple", lambda self: ("another", "processor", ""))
+        assert program.compiled([function]).verdict is WARNING
+    for index in Path(function.stats.cache_path).glob("*.nbi"):
+        index.write_bytes(b"nothing")
+    assert program.compiled([function]).verdict is WARNING
+
+
+def test_a_recording_that_breaks_off_is_used_as_far_as_it_goes(tmp_path, far26):
+    folder = tmp_path / "cut"
+    (folder / "frames").mkdir(parents=True)
+    scene = json.loads((far26 / "scene.json").read_text())
+    (folder / "scene.json").write_text(json.dumps({**scene, "frames": 60}))
+    capture = cv2.VideoCapture(str(far26 / "video.mkv"))
+    for k in range(12):
+        cv2.imwrite(str(folder / "frames" / f"{k:06d}.png"), capture.read()[1])
+    found = examined(source=f"dataset:{folder}")
+    assert "ends after 12 of 60 frames" in one(found, "camera", "stamps").text
+    assert one(found, "picture", "targets").verdict is OK
+
+
+# ---- the command ----
+
+
+def invoke(*words):
+    app = typer.Typer()
+    app.command()(command)
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+def test_the_command_says_words_beside_every_sign_and_ends_with_1_where_something_is_wrong(tmp_path, far26):
+    done = invoke("--source", f"dataset:{far26}", "--output", "text:-")
+    assert done.exit_code == 0, done.output
+    assert "✓ ok" in done.output
+    assert done.output.rstrip().endswith("for a bug report: spheremouse doctor --json")
+    done = invoke("--source", f"dataset:{tmp_path}/gone", "--output", "text:-")
+    assert done.exit_code == 1
+    assert "✗ wrong" in done.output
+    assert "1 wrong" in done.output
+
+
+def test_the_report_for_others_is_json_without_the_home_folder(tmp_path, far26, monkeypatch):
+    config = tmp_path / "home" / "cabinet" / "config.yaml"
+    config.parent.mkdir(parents=True)
+    config.write_text(f"schema: 1\nsource: dataset:{far26}\nrecord: {{folder: {tmp_path}/home/films}}\n")
+    done = invoke("--config", config, "--json")
+    told = json.loads(done.stdout)
+    assert told["format"] == report.FORMAT
+    assert str(tmp_path / "home") not in done.stdout
+    texts = {(c["subject"], c["name"]): c for c in told["checks"]}
+    assert texts["configuration", "configuration"]["text"] == "~/cabinet/config.yaml"
+    assert texts["computer", "disk"]["text"].endswith("~/films")
+    assert told["wrong"] == sum(c["verdict"] == "wrong" for c in told["checks"])
+    assert texts["picture", "targets"]["values"]["seen"] == 4
+    assert done.exit_code == (1 if told["wrong"] else 0)
+
+
+def test_a_terminal_without_colour_or_unicode_is_told_the_same_words():
+    section = Section("light", (ok("a", "fine"), warning("b", "poor \x1b[31m", "mend it"), wrong("c", "bad")))
+    ascii_only = Console(file=_Ascii(), width=60)
+    report.show(section, ascii_only)
+    text = ascii_only.file.getvalue()  # type: ignore[attr-defined]
+    assert text.replace("\N{REPLACEMENT CHARACTER}", "?").isascii()
+    assert "\x1b" not in text
+    for words in ("+ ok", "! warning", "X wrong", "-> mend it"):
+        assert words in text
+    assert str(report.summary([section])) == "1 wrong, 1 warning: mend what is wrong first, from above"
+
+
+class _Ascii(StringIO):
+    encoding = "ascii"  # type: ignore[assignment]
+
+
+# ---- light ----
+
+
+@pytest.mark.parametrize(("fps", "lamp", "seen_at"), [(30.0, 100.0, 10.0), (25.0, 120.0, 5.0), (60.0, 100.0, 20.0)])
+def test_flicker_is_measured_with_its_mains_and_depth(fps, lamp, seen_at):
+    """On made-up strips that each have a phase of their own, among noise."""
+    rng = np.random.default_rng(1)
+    t = np.arange(round(2.0 * fps)) / fps
+    phase = np.linspace(0.0, 3.0, GRID[0])[:, None]
+    wave = 0.05 * np.cos(2.0 * np.pi * lamp * t[:, None, None] + phase)
+    grid = 120.0 * (1.0 + wave + 0.02 * rng.normal(size=(len(t), *GRID)))
+    stamps = t + rng.normal(0.0, 1e-3, len(t))  # of arrival
+    found, hidden = light.search(grid, stamps, np.arange(len(t)), None)
+    (there,) = [f for f in found if f.chance < 1e-4]
+    assert there.lamp == lamp
+    assert there.seen_at == pytest.approx(seen_at, abs=0.2)
+    assert there.depth == pytest.approx(0.05, rel=0.1)
+    assert hidden == tuple(x for x in (100.0, 120.0) if abs(x / fps - round(x / fps)) < 1e-9)
+
+
+def test_noise_is_hardly_ever_taken_for_flicker():
+    """Common to all strips, the worst case: of 300 films none is below one in ten thousand, few below a hundredth."""
+    rng = np.random.default_rng(2)
+    t = np.arange(60) / 30.0
+    chances = []
+    for _ in range(300):
+        grid = 100.0 * (1.0 + 0.02 * rng.normal(size=(60, 1, 1))) * np.ones((1, *GRID))
+        chances += [f.chance for f in light.search(grid, t, np.arange(60), None)[0]]
+    assert len(chances) == 300
+    assert min(chances) > 1e-4
+    assert np.mean(np.array(chances) < 0.01) < 0.05
+
+
+def test_a_film_in_which_lamps_stand_still_says_that_it_cannot_tell():
+    t = np.arange(40) / 20.0  # 100 and 120 Hz are both whole multiples
+    assert light.flicker(a_film(t), None, DiscSettings()).verdict is UNCHECKED
+
+
+def test_films_dark_blown_out_flickering_and_in_order(good, seen):
+    """Each fault at its own check, from the simulated camera."""
+    settings = DiscSettings()
+    mask = ball_mask(seen.rig, seen.pose)
+
+    def brightness(footage):
+        greys = [sights.grey(v.image) for v in footage.views]
+        noise = float(np.median([seen.detector.noise(v.image) for v in footage.views]))
+        return light.brightness(greys, mask, settings, noise)
+
+    fine = brightness(good)
+    assert fine.verdict is OK
+    assert fine.values["noise"] == pytest.approx(2.0, rel=0.25)
+    dark = brightness(film_of("noise=6,brightness=-95", seconds=0.3))
+    assert dark.verdict in (WARNING, WRONG)
+    assert "more light" in dark.advice
+    bright = brightness(film_of("brightness=130", seconds=0.3))
+    assert bright.verdict is WRONG
+    assert "shorter exposure" in bright.advice
+    flickering = film_of("noise=2,flicker=0.15,readout=0.02", seconds=1.0, size="[128,96]")
+    told = light.flicker(flickering, None, settings)
+    assert told.verdict is WARNING
+    assert told.values["mains_hz"] == 50.0
+    assert told.values["depth"] == pytest.approx(0.15, rel=0.15)
+    assert "a whole number of 0.01 s" in told.advice
+
+
+def test_a_disc_of_the_least_contrast_stands_out_of_the_noise_from_the_limit_on():
+    """The limit is the detector's own: half of the contrast must exceed four standard deviations and a grey value."""
+    settings = DiscSettings()
+    mask = np.full((50, 50), 255, np.uint8)
+    for noise in (1.0, 4.0):
+        least = (4.0 * noise + 1.0) / (0.5 * settings.contrast)
+        below, above = (np.full((50, 50), round(least + d), np.uint8) for d in (-2, 2))
+        assert light.brightness([below], mask, settings, noise).verdict is WARNING
+        assert light.brightness([above], mask, settings, noise).verdict is OK
+    inverted = replace(settings, polarity="light")
+    assert light.brightness([np.full((50, 50), 250, np.uint8)], mask, inverted, 1.0).verdict is WRONG
+
+
+# ---- blur ----
+
+
+def test_blur_is_how_far_the_nearest_point_of_the_ball_goes_while_the_shutter_is_open(seen):
+    """By turning that point and projecting it, the exposure in the middle."""
+    rig, pose = seen.rig, seen.pose
+    towards = pose.position - rig.ball.centre
+    towards /= np.linalg.norm(towards)
+    exposure = 0.004
+    told = sights.blur(seen, exposure, DiscSettings(), known=False)
+    turn = np.radians(told.values["at_deg_s"]) * exposure
+    assert np.degrees(turn) == pytest.approx(told.values["blur_deg"], abs=1e-3)
+    axis = np.cross(towards, pose.rotation[:, 0])
+    axis /= np.linalg.norm(axis)
+    ends = [rig.ball.centre + rig.ball.radius * exp(s * 0.5 * turn * axis) @ towards for s in (-1.0, 1.0)]
+    uv, _ = project(pose.to_cam(np.array(ends)), rig.camera)
+    assert np.linalg.norm(uv[1] - uv[0]) == pytest.approx(told.values["blur_px"], rel=0.02)
+
+
+def test_blur_is_a_matter_of_how_long_the_shutter_is_open(seen):
+    settings = DiscSettings()
+    longest = 1e-3 * sights.blur(seen, 0.001, settings, known=False).values["longest_ms"]
+    assert sights.blur(seen, 0.95 * longest, settings, known=False).verdict is OK
+    too_long = sights.blur(seen, 1.1 * longest, settings, known=False)
+    assert too_long.verdict is WARNING
+    assert sights.blur(seen, 1.1 * longest, settings, known=True).verdict is OK  # it is expected then
+    assert sights.blur(seen, 2.2 * longest, settings, known=True).verdict is WARNING
+    hopeless = sights.blur(seen, 1.1 * longest / settings.size_tolerance, settings, known=True)
+    assert hopeless.verdict is WRONG
+    assert "more light" in hopeless.advice
+    assert sights.blur(seen, None, settings, known=False).verdict is UNCHECKED
+
+
+# ---- targets, ball, discs ----
+
+
+def test_targets_that_moved_against_the_rig_are_told(far26):
+    plan = read_plan(Request(source=f"dataset:{far26}", output="null"))
+    footage = film(plan, 0.5, None)
+    rig, settings = footage.rig, plan.configuration
+    assert rig is not None
+    pose, told = sights.targets(footage.views, rig, settings)
+    assert told.verdict is OK
+    moved = rig.targets.position.copy()
+    moved[0] += (0.03, -0.02, 0.0)
+    pose, told = sights.targets(footage.views, replace(rig, targets=replace(rig.targets, position=moved)), settings)
+    assert told.verdict is not OK
+    grey = tuple(replace(v, image=sights.grey(v.image)) for v in footage.views)
+    pose, told = sights.targets(grey, rig, settings)
+    assert pose is None
+    assert told.verdict is UNCHECKED
+    hidden = []
+    for view in footage.views:
+        image = view.image.copy()
+        image[:, :320] = 90
+        hidden.append(replace(view, image=image))
+    pose, told = sights.targets(tuple(hidden), rig, settings)
+    assert pose is None
+    assert told.verdict is WRONG
+    assert "at least 3 are needed" in told.text
+
+
+def test_discs_that_are_too_small_or_a_covered_ball_are_told(far26):
+    plan = read_plan(Request(source=f"dataset:{far26}", output="null"))
+    footage = film(plan, 0.2, None)
+    rig, settings = footage.rig, plan.configuration
+    assert rig is not None
+    pose, _ = sights.targets(footage.views, rig, settings)
+    assert pose is not None
+    small = replace(rig, disc_radius=0.2 * rig.disc_radius)
+    assert sights.sight(small, pose, settings)[1].verdict is WRONG
+    seen, told = sights.sight(rig, pose, settings)
+    assert seen is not None
+    assert told.verdict is OK
+    covered = tuple(replace(v, image=np.full_like(v.image, 128)) for v in footage.views)
+    assert sights.discs(covered, seen, settings.discs).verdict is WRONG
+    away = replace(pose, rotation=pose.rotation @ exp(np.array([0.0, np.pi, 0.0])))
+    seen, told = sights.sight(rig, away, settings)
+    assert seen is None
+    assert told.verdict is WRONG
+    wide = files.size(rig, 1280, 720)
+    assert wide.verdict is WRONG
+    assert "camera.size: [640, 480]" in wide.advice
+
+
+# ---- times ----
+
+
+def test_the_rate_is_the_cameras_own_and_what_was_lost_is_counted():
+    every = np.arange(60)
+    kept = np.delete(every, [10, 11, 30])
+    good = timing.rate(a_film(every / 30.0))
+    assert (good.verdict, good.values["fps"], good.values["lost"]) == (OK, 30.0, 0)
+    gaps = timing.rate(a_film(kept / 30.0, sequence=kept))
+    assert (gaps.verdict, gaps.values["fps"], gaps.values["lost"]) == (WARNING, 30.0, 3)
+    slow = timing.rate(a_film(every[:30] / 15.0))
+    assert (slow.verdict, slow.values["fps"]) == (WARNING, 15.0)
+    assert "exposure" in slow.advice
+    assert timing.rate(a_film(every / 30.0, damaged=5)).verdict is WARNING
+    assert timing.rate(a_film(every[:3] / 30.0)).verdict is WRONG
+
+
+def test_jitter_is_measured_whatever_frames_are_missing():
+    rng = np.random.default_rng(3)
+    kept = np.delete(np.arange(200), [5, 50, 51, 52])
+    jitter = rng.normal(0.0, 0.8e-3, len(kept))
+    for sequence in (kept, np.arange(len(kept))):  # counted by the driver, or by us
+        interval, sigma = timing.steadiness(kept / 50.0 + jitter, sequence)
+        assert interval == pytest.approx(0.02, rel=1e-3)
+        assert sigma == pytest.approx(0.8e-3, rel=0.2)
+
+
+def test_stamps_that_lie():
+    t = np.arange(60) / 30.0
+    assert timing.stamps(a_film(t)).verdict is OK
+    back = t.copy()
+    back[20] = back[18]
+    assert timing.stamps(a_film(back)).verdict is WRONG
+    rough = t + np.random.default_rng(4).normal(0.0, 4e-3, 60)
+    assert timing.stamps(a_film(rough)).verdict is WARNING
+    told = timing.stamps(a_film(t, notes=("the driver's stamps lie ahead of the clock",)))
+    assert told.verdict is WARNING
+    assert "ahead of the clock" in told.text
+
+
+def test_a_source_that_gives_no_frame_is_an_error_that_says_so(monkeypatch, tmp_path):
+    empty = tmp_path / "empty.mkv"
+    empty.write_bytes(b"")
+    with pytest.raises(SourceError):
+        film(read_plan(Request(source=f"video:{empty}", output="null")), 1.0, None)
+
+
+# ---- devices ----
+
+
+def a_tree(tmp_path, names):
+    """/sys/class/video4linux, /dev and by-id with these cameras: (index, name, lasting name or None)."""
+    listed, devices, by_id = tmp_path / "sys", tmp_path / "dev", tmp_path / "by-id"
+    by_id.mkdir()
+    devices.mkdir()
+    for k, (index, name, lasting) in enumerate(names):
+        (listed / f"video{k}").mkdir(parents=True)
+        (listed / f"video{k}" / "name").write_text(name + "\n")
+        (listed / f"video{k}" / "index").write_text(f"{index}\n")
+        (devices / f"video{k}").write_text("")
+        if lasting:
+            (by_id / lasting).symlink_to(devices / f"video{k}")
+    return nodes.nodes(listed, devices, by_id)
+
+
+def test_cameras_are_listed_by_their_first_node_and_lasting_name(tmp_path):
+    found = a_tree(tmp_path, [(0, "HD Cam", "usb-HD-index0"), (1, "HD Cam", "usb-HD-index1"), (0, "Other", None)])
+    assert [(n.name, n.lasting and n.lasting.name) for n in found] == [("HD Cam", "usb-HD-index0"), ("Other", None)]
+    assert nodes.first(found) == f"v4l2:{tmp_path}/by-id/usb-HD-index0"
+    listed, told = nodes.present(found, tmp_path / "dev" / "video0", live=True)
+    assert listed.verdict is OK
+    assert told.verdict is WARNING
+    assert f"source: v4l2:{tmp_path}/by-id/usb-HD-index0" in told.advice
+    assert nodes.present(found, tmp_path / "by-id" / "usb-HD-index0", live=True)[1].verdict is OK
+    assert nodes.present(found, tmp_path / "dev" / "video9", live=True)[1].verdict is WRONG
+    assert nodes.present([], None, live=True)[0].verdict is WRONG
+    assert nodes.present([], None, live=False)[0].verdict is OK
+    assert nodes.nodes(tmp_path / "nowhere") == []
+
+
+def test_a_node_that_may_not_be_used_names_its_group_and_the_account(tmp_path, monkeypatch):
+    node = tmp_path / "video0"
+    node.write_text("")
+    monkeypatch.setattr(access, "group_of", lambda path: "video")
+    monkeypatch.setattr(access, "account", lambda: "ada")
+    assert nodes.permitted(node).verdict is OK
+    node.chmod(0o660)
+    monkeypatch.setattr(access.os, "access", lambda path, mode: False)
+    monkeypatch.setattr(access, "_enrolled", lambda who: [])
+    assert access.refusal(node) == (
+        f"{node} is for the group video, of which ada is not",
+        "as root: usermod -aG video ada, then log in again",
+    )
+    monkeypatch.setattr(access, "_enrolled", lambda who: ["video"])
+    assert access.refusal(node)[1] == "log out and in again"  # type: ignore[index]
+    node.chmod(0o600)
+    assert "by its owner alone" in access.refusal(node)[0]  # type: ignore[index]
+    told = nodes.permitted(node)
+    assert told.verdict is WRONG
+    assert "service install" in told.advice
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become somebody else")
+def test_another_account_is_really_refused(tmp_path):
+    node = tmp_path / "uinput"
+    node.write_text("")
+    node.chmod(0o600)
+    for folder in (tmp_path, *tmp_path.parents):
+        if folder != Path(folder.anchor) and folder.stat().st_uid == 0 and "pytest" in str(folder):
+            folder.chmod(folder.stat().st_mode | stat.S_IXOTH | stat.S_IROTH)
+    pid = os.fork()
+    if pid == 0:
+        os.setgroups([])
+        os.setgid(65534)
+        os.setuid(65534)
+        told = outputs.uinput(node)
+        os._exit(0 if told.verdict is WRONG and "by its owner alone" in told.text else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+def test_outputs_are_told_without_being_opened(tmp_path, monkeypatch):
+    missing = outputs.uinput(tmp_path / "uinput")
+    assert missing.verdict is WRONG
+    assert "modprobe uinput" in missing.advice
+    assert outputs.serial(str(tmp_path / "ttyACM9")).verdict is WRONG
+    (tmp_path / "ttyACM0").write_text("")
+    assert outputs.serial(str(tmp_path / "ttyACM0")).verdict is OK
+    assert outputs.check("null")[0].verdict is WARNING
+    assert outputs.check(f"text:{tmp_path}/log")[0].verdict is OK
+    assert outputs.check(f"text:{tmp_path}/nowhere/log")[0].verdict is WRONG
+    assert not (tmp_path / "log").exists()
+    monkeypatch.setattr(outputs, "uinput", lambda: ok("uinput", "may be written"))
+    taken, *others = outputs.check("auto")
+    assert taken.text == "auto takes uinput"
+    assert {f.verdict for f in others[1:]} == {UNCHECKED}
+    monkeypatch.setattr(outputs, "uinput", lambda: wrong("uinput", "is not there"))
+    monkeypatch.setattr(outputs, "desktop", lambda: wrong("desktop", "is not there"))
+    monkeypatch.setattr(outputs, "_own_board", lambda: wrong("serial board", "is not there"))
+    assert [f.verdict for f in outputs.check("auto")] == [WRONG, WARNING, WARNING, WARNING]
+
+
+def test_what_a_camera_does_by_itself_is_a_warning():
+    fixed = controls.Controls(0.01, False, False, False, False, 1)
+    assert {f.verdict for f in controls.check(fixed)} == {OK}
+    for change, name in (
+        ({"automatic_exposure": True}, "exposure"),
+        ({"automatic_gain": True}, "exposure"),
+        ({"automatic_focus": True}, "focus"),
+        ({"automatic_white_balance": True}, "white balance"),
+    ):
+        (told,) = [f for f in controls.check(replace(fixed, **change)) if f.verdict is not OK]
+        assert (told.name, told.verdict) == (name, WARNING)
+        assert "set camera." in told.advice
+    assert controls.check(controls.Controls())[0].verdict is UNCHECKED
+
+
+# ---- files ----
+
+
+def test_the_rig_and_its_age(tmp_path, far26):
+    from spheremouse.rig_file import load_rig, save_rig
+
+    rig = open_dataset(far26).rig
+    path = tmp_path / "rig.yaml"
+    save_rig(path, rig, {"date": "2020-01-31"})
+    told = files.rig_file(path, load_rig(path), None)
+    assert told.verdict is OK
+    assert told.values["age_days"] > 1000
+    assert "calibrated" in told.text
+    save_rig(path, rig)
+    told = files.rig_file(path, load_rig(path), None)
+    assert "written today" in told.text
+    os.utime(path, (4e9, 4e9))
+    assert "set this computer's clock" in files.rig_file(path, load_rig(path), None).advice
+    assert files.rig_file(None, None, None).verdict is UNCHECKED
+    map_file = tmp_path / "rig.map.yaml"
+    assert files.map_of(map_file, rig).verdict is OK  # made as the ball turns
+    map_file.write_text("schema: 1\nnonsense: 2\n")
+    assert files.map_of(map_file, rig).verdict is WARNING
+
+
+def test_without_a_word_the_daemons_or_the_services_configuration_is_looked_at(tmp_path):
+    config = Place(tmp_path).configuration / "config.yaml"
+    assert files.usual(Request(), None) == Request()
+    config.parent.mkdir(parents=True)
+    config.write_text("schema: 1\n")
+    assert files.usual(Request(), None).file == config
+    other = tmp_path / "other.yaml"
+    other.write_text("schema: 1\n")
+    assert files.usual(Request(), {"config": str(other)}).file == other
+    assert files.usual(Request(source="null"), {"config": str(other)}).file is None
+
+
+# ---- the daemon ----
+
+STATUS = {
+    "state": "tracking", "reason": "the ball is followed", "fps": 60.0,
+    "latency_ms": {"p50": 9.0, "p99": 14.0, "max": 20.0},
+    "discs": 9, "discs_seen": 11, "discs_known": 26, "frames": 10000, "skipped": 3, "dropped": 2, "damaged": 0,
+    "pose": {"age_s": 7200.0}, "output": {"spec": "uinput", "failed": None, "reports": 5},
+    "source": {"spec": "v4l2:/dev/video7", "description": "/dev/video7: MJPG"}, "version": doctor.running.__version__,
+    "pid": 812, "uptime_s": 3600.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "verdict"),
+    [
+        ({}, None, OK),
+        ({"state": "lost"}, "state", WARNING),
+        ({"state": "paused"}, "state", WARNING),
+        ({"state": "no-camera"}, "state", WRONG),
+        ({"skipped": 500}, "frames", WARNING),
+        ({"dropped": 500}, "frames", WARNING),
+        ({"latency_ms": {"p50": 9.0, "p99": 40.0, "max": 50.0}}, "latency", WARNING),
+        ({"discs": 2}, "discs", WARNING),
+        ({"output": {"spec": "uinput", "failed": "gone; plug it in", "reports": 5}}, "sending", WRONG),
+    ],
+)
+def test_what_the_daemon_says_of_itself(change, name, verdict):
+    found = running.check({**STATUS, **change})
+    assert {f.name for f in found if f.verdict is not OK} == ({name} if name else set())
+    assert all(f.verdict is verdict for f in found if f.name == name)
+
+
+def test_a_status_without_keys_is_no_trouble():
+    assert [f.name for f in running.check({})] == ["state"]
+
+
+def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
+    pytest.importorskip("fcntl")
+    from spheremouse.daemon.control import ControlServer
+    from spheremouse.daemon.control_settings import ControlSettings
+
+    path = Path(tmp_path_factory.mktemp("s")) / "c"
+    monkeypatch.setattr(doctor.nodes, "present", lambda *_: [])
+    monkeypatch.setattr(doctor, "film", lambda *_: pytest.fail("the camera was opened"))
+    with ControlServer(path, ControlSettings(), lambda _, reply: reply(dict(STATUS))):
+        sections = {s.subject: s.findings for s in doctor.examine(Request(source="v4l2:7", output="null"), socket=path)}
+    (told,) = [f for f in sections["camera"] if f.name == "film"]
+    assert told.verdict is UNCHECKED
+    assert "stop" in told.advice
+    assert [f.verdict for f in sections["daemon"] if f.name in ("daemon", "state", "frames")] == [OK, OK, OK]
+
+
+def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
+    pytest.importorskip("fcntl")
+    from spheremouse.daemon.control import ControlServer
+    from spheremouse.daemon.control_settings import ControlSettings
+
+    path = Path(tmp_path_factory.mktemp("s")) / "c"
+    with ControlServer(path, ControlSettings(), lambda _, reply: reply({**STATUS, "version": "0.0.1"})):
+        status, told = running.ask(path)
+    assert status is not None
+    assert told.verdict is WARNING
+    status, told = running.ask(path)
+    assert status is None
+    assert told.verdict is OK
+
+
+# ---- service and computer ----
+
+
+def test_the_service_and_what_is_missing_of_it(tmp_path, monkeypatch):
+    place = Place(tmp_path)
+    assert installed.check(None, tmp_path)[0].text.startswith("not installed")
+    for deed in list(service.install(place, "/opt/spheremouse/bin/spheremouse", 252)):
+        deed.do()
+    told = {"ActiveState": "active", "SubState": "running", "Result": "success", "NRestarts": "0"}
+    monkeypatch.setattr(installed, "_asked", lambda command: told)
+    assert {f.verdict for f in installed.check(None, tmp_path)} == {OK}
+    told["NRestarts"] = "4"
+    assert WARNING in {f.verdict for f in installed.check(None, tmp_path)}
+    told |= {"ActiveState": "failed", "Result": "watchdog"}
+    (failed,) = [f for f in installed.check(None, tmp_path) if f.verdict is WRONG]
+    assert "watchdog" in failed.text
+    assert "journalctl -u spheremouse.service" in failed.advice
+    monkeypatch.setattr(installed, "_asked", lambda command: {})
+    place.link.unlink()
+    found = {f.name: f for f in installed.check(None, tmp_path)}
+    assert "enable" in found["service files"].advice
+    assert found["service"].verdict is UNCHECKED
+    place.files()[1][1].unlink()
+    assert "missing" in installed.check(None, tmp_path)[0].text
+    node = tmp_path / "video0"
+    node.write_text("")
+    monkeypatch.setattr(installed, "USER", "nobody-has-this-name")
+    assert WRONG in {f.verdict for f in installed.check(node, tmp_path)}
+
+
+def test_room_memory_and_rights(tmp_path, monkeypatch):
+    assert computer.disk(RecordSettings(folder=str(tmp_path), megabytes=1.0, free_megabytes=0.0)).verdict is OK
+    full = computer.disk(RecordSettings(folder=str(tmp_path / "not" / "yet"), megabytes=1e12))
+    assert full.verdict is WARNING
+    info = tmp_path / "meminfo"
+    info.write_text("MemTotal: 4000000 kB\nMemAvailable: 100000 kB\n")
+    assert computer.memory(info).verdict is WARNING
+    info.write_text("MemTotal: 4000000 kB\nMemAvailable: 3000000 kB\n")
+    assert computer.memory(info).values == {"free_mb": 3072}
+    assert computer.memory(tmp_path / "none").verdict is UNCHECKED
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(computer, "_may_nice", lambda: False)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (0, 0))
+    assert computer.scheduling(service=False).verdict is WARNING
+    assert computer.scheduling(service=True).verdict is OK
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (10, 10))
+    assert computer.scheduling(service=False).verdict is OK
+
+
+# ---- privacy ----
+
+USB = "usb-046d_HD_Pro_Webcam_C920_8F2A77BF-video-index0"
+
+
+@pytest.mark.parametrize(
+    ("told", "kept"),
+    [
+        ("/home/ada/rig.yaml: no such file", "~/rig.yaml: no such file"),
+        ("/home/adam/rig.yaml", "~/rig.yaml"),
+        ("/data/home/ada2", "/data/home/ada2"),
+        ("ada may use /dev/video0 (ada)", "USER may use /dev/video0 (USER)"),
+        ("cabinet7 and cabinet7.example.org", "HOST and HOST"),
+        (f"v4l2:/dev/v4l/by-id/{USB}", "v4l2:/dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920_8F…-video-index0"),
+        ("serial:auto,id=E6614C311B", "serial:auto,id=E6…"),
+        ("adapter of the adaptive kind", "adapter of the adaptive kind"),
+    ],
+)
+def test_names_and_numbers_of_the_computer_are_taken_out(told, kept):
+    clean = redactor("/home/ada", "ada", "cabinet7.example.org", ["E6614C311B", "8F2A77BF"])
+    assert clean(told) == kept
+    assert clean(clean(told)) == kept
+    assert clean({"a": [told, 3, None]}) == {"a": [kept, 3, None]}
+
+
+def test_a_serial_number_is_found_in_a_lasting_name_that_nobody_told_of():
+    clean = redactor("/root", "root", "localhost", [])
+    assert "8F2A77BF" not in clean(f"/dev/v4l/by-id/{USB}")
+    assert clean("as root: modprobe uinput; /root/x") == "as root: modprobe uinput; /root/x"
