@@ -62,6 +62,7 @@ system-test: $(STAMP)
 soak fuzz: $(STAMP)
 	@test -e tests/$@.py -o -e tests/$@/__main__.py || { echo "make: tests/$@ does not exist yet" >&2; exit 2; }
 	$(BIN)/python -m tests.$@ $(if $(filter soak,$@),$(SOAK_ARGS),$(FUZZ_ARGS))
+	$(if $(filter soak,$@),$(BIN)/python -m tests.daemon_soak $(SOAK_ARGS))
 
 clean:
 	rm -rf $(VENV) docs/_build demo build dist .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -94,7 +94,7 @@ def run(
     moves at a steady rate between frames, and `spheremouse ctl` asks and tells it. Other recordings are tracked frame
     by frame, as fast as it goes. What changes goes to standard error. Ctrl-C ends the run.
     """
-    from spheremouse.daemon.cameras import is_v4l2
+    from spheremouse.daemon.cameras import is_camera
     from spheremouse.daemon.plan import Request, read_plan, without_map
     from spheremouse.live import Board, Tally
     from spheremouse.overlay import OverlayFile
@@ -112,7 +112,7 @@ def run(
     failure: SpheremouseError | None = None
     with ExitStack() as stack:
         stopping = stack.enter_context(Stopping())
-        given = None if is_v4l2(plan.source) else open_source(plan.source, realtime=realtime)
+        given = None if is_camera(plan.source) else open_source(plan.source, realtime=realtime)
         board = stack.enter_context(Board(plan.source, wanted, tally))
         if given is not None and given.rig is not None and map_file is None and plan.configuration.map is None:
             plan = without_map(plan)
@@ -120,7 +120,7 @@ def run(
         if overlay is not None:
             picture = stack.enter_context(OverlayFile(overlay, None if given is None else given.fps))
         try:
-            if given is None or given.live or realtime:
+            if given is None or realtime:
                 _serve(request, plan, given, stopping, board, tally, picture, frames)
             else:
                 _follow(plan, stack.enter_context(given), stopping, board, tally, picture, frames)
@@ -145,11 +145,13 @@ def _serve(
     frames: int | None,
 ) -> None:
     """As a service: frames are taken when they come, and a device that fails is waited for."""
-    from spheremouse.daemon.cameras import held, is_v4l2, opener
+    from spheremouse.daemon.cameras import opener, refuse_if_taken
     from spheremouse.daemon.run import Daemon
     from spheremouse.overlay import target_marks
 
-    device = plan.device(None if given is None else given.rig)
+    rig = None if given is None else given.rig
+    device = plan.device(rig)
+    refuse_if_taken(plan)
 
     def show(made: "Step") -> None:
         tally.add(made.epoch)
@@ -160,17 +162,7 @@ def _serve(
                 picture.begin(tracker, target_marks(device, tracker.pose, None))
             picture.add(made.epoch, tally.counts)
 
-    daemon = Daemon(
-        request,
-        plan,
-        device,
-        held(plan, opener(plan, given)),
-        lambda changed: held(changed, opener(changed)),
-        stamped=is_v4l2(plan.source) or (given is not None and given.live),
-        say=board.say,
-        show=show,
-        frames=frames,
-    )
+    daemon = Daemon(request, plan, rig, opener(plan, given), opener, say=board.say, show=show, frames=frames)
     daemon.run(stopping)
     if daemon.never_posed and not stopping.asked:
         raise PoseError(daemon.never_posed)

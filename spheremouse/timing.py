@@ -44,7 +44,7 @@ class FrameTimes:
 
     def recent_quantile(self, share: float) -> float:
         """The same, exactly, of the frames in the window."""
-        return float(np.quantile([s for _, s in self._recent], share)) if self._recent else math.nan
+        return float(np.quantile([s for _, s in list(self._recent)], share)) if self._recent else math.nan
 
     @property
     def rate(self) -> float:

@@ -10,38 +10,36 @@ from spheremouse.daemon.plan import Plan
 from spheremouse.source import Camera, Source, open_source
 
 
-def is_v4l2(spec: str) -> bool:
-    """Is it a camera that hands over its own buffers, stamps and all?"""
-    return spec.partition(":")[0] == "v4l2"
+def is_camera(spec: str) -> bool:
+    """Is it a device, which may be missing, and be there again later?"""
+    return spec.partition(":")[0] in ("v4l2", "opencv")
 
 
 def opener(plan: Plan, first: Source | None = None) -> Callable[[], Camera]:
-    """What opens the camera of a plan; the first time it is `first`, where that has been opened already."""
-    kind, _, argument = plan.source.partition(":")
-    if kind == "v4l2":
-        from spheremouse.source import v4l2
-
-        return lambda: v4l2.open_camera(argument, plan.configuration.camera)
+    """What opens the camera of a plan and holds its node; the first time it is `first`, where that is open already."""
     waiting = [] if first is None else [first]
 
-    def open_again() -> Camera:
-        source = waiting.pop() if waiting else open_source(plan.source, realtime=True)
-        return Streamed(source, plan.source)
+    def open_it() -> Camera:
+        kind, _, argument = plan.source.partition(":")
+        if kind == "v4l2":
+            from spheremouse.source import v4l2
 
-    return open_again
-
-
-def held(plan: Plan, open_camera: Callable[[], Camera]) -> Callable[[], Camera]:
-    """The same, with the device's node held against a second daemon. SourceError where it is held by one already."""
-    if node_of(plan) is None:
-        return open_camera
+            return v4l2.open_camera(argument, plan.configuration.camera)
+        return Streamed(waiting.pop() if waiting else open_source(plan.source, realtime=True), plan.source)
 
     def open_held() -> Camera:
         node = node_of(plan)  # anew each time: a camera that comes back may be another node
-        return open_camera() if node is None else Claimed(node, open_camera)
+        return open_it() if node is None else Claimed(node, open_it)
 
-    with claimed(node_of(plan) or Path("/nonexistent")):
-        return open_held
+    return open_held
+
+
+def refuse_if_taken(plan: Plan) -> None:
+    """SourceError where another daemon has the camera: said at once, not waited for."""
+    node = node_of(plan)
+    if node is not None:
+        with claimed(node):
+            pass
 
 
 def node_of(plan: Plan) -> Path | None:

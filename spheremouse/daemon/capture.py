@@ -5,22 +5,24 @@ Nothing here decodes, and no error of a device ends it.
 
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
 from spheremouse.daemon.ring import Arrival, Newest
-from spheremouse.errors import SpheremouseError
+from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.frame import Frame
 from spheremouse.source import Camera, Shot, Source
 
 PATIENCE = 2.0  # s without a frame after which a stream counts as frozen: exposures are shorter, so are focus hunts
-_BACK_OFF = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
+BACK_OFF = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
+_STEADY = 2.0  # s that a stream must last for the next failure to count as the first one
 _WAIT = 0.25  # s
 
 
 class EndOfSource(Exception):  # noqa: N818  an end, not an error
-    """A recording has no more frames."""
+    """A recording has no more frames; its argument, if any, is the error that ended it."""
 
 
 class Fetched:
@@ -43,14 +45,22 @@ class Streamed:
 
     def __init__(self, source: Source, name: str) -> None:
         self._source, self._name = source, name
+        self.live = source.live
         self._frames: Iterator[Frame] = iter(())
 
     def next(self, timeout: float) -> Shot | None:
-        """The next frame; EndOfSource after the last."""
-        frame = next(self._frames, None)
-        if frame is None:
-            raise EndOfSource
-        return Fetched(frame)
+        """The next frame; EndOfSource where a recording ends, SourceError where a camera does."""
+        try:
+            frame = next(self._frames, None)
+        except SpheremouseError as e:
+            if self.live:
+                raise
+            raise EndOfSource(e) from None
+        if frame is not None:
+            return Fetched(frame)
+        if self.live:
+            raise SourceError(f"{self._name}: gives no more frames")
+        raise EndOfSource
 
     def describe(self) -> str:
         """Its name and rate."""
@@ -67,52 +77,64 @@ class Streamed:
 
 
 class Capture(threading.Thread):
-    """Fetches shots until it is closed."""
+    """Fetches shots until it is closed. What others want to know of it are plain attributes."""
 
-    def __init__(self, open_camera: Callable[[], Camera], ring: Newest, patience: float = PATIENCE) -> None:
+    def __init__(
+        self,
+        open_camera: Callable[[], Camera],
+        ring: Newest,
+        say: Callable[[str], None] = lambda _: None,
+        patience: float = PATIENCE,
+    ) -> None:
+        """`say` is called in the thread, with what only a programmer understands."""
         super().__init__(name="capture", daemon=True)
-        self._open, self._ring, self._patience = open_camera, ring, patience
-        self._over = threading.Event()
-        self._again = threading.Event()
+        self._open, self._ring, self._say, self._patience = open_camera, ring, say, patience
+        self._over = False
+        self._bell = threading.Event()  # the stream, or the wait for the next attempt, is to be left
+        self._failures = 0  # one after another
+        self._streams = 0  # times it gave a first frame
+        self._recorded = False  # its stamps are of another clock, and its beginning is not to be seen twice
         self.trouble = "the camera is being opened"  # why no frames come; empty while they do
         self.opening = True  # for the first time
         self.description = ""
         self.attempts = 0  # times the camera was opened or tried to be: an honest sign of life without frames
-        self._streams = 0  # times it gave a first frame
         self.dropped = 0  # frames that the driver produced and did not hand over
         self.finished = False  # the recording is at its end
+        self.failure: SpheremouseError | None = None  # what ended it
 
     def run(self) -> None:
         """Until it is closed, or a recording ends."""
-        failures = 0
-        while not self._over.is_set():
+        while not self._over:
             self.attempts += 1
-            self._again.clear()
+            self._bell.clear()
             try:
-                failures = 0 if self._fetch() else failures + 1
-            except EndOfSource:
+                self._fetch()
+            except EndOfSource as e:
+                self.failure = e.args[0] if e.args else None
                 self.finished = True
                 break
             except SpheremouseError as e:
                 self.trouble = str(e)
-                failures += 1
             except Exception as e:
-                self.trouble = f"{type(e).__name__}: {' '.join(str(e).split())}"
-                failures += 1
+                trouble = f"{type(e).__name__}: {' '.join(str(e).split())}"
+                if trouble != self.trouble:
+                    self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+                self.trouble = trouble
             self.opening = False
             self._ring.wake()
-            if not self._again.is_set():
-                self._over.wait(_BACK_OFF[min(max(failures - 1, 0), len(_BACK_OFF) - 1)])
+            self._bell.wait(BACK_OFF[min(max(self._failures - 1, 0), len(BACK_OFF) - 1)])
         self._ring.wake()
 
-    def _fetch(self) -> bool:
-        """One stream from its opening to its end; did it give a frame?"""
-        before: int | None = None
+    def _fetch(self) -> None:
+        """One stream from its opening to its end."""
+        began: float | None = None  # s, the first frame
+        self._failures += 1
         with self._open() as camera:
+            self._recorded = isinstance(camera, Streamed) and not camera.live
             self.description = camera.describe()
-            last = time.monotonic()
+            last, before = time.monotonic(), 0
             try:
-                while not (self._over.is_set() or self._again.is_set()):
+                while not (self._over or self._bell.is_set()):
                     shot = camera.next(_WAIT)
                     now = time.monotonic()
                     if shot is None:
@@ -120,17 +142,19 @@ class Capture(threading.Thread):
                             self.trouble = f"the camera gave no frame for {self._patience:g} s; it is opened again"
                             break
                         continue
-                    last = now
-                    if before is None:
+                    if began is None:
+                        began = now
                         self.trouble, self.opening = "", False
                         self._streams += 1
                     else:
                         self.dropped += max(0, shot.sequence - before - 1)
-                    before = shot.sequence
-                    self._ring.put(Arrival(shot, now))
+                    if self._failures and now - began > _STEADY:
+                        self._failures = 0
+                    last, before = now, shot.sequence
+                    self._ring.put(Arrival(shot, now if self._recorded else min(shot.stamp, now)))
             finally:
-                self._ring.clear()  # a buffer must not outlive its camera
-        return before is not None
+                if not self._recorded:
+                    self._ring.clear()  # a buffer must not outlive its camera
 
     @property
     def restarts(self) -> int:
@@ -139,11 +163,18 @@ class Capture(threading.Thread):
 
     def reopen(self, open_camera: Callable[[], Camera]) -> None:
         """Open the camera anew, in another way."""
-        self._open = open_camera
-        self._again.set()
+        self._open, self._failures = open_camera, 0
+        self._bell.set()
+
+    def again(self) -> None:
+        """Open the camera anew: what it gives is of no use. A recording would only say the same again."""
+        if not self._recorded:
+            self._bell.set()
 
     def close(self) -> None:
         """End, and give the camera back; a driver that hangs is not waited for any longer than it deserves."""
-        self._over.set()
-        self.join(2.0)
+        self._over = True
+        self._bell.set()
+        if self.is_alive():
+            self.join(2.0)
         self._ring.clear()

@@ -21,23 +21,27 @@ def claimed(node: Path) -> Iterator[None]:
 
     A node that cannot be opened is left to whoever opens it in earnest.
     """
-    try:
+    held: int | None = None
+    with contextlib.suppress(OSError):
         held = os.open(node, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError:
-        yield
-        return
     try:
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            pid = holder(node)
-            who = "another spheremouse" if pid is None else f"another spheremouse (process {pid})"
-            raise SourceError(
-                f"{node}: in use by {who}; end that one first, or ask it: spheremouse ctl status"
-            ) from None
+        if held is not None:
+            _lock(held, node)
         yield
     finally:
-        os.close(held)
+        if held is not None:
+            os.close(held)
+
+
+def _lock(held: int, node: Path) -> None:
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        pid = holder(node)
+        who = "another spheremouse" if pid is None else f"another spheremouse (process {pid})"
+        raise SourceError(f"{node}: in use by {who}; end that one first, or ask it: spheremouse ctl status") from None
+    except OSError:
+        return  # of a kind that cannot be locked
 
 
 def holder(node: Path) -> int | None:

@@ -4,6 +4,7 @@ A watchdog that a timer feeds proves that the timer runs. Here a feed needs a to
 the number of frames worked on, or of attempts to open the camera.
 """
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -15,14 +16,11 @@ import sdnotify
 def _interval() -> float:
     """Seconds within which systemd wants to hear of us; infinite where it does not."""
     try:
-        for_us = int(os.environ.get("WATCHDOG_PID", os.getpid())) == os.getpid()
-        return (
-            int(os.environ.get("WATCHDOG_USEC", "0")) * 1e-6
-            if for_us and "WATCHDOG_USEC" in os.environ
-            else float("inf")
-        )
-    except ValueError:
-        return float("inf")
+        if int(os.environ.get("WATCHDOG_PID", os.getpid())) != os.getpid():
+            return math.inf
+        return 1e-6 * int(os.environ["WATCHDOG_USEC"])
+    except (KeyError, ValueError):
+        return math.inf
 
 
 class Notifier:
@@ -32,7 +30,7 @@ class Notifier:
         self._send: Callable[[str], Any] = sdnotify.SystemdNotifier().notify
         self._clock, self.interval = clock, _interval()
         self._token: Any = None
-        self._due = -float("inf")
+        self._due = -math.inf
         self._status = ""
 
     def ready(self) -> None:
@@ -45,13 +43,14 @@ class Notifier:
 
     def status(self, text: str) -> None:
         """How it is, in one line; sent when it changes."""
+        text = " ".join(text.split())  # a line of its own would be an order of its own
         if text != self._status:
             self._status = text
             self._send(f"STATUS={text}")
 
     def patience(self, seconds: float) -> None:
         """The watchdog waits so long from now on, until `usual` is called: something long has been begun."""
-        if self.interval < float("inf"):
+        if self.interval < math.inf:
             self._send(f"WATCHDOG_USEC={int(1e6 * seconds)}")
             self._send("WATCHDOG=1")
 
@@ -65,5 +64,5 @@ class Notifier:
         if token == self._token or now < self._due:
             return
         self._token, self._due = token, now + 0.25 * self.interval
-        if self.interval < float("inf"):
+        if self.interval < math.inf:
             self._send("WATCHDOG=1")

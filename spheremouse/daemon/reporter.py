@@ -170,6 +170,7 @@ class Reporter:
                     self._bell.acquire(timeout=min(left, threading.TIMEOUT_MAX))
         finally:
             self._close(None)
+            self._drop_queue()
 
     def _wake(self) -> float:
         """s, when there is something to do if nothing is given."""

@@ -12,10 +12,10 @@ from spheremouse.source import Shot
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A shot, and when it was fetched."""
+    """A shot, and when it was taken."""
 
     shot: Shot
-    time: float  # s, time.monotonic()
+    taken: float  # s, time.monotonic(): mid-exposure as far as the source knows it, never ahead of the clock
 
 
 class Newest:
@@ -25,7 +25,7 @@ class Newest:
         self._changed = threading.Condition()
         self._arrival: Arrival | None = None
         self._woken = False
-        self.skipped = 0  # shots that a newer one replaced
+        self.skipped = 0  # shots that nobody took: a newer one replaced them, or their camera went
 
     def put(self, arrival: Arrival) -> None:
         """From now on this is the newest."""
@@ -55,5 +55,7 @@ class Newest:
         """Give back what is held."""
         with self._changed:
             old, self._arrival = self._arrival, None
+            if old is not None:
+                self.skipped += 1
         if old is not None:
             old.shot.release()

@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -33,23 +34,30 @@ from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder, 
 from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Newest
 from spheremouse.daemon.snapshot import snapshot
-from spheremouse.daemon.states import Facts, State, judge
-from spheremouse.daemon.worker import STAGES, Step, Worker
-from spheremouse.errors import ControlError, PoseError, SpheremouseError
-from spheremouse.output import open_output
+from spheremouse.daemon.states import Facts, State, judge, letters, news
+from spheremouse.daemon.worker import Step, Worker
+from spheremouse.disc_map import DiscMap
+from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.motion import Motion
+from spheremouse.output import Output, open_output
+from spheremouse.pointer import Counts
 from spheremouse.rig import Rig
 from spheremouse.session import make_ready
 from spheremouse.session_map import MapKeeper
 from spheremouse.source import Camera
 from spheremouse.stopping import Stopping
 from spheremouse.timing import FrameTimes
-from spheremouse.track import Tracker
+from spheremouse.track import Settings, Tracker, TrackState
 
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
 _COMPILING = 900.0  # s that a small computer may take for it
 _PATIENT = 30.0  # s that a recording may take to be finished when we end
 _STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
+_USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
+_UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
+
+_AT_START = ("control", "metrics", "realtime")  # what is read at the start only
 
 Show = Callable[[Step], None]
 
@@ -61,21 +69,21 @@ class Daemon:
         self,
         request: PlanRequest,
         plan: Plan,
-        rig: Rig,
+        given: Rig | None,
         open_camera: Callable[[], Camera],
         reopen: Callable[[Plan], Callable[[], Camera]],
         *,
-        stamped: bool,
         say: Callable[[str], None],
         show: Show = lambda _: None,
         frames: int | None = None,
     ) -> None:
-        """`stamped`: stamps are those of time.monotonic(), else a frame is taken to be as old as its arrival.
+        """`given` is what the source knows of the device; `reopen` gives the way to open the camera of another plan.
 
-        `reopen` gives the way to open the camera of another plan; `frames` ends the run after so many tracked ones.
+        `say` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
+        many of them.
         """
-        self._request, self._plan, self._rig = request, plan, rig
-        self._reopen, self._stamped, self._print, self._show = reopen, stamped, say, show
+        self._request, self._plan, self._given, self._rig = request, plan, given, plan.device(given)
+        self._reopen, self._print, self._show = reopen, say, show
         self._limit = frames
         self._began = time.monotonic()
         self._stack = contextlib.ExitStack()
@@ -84,32 +92,35 @@ class Daemon:
         self._paused = ""
         self._starting = "the program is being made ready"
         self._state, self._reason, self._since = State.STARTING, self._starting, self._began
-        self._told = ""
         self._unseen, self._judged, self._seen_once = 0.0, self._began, False
         self._arrivals, self._last = FrameTimes(), self._began
         self._looked, self._cpu, self._cpu_share = self._began, time.process_time(), float("nan")
+        self._stages: dict[str, dict[str, float]] = {}
         self._status_due = 0.0
         self._scheduling = "usual scheduling"
         self._loading: threading.Thread | None = None
         self._files: dict[Path, int] = {}
         self._recorder: Recorder | None = None
         self._background: list[threading.Thread] = []
-        self._last_step: Step | None = None
+        self._ball: TrackState | None = None  # after the last frame
         self._snapshots: list[tuple[Path, Reply]] = []
         self._server: ControlServer | None = None
         self._notifier = Notifier()
+        self._keeper = self._new_keeper(plan, self._rig)
+        self._worker = Worker(self._rig, plan.configuration, self._known(), self.say)
         self._ring = Newest()
-        self._capture = Capture(open_camera, self._ring)
-        self._reporter = self._new_reporter(plan)
-        self._keeper = self._new_keeper(plan)
-        self._worker = self._new_worker()
+        self._capture = Capture(open_camera, self._ring, self.say)
+        self._cured = self._began
+        self._past: tuple[int, Counts] = (0, (0, 0, 0))  # reports and unsent counts of outputs before this one
+        self._given_out: Counts = (0, 0, 0)  # sum of the counts that the reporter was given
+        self._reporter = Reporter(lambda: open_output(plan.output), plan.configuration.pointer, self.say)
 
     def run(self, stopping: Stopping) -> None:
         """Until it is asked to stop, or a recording ends."""
         try:
-            self._open_doors()
-            self._get_ready()
             with self._on_hang_up():
+                self._open_doors()
+                self._get_ready()
                 self._loop(stopping)
         finally:
             self._notifier.stopping()
@@ -131,28 +142,41 @@ class Daemon:
         while not (stopping.asked or self._over):
             arrival = self._ring.take(_TICK)
             while self._todo:
-                self._todo.popleft()()
+                self._act(self._todo.popleft())
             now = time.monotonic()
             if arrival is not None:
                 self._last = now
                 self._arrivals.add(0.0, now)
-                taken = arrival.shot.stamp if self._stamped else arrival.time
                 try:
-                    made = self._worker.work(arrival, taken)
+                    made = self._worker.work(arrival)
                     if made is not None:
-                        self._pass_on(made, taken)
+                        if self._state is not State.TRACKING:
+                            self._judge(now)  # nothing moves before it is said that it may
+                        self._pass_on(made, arrival.taken)
                 finally:
                     arrival.shot.release()
             elif self._capture.finished:
+                if self._capture.failure is not None:
+                    raise self._capture.failure
                 break
             self._judge(now)
             self._tend(now)
             self._over |= self._reporter.ended
 
+    def _act(self, action: Callable[[], None]) -> None:
+        """Something that was asked for. No error of it ends the run."""
+        try:
+            action()
+        except SpheremouseError as e:
+            self.say(str(e))
+        except Exception:
+            self.say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+
     def _pass_on(self, made: Step, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         epoch = made.epoch
         self._reporter.give(epoch.motion, made.rate, taken, made.holds)
+        self._given_out = _plus(self._given_out, epoch.motion.counts)
         if self._keeper is not None:
             self._keeper.keep(epoch.state)
         if self._recorder is not None:
@@ -160,7 +184,7 @@ class Daemon:
             kept = self._recorder.add(epoch.frame, None if tracker is None else tracker.pose)
             if kept and epoch.frame.image.ndim == 3:
                 self._worker.colour = False
-        self._last_step = made
+        self._ball = epoch.state
         self._show(made)
         if self._snapshots:
             self._take_snapshots(made)
@@ -169,24 +193,31 @@ class Daemon:
 
     def _judge(self, now: float) -> None:
         """State and reason; said where they have changed."""
-        if self._state is not State.TRACKING and self._state is not State.PAUSED and self._seen_once:
+        if self._state in _UNSEEN and self._seen_once:
             self._unseen += now - self._judged
         self._judged = now
-        state, reason = judge(self._facts(now))
+        before, (state, reason) = (self._state, self._reason), judge(self._facts(now))
         self._seen_once |= state is State.TRACKING
-        event = self._worker.take_event()
-        if state is not self._state:
+        if state is not before[0]:
             self._since = now
-            self.say(f"{state}: {reason}")
-        elif event:
-            self.say(event)
-        elif state not in (State.TRACKING, State.LOST) and _letters(reason) != _letters(self._reason):
-            self.say(f"{state}: {reason}")
-        changed = state is not self._state or reason != self._reason
+        text = news(before, (state, reason), self._worker.take_event())
+        if text:
+            self.say(text)
+        other = state is not before[0] or letters(reason) != letters(before[1])
         self._state, self._reason = state, reason
-        if changed or now >= self._status_due:
+        if other or now >= self._status_due:
             self._status_due = now + _STATUS_EVERY
             self._notifier.status(f"{state}: {reason}; {self._fps(now):.0f} frames/s")
+        if state is State.NO_CAMERA and before[0] is not state:
+            self._interrupted(now)
+
+    def _interrupted(self, now: float) -> None:
+        """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
+        self._reporter.give(Motion(now, (0, 0, 0), np.zeros(3), np.zeros(3)), (0.0, 0.0, 0.0), now, False)
+        self._worker.interrupted(self._reason)
+        waiting, self._snapshots = self._snapshots, []
+        for _, reply in waiting:
+            reply(refused(f"there is no picture now: {self._reason}"))
 
     def _facts(self, now: float) -> Facts:
         camera = self._capture.trouble or self._worker.trouble
@@ -209,12 +240,22 @@ class Daemon:
         """What has time: the watchdog after progress, files now and then, young garbage."""
         silent = now - self._last > PATIENCE
         self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self._worker.seen))
-        self._collector.rest(now)
+        self._quiet.rest(now)
         if now - self._looked < _EVERY:
             return
         cpu = time.process_time()
         self._cpu_share, self._cpu = (cpu - self._cpu) / (now - self._looked), cpu
         self._looked = now
+        self._stages = {
+            name: _ms(times.recent_quantile(0.5), times.recent_quantile(0.99))
+            for name, times in self._worker.times.items()
+            if times.count
+        }
+        self._background = [t for t in self._background if t.is_alive()]
+        useless = now - max(self._worker.good, self._cured)
+        if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
+            self._cured = now
+            self._capture.again()
         if self._files != _stamps_of(self._request, self._plan) and self._loading is None:
             self._load(self._request, lambda _: None, quiet=True)
         if self._recorder is not None and self._recorder.status().ended is not None:
@@ -232,10 +273,14 @@ class Daemon:
             if c.control.socket is not None:
                 raise
             self.say(f"control: {e}: `spheremouse ctl` cannot ask this run")
-        metrics = serve_metrics(c.metrics, self.status)
-        if metrics is not None:
-            self._stack.enter_context(metrics)
-            self.say(f"metrics: {metrics.url}")
+        try:
+            metrics = serve_metrics(c.metrics, self.status)
+        except SpheremouseError as e:
+            self.say(f"{e}; going on without")
+        else:
+            if metrics is not None:
+                self._stack.enter_context(metrics)
+                self.say(f"metrics: {metrics.url}")
         self._files = _stamps_of(self._request, self._plan)
         removed = tidy(recordings_folder(c.record))
         if removed:
@@ -249,25 +294,33 @@ class Daemon:
         make_ready(self._plan.configuration)
         self._notifier.usual()
         self._starting = ""
-        self._scheduling = realtime.prepare()
-        realtime.claim(self._reporter.native_id)
+        self._realtime = self._plan.configuration.realtime == "auto"
+        self._scheduling = realtime.prepare(self._realtime)
+        self._quiet = self._stack.enter_context(contextlib.closing(realtime.Quiet()))
+        self._claim(self._reporter.native_id)
         self._capture.start()
-        realtime.claim(self._capture.native_id)
+        self._claim(self._capture.native_id)
         self._last = time.monotonic()
-        self._collector = realtime.Collector()
+
+    def _claim(self, thread: int | None) -> None:
+        if self._realtime:
+            realtime.claim(thread)
 
     def _close(self) -> None:
-        self._capture.close()
-        self._reporter.close()
-        if self._recorder is not None:
-            self._end_recording(lambda _: None)
+        """Each, whatever becomes of the others; the last one first."""
+        with contextlib.ExitStack() as last:
+            last.callback(self._stack.close)
+            if self._keeper is not None:
+                last.callback(self._keeper.__exit__, None, None, None)
+            last.callback(self._join_background)
+            if self._recorder is not None:
+                last.callback(self._end_recording, lambda _: None)
+            last.callback(self._reporter.close)
+            last.callback(self._capture.close)
+
+    def _join_background(self) -> None:
         for thread in self._background:
             thread.join(_PATIENT)
-        if self._keeper is not None:
-            self._keeper.__exit__(None, None, None)
-        self._stack.close()
-        if hasattr(self, "_collector"):
-            self._collector.close()
 
     @contextlib.contextmanager
     def _on_hang_up(self) -> Iterator[None]:
@@ -275,7 +328,10 @@ class Daemon:
         if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
             yield
             return
-        reload = lambda *_: self._ask(lambda: self._load(self._request, lambda _: None))  # noqa: E731
+
+        def reload(_number: int, _frame: Any) -> None:
+            self._ask(lambda: self._load(self._request, lambda _: None))
+
         before = signal.signal(signal.SIGHUP, reload)
         try:
             yield
@@ -310,10 +366,13 @@ class Daemon:
             self._answer(request, reply)
         except (SpheremouseError, OSError) as e:
             reply(refused(str(e)))
+        except Exception as e:
+            reply(refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"))
+            raise
 
     def _answer(self, request: Request, reply: Reply) -> None:
         if isinstance(request, Set):
-            wanted = replace(self._request, assignments=(*self._request.assignments, *request.assignments))
+            wanted = replace(self._request, assignments=_latest((*self._request.assignments, *request.assignments)))
             self._load(wanted, reply)
         elif isinstance(request, Record):
             self._record(request, reply)
@@ -339,23 +398,33 @@ class Daemon:
 
     def _pause(self, paused: bool) -> None:
         self._paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
-        self._reporter.pause(paused)
+        if paused:
+            self._reporter.pause(True)
         self._judge(time.monotonic())
+        if not paused:
+            self._reporter.pause(False)
 
     def _load(self, wanted: PlanRequest, reply: Reply, quiet: bool = False) -> None:
         """Read all anew in a thread of its own, then apply it between two frames; nothing changes if it is wrong."""
         if self._loading is not None:
             raise ControlError("the configuration is being read already; repeat this in a moment")
 
+        before = self._plan
+
         def read() -> None:
-            files = _stamps_of(wanted, self._plan)
+            files = _stamps_of(wanted, before)
             try:
                 plan = read_plan(wanted)
+                if _stages_of(plan) != _stages_of(before):
+                    make_ready(plan.configuration)  # no frame is to wait for a compiler
             except SpheremouseError as e:
                 error = str(e)
-                self._ask(lambda: self._not_applied(error, files, reply))
+            except Exception as e:
+                error = f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
             else:
                 self._ask(lambda: self._apply(wanted, plan, files, reply, quiet))
+                return
+            self._ask(lambda: self._not_applied(error, files, reply))
 
         self._loading = threading.Thread(target=read, name="reload", daemon=True)
         self._loading.start()
@@ -367,43 +436,90 @@ class Daemon:
 
     def _apply(self, wanted: PlanRequest, plan: Plan, files: dict[Path, int], reply: Reply, quiet: bool) -> None:
         """Another plan from here on; what cannot be changed under way is said."""
-        before, self._loading, self._files = self._plan, None, files
+        before, self._loading = self._plan, None
         if plan.rig is None and before.rig is None:
             plan = replace(plan, map_path=before.map_path)
         changed = _differences(before, plan)
         try:
+            rig = plan.device(self._given) if "rig" in changed else self._rig
             if "rig" in changed:
-                rig = plan.device(self._rig)
-                worker = Worker(rig, plan.configuration, None, self.say)
-            else:
-                rig, worker = self._rig, self._worker
-                if "tracker" in changed:
-                    worker.retune(plan.configuration)
-        except (SpheremouseError, PoseError) as e:
+                Worker(rig, plan.configuration, None, lambda _: None)
+            if "rig" in changed or "map" in changed:
+                self._new_keeper(plan, rig, lambda _: None)
+            if "tracker" in changed and "rig" not in changed:
+                self._worker.retune(plan.configuration)
+        except SpheremouseError as e:
             self._not_applied(str(e), files, reply)
             return
-        self._request, self._plan, self._rig = wanted, plan, rig
-        if worker is not self._worker or "map" in changed:
-            if self._keeper is not None:
-                self._keeper.__exit__(None, None, None)
-            self._keeper = self._new_keeper(plan)
-            self._worker = worker if worker is self._worker else self._new_worker()
+        # Nothing from here on is refused.
+        if self._recorder is not None and not {"tracker", "rig"}.isdisjoint(changed):
+            self.say("record: ended, for the configuration changes: a recording is of one")
+            self._end_recording(lambda _: None)
+        self._request, self._plan, self._rig, self._files = wanted, plan, rig, _stamps_of(wanted, plan)
+        for path, stamp in files.items():
+            if path in self._files:
+                self._files[path] = stamp  # when it was read: what was written since is news
+        if "rig" in changed or "map" in changed:
+            self._change_keeper()
+        if "rig" in changed:
+            self._change_worker()
         if "source" in changed:
             self._capture.reopen(self._reopen(plan))
         if "output" in changed:
-            self._reporter.close()
-            self._reporter = self._new_reporter(plan)
-            realtime.claim(self._reporter.native_id)
-            self._reporter.pause(bool(self._paused))
+            self._change_output()
         elif "pointer" in changed:
             self._reporter.change(plan.configuration.pointer)
-        later = [name for name in changed if name in ("control", "metrics")]
         text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
+        later = [name for name in changed if name in _AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
         if changed or not quiet:
             self.say(text)
         reply({"changed": changed, "text": text})
+
+    def _change_keeper(self) -> None:
+        """What was learnt is saved before the map is read: it may be the same file."""
+        if self._keeper is not None:
+            self._keeper.__exit__(None, None, None)
+        try:
+            self._keeper = self._new_keeper(self._plan, self._rig)
+        except SpheremouseError as e:
+            self._keeper = None
+            self.say(f"map: {e}; going on without")
+
+    def _change_worker(self) -> None:
+        before = self._worker
+        before.interrupted("another rig is in use now")
+        self._worker = Worker(self._rig, self._plan.configuration, self._known(), self.say)
+        self._worker.carry_on(before)
+        self._worker.colour = bool(self._snapshots)
+
+    def _change_output(self) -> None:
+        """The next output is opened when the one before is closed: they may be the same device."""
+        plan, old, given = self._plan, self._reporter, self._given_out
+        waiting = [old]
+
+        def open_next() -> Output:
+            if waiting:
+                waiting[0].close()
+                waiting.clear()
+            return open_output(plan.output)
+
+        def retire() -> None:
+            old.close()
+            self._ask(lambda: self._count_past(old, given))
+
+        self._given_out = (0, 0, 0)
+        self._reporter = Reporter(open_next, plan.configuration.pointer, self.say)
+        self._claim(self._reporter.native_id)
+        self._reporter.pause(bool(self._paused))
+        self._in_background(retire)
+
+    def _count_past(self, old: Reporter, given: Counts) -> None:
+        """What an output was given and did not send, in its queue when it was closed or before."""
+        status, (reports, unsent) = old.status(), self._past
+        left = _plus(given, (-status.sent[0], -status.sent[1], -status.sent[2]))
+        self._past = (reports + status.reports, _plus(unsent, left))
 
     # ---- recording ----
 
@@ -476,7 +592,6 @@ class Daemon:
 
     def _in_background(self, work: Callable[[], None]) -> None:
         """Something that takes its time; what is begun is waited for at the end."""
-        self._background = [t for t in self._background if t.is_alive()]
         thread = threading.Thread(target=work, name="background", daemon=True)
         self._background.append(thread)
         thread.start()
@@ -499,6 +614,7 @@ class Daemon:
         def write() -> None:
             for path, reply in wanted:
                 try:
+                    path.parent.mkdir(parents=True, exist_ok=True)
                     snapshot(path, epoch, tracker, everything=everything)
                 except (SpheremouseError, OSError) as e:
                     reply(refused(str(e)))
@@ -513,22 +629,17 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
-        worker, plan, step = self._worker, self._plan, self._last_step
-        report = self._reporter.status()
+        worker, plan, state = self._worker, self._plan, self._ball
+        report, (reports, unsent) = self._reporter.status(), self._past
         latency = report.latency
-        state = None if step is None else step.epoch.state
         return {
             "state": str(self._state),
             "reason": self._reason,
             "since_s": now - self._since,
             "fps": self._fps(now),
             "latency_ms": None if latency is None else _ms(latency.p50, latency.p99, latency.max),
-            "stages_ms": {
-                name: _ms(worker.times[name].recent_quantile(0.5), worker.times[name].recent_quantile(0.99))
-                for name in STAGES
-                if worker.times[name].count
-            },
-            "discs": 0 if step is None or self._state is not State.TRACKING else len(step.epoch.used),
+            "stages_ms": self._stages,
+            "discs": 0 if state is None or self._state is not State.TRACKING else len(state.filter.used),
             "discs_seen": 0 if state is None else len(state.points),
             "discs_known": 0 if state is None else len(state.filter.discs),
             "frames": worker.frames,
@@ -539,8 +650,8 @@ class Daemon:
             "output": {
                 "spec": plan.output,
                 "failed": report.failed,
-                "reports": report.reports,
-                "unsent": list(report.unsent),
+                "reports": reports + report.reports,
+                "unsent": list(_plus(unsent, report.unsent)),
             },
             "source": {"spec": plan.source, "description": self._capture.description},
             "unseen_s": self._unseen,
@@ -583,25 +694,16 @@ class Daemon:
 
     # ---- parts ----
 
-    def _new_reporter(self, plan: Plan) -> Reporter:
-        return Reporter(lambda: open_output(plan.output), plan.configuration.pointer, self.say)
+    def _new_keeper(self, plan: Plan, rig: Rig, say: Callable[[str], None] | None = None) -> MapKeeper | None:
+        return None if plan.map_path is None else MapKeeper(plan.map_path, rig, say or self.say)
 
-    def _new_keeper(self, plan: Plan) -> MapKeeper | None:
-        return None if plan.map_path is None else MapKeeper(plan.map_path, self._rig, self.say)
-
-    def _new_worker(self) -> Worker:
-        known = None if self._keeper is None else self._keeper.known
-        return Worker(self._rig, self._plan.configuration, known, self.say)
+    def _known(self) -> DiscMap | None:
+        return None if self._keeper is None else self._keeper.known
 
 
 def _ms(median: float, slow: float, most: float | None = None) -> dict[str, float]:
     made = {"p50": 1e3 * median, "p99": 1e3 * slow}
     return made if most is None else {**made, "max": 1e3 * most}
-
-
-def _letters(text: str) -> str:
-    """A reason without its numbers: whether it is the same one."""
-    return "".join(c for c in text if not c.isdigit())
 
 
 def _memory_mb() -> float:
@@ -625,23 +727,36 @@ def _stamps_of(request: PlanRequest, plan: Plan) -> dict[Path, int]:
     return found
 
 
+def _stages_of(plan: Plan) -> tuple[str, str]:
+    """What is compiled for a plan."""
+    return plan.configuration.tracker, plan.configuration.detector
+
+
+def _latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
+    """The last assignment to each key, in their order: however often something is set, no more is kept."""
+    last = {a.partition("=")[0].strip(): k for k, a in enumerate(assignments)}
+    return tuple(a for k, a in enumerate(assignments) if last[a.partition("=")[0].strip()] == k)
+
+
 def _differences(before: Plan, now: Plan) -> list[str]:
     """What has changed, in the words of the configuration."""
     a, b = before.configuration, now.configuration
-    apart = ("source", "output", "rig", "camera_file", "map", "camera", "pointer", "control", "record", "metrics")
-    tracking = [f for f in type(a).__dataclass_fields__ if f not in apart]
-    changed = ["tracker"] if any(getattr(a, f) != getattr(b, f) for f in tracking) else []
-    if before.source != now.source or a.camera != b.camera:
-        changed.append("source")
-    if before.output != now.output:
-        changed.append("output")
-    if before.rig_path != now.rig_path or not _same(before.rig, now.rig) or not _same(before.camera, now.camera):
-        changed.append("rig")
-    if before.map_path != now.map_path:
-        changed.append("map")
-    return changed + [
-        name for name in ("pointer", "control", "record", "metrics") if getattr(a, name) != getattr(b, name)
-    ]
+    found = {
+        "tracker": any(getattr(a, f) != getattr(b, f) for f in Settings.__dataclass_fields__),
+        "source": before.source != now.source or a.camera != b.camera,
+        "output": before.output != now.output,
+        "rig": before.rig_path != now.rig_path
+        or not _same(before.rig, now.rig)
+        or not _same(before.camera, now.camera),
+        "map": before.map_path != now.map_path,
+    }
+    for name in ("pointer", "record", *_AT_START):
+        found[name] = getattr(a, name) != getattr(b, name)
+    return [name for name, other in found.items() if other]
+
+
+def _plus(a: Counts, b: Counts) -> Counts:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _same(a: Any, b: Any) -> bool:

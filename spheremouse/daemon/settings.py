@@ -1,6 +1,7 @@
 """The whole configuration file: the tracker's parameters, and what the daemon needs besides."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from spheremouse.daemon.control_settings import ControlSettings, MetricsSettings
 from spheremouse.daemon.record_settings import RecordSettings
@@ -23,6 +24,12 @@ class Configuration(Settings):
     rig: str | None = param(None, "-", "rig file, the device as calibrated; relative to this file's folder")
     camera_file: str | None = param(None, "-", "camera file in place of the rig's interior orientation; likewise")
     map: str | None = param(None, "-", "map of the discs; null keeps it beside the rig file where that may be written")
+    realtime: Literal["auto", "off"] = param(
+        "auto",
+        "-",
+        "`auto` comes before other programs, its memory locked, where the system grants it; `off` asks for neither. "
+        "Read at the start only",
+    )
     camera: CameraSettings = field(default_factory=CameraSettings)
     pointer: PointerSettings = field(default_factory=PointerSettings)
     control: ControlSettings = field(default_factory=ControlSettings)

@@ -48,3 +48,23 @@ def judge(facts: Facts) -> tuple[State, str]:
     if facts.output:
         return State.FAILED_OUTPUT, facts.output
     return State.TRACKING, facts.ball or "the ball is followed"
+
+
+def news(before: tuple[State, str], now: tuple[State, str], event: str) -> str:
+    """The line for the log: state and reason after a change, or the tracker's word; empty where nothing is to be said.
+
+    A reason whose numbers alone have changed is the same. While the ball is in view, the tracker says what is new.
+    """
+    (old, why_before), (state, why) = before, now
+    if state is not old:
+        return f"{state}: {why}"
+    if event:
+        return event
+    if state in (State.TRACKING, State.LOST) or letters(why) == letters(why_before):
+        return ""
+    return f"{state}: {why}"
+
+
+def letters(text: str) -> str:
+    """A reason without its numbers."""
+    return "".join(c for c in text if not c.isdigit())

@@ -75,7 +75,7 @@ class Worker:
         self._anew: _Reinitialisation | None = None
         self._buffer: NDArray[np.uint8] = np.zeros(0, np.uint8)
         self._faults: deque[float] = deque(maxlen=_FAULTS)
-        self._good = time.monotonic()  # when a frame last could be used
+        self.good = time.monotonic()  # when a frame last could be used
         self._detected = 0.0
         self._event = ""
         self.colour = False  # the next frame is wanted in colour, whatever tracking wants
@@ -94,8 +94,8 @@ class Worker:
         """What the tracker knows of the ball."""
         return Phase.SEARCHING if self.state is None else self.state.phase
 
-    def work(self, arrival: Arrival, taken: float) -> Step | None:
-        """Do what there is to be done with a shot of mid-exposure `taken` (s, time.monotonic()).
+    def work(self, arrival: Arrival) -> Step | None:
+        """Do what there is to be done with a shot.
 
         None where it was not tracked: damaged, of another size, or the camera's pose is not known yet. The frame of the
         step is good until the shot is released.
@@ -106,24 +106,36 @@ class Worker:
             frame = self._own(shot.frame(self._in_colour(shot.stamp)))
             check_size(frame, self.rig)
             decoded = time.monotonic()
-            self.trouble, self._good = "", decoded
+            self.trouble, self.good = "", decoded
             if self._tracker is None:
                 self._look_for_targets(frame)
                 return None
             made = self._track(frame, decoded)
-            self.times["wait"].add(max(0.0, begun - taken), decoded)
+            self.times["wait"].add(begun - arrival.taken, decoded)
             self.times["decode"].add(decoded - begun, decoded)
             return made
         except DamagedFrameError as e:
             self.damaged += 1
-            if begun - self._good > _DAMAGED:
-                self.trouble = f"nothing but damaged frames for {begun - self._good:.0f} s ({e})"
+            if begun - self.good > _DAMAGED:
+                self.trouble = f"nothing but damaged frames for {begun - self.good:.0f} s ({e})"
         except SourceError as e:
             self.trouble = str(e)
         except Exception:
             if self._too_many_faults(begun):
                 raise
         return None
+
+    def carry_on(self, before: "Worker") -> None:
+        """Count on from where another one, for the device as it was, has ended."""
+        self.times, self._faults = before.times, before._faults
+        self.frames, self.seen, self.damaged, self.lost = before.frames, before.seen, before.damaged, before.lost
+
+    def interrupted(self, reason: str) -> None:
+        """No frames come: what has been begun with those before is void, for the camera may be moved meanwhile."""
+        self._views, self._first = [], None
+        if self._anew is not None:
+            self._anew.give_up(f"{reason}; the pose before stays")
+            self._anew = None
 
     def take_event(self) -> str:
         """What the tracker has said since this was last asked."""
@@ -215,14 +227,17 @@ class Worker:
         """The frame with a pose estimated anew; with the one before where the ball would not be seen from there."""
         assert self._tracker is not None
         assert self._anew is not None
-        answer, self._anew = self._anew.answer, None
+        anew, self._anew = self._anew, None
         try:
-            state, motion = posed_anew(state, frame, self._tracker, found.pose)
+            new, motion = posed_anew(state, frame, self._tracker, found.pose)
         except PoseError as e:
-            answer(f"{e}; the pose before stays", "")
+            anew.give_up(f"{e}; the pose before stays")
             return step(state, frame, self._tracker, self._note_detected)
-        answer(None, f"camera pose: {describe(found, self.rig)}")
-        return state, motion
+        except Exception:
+            anew.give_up("internal error; the ball is looked for anew")
+            raise
+        anew.answer(None, f"camera pose: {describe(found, self.rig)}")
+        return replace(new, event=new.event.removeprefix("the camera was moved: ")), motion
 
     def _remember(self, before: TrackState, state: TrackState) -> None:
         assert self._tracker is not None
@@ -240,7 +255,8 @@ class Worker:
     def _too_many_faults(self, now: float) -> bool:
         """An error of our own: told with its traceback, the ball looked for anew. Are there so many that we give up?"""
         self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-        self.state, self._anew = None, None
+        self.state, self.ball = None, "an internal error; the ball is looked for anew"
+        self._views, self._first = [], None
         self._faults.append(now)
         return len(self._faults) == _FAULTS and now - self._faults[0] < _FAULTS_WITHIN
 
@@ -249,9 +265,9 @@ class _Reinitialisation:
     """Views for a pose, looked at in a thread of its own while the ball is tracked on."""
 
     def __init__(self, rig: Rig, settings: Settings, answer: Callable[[str | None, str], None]) -> None:
-        self.answer = answer
+        self._rig, self._settings, self._answer = rig, settings, answer
         self.over = False  # without a pose
-        self._rig, self._settings = rig, settings
+        self._answering = threading.Lock()
         self._frames: list[Frame] = []
         self._thread: threading.Thread | None = None
         self._found: Resection | None = None
@@ -270,12 +286,25 @@ class _Reinitialisation:
                 self._thread.start()
         return self._found
 
+    def answer(self, error: str | None, text: str) -> None:
+        """Whoever asked is told, once."""
+        if self._answering.acquire(blocking=False):
+            self._answer(error, text)
+
+    def give_up(self, error: str) -> None:
+        """There will be no pose."""
+        self.over = True
+        self.answer(error, "")
+
     def _estimate(self) -> None:
         try:
             if any(f.image.ndim != 3 for f in self._frames):
                 raise PoseError("the frames are grey: the ring targets need colour")
             seen = [detect_targets(f.image, self._rig.targets.radii, self._settings.rings) for f in self._frames]
-            self._found = resect(gather(seen, self._settings.pose), self._rig, self._frames[0].image)
+            found = resect(gather(seen, self._settings.pose), self._rig, self._frames[0].image)
         except SpheremouseError as e:
-            self.over = True
-            self.answer(f"{e}; the pose before stays", "")
+            self.give_up(f"{e}; the pose before stays")
+        except Exception as e:
+            self.give_up(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); the pose before stays")
+        else:
+            self._found = found

@@ -1,0 +1,76 @@
+"""`spheremouse run` with a few pictures of a film as its v4l2 camera, for tests that need a process of its own."""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from spheremouse.frame import Frame
+from spheremouse.rig_file import rig_text
+
+CONFIG = """\
+schema: 1
+source: v4l2:{folder}/video0
+output: "null"
+rig: rig.yaml
+realtime: "off"
+pose: {{frames: 2}}
+control: {{socket: {folder}/s}}
+record: {{folder: {folder}}}
+"""
+
+
+def prepare(folder, film):
+    """What `main` needs."""
+    (folder / "config.yaml").write_text(CONFIG.format(folder=folder))
+    (folder / "rig.yaml").write_text(rig_text(film.rig))
+    (folder / "video0").touch()
+    np.save(folder / "film.npy", np.array(film.colour[::2]))
+
+
+class Camera:
+    """Gives the pictures back and forth at 100 a second."""
+
+    def __init__(self, pictures):
+        self._pictures, self._sequence = pictures, 0
+
+    def next(self, timeout):
+        time.sleep(0.01)
+        self._sequence += 1
+        n = len(self._pictures) - 1
+        place = abs((self._sequence // 2) % (2 * n) - n)
+        return Shot(Frame(self._pictures[place].copy(), time.monotonic(), self._sequence))
+
+    def describe(self):
+        return "a film"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+
+class Shot:
+    """One of them."""
+
+    def __init__(self, frame):
+        self._frame, self.stamp, self.sequence = frame, frame.stamp, frame.sequence
+
+    def frame(self, colour):
+        return self._frame
+
+    def release(self):
+        return None
+
+
+def main(folder):
+    """As the command line does it."""
+    from spheremouse import cli
+    from spheremouse.source import v4l2
+
+    pictures = np.load(Path(folder) / "film.npy")
+    v4l2.open_camera = lambda argument, settings: Camera(pictures)
+    sys.argv = ["spheremouse", "run", "--config", str(Path(folder) / "config.yaml")]
+    cli.main()

@@ -1,0 +1,426 @@
+"""The daemon for days, in minutes: `python -m tests.daemon_soak [--short] [--frames N] [--seed S]`.
+
+A real daemon, with its control socket, on a film that is played as fast as it takes it. Between spells of ordinary play
+comes a fault: a camera that goes, freezes, loses frames or is not waited for; damaged frames, dark ones, of another
+size, without targets, with stamps that jump; an error as if of our own; an output that fails or hangs. Meanwhile
+somebody asks it things: status, reinit, pause, reload, set, snapshots, recordings.
+
+What must hold, always: nothing is sent while the state is not tracking. Every shot was looked at or counted as skipped,
+every damaged or lost frame is counted, every count was sent or is in the ledger. Over every spell of ordinary play,
+2 s after the fault before it, the counts are the integral of the true motion. Memory, threads and open files stay.
+"""
+
+import argparse
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter, OrderedDict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from spheremouse.daemon import capture, reporter, run, worker
+from spheremouse.daemon.client import Client
+from spheremouse.daemon.reporter import ReporterStatus
+from spheremouse.errors import ControlError, OutputError, SourceError
+from spheremouse.rotation import Array, log
+from tests.daemon_world import DT, Film, Shot, World, left_over, matrix
+from tests.soak import resident
+
+FAULTS = {  # frames from, to
+    "damaged": (1, 30),
+    "size": (1, 10),
+    "dark": (1, 90),
+    "hidden": (1, 60),
+    "internal": (1, 1),
+    "stamps": (1, 5),
+    "dropped": (1, 10),
+    "rush": (5, 60),  # the camera does not wait for the daemon
+    "gone": (1, 8),  # attempts to open it
+    "silent": (1, 1),  # until it is opened again
+    "broken": (1, 40),
+    "hanging": (1, 20),
+}
+SETTLED = 60  # frames after a fault until all is as it was: lost_after, reset_after, and the map recognised
+CLOSE, CLOSE_SHARE = 3.0, 0.01  # counts, and of the path: the estimate at either end
+GROWTH, GROWTH_SHORT = 8.0, 40.0  # MB: heaps of threads that come and go fill up within some 40,000 frames
+LONG = 90_000  # frames from which on memory is judged as flat
+EVERY = 0.05  # s between two things that somebody asks
+
+
+class Cabinet(World):
+    """A world that plays its own faults, and remembers sums only."""
+
+    def __init__(self, film: Film, folder: Path, frames: int, seed: int) -> None:
+        super().__init__(film, folder, pace=0.0)
+        self._left = frames
+        self._rng = np.random.default_rng([seed, 1])
+        self._spells = self._spell()
+        self._spell_left, self._now, self._since = 150, "", 0
+        self.faults: Counter[str] = Counter()
+        self.failures: list[str] = []
+        self.over = threading.Event()
+        self.damaged = self.lost = self.tracked = 0
+        self.total, self.given = np.zeros(3, np.int64), np.zeros(3, np.int64)
+        self.reports = 0
+        self.spells_judged = 0
+        self.worst = 0.0  # counts
+        self._spell_of: OrderedDict[float, tuple[int, int, bool]] = OrderedDict()  # stamp -> spell, place, judged
+        self._state_of: OrderedDict[float, str] = OrderedDict()
+        self._judged: tuple[int, int] | None = None  # spell and place of the last frame that counts
+        self._error, self._path = np.zeros(3), 0.0
+        self._spell_number = 0
+        self._matrix = matrix(film.rig)
+        n = len(film.grey)
+        self._turns = [self._matrix @ log(film.attitude[k + 1] @ film.attitude[k].T) for k in range(n - 1)]
+        self._rest = 0
+
+    # ---- the camera, in the capture thread ----
+
+    def _spell(self) -> Iterator[tuple[str, int]]:
+        rng, due = self._rng, []
+        while True:
+            due = due or [str(f) for f in rng.permutation(list(FAULTS))]
+            fault = due.pop()
+            low, high = FAULTS[fault]
+            yield fault, int(np.exp(rng.uniform(np.log(low), np.log(high + 1))))
+            yield "", int(rng.integers(1, 30)) if rng.random() < 0.2 else int(rng.integers(100, 250))
+
+    def open_camera(self) -> "Cabinet":
+        if self._now == "gone":
+            self._spell_left -= 1
+            if self._spell_left <= 0:
+                self._begin_spell()
+            raise SourceError("unplugged")
+        if self._now == "silent":
+            self._begin_spell()
+        return self
+
+    def next(self, timeout: float) -> Shot | None:
+        if self._now != "rush" and not self._free.wait(timeout):
+            return None
+        if self._left <= 0:
+            self.over.set()
+            time.sleep(0.01)
+            return None
+        if self._spell_left <= 0:
+            self._begin_spell()
+        if self._now == "gone":
+            raise SourceError("unplugged")
+        if self._now == "silent":
+            time.sleep(0.005)
+            return None
+        if self._now == "dropped":
+            self.sequence += 1
+            self.lost += 1
+        self._spell_left -= 1
+        self._left -= 1
+        return self._made()
+
+    def _made(self) -> Shot:
+        if self._rest:
+            self._rest -= 1
+        else:
+            self.place += self._way
+            if self.place in (0, len(self.film.grey) - 1):
+                self._way, self._rest = -self._way, int(self._rng.integers(1, 30))
+        self.stamp += DT
+        if self._now == "stamps":
+            self.stamp += float(self._rng.choice([-1.0, 1.0]) * 10.0 ** self._rng.uniform(-2, 4))
+        self.sequence += 1
+        self.produced += 1
+        self._since += 1
+        judged = not self._now and self._since > SETTLED
+        with self._lock:
+            self.out += 1
+            self._spell_of[self.stamp] = (self._spell_number, self.place, judged)
+            while len(self._spell_of) > 500:
+                self._spell_of.popitem(last=False)
+        self._free.clear()
+        fault = self._now if self._now in ("damaged", "size", "dark", "hidden", "internal") else ""
+        return _Counted(self, self.stamp, self.sequence, self.place, fault)
+
+    def _begin_spell(self) -> None:
+        self._now, self._spell_left = next(self._spells)
+        self._spell_number += 1
+        self._since = 0
+        if self._now:
+            self.faults[self._now] += 1
+        self.broken = "unplugged too" if self._now == "broken" else ""
+        gate, self.gate = self.gate, threading.Event() if self._now == "hanging" else None
+        if gate is not None:
+            gate.set()
+
+    # ---- what comes of it ----
+
+    def open_output(self, spec: str) -> "_Sink":
+        if self.broken:
+            raise OutputError(self.broken)
+        return _Sink(self)
+
+    def tracked_frame(self, made: Any) -> None:
+        """In the worker's thread."""
+        assert self.daemon is not None
+        motion, state = made.epoch.motion, self.daemon._state
+        self.tracked += 1
+        self.given += motion.counts
+        self._state_of[motion.stamp] = str(state)
+        while len(self._state_of) > 500:
+            self._state_of.popitem(last=False)
+        with self._lock:
+            spell, place, judged = self._spell_of[motion.stamp]
+        if not judged or made.epoch.state.phase != "tracking":
+            if judged:
+                self.fail(f"{made.epoch.state.phase} in an ordinary spell: {made.epoch.state.event}")
+            self._judged = None
+            return
+        if self._judged is None or self._judged[0] != spell:
+            self._error, self._path = np.zeros(3), 0.0
+            self.spells_judged += 1
+        else:
+            before = self._judged[1]
+            true = np.zeros(3) if before == place else self._turn(before, place)
+            self._error = self._error + motion.counts - true
+            self._path += float(np.abs(true).sum())
+            off = float(np.abs(self._error).max()) - CLOSE_SHARE * self._path
+            self.worst = max(self.worst, off)
+            if off > CLOSE:
+                self.fail(f"counts are wrong by {self._error} over a path of {self._path:.0f}")
+                self._error = np.zeros(3)
+        self._judged = (spell, place)
+
+    def _turn(self, before: int, place: int) -> Array:
+        if place == before + 1:
+            return self._turns[before]
+        if place == before - 1:
+            return -self._turns[place]
+        R = self.film.attitude
+        return self._matrix @ log(R[place] @ R[before].T)
+
+    def received(self, motion: Any) -> None:
+        """In the reporter's thread."""
+        if not any(motion.counts):
+            return
+        self.total += motion.counts
+        self.reports += 1
+        for _ in range(1000):  # a frame is given before it is shown
+            state = self._state_of.get(motion.stamp)
+            if state is not None:
+                break
+            time.sleep(0.001)
+        if state != "tracking":
+            self.fail(f"{motion.counts} were sent while {state}")
+
+    def fail(self, text: str) -> None:
+        if len(self.failures) < 50:
+            before = " | ".join(self.said[-4:])
+            self.failures.append(f"frame {self.produced}, {self._now or 'no fault'}: {text}\n         before: {before}")
+
+
+class _Counted(Shot):
+    def frame(self, colour: bool) -> Any:
+        world: Any = self._world
+        if self._fault == "damaged":
+            world.damaged += 1
+        return super().frame(colour)
+
+
+class _Sink:
+    def __init__(self, cabinet: Cabinet) -> None:
+        self._cabinet = cabinet
+
+    def send(self, motion: Any) -> None:
+        gate = self._cabinet.gate
+        if gate is not None:
+            gate.wait(5.0)
+        if self._cabinet.broken:
+            raise OutputError(self._cabinet.broken)
+        self._cabinet.received(motion)
+
+    def describe(self, motion: Any) -> str:
+        return ""
+
+    def __enter__(self) -> "_Sink":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+
+class Somebody(threading.Thread):
+    """Asks for this and that."""
+
+    def __init__(self, cabinet: Cabinet, seed: int) -> None:
+        super().__init__(name="somebody", daemon=True)
+        self._client, self._cabinet = Client(cabinet.socket), cabinet
+        self._rng = np.random.default_rng([seed, 2])
+        self.asked: Counter[str] = Counter()
+        self.refused: Counter[str] = Counter()
+        self.over, self.warm = threading.Event(), threading.Event()  # warm: all of it was asked once
+
+    def run(self) -> None:
+        kinds = ("status", "status", "status", "reinit", "pause", "reload", "set", "output", "snapshot", "record")
+        for kind in sorted(set(kinds)):
+            self._ask(kind, always=True)
+        self.warm.set()
+        while not self.over.wait(EVERY):
+            self._ask(kinds[int(self._rng.integers(len(kinds)))])
+
+    def _ask(self, kind: str, always: bool = False) -> None:
+        c, rng = self._client, self._rng
+        self.asked[kind] += 1
+        try:
+            match kind:
+                case "pause":
+                    c.ask("pause")
+                    self.over.wait(0.02)
+                    c.ask("resume")
+                case "set":
+                    c.ask("set", assignments=[f"pointer.rate={int(rng.integers(125, 1000))}"])
+                case "output":
+                    if always or rng.random() < 0.1:
+                        c.ask("set", assignments=[f"output=sink:{int(rng.integers(3))}"])
+                case "snapshot":
+                    if always or rng.random() < 0.1:
+                        Path(c.ask("snapshot")["file"]).unlink()
+                case "record":
+                    if always or rng.random() < 0.1:
+                        c.ask("record", seconds=30, folder="r")
+                        self.over.wait(0.1)
+                        _remove(Path(c.ask("record", stop=True)["folder"]))
+                case _:
+                    c.ask(kind)
+        except ControlError:
+            self.refused[kind] += 1
+
+
+def _remove(folder: Path) -> None:
+    for path in sorted(folder.rglob("*"), reverse=True):
+        path.unlink() if path.is_file() else path.rmdir()
+    folder.rmdir()
+
+
+def soak(frames: int, seed: int) -> list[str]:
+    """Play so many frames; what was wrong."""
+    film = Film.render()
+    run.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
+    capture.PATIENCE = run.PATIENCE = 0.3
+    capture.Capture.__init__.__defaults__ = (lambda _: None, 0.3)
+    capture.BACK_OFF = reporter.BACK_OFF = (0.005, 0.01)
+    run._USELESS = 0.5
+    worker._FAULTS_WITHIN = 0.0  # the process is not to end
+    with tempfile.TemporaryDirectory() as name:
+        cabinet = Cabinet(film, Path(name), frames, seed)
+        cabinet.said = _Last()  # pyright: ignore[reportAttributeAccessIssue]
+        begun = time.monotonic()
+        daemon = cabinet.start(watch=cabinet.tracked_frame)
+        cabinet.reach("tracking")
+        somebody = Somebody(cabinet, seed)
+        somebody.start()
+        figures: list[tuple[int, float, int, int]] = []
+        due = 0.2 * frames
+        while not cabinet.over.wait(0.2):
+            if cabinet.error is not None:
+                raise cabinet.error
+            if cabinet.produced >= due and somebody.warm.is_set():
+                due += 0.1 * frames
+                figures.append(_figure(cabinet))
+        seconds = time.monotonic() - begun
+        somebody.over.set()
+        somebody.join(60.0)
+        figures.append(_figure(cabinet))
+        restarts = daemon.status()["camera_restarts"]
+        cabinet.stop()
+        _ledger(cabinet, daemon)
+    _figures(cabinet, figures)
+    print(
+        f"daemon: {cabinet.produced} frames in {seconds:.0f} s ({cabinet.produced / seconds:.0f}/s), "
+        f"{restarts} restarts of the camera"
+    )
+    print("  faults: " + ", ".join(f"{n} {f}" for f, n in sorted(cabinet.faults.items())))
+    print(
+        "  asked: " + ", ".join(f"{n} {k} ({somebody.refused[k]} refused)" for k, n in sorted(somebody.asked.items()))
+    )
+    print(
+        f"  tracked {cabinet.tracked}, damaged {cabinet.damaged}, lost by the driver {cabinet.lost}, "
+        f"skipped {daemon._ring.skipped}; {cabinet.reports} reports, unsent {list(daemon.status()['output']['unsent'])}"
+    )
+    print(
+        f"  {cabinet.spells_judged} ordinary spells; counts wrong by {max(cabinet.worst, 0.0):.2f} at most, beyond 1 %"
+    )
+    return cabinet.failures
+
+
+def _figure(cabinet: Cabinet) -> tuple[int, float, int, int]:
+    """Frames, MB, threads and files by now."""
+    n, memory, threads, files = cabinet.produced, resident(), threading.active_count(), _files()
+    print(f"  after {n:8d} frames {memory:6.1f} MB, {threads} threads, {files} files open", flush=True)
+    return n, memory, threads, files
+
+
+def _ledger(cabinet: Cabinet, daemon: Any) -> None:
+    """Is everything accounted for?"""
+    report: ReporterStatus = daemon._reporter.status()
+    reports, unsent = daemon._past
+    laws = {
+        "sent + unsent - ahead": (
+            (cabinet.total + unsent + report.unsent + left_over(daemon) - report.ahead).tolist(),
+            cabinet.given.tolist(),
+        ),
+        "reports": (reports + report.reports, cabinet.reports),
+        "looked at + skipped": (daemon._worker.seen + daemon._ring.skipped, cabinet.produced),
+        "tracked": (daemon._worker.frames, cabinet.tracked),
+        "damaged": (daemon._worker.damaged, cabinet.damaged),
+        "lost by the driver": (daemon._capture.dropped, cabinet.lost),
+    }
+    for name, (there, here) in laws.items():
+        if there != here:
+            cabinet.fail(f"{name}: {there}, should be {here}")
+
+
+def _figures(cabinet: Cabinet, figures: list[tuple[int, float, int, int]]) -> None:
+    """Do memory, threads and files stay?"""
+    last = figures[-1]
+    first = next((f for f in figures if f[0] > 0.4 * last[0]), last)
+    if last[1] - first[1] > (GROWTH if last[0] > LONG else GROWTH_SHORT):
+        cabinet.fail(f"memory grew by {last[1] - first[1]:.1f} MB from frame {first[0]} on")
+    if last[2] > min(f[2] for f in figures) + 3:
+        cabinet.fail(f"threads: {[f[2] for f in figures]}")
+    if last[3] > min(f[3] for f in figures) + 6:
+        cabinet.fail(f"files: {[f[3] for f in figures]}")
+
+
+class _Last(list[str]):
+    """The last lines only."""
+
+    def append(self, text: str) -> None:
+        super().append(text)
+        del self[:-50]
+
+
+def _files() -> int:
+    folder = Path("/proc/self/fd")
+    return len(list(folder.iterdir())) if folder.exists() else 0
+
+
+def main() -> int:
+    """Run it; 1 if anything was wrong."""
+    parser = argparse.ArgumentParser(prog="python -m tests.daemon_soak", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("--short", action="store_true", help="3000 frames, in some 10 s")
+    parser.add_argument("--frames", type=int, metavar="N", help="default 100000")
+    parser.add_argument("--seed", type=int, default=0, metavar="S")
+    args = parser.parse_args()
+    with threadpool_limits(1):
+        failures = soak(args.frames or (3_000 if args.short else 100_000), args.seed)
+    for text in failures[:20]:
+        print(f"  FAILED {text}")
+    print("daemon soak: " + (f"{len(failures)} failures" if failures else "nothing was wrong"))
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

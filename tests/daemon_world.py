@@ -1,0 +1,357 @@
+"""A cabinet for the daemon: a film of a simulated ball behind a scripted camera, and an output that writes down.
+
+The camera gives frames as fast as they are taken, their stamps 1/30 s apart. The ball rests until it is asked to turn,
+then plays the film forwards and backwards; what was shown is known, so that what is sent can be judged. Faults are
+attributes, changed while it runs.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.daemon.client import Client
+from spheremouse.daemon.plan import Request, read_plan
+from spheremouse.daemon.run import Daemon
+from spheremouse.errors import DamagedFrameError, OutputError, SourceError
+from spheremouse.frame import Frame
+from spheremouse.motion import MotionSettings
+from spheremouse.rig import Rig
+from spheremouse.rig_file import rig_text
+from spheremouse.rotation import Array, log
+from spheremouse.simulate import Renderer, default_scene
+from spheremouse.simulate.profile import Gesture, Gestures
+
+DT = 1.0 / 30.0  # s between two stamps
+PATIENCE = 30.0  # s, for what takes a fraction of one
+
+CONFIG = """\
+schema: 1
+source: film:played
+output: sink:quiet
+rig: rig.yaml
+realtime: "off"
+pose: {frames: 3}
+pointer: {horizon: 0}
+control: {socket: %s}
+record: {folder: %s, seconds: 20, free_megabytes: 0}
+"""
+
+
+@dataclass(frozen=True)
+class Film:
+    """Pictures from rest to rest, and what they show."""
+
+    colour: list[NDArray[np.uint8]]
+    grey: list[NDArray[np.uint8]]
+    attitude: Array  # (n, 3, 3) R_obj_ball
+    rig: Rig
+
+    @classmethod
+    def render(cls, length: int = 48) -> "Film":
+        """Render it, which takes some seconds."""
+        seconds = length * DT
+        s = seconds / 5.0
+        gestures = (
+            Gesture(0.0, 2.5 * s, (0.6, 0.0, 0.8), 2.0 * s),
+            Gesture(1.5 * s, 2.2 * s, (0.0, 1.0, 0.0), -1.3 * s),
+            Gesture(2.8 * s, 2.2 * s, (0.9746794344808964, 0.0, -0.22360679774997896), 1.8 * s),
+        )
+        profile, scene, rng = Gestures(gestures, seconds), default_scene(), np.random.default_rng(0)
+        renderer = Renderer(scene)
+        made = [renderer.frame(profile, seconds * k / (length - 1), k, rng) for k in range(length)]
+        colour = [m.frame.image for m in made]
+        grey = [np.asarray(cv2.cvtColor(c, cv2.COLOR_BGR2GRAY), dtype=np.uint8) for c in colour]
+        return cls(colour, grey, np.array([m.attitude for m in made]), scene.rig())
+
+
+class Shot:
+    """A frame of the film, as the camera gave it."""
+
+    def __init__(self, world: "World", stamp: float, sequence: int, place: int, fault: str) -> None:
+        self.stamp, self.sequence, self.place = stamp, sequence, place
+        self._world, self._fault, self._out = world, fault, True
+
+    def frame(self, colour: bool) -> Frame:
+        """The picture, or what the fault has left of it."""
+        assert self._out, "a shot that was given back is looked at"
+        if self._fault == "damaged":
+            raise DamagedFrameError("half of it is missing")
+        if self._fault == "internal":
+            raise ZeroDivisionError("as if we had made a mistake")
+        image = (self._world.film.colour if colour else self._world.film.grey)[self.place]
+        if self._fault == "size":
+            image = image[:240, :320]
+        elif self._fault == "dark":
+            image = np.zeros_like(image)
+        elif self._fault == "hidden" and colour:
+            image = cv2.cvtColor(self._world.film.grey[self.place], cv2.COLOR_GRAY2BGR)
+        return Frame(np.asarray(image, dtype=np.uint8), self.stamp, self.sequence)
+
+    def release(self) -> None:
+        """Once, however often it is called."""
+        if self._out:
+            self._out = False
+            self._world.given_back()
+
+
+class World:
+    """Everything outside of the daemon, and the daemon within it."""
+
+    def __init__(self, film: Film, folder: Path, pace: float = 0.002) -> None:
+        """`pace` s is rested between two frames, so that others get at the processor."""
+        self.film, self.folder, self._pace = film, folder, pace
+        # what goes wrong
+        self.missing = ""  # why the camera cannot be opened, or has gone
+        self.silent = False  # it gives no frames
+        self.hang: threading.Event | None = None  # its driver hangs until it is set
+        self.carried = False  # the pointer is carried on between frames
+        self.fault = ""  # of the frames: damaged, internal, size, dark, hidden
+        self.broken = ""  # why the output cannot send
+        self.gate: threading.Event | None = None  # sending hangs until it is set
+        # what was
+        self.place, self._way, self.moves = 0, 1, 0
+        self.sequence = 0
+        self.produced = 0  # shots
+        self.shown: dict[float, int] = {}  # stamp -> place in the film
+        self.cameras = 0  # open now
+        self.opened = 0
+        self.out = 0  # shots not given back
+        self._free = threading.Event()
+        self._free.set()
+        self.stamp = time.monotonic()
+        self.sent: list[Any] = []  # motions
+        self.outputs: list[str] = []  # opened
+        self.device = False  # is the output's device open?
+        self.said: list[str] = []
+        self.states: dict[float, str] = {}  # stamp of a tracked frame -> state then
+        self.frames: list[Any] = []  # counts of tracked frames
+        self._lock = threading.Lock()
+        self.error: BaseException | None = None
+        self.asked = False  # to stop
+        self.config = folder / "config.yaml"
+        self.socket = folder / "s"
+        if not self.config.exists():
+            self.config.write_text(CONFIG % (self.socket, folder / "recordings"))
+            (folder / "rig.yaml").write_text(rig_text(film.rig))
+        self.daemon: Daemon | None = None
+        self._thread: threading.Thread | None = None
+        self.client = Client(self.socket)
+
+    # ---- the camera ----
+
+    def open_camera(self) -> "World":
+        """The camera, which is this world."""
+        if self.missing:
+            raise SourceError(self.missing)
+        return self
+
+    def next(self, timeout: float) -> Shot | None:
+        """The next frame, once the one before was looked at."""
+        if self.hang is not None:
+            self.hang.wait(PATIENCE)
+        if self.missing:
+            raise SourceError(self.missing)
+        if not self._free.wait(timeout):
+            return None
+        if self.silent:
+            time.sleep(0.01)
+            return None
+        time.sleep(self._pace)
+        if self.moves > 0:
+            self.moves -= 1
+            self.place += self._way
+            if self.place in (0, len(self.film.grey) - 1):
+                self._way = -self._way
+        self.stamp += DT
+        self.sequence += 1
+        self.produced += 1
+        self.shown[self.stamp] = self.place
+        self._free.clear()
+        with self._lock:
+            self.out += 1
+        return Shot(self, self.stamp, self.sequence, self.place, self.fault)
+
+    def given_back(self) -> None:
+        """Of a shot."""
+        with self._lock:
+            self.out -= 1
+            if self.out == 0:
+                self._free.set()
+
+    def describe(self) -> str:
+        return "a film"
+
+    def __enter__(self) -> "World":
+        self.cameras += 1
+        self.opened += 1
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cameras -= 1
+
+    # ---- the output ----
+
+    def open_output(self, spec: str) -> "Sink":
+        """As output.open_output."""
+        self.outputs.append(spec)
+        if self.broken:
+            raise OutputError(self.broken)
+        return Sink(self)
+
+    @property
+    def counts(self) -> Array:
+        """(3,) sent so far."""
+        return np.sum([m.counts for m in self.sent], axis=0) if self.sent else np.zeros(3)
+
+    # ---- the daemon ----
+
+    def start(self, assignments: tuple[str, ...] = (), watch: Callable[[Any], None] | None = None) -> Daemon:
+        """The daemon, in a thread; what is counted begins with it."""
+        self.produced, self.sent, self.outputs, self.states, self.frames = 0, [], [], {}, []
+        request = Request(self.config, assignments)
+
+        def show(made: Any) -> None:
+            assert self.daemon is not None
+            self.states[made.epoch.motion.stamp] = self.daemon.status()["state"]
+            self.frames.append(made.epoch.motion.counts)
+
+        self.daemon = Daemon(
+            request,
+            read_plan(request),
+            None,
+            self.open_camera,
+            lambda plan: self.open_camera,
+            say=self.said.append,
+            show=show if watch is None else watch,
+        )
+        self.asked = False
+        self._thread = threading.Thread(target=self._run, name="daemon")
+        self._thread.start()
+        return self.daemon
+
+    def _run(self) -> None:
+        assert self.daemon is not None
+        try:
+            self.daemon.run(self)  # pyright: ignore[reportArgumentType]  all it looks at is `asked`
+        except BaseException as e:
+            self.error = e
+
+    def stop(self) -> None:
+        """End it, and see that nothing is left."""
+        self.asked = True
+        self.join()
+        assert self.cameras == 0
+        assert self.out == 0
+        assert not self.socket.exists()
+
+    def join(self) -> None:
+        """Wait for its end."""
+        assert self._thread is not None
+        self._thread.join(PATIENCE)
+        assert not self._thread.is_alive(), "the daemon does not end"
+
+    @property
+    def state(self) -> str:
+        assert self.daemon is not None
+        return self.daemon.status()["state"]
+
+    def until(self, condition: Callable[[], Any], what: str = "") -> None:
+        """Wait until it is so."""
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            if self._thread is not None and not self._thread.is_alive() and self.error is not None:
+                raise self.error
+            assert time.monotonic() < end, f"it never came to be: {what}; {self.state}; {self.said}"
+            time.sleep(0.002)
+
+    def reach(self, state: str) -> None:
+        """Wait for a state."""
+        self.until(lambda: self.state == state, state)
+
+    def turn(self, frames: int | None = None) -> None:
+        """Let the ball turn for so many frames, by default to the film's other end; until they have been tracked."""
+        self.moves = len(self.film.grey) - 1 if frames is None else frames
+        self.until(lambda: self.moves == 0, "frames played")
+        self.settle()
+
+    def settle(self, frames: int = 2) -> None:
+        """Wait until so many more frames were taken."""
+        n = self.produced + frames
+        self.until(lambda: self.produced > n, "frames")
+
+    # ---- laws ----
+
+    def true_counts(self, since: float = -np.inf, until: float = np.inf) -> Array:
+        """(3,) counts of the true motion between two stamps."""
+        M = matrix(self.film.rig)
+        places = [p for stamp, p in self.shown.items() if since <= stamp <= until]
+        R = self.film.attitude[places]
+        turns = [log(b @ a.T) for a, b in pairwise(R)]
+        return M @ np.sum(turns, axis=0) if turns else np.zeros(3)
+
+    def path(self) -> float:
+        """Counts of one way through the film, along it."""
+        R, M = self.film.attitude, matrix(self.film.rig)
+        return float(sum(np.abs(M @ log(b @ a.T)).sum() for a, b in pairwise(R)))
+
+    def check_laws(self) -> None:
+        """Nothing moved in any state but tracking; what frames gave was sent, or was counted as unsent."""
+        assert self.daemon is not None
+        for motion in self.sent:
+            state = self.states.get(motion.stamp)
+            assert state in (None, "tracking") or not any(motion.counts), f"{motion.counts} while {state}"
+            assert state is not None or self.carried or not any(motion.counts), "a report that belongs to no frame"
+        report = self.daemon._reporter.status()
+        reports, unsent = self.daemon._past
+        given = np.sum(self.frames, axis=0) if self.frames else np.zeros(3)
+        assert np.array_equal(self.counts + unsent + report.unsent + left_over(self.daemon) - report.ahead, given)
+        assert reports + report.reports == sum(any(m.counts) for m in self.sent)
+        status = self.daemon.status()
+        taken = self.daemon._worker.seen
+        assert taken + status["skipped"] == self.produced
+        assert status["frames"] == len(self.frames)  # also across another rig, which has another worker
+
+
+@dataclass
+class Sink:
+    """An output that writes down."""
+
+    world: World
+
+    def send(self, motion: Any) -> None:
+        gate = self.world.gate
+        if gate is not None:
+            gate.wait(PATIENCE)
+        if self.world.broken:
+            raise OutputError(self.world.broken)
+        self.world.sent.append(replace(motion))
+
+    def describe(self, motion: Any) -> str:
+        return ""
+
+    def __enter__(self) -> "Sink":
+        assert not self.world.device, "opened before the one before was closed"
+        self.world.device = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        time.sleep(0.05)
+        self.world.device = False
+
+
+def left_over(daemon: Daemon) -> Array:
+    """(3,) counts still in the reporter's queue when it was closed."""
+    return np.sum([g.motion.counts for g in daemon._reporter._given] or [(0, 0, 0)], axis=0)
+
+
+def matrix(rig: Rig) -> Array:
+    """(3, 3) counts per radian, by default."""
+    return MotionSettings().matrix(rig.ball.radius)

@@ -1,0 +1,291 @@
+"""The capture thread: whatever a camera does, it is opened again, and every frame is accounted for."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from spheremouse.daemon import capture as module
+from spheremouse.daemon.capture import Capture, Streamed
+from spheremouse.daemon.ring import Newest
+from spheremouse.errors import SourceError
+from spheremouse.frame import Frame
+from spheremouse.source import Stream
+
+PATIENCE = 20.0  # s, for what takes milliseconds
+IMAGE = np.zeros((2, 2), np.uint8)
+
+
+class Shot:
+    """A frame of a script."""
+
+    def __init__(self, sequence, stamp):
+        self.sequence, self.stamp, self.released = sequence, stamp, 0
+
+    def frame(self, colour):
+        return Frame(IMAGE, self.stamp, self.sequence)
+
+    def release(self):
+        self.released += 1
+
+
+class Camera:
+    """Plays lists: a number is a frame of that sequence, None no frame in time, an exception is raised, a callable
+    called. After the list it says nothing more, until it is closed."""
+
+    def __init__(self, script, world):
+        self._script, self._world = iter(script), world
+
+    def next(self, timeout):
+        item = next(self._script, "silent")
+        if item == "silent":
+            self._world.silent.set()
+            time.sleep(min(timeout, 0.005))
+            return None
+        if callable(item) and not isinstance(item, type):
+            item = item()
+        if isinstance(item, BaseException):
+            raise item
+        if item is None:
+            return None
+        shot = Shot(item, time.monotonic())
+        self._world.shots.append(shot)
+        return shot
+
+    def describe(self):
+        return f"camera {self._world.opened}"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        self._world.closed += 1
+
+
+class World:
+    """Cameras, one script for each time that one is opened; the last one stays."""
+
+    def __init__(self, *scripts):
+        self.scripts, self.opened, self.closed, self.shots = list(scripts), 0, 0, []
+        self.silent, self.said = threading.Event(), []
+        self.ring = Newest()
+
+    def open(self):
+        script = self.scripts[min(self.opened, len(self.scripts) - 1)]
+        self.opened += 1
+        if isinstance(script, BaseException):
+            raise script
+        return Camera(script, self)
+
+    def capture(self, patience=PATIENCE):
+        return Capture(self.open, self.ring, self.said.append, patience)
+
+
+@pytest.fixture
+def start(monkeypatch):
+    """Captures that end with the test; nothing waits for long."""
+    monkeypatch.setattr(module, "BACK_OFF", (0.002, 0.004))
+    started = []
+
+    def begin(world, **kwargs):
+        capture = world.capture(**kwargs)
+        started.append(capture)
+        capture.start()
+        return capture
+
+    yield begin
+    for capture in started:
+        capture.close()
+        assert not capture.is_alive()
+
+
+def until(condition):
+    """Wait until it is so."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it never came to be"
+        time.sleep(0.001)
+
+
+def test_frames_arrive_and_what_the_driver_lost_is_counted(start):
+    world = World([5, 6, 9, 10, 3, 4])  # three lost, then a driver that begins anew
+    capture = start(world)
+    until(world.silent.is_set)
+    assert capture.dropped == 2
+    assert (capture.trouble, capture.opening, capture.description) == ("", False, "camera 1")
+    arrival = world.ring.take(0.0)
+    assert arrival is not None
+    assert arrival.shot is world.shots[-1]
+    assert arrival.taken == world.shots[-1].stamp
+    assert world.ring.skipped == 5
+
+
+def test_a_stamp_ahead_of_the_clock_is_not_believed():
+    class Early(Camera):
+        def next(self, timeout):
+            shot = super().next(timeout)
+            if shot is not None:
+                shot.stamp += 1000.0
+            return shot
+
+    world = World()
+    capture = Capture(lambda: Early([1], world), world.ring)
+    capture.start()
+    arrival = world.ring.take(PATIENCE)
+    assert arrival is not None
+    assert arrival.taken <= time.monotonic()
+    capture.close()
+
+
+def test_a_camera_that_is_missing_fails_or_goes_is_opened_again_and_says_why(start):
+    gate = threading.Event()
+    world = World(
+        SourceError("not there"),
+        [1, SourceError("unplugged")],
+        [lambda: gate.wait(PATIENCE) and 7],
+    )
+    reasons = []
+    capture = Capture(world.open, world.ring, world.said.append)
+    capture.start()
+    until(lambda: world.opened == 3)
+    reasons.append(capture.trouble)
+    assert not capture.opening
+    gate.set()
+    until(lambda: capture.trouble == "")
+    assert reasons == ["unplugged"]  # until a frame comes again
+    assert (capture.attempts, capture.restarts) == (3, 1)
+    assert world.closed == 1
+    assert world.said == []  # a device's failures are nothing for a programmer
+    capture.close()
+    assert world.closed == 2
+
+
+def test_nothing_that_a_camera_raises_ends_the_thread(start):
+    world = World(RuntimeError("what\nis this"), [1, ValueError()], [2])
+    capture = start(world)
+    until(lambda: capture.trouble == "" and world.opened == 3)
+    assert len(world.said) == 2
+    assert all("Traceback" in text for text in world.said)
+
+
+def test_a_stream_that_freezes_is_opened_again(start):
+    world = World([1, 2], [3])
+    capture = start(world, patience=0.02)
+    until(lambda: world.opened >= 2)
+    until(lambda: len(world.shots) == 3)
+    assert capture.restarts >= 1
+    until(lambda: "no frame for 0.02 s" in capture.trouble)  # the second one freezes as well
+
+
+def test_who_gives_a_frame_and_fails_is_asked_less_and_less_often(monkeypatch):
+    """And who has worked for a while is asked at once: a camera unplugged now and then for months."""
+    waits = []
+
+    class Bell(threading.Event):
+        def wait(self, timeout=None):
+            waits.append(timeout)
+            return super().wait(0.0)
+
+    clock = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: clock[0])
+    long = [lambda: clock.__setitem__(0, clock[0] + 10.0) or 2, SourceError("gone")]
+    world = World(*[[1, SourceError("gone")]] * 8, *[[1, *long]] * 3, [])
+    capture = world.capture()
+    capture._bell = Bell()
+    thread = threading.Thread(target=capture.run)
+    thread.start()
+    thread_end = threading.Event()
+    while len(waits) < 11:
+        thread_end.wait(0.001)
+    capture._over = True
+    thread.join(PATIENCE)
+    assert waits[:8] == [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 5.0, 5.0]
+    assert waits[8:11] == [0.1, 0.1, 0.1]
+
+
+def test_the_camera_is_exchanged_even_while_the_next_attempt_is_waited_for(monkeypatch):
+    monkeypatch.setattr(module, "BACK_OFF", (PATIENCE * 10,))
+    world, other = World(SourceError("not there")), World([1])
+    capture = world.capture()
+    capture.start()
+    until(lambda: capture.trouble == "not there")
+    capture.reopen(other.open)
+    until(lambda: other.opened == 1 and capture.trouble == "")
+    capture.again()
+    until(lambda: other.opened == 2)
+    assert other.closed == 1
+    capture.close()
+    assert not capture.is_alive()
+
+
+def test_a_buffer_does_not_outlive_its_camera(start):
+    world = World([1, SourceError("gone")], [])
+    start(world)
+    until(lambda: world.opened == 2)
+    assert [s.released for s in world.shots] == [1]
+    assert world.ring.skipped == 1
+    assert world.ring.take(0.0) is None
+
+
+def test_a_driver_that_hangs_is_left_behind(monkeypatch):
+    gate = threading.Event()
+    world = World([lambda: gate.wait(PATIENCE) and None])
+    capture = world.capture()
+    monkeypatch.setattr(capture, "join", lambda timeout: None)  # it would wait 2 s
+    capture.start()
+    until(lambda: world.opened == 1)
+    attempts = capture.attempts
+    capture.close()
+    assert capture.is_alive()
+    assert capture.attempts == attempts  # no sign of life: the watchdog is not fed
+    gate.set()
+    threading.Thread.join(capture, PATIENCE)
+    assert not capture.is_alive()
+
+
+def frames(n, error=None):
+    for k in range(n):
+        yield Frame(IMAGE, 100.0 + k, k)
+    if error is not None:
+        raise error
+
+
+@pytest.mark.parametrize("error", [None, SourceError("broken file")])
+def test_a_recording_ends_once_with_its_last_frame_taken(error):
+    ring = Newest()
+    opened = []
+
+    def open_it():
+        opened.append(1)
+        return Streamed(Stream(frames(3, error)), "film")
+
+    capture = Capture(open_it, ring)
+    before = time.monotonic()
+    capture.start()
+    until(lambda: capture.finished)
+    arrival = ring.take(0.0)
+    assert arrival is not None
+    assert arrival.shot.sequence == 2
+    assert before <= arrival.taken <= time.monotonic()  # its own stamps are of another clock
+    assert ring.skipped == 2
+    assert capture.failure is error
+    assert len(opened) == 1
+    capture.close()
+
+
+def test_a_live_source_never_ends(start):
+    """OpenCV's cameras come as plain sources."""
+    ring = Newest()
+    opened = []
+
+    def open_it():
+        opened.append(1)
+        return Streamed(Stream(frames(2), live=True), "opencv:0")
+
+    capture = Capture(open_it, ring)
+    capture.start()
+    until(lambda: len(opened) > 1)
+    assert not capture.finished
+    assert "gives no more frames" in capture.trouble or capture.trouble == ""
+    capture.close()

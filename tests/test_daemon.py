@@ -1,0 +1,752 @@
+"""The daemon as a whole, in this process: a film behind a scripted camera, a control socket, and faults at each edge.
+
+Laws that hold in every test, checked at its end: nothing is sent in any state but tracking; what frames gave is what
+was sent, was counted as unsent, or is still withheld; every shot was looked at or counted as skipped, and given back.
+"""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from daemon_world import DT, Film, World
+
+from spheremouse.daemon import capture as capture_module
+from spheremouse.daemon import realtime
+from spheremouse.daemon import reporter as reporter_module
+from spheremouse.daemon import run as run_module
+from spheremouse.daemon.client import Client
+from spheremouse.errors import ControlError
+from spheremouse.rig_file import rig_text
+
+PATIENCE = 60.0  # s
+CLOSE = 3.0  # counts: the estimate at either end, and rounding
+
+
+@pytest.fixture(scope="module")
+def film():
+    return Film.render()
+
+
+@pytest.fixture
+def world(film, tmp_path, monkeypatch):
+    """A world in which nothing waits long, whose laws are checked at the end."""
+    made = World(film, tmp_path)
+    monkeypatch.setattr(run_module, "open_output", made.open_output)
+    monkeypatch.setattr(run_module, "_TICK", 0.02)
+    monkeypatch.setattr(run_module, "_EVERY", 0.1)
+    monkeypatch.setattr(capture_module, "BACK_OFF", (0.01, 0.02))
+    monkeypatch.setattr(reporter_module, "BACK_OFF", (0.01, 0.02))
+    monkeypatch.setattr(reporter_module, "LATE", PATIENCE)
+    monkeypatch.setattr(realtime, "_give_back", lambda: None)
+    monkeypatch.setattr(realtime, "_fold_up_code", lambda: 0)
+    threads = threading.active_count()
+    yield made
+    if made.daemon is not None:
+        made.stop()
+        if made.error is not None:
+            raise made.error
+        made.check_laws()
+        made.until(lambda: threading.active_count() <= threads, "threads end")
+
+
+@pytest.fixture
+def playing(world):
+    """A daemon that tracks a ball that has turned once."""
+    world.start()
+    world.reach("tracking")
+    world.turn()
+    return world
+
+
+def ask(world, command, **arguments):
+    return world.client.ask(command, **arguments)
+
+
+def refused(world, command, **arguments):
+    with pytest.raises(ControlError) as e:
+        world.client.ask(command, **arguments)
+    return str(e.value)
+
+
+def in_thread(function):
+    """Run it meanwhile; its result, when it is asked for."""
+    got = []
+
+    def run():
+        try:
+            got.append(function())
+        except ControlError as e:
+            got.append(e)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+
+    def result():
+        thread.join(PATIENCE)
+        assert got, "no answer"
+        return got[0]
+
+    return result
+
+
+def said(world, text):
+    return [line for line in world.said if text in line]
+
+
+def near(world, since=-np.inf):
+    assert np.abs(world.counts - world.true_counts(since)).max() < CLOSE
+
+
+# ---- all is well ----
+
+
+def test_counts_are_the_integral_of_the_motion(playing):
+    world = playing
+    near(world)
+    assert np.abs(world.counts).max() > 200
+    world.turn(20)
+    near(world)
+    status = ask(world, "status")
+    assert status["state"] == "tracking"
+    assert (status["skipped"], status["damaged"], status["unseen_s"], status["lost_count"]) == (0, 0, 0.0, 0)
+    assert status["output"] == {"spec": "sink:quiet", "failed": None, "reports": status["output"]["reports"],
+                                "unsent": [0, 0, 0]}  # fmt: skip
+    world.until(lambda: set(ask(world, "status")["stages_ms"]) == {"wait", "decode", "detect", "filter"})
+    assert status["discs"] >= 4
+    assert status["pose"]["position_m"][2] == pytest.approx(2.35, abs=0.01)
+    assert "off" in status["scheduling"]
+
+
+def test_it_ends_when_it_is_asked_to_and_the_map_is_there(playing):
+    ask(playing, "stop")
+    playing.join()
+    assert (playing.folder / "rig.map.yaml").exists()
+    playing.start()  # at once, with the map
+    playing.until(lambda: said(playing, "recognised by"), "recognised")
+    playing.reach("tracking")
+
+
+# ---- the camera ----
+
+
+def test_a_camera_that_is_missing_at_the_start_is_waited_for(world):
+    world.missing = "no such device; plug it in"
+    world.start()
+    world.until(lambda: world.state == "no-camera", "no-camera")
+    assert ask(world, "status")["reason"] == world.missing
+    assert "no frame" in refused(world, "reinit")
+    assert "no picture" in refused(world, "snapshot")
+    assert "camera's pose" in refused(world, "record")
+    world.missing = ""
+    world.reach("tracking")
+    world.turn()
+    near(world)
+    assert len(said(world, "plug it in")) == 1  # once, however many attempts
+
+
+def test_a_camera_is_unplugged_and_comes_back(playing):
+    world = playing
+    snapshots = in_thread(lambda: [ask(world, "snapshot") for _ in range(500)])
+    world.settle()
+    world.missing = "unplugged"
+    world.reach("no-camera")
+    assert "no picture now" in str(snapshots())  # who waits for a frame is told
+    before = world.counts
+    world.place = 20  # the ball is turned meanwhile
+    world.until(lambda: ask(world, "status")["unseen_s"] > 0.02)
+    world.stamp += 2.0
+    back = world.stamp
+    world.missing = ""
+    world.reach("tracking")
+    world.settle(10)
+    # what was not seen is not made up for: the reset attitude keeps the pointer where it was
+    assert np.abs(world.counts - before).max() < CLOSE
+    world.turn(20)
+    near_since = world.true_counts(back)
+    assert np.abs(world.counts - before - near_since).max() < CLOSE
+    status = ask(world, "status")
+    assert status["camera_restarts"] == 1
+    assert status["unseen_s"] > 0.02
+    assert world.outputs == ["sink:quiet"]  # the device outlives it all
+
+
+def test_the_state_says_tracking_before_the_first_count_is_sent(playing):
+    """A camera that is away for two frames, with a ball that turns on: the filter bridges the gap."""
+    world = playing
+    world.place = 20
+    world.settle(60)
+    before = world.counts
+    world.missing = "unplugged"
+    world.reach("no-camera")
+    world.place += 1
+    world.stamp += 2.0 * DT
+    world.missing = ""
+    world.reach("tracking")
+    world.settle()
+    assert np.abs(world.counts - before).max() > 5  # and `check_laws` has seen when they went
+
+
+def test_a_camera_that_goes_stops_the_pointer_at_once(playing):
+    """Whatever was predicted: in no state but tracking is anything sent."""
+    world = playing
+    world.carried = True
+    ask(world, "set", assignments=["pointer.horizon=0.25"])
+    world.moves = 40
+    world.until(lambda: world.moves < 20)
+    world.missing = "unplugged"
+    world.reach("no-camera")
+    time.sleep(0.03)  # what was under way
+    before = world.counts
+    time.sleep(0.3)
+    assert np.array_equal(world.counts, before)
+    world.missing = ""
+    world.reach("tracking")
+
+
+def test_a_frozen_stream_is_opened_again(world, monkeypatch):
+    monkeypatch.setattr(capture_module.Capture.__init__, "__defaults__", (lambda _: None, 0.1))
+    world.start()
+    world.reach("tracking")
+    world.silent = True
+    world.reach("no-camera")
+    world.until(lambda: world.opened > 2, "opened again")
+    world.silent = False
+    world.reach("tracking")
+    assert len(said(world, "no-camera: the camera gave no frame")) == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"), [("damaged", "nothing but damaged frames"), ("size", "calibrated at 640x480")]
+)
+def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
+    world = playing
+    monkeypatch.setattr(run_module, "_USELESS", 0.2)
+    monkeypatch.setattr("spheremouse.daemon.worker._DAMAGED", 0.05)
+    opened = world.opened
+    world.fault = fault
+    world.reach("no-camera")
+    assert reason in ask(world, "status")["reason"]
+    world.until(lambda: world.opened > opened, "opened anew")
+    world.fault = ""
+    world.reach("tracking")
+    before = world.counts
+    world.turn(20)
+    assert np.abs(world.counts - before).max() > 20
+    assert (ask(world, "status")["damaged"] > 0) == (fault == "damaged")
+    assert len(said(world, reason)) <= 2  # not at every frame
+
+
+def test_one_damaged_frame_is_counted_and_nothing_else(playing):
+    world = playing
+    world.moves = 30
+    world.settle(10)
+    world.fault = "damaged"
+    world.settle(2)
+    world.fault = ""
+    world.until(lambda: world.moves == 0)
+    world.settle()
+    near(world)  # the next frame made up for it
+    assert ask(world, "status")["damaged"] >= 1
+    assert not said(world, "no-camera")
+
+
+def test_stamps_that_jump_do_not_move_the_pointer(playing):
+    world = playing
+    before = world.counts
+    for jump in (1e5, -1e5, 0.5, -0.2, -DT):
+        world.stamp += jump
+        world.reach("tracking")
+        world.settle(40)  # it may have been lost for a second
+    world.reach("tracking")
+    assert np.abs(world.counts - before).max() < CLOSE
+    world.turn()
+    assert np.abs(world.counts - before).max() > 100
+
+
+def test_a_dark_picture_is_lost_and_found(playing):
+    world = playing
+    before = world.counts
+    world.fault = "dark"
+    world.reach("lost")
+    assert "no disc" in ask(world, "status")["reason"]
+    world.fault = ""
+    world.reach("tracking")
+    world.settle()
+    assert np.abs(world.counts - before).max() < CLOSE
+    status = ask(world, "status")
+    assert status["lost_count"] == 1
+    assert status["unseen_s"] > 0.0
+
+
+# ---- the output ----
+
+
+def test_an_output_that_fails_is_opened_again_and_what_it_missed_is_counted(playing):
+    world = playing
+    before = world.counts
+    world.broken = "uinput is gone"
+    world.turn(20)
+    world.reach("failed-output")
+    assert ask(world, "status")["reason"] == "uinput is gone"
+    unseen = ask(world, "status")["unseen_s"]
+    world.turn(10)
+    assert ask(world, "status")["unseen_s"] == unseen  # it was seen: the counts say what is missing
+    world.broken = ""
+    world.reach("tracking")
+    world.settle()
+    assert np.array_equal(world.counts, before)  # no jump
+    assert any(ask(world, "status")["output"]["unsent"])
+
+
+def test_an_output_that_hangs_keeps_nobody_waiting(playing):
+    world = playing
+    world.gate = threading.Event()
+    world.moves = 20
+    world.settle(30)  # frames go on
+    assert ask(world, "status")["state"] == "tracking"
+    world.gate.set()
+    world.gate = None
+    world.settle(10)
+
+
+# ---- the configuration ----
+
+
+def test_a_broken_file_is_refused_with_its_line_and_all_stays(playing):
+    world = playing
+    good = world.config.read_text()
+    world.config.write_text(good + "motion:\n  scale_x: many\n")
+    text = refused(world, "reload")
+    line = good.count("\n") + 2
+    assert f"config.yaml:{line}" in text
+    assert "scale_x" in text
+    world.until(lambda: said(world, "configuration not applied"))
+    time.sleep(0.3)
+    assert len(said(world, "configuration not applied")) <= 2  # not once a second
+    before = world.counts
+    world.turn(20)
+    assert np.abs(world.counts - before).max() > 20
+    world.config.write_text(good)
+    world.until(lambda: ask(world, "reload")["text"].endswith("nothing has changed"))
+
+
+def test_a_change_on_disk_is_picked_up(playing):
+    world = playing
+    world.config.write_text(world.config.read_text() + "motion: {scale_x: 2}\n")
+    world.until(lambda: said(world, "configuration applied: tracker"))
+    before, since = world.counts, world.stamp
+    world.turn()
+    true = world.true_counts(since) * (2, 1, 1)
+    assert np.abs(world.counts - before - true).max() < 2 * CLOSE
+
+
+def test_each_section_is_applied_between_two_frames(playing):
+    world = playing
+    frames = len(world.frames)
+    assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["tracker"]
+    before, since = world.counts, world.stamp
+    world.turn()
+    assert np.abs(world.counts - before - world.true_counts(since) * (1, 3, 1)).max() < 3 * CLOSE
+    assert ask(world, "set", assignments=["motion.scale_y=1"])["changed"] == ["tracker"]
+    assert ask(world, "set", assignments=["pointer.rate=500"])["changed"] == ["pointer"]
+    assert ask(world, "set", assignments=["record.seconds=3"])["changed"] == ["record"]
+    opened = world.opened
+    assert ask(world, "set", assignments=["source=film:again"])["changed"] == ["source"]
+    world.until(lambda: world.opened == opened + 1)
+    assert ask(world, "set", assignments=["output=sink:other"])["changed"] == ["output"]
+    world.until(lambda: world.outputs == ["sink:quiet", "sink:other"])
+    for name, value in (("control.clients", 3), ("metrics.port", 9999), ("realtime", "auto")):
+        answer = ask(world, "set", assignments=[f"{name}={value}"])
+        assert answer["changed"] == [name.partition(".")[0]]
+        assert "next start" in answer["text"]
+    assert ask(world, "set", assignments=[f"map={world.folder}/other.yaml"])["changed"] == ["map"]
+    assert (world.folder / "rig.map.yaml").exists()
+    for text in ("motion.scale_y=-1", "motion.nothing=1", "nonsense"):
+        assert refused(world, "set", assignments=[text])
+    assert ask(world, "set", assignments=["tracker=so3"])["changed"] == []
+    world.turn()
+    assert len(world.daemon._request.assignments) < 12  # the last of each
+    assert len(world.frames) > frames
+    assert not said(world, "internal error")
+    assert not said(world, "output: ")  # the second was opened when the first was closed, and not before
+
+
+def test_the_tracker_itself_is_exchanged(playing):
+    world = playing
+    before = world.counts
+    assert ask(world, "set", assignments=["tracker=ekf1"])["changed"] == ["tracker", "map"]
+    world.turn()
+    world.until(lambda: np.abs(world.counts - before).max() > 50)
+    assert ask(world, "set", assignments=["tracker=so3"])["changed"] == ["tracker", "map"]
+    world.turn()
+    assert not said(world, "internal error")
+
+
+def test_another_rig_is_taken_up_or_refused(playing):
+    world, rig = playing, playing.folder / "rig.yaml"
+    good, frames, before = rig.read_text(), len(world.frames), world.counts
+    rig.write_text(good.replace("radius:", "raduis:"))
+    assert "rig.yaml:" in refused(world, "reload")
+    rig.write_text(rig_text(world.film.rig, {"note": "measured anew"}).replace("f:", "f:"))
+    world.until(lambda: ask(world, "reload")["text"])
+    smaller = rig_text(world.film.rig).replace("radius: 0.6", "radius: 0.3", 1)
+    assert smaller != good
+    rig.write_text(smaller)  # its map, which is saved meanwhile, is of a ball of another size
+    text = in_thread(lambda: ask(world, "reload"))()
+    assert isinstance(text, ControlError) or text["changed"] in ([], ["rig"])
+    rig.write_text(good)
+    world.until(lambda: in_thread(lambda: ask(world, "reload"))().__class__ is dict)
+    world.reach("tracking")
+    world.settle()
+    assert np.abs(world.counts - before).max() < CLOSE
+    assert len(world.frames) > frames
+    assert not said(world, "internal error")
+
+
+def test_hang_up_twice_at_once_is_no_error(playing):
+    for _ in range(5):
+        playing.daemon._ask(lambda: playing.daemon._load(playing.daemon._request, lambda _: None))
+    playing.until(lambda: said(playing, "is being read already"))
+    playing.settle()
+    assert playing.state == "tracking"
+
+
+def test_an_error_of_ours_while_reading_is_said_and_the_next_reload_works(playing, monkeypatch):
+    def wrong(_):
+        raise ZeroDivisionError("as if")
+
+    right = run_module.read_plan
+    monkeypatch.setattr(run_module, "read_plan", wrong)
+    assert "internal error" in refused(playing, "reload")
+    monkeypatch.setattr(run_module, "read_plan", right)
+    assert ask(playing, "reload")["changed"] == []
+
+
+# ---- the camera's pose ----
+
+
+def test_the_pose_is_estimated_anew_while_the_ball_turns_and_nothing_jumps(playing):
+    world = playing
+    world.moves = 47
+    age = ask(world, "status")["pose"]["age_s"]
+    text = ask(world, "reinit")["text"]
+    assert text.startswith("camera pose: targets")
+    world.until(lambda: world.moves == 0)
+    world.settle()
+    near(world)
+    assert ask(world, "status")["pose"]["age_s"] < age + PATIENCE
+    assert not said(world, "camera was moved")
+
+
+def test_with_hidden_targets_the_pose_stays_and_the_answer_says_why(playing):
+    world = playing
+    pose = ask(world, "status")["pose"]["position_m"]
+    world.fault = "hidden"
+    world.settle()
+    world.moves = 47
+    text = refused(world, "reinit")
+    assert "0 of 4 targets" in text
+    assert "stays" in text
+    world.until(lambda: world.moves == 0)
+    world.settle()
+    near(world)
+    assert ask(world, "status")["pose"]["position_m"] == pose
+    world.fault = ""
+    world.settle()
+    assert ask(world, "reinit")["text"]  # and again, now that they are there
+
+
+def test_hidden_targets_at_the_start_are_waited_for(world):
+    world.fault = "hidden"
+    world.start()
+    world.until(lambda: said(world, "searching-targets: 0 of 4 targets"))
+    assert "being looked for" in ask(world, "reinit")["text"]
+    world.fault = ""
+    world.reach("tracking")
+
+
+def test_an_error_of_ours_in_the_estimate_is_answered_and_does_not_stay(playing, monkeypatch):
+    def wrong(*_):
+        raise ZeroDivisionError("as if")
+
+    monkeypatch.setattr("spheremouse.daemon.worker.gather", wrong)
+    assert "internal error (ZeroDivisionError: as if)" in refused(playing, "reinit")
+    monkeypatch.undo()
+    playing.settle()
+    assert ask(playing, "reinit")["text"]
+
+
+def test_a_camera_that_goes_ends_the_estimate(playing):
+    world = playing
+    world.silent = True
+    answer = in_thread(lambda: ask(world, "reinit"))
+    world.until(lambda: world.daemon._worker._anew is not None)
+    with pytest.raises(ControlError, match="already"):
+        Client(world.socket).ask("reinit")
+    world.missing = "unplugged"
+    assert "unplugged; the pose before stays" in str(answer())
+    world.missing, world.silent = "", False
+    world.reach("tracking")
+    world.settle()
+    assert ask(world, "reinit")["text"]
+
+
+# ---- pause, pictures, recordings ----
+
+
+def test_while_paused_nothing_moves_and_nothing_is_made_up_for(playing):
+    world = playing
+    assert ask(world, "pause")["state"] == "paused"
+    before = world.counts
+    world.turn()
+    assert np.array_equal(world.counts, before)
+    assert ask(world, "pause")["state"] == "paused"
+    assert ask(world, "resume")["state"] == "tracking"
+    world.settle(5)
+    assert np.abs(world.counts - before).max() < CLOSE
+    since = world.stamp
+    world.turn()
+    assert np.abs(world.counts - before - world.true_counts(since)).max() < CLOSE
+    assert np.abs(ask(world, "status")["output"]["unsent"]).max() > 100
+
+
+def test_a_snapshot(playing):
+    path = Path(ask(playing, "snapshot")["file"])
+    assert path.parent == playing.folder / "recordings"
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert ask(playing, "snapshot", file="a.png")["file"].endswith("a.png")
+    assert "there already" in refused(playing, "snapshot", file="a.png")
+
+
+def test_a_recording_is_begun_ended_and_refused_twice(playing):
+    world = playing
+    folder = ask(world, "record", folder="first")["folder"]
+    assert "already" in refused(world, "record")
+    world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 10, "frames recorded")
+    ended = ask(world, "record", stop=True)
+    assert ended["folder"] == folder
+    assert ended["frames"] > 10
+    assert "nothing is being recorded" in refused(world, "record", stop=True)
+    assert ask(world, "status")["recording"] is None
+    assert (Path(folder) / "scene.json").exists()
+
+
+def test_two_recordings_asked_at_once(playing):
+    """One is begun, the other is refused, and no half of it is left."""
+    world = playing
+    results = [in_thread(lambda n=n: Client(world.socket).ask("record", folder=n)) for n in ("one", "two")]
+    made = [r() for r in results]
+    assert sorted(isinstance(m, dict) for m in made) == [False, True]
+    world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
+    ask(world, "record", stop=True)
+    folder = world.folder / "recordings"
+    world.until(lambda: [p.name for p in folder.iterdir()] in (["one"], ["two"]), "one folder")
+
+
+def test_a_disk_that_is_full_ends_a_recording_and_nothing_else(playing, monkeypatch):
+    world = playing
+    full = OSError(28, "No space left on device")
+
+    def refuse(*_, **__):
+        raise full
+
+    ask(world, "record", folder="first")
+    world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
+    monkeypatch.setattr("spheremouse.dataset_writer.FilmWriter.add", refuse)
+    world.until(lambda: said(world, "No space left"), "said")
+    assert ask(world, "status")["recording"] is None
+    monkeypatch.setattr("spheremouse.session_map.save_map", refuse)
+    world.daemon._keeper._due = 0.0
+    world.until(lambda: [line for line in world.said if "rig.map.yaml: not saved" in line], "the map too")
+    world.turn()
+    near(world)
+    assert world.state == "tracking"
+
+
+def test_a_configuration_that_changes_ends_the_recording_made_with_it(playing):
+    world = playing
+    ask(world, "record", folder="first")
+    world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
+    ask(world, "set", assignments=["motion.scale_x=2"])
+    world.until((world.folder / "recordings" / "first" / "scene.json").exists)
+    assert ask(world, "status")["recording"] is None
+
+
+# ---- the service manager ----
+
+
+def test_systemd_hears_of_readiness_and_of_progress_and_of_nothing_else(world, monkeypatch):
+    """READY when the control socket answers; WATCHDOG after frames or attempts; a driver that hangs starves it."""
+    path = str(world.folder / "n")
+    heard = []
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(path)
+        manager.setblocking(False)
+
+        def listen():
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    heard.append(manager.recv(4096).decode())
+            return heard
+
+        def fed():
+            heard.clear()
+            end = time.monotonic() + 0.3
+            while time.monotonic() < end:
+                time.sleep(0.01)
+                listen()
+            return heard.count("WATCHDOG=1")
+
+        monkeypatch.setenv("NOTIFY_SOCKET", path)
+        monkeypatch.setenv("WATCHDOG_USEC", "40000")
+        monkeypatch.setattr(run_module, "PATIENCE", 0.05)
+        world.start()
+        world.until(lambda: "READY=1" in listen())
+        assert ask(world, "status")["pid"] == os.getpid()
+        world.reach("tracking")
+        assert fed() > 0
+        world.until(lambda: any(line.startswith("STATUS=tracking: ") for line in listen()))
+        world.missing = "unplugged"
+        world.reach("no-camera")
+        assert fed() > 0  # it is looked for again and again
+        world.missing = ""
+        world.reach("tracking")
+        world.hang = threading.Event()
+        world.until(lambda: fed() == 0, "starved")
+        assert fed() == 0
+        world.hang.set()
+        world.hang = None
+        world.reach("tracking")
+        assert fed() > 0
+        assert ask(world, "status")["state"] == "tracking"
+        world.stop()
+        listen()
+        assert "STOPPING=1" in heard
+    assert not said(world, "internal error")
+
+
+# ---- errors of our own ----
+
+
+def test_an_internal_error_is_told_and_the_ball_is_looked_for_anew(playing):
+    world = playing
+    before = world.counts
+    world.fault = "internal"
+    world.until(lambda: said(world, "as if we had made a mistake"))
+    world.fault = ""
+    world.reach("tracking")
+    world.settle(5)
+    assert "Traceback" in said(world, "as if we had made a mistake")[0]
+    assert np.abs(world.counts - before).max() < CLOSE
+    since = world.stamp
+    world.turn()
+    assert np.abs(world.counts - before - world.true_counts(since)).max() < CLOSE
+
+
+def test_five_of_them_end_the_process(playing):
+    world = playing
+    world.fault = "internal"
+    world.join()
+    assert isinstance(world.error, ZeroDivisionError)
+    assert len(said(world, "please report it")) == 5
+    world.error = None
+
+
+def test_an_error_in_what_was_asked_for_ends_nothing(playing, monkeypatch):
+    def wrong(*_, **__):
+        raise ZeroDivisionError("as if")
+
+    monkeypatch.setattr(playing.daemon, "_pause", wrong)
+    assert "internal error (ZeroDivisionError: as if)" in refused(playing, "pause")
+    playing.until(lambda: said(playing, "Traceback"))
+    assert playing.state == "tracking"
+
+
+def test_metrics_that_cannot_be_served_are_said_and_done_without(world):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        world.start((f"metrics.port={taken.getsockname()[1]}",))
+        world.reach("tracking")
+    assert said(world, "going on without")
+
+
+# ---- the process ----
+
+
+class Process:
+    """`spheremouse run` on a film, in a process of its own; what it says."""
+
+    def __init__(self, folder):
+        code = "import sys; sys.path.insert(0, sys.argv[1]); import daemon_process; daemon_process.main(sys.argv[2])"
+        here = str(Path(__file__).parent)
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(run_module.__file__).parents[2])}
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", code, here, str(folder)], stderr=subprocess.PIPE, text=True, env=environment
+        )
+        self.said, self._client = [], Client(folder / "s")
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        for line in self.process.stderr:
+            self.said.append(line)
+
+    def until(self, text):
+        end = time.monotonic() + PATIENCE
+        while not any(text in line for line in list(self.said)):
+            assert time.monotonic() < end, f"{text!r} was never said: {''.join(self.said)}"
+            assert self.process.poll() is None, f"ended: {''.join(self.said)}"
+            time.sleep(0.01)
+
+    def ask(self, command):
+        return self._client.ask(command)
+
+    def end(self):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait(PATIENCE)
+
+
+def test_signals_a_second_instance_and_kill_9(film, tmp_path):
+    """A file stands for the camera's node: SIGHUP reloads, a second daemon is refused, kill -9 leaves nothing stuck,
+    SIGTERM ends it with the map saved."""
+    import daemon_process
+
+    daemon_process.prepare(tmp_path, film)
+    first = Process(tmp_path)
+    try:
+        first.until("tracking:")
+        first.process.send_signal(signal.SIGHUP)
+        first.process.send_signal(signal.SIGHUP)
+        first.until("configuration applied: nothing has changed")
+        second = Process(tmp_path)
+        assert second.process.wait(PATIENCE) == 2
+        time.sleep(0.05)
+        assert f"in use by another spheremouse (process {first.process.pid})" in "".join(second.said)
+        assert first.ask("status")["pid"] == first.process.pid
+        first.process.kill()
+        first.process.wait(PATIENCE)
+        assert (tmp_path / "s").exists()  # stale: nobody could remove it
+        third = Process(tmp_path)
+        try:
+            third.until("tracking:")
+            assert third.ask("status")["pid"] == third.process.pid
+            while third.ask("status")["frames"] < 100:  # enough to know some discs for good
+                time.sleep(0.02)
+            third.process.terminate()
+            assert third.process.wait(PATIENCE) == 0
+            assert not (tmp_path / "s").exists()
+            assert (tmp_path / "rig.map.yaml").exists()
+        finally:
+            third.end()
+    finally:
+        first.end()

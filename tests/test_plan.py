@@ -1,0 +1,113 @@
+"""What a run is to do: command line before configuration, files read as a whole, places that make sense."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from spheremouse.daemon.plan import Plan, Request, read_plan, without_map
+from spheremouse.daemon.settings import Configuration
+from spheremouse.errors import ConfigurationError
+from spheremouse.rig_file import rig_text
+from spheremouse.simulate import default_scene
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return default_scene().rig()
+
+
+@pytest.fixture
+def folder(tmp_path, rig):
+    """A configuration with its rig."""
+    (tmp_path / "rig.yaml").write_text(rig_text(rig))
+    (tmp_path / "config.yaml").write_text("schema: 1\nsource: v4l2:/dev/video9\noutput: uinput\nrig: rig.yaml\n")
+    return tmp_path
+
+
+def test_the_configuration_says_it_all(folder, rig, monkeypatch):
+    monkeypatch.chdir("/")  # its paths are relative to itself
+    plan = read_plan(Request(folder / "config.yaml"))
+    assert (plan.source, plan.output) == ("v4l2:/dev/video9", "uinput")
+    assert (plan.rig_path, plan.map_path) == (folder / "rig.yaml", folder / "rig.map.yaml")
+    assert plan.device(None).ball.radius == rig.ball.radius
+    assert plan.camera is None
+
+
+def test_the_command_line_comes_first(folder):
+    other = folder / "sub"
+    other.mkdir()
+    (other / "r.yaml").write_text((folder / "rig.yaml").read_text())
+    request = Request(
+        folder / "config.yaml",
+        ("motion.scale_x=2", "motion.scale_x=3"),
+        "opencv:0",
+        "null",
+        other / "r.yaml",
+        map=other / "m.yaml",
+    )
+    plan = read_plan(request)
+    assert (plan.source, plan.output, plan.rig_path, plan.map_path) == (
+        "opencv:0", "null", other / "r.yaml", other / "m.yaml",
+    )  # fmt: skip
+    assert plan.configuration.motion.scale_x == 3.0
+
+
+def test_without_a_file_the_defaults_hold():
+    plan = read_plan(Request(source="opencv:0", output="null"))
+    assert plan.configuration == Configuration()
+    assert (plan.rig, plan.rig_path, plan.map_path) == (None, None, None)
+    with pytest.raises(ConfigurationError, match="--rig FILE"):
+        plan.device(None)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"file": None, "output": "null"}, "no source: give --source"),
+        ({"file": None, "source": "opencv:0"}, "no output: give --output"),
+        ({"map": Path("x"), "no_map": True}, "one of the two"),
+        ({"assignments": ("tracker=ekf1",), "map": Path("x")}, "keeps no map"),
+        ({"assignments": ("motion.scale_x=many",)}, "motion.scale_x"),
+        ({"rig": Path("missing.yaml")}, "missing.yaml"),
+        ({"camera": Path("missing.yaml")}, "missing.yaml"),
+        ({"file": Path("missing.yaml")}, "missing.yaml"),
+    ],
+)
+def test_what_is_wrong_is_said(folder, change, message):
+    with pytest.raises(ConfigurationError, match=message):
+        read_plan(replace(Request(folder / "config.yaml"), **change))
+
+
+def test_a_mistake_in_any_file_is_said_with_its_line(folder):
+    config, rig = folder / "config.yaml", folder / "rig.yaml"
+    for path in (config, rig):
+        good = path.read_text()
+        path.write_text(good + "nonsense: 1\n")
+        with pytest.raises(ConfigurationError, match=rf"{path.name}:{good.count(chr(10)) + 1}: nonsense"):
+            read_plan(Request(config))
+        path.write_text(good)
+
+
+def test_where_the_map_is_kept(folder, monkeypatch):
+    config = folder / "config.yaml"
+    assert read_plan(Request(config, no_map=True)).map_path is None
+    assert read_plan(Request(config, ("tracker=ekf2",))).map_path is None
+    assert read_plan(Request(config, ("map=../m.yaml",))).map_path == folder / "../m.yaml"
+    state = folder / "state"
+    monkeypatch.setenv("STATE_DIRECTORY", f"{state}:/elsewhere")
+    assert read_plan(Request(config)).map_path == folder / "rig.map.yaml"  # beside the rig where that may be written
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert read_plan(Request(config)).map_path == state / "rig.map.yaml"
+    assert without_map(read_plan(Request(config))).map_path is None
+
+
+def test_the_camera_file_takes_the_place_of_the_rigs(folder, rig):
+    text = (folder / "rig.yaml").read_text()
+    camera = text[text.index("camera:") : text.index("ball:")]
+    (folder / "camera.yaml").write_text("schema: 1\n" + camera.replace("width: 640", "width: 641"))
+    plan = read_plan(Request(folder / "config.yaml", ("camera_file=camera.yaml",)))
+    assert isinstance(plan, Plan)
+    assert plan.device(None).camera.width == 641
+    assert plan.device(None).ball.radius == rig.ball.radius

@@ -1,0 +1,190 @@
+"""The worker: what becomes of each shot, without a thread; the film is that of tests/daemon_world.py."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from daemon_world import DT, Film
+
+from spheremouse.daemon.ring import Arrival
+from spheremouse.daemon.worker import STAGES, Worker
+from spheremouse.errors import DamagedFrameError, PoseError
+from spheremouse.frame import Frame
+from spheremouse.rig import Targets
+from spheremouse.track import Phase, Settings
+
+
+@pytest.fixture(scope="module")
+def film():
+    return Film.render(24)
+
+
+SETTINGS = replace(Settings(), pose=replace(Settings().pose, frames=2))
+
+
+class Shot:
+    """A picture, or an error; notes how it was asked for."""
+
+    def __init__(self, colour, grey, k, error=None, flags=True):
+        self._images, self._error, self._flags = (grey, colour), error, flags
+        self.stamp, self.sequence, self.asked = k * DT, k, []
+
+    def frame(self, colour):
+        self.asked.append(colour)
+        if self._error is not None:
+            raise self._error
+        image = self._images[colour]
+        if not self._flags:
+            image = image.view()
+            image.flags.writeable = False
+        return Frame(image, self.stamp, self.sequence)
+
+    def release(self):
+        pass
+
+
+class Play:
+    """A worker, and the film for it."""
+
+    def __init__(self, film, rig=None, settings=SETTINGS):
+        self.said, self.k, self.film = [], 0, film
+        self.worker = Worker(film.rig if rig is None else rig, settings, None, self.said.append)
+
+    def shot(self, place, **kwargs):
+        self.k += 1
+        return Shot(self.film.colour[place], self.film.grey[place], self.k, **kwargs)
+
+    def __call__(self, place=0, **kwargs):
+        shot = self.shot(place, **kwargs)
+        made = self.worker.work(Arrival(shot, time.monotonic()))
+        self.asked = shot.asked
+        return made
+
+
+def test_targets_first_in_colour_then_the_ball_in_grey(film):
+    play = Play(film)
+    assert play.worker.tracker is None
+    assert play() is None
+    assert play.asked == [True]
+    assert play() is None  # the second view
+    assert play.worker.targets == ""
+    assert play.said[0].startswith("camera pose: targets")
+    made = [play(k) for k in range(24)]
+    assert all(m is not None for m in made)
+    assert play.asked == [False]
+    assert made[-1].holds
+    assert made[-1].epoch.state.phase is Phase.TRACKING
+    assert (play.worker.frames, play.worker.seen) == (24, 26)
+    assert all(play.worker.times[name].count == 24 for name in STAGES)
+    rates = np.array([m.rate for m in made])
+    assert np.abs(rates[:2]).max() < np.abs(rates[8:16]).max()
+
+
+def test_frames_of_read_only_memory_are_tracked_the_same(film):
+    """A driver's buffer may not be written."""
+    counts = []
+    for flags in (True, False):
+        play = Play(film)
+        made = [play(k, flags=flags) for k in (0, 0, *range(24))]
+        counts.append([m.epoch.motion.counts for m in made if m is not None])
+    assert counts[0] == counts[1]
+    assert np.abs(np.sum(counts[0], axis=0)).max() > 50
+
+
+def test_a_frame_that_is_none_changes_nothing(film):
+    play = Play(film)
+    for _ in range(5):
+        play()
+    state = play.worker.state
+    assert play(error=DamagedFrameError("half")) is None
+    assert play.worker.damaged == 1
+    assert play.worker.trouble == ""  # one is nothing
+    play.worker.good -= 10.0
+    play(error=DamagedFrameError("half"))
+    assert play.worker.trouble.startswith("nothing but damaged frames for 10 s (half)")
+    assert play.worker.state is state
+    assert play() is not None
+    assert play.worker.trouble == ""
+    small = Shot(film.colour[0][:10], film.grey[0][:10], 9)
+    assert play.worker.work(Arrival(small, 0.0)) is None
+    assert "calibrated at 640x480" in play.worker.trouble
+
+
+def test_a_fault_of_ours_begins_anew_and_five_in_a_minute_are_too_many(film):
+    play = Play(film)
+    for _ in range(5):
+        play()
+    for k in range(4):
+        assert play(error=ZeroDivisionError("as if")) is None
+        assert play.worker.state is None
+        assert len([s for s in play.said if "Traceback" in s]) == k + 1
+    assert play() is not None  # goes on with the pose it has
+    play.worker._faults = type(play.worker._faults)([t - 100.0 for t in play.worker._faults], maxlen=5)
+    assert play(error=ZeroDivisionError("as if")) is None  # the others are long ago
+    for _ in range(3):
+        assert play(error=ZeroDivisionError("as if")) is None
+    with pytest.raises(ZeroDivisionError):
+        play(error=ZeroDivisionError("as if"))
+
+
+def test_a_rig_that_can_never_be_posed_is_refused(film):
+    none = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
+    with pytest.raises(PoseError, match="fewer than three targets"):
+        Play(film, replace(film.rig, targets=none))
+
+
+def test_views_from_before_an_interruption_are_not_mixed_with_those_after(film):
+    play = Play(film)
+    play()
+    play.worker.interrupted("unplugged")
+    assert play() is None
+    assert play.worker.tracker is None  # one view of the new two
+    play()
+    assert play.worker.tracker is not None
+
+
+def test_grey_frames_cannot_show_the_targets(film):
+    play = Play(film)
+    for k in range(2):
+        play.worker.work(Arrival(Shot(film.grey[0], film.grey[0], k), 0.0))
+    assert "grey" in play.worker.targets
+
+
+def test_other_settings_from_the_next_frame_on(film):
+    play = Play(film)
+    play()
+    play()
+    play.worker.retune(replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=2.0)))  # before the first frame
+    play()
+    play.worker.retune(replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=4.0)))
+    play()
+    assert play.worker.tracker is not None
+    assert np.allclose(play.worker.tracker.counts, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius))
+    assert play.worker.settings.motion.scale_x == 4.0
+
+
+def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
+    play, answers = Play(film), []
+    play.worker.reinitialise(lambda *a: answers.append(a))
+    assert answers == [(None, "the pose is being looked for: the ring targets are looked for")]
+    for _ in range(4):
+        play()
+    play.worker.reinitialise(lambda *a: answers.append(a))
+    play.worker.reinitialise(lambda *a: answers.append(("second", *a)))
+    assert answers[1][:2] == ("second", "the camera's pose is being estimated already; wait for its end")
+    play()
+    assert play.asked == [True]
+    play.worker.interrupted("unplugged")
+    assert answers[2:] == [("unplugged; the pose before stays", "")]
+    play()
+    play.worker.reinitialise(lambda *a: answers.append(a))
+    pose = play.worker.pose
+    end = time.monotonic() + 20.0
+    while len(answers) < 4:
+        assert time.monotonic() < end
+        play()
+    assert answers[3][0] is None
+    assert answers[3][1].startswith("camera pose: targets")
+    play()
+    assert play.worker.pose is not pose
