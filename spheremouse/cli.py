@@ -20,6 +20,7 @@ from spheremouse import (
     cli_run,
     cli_service,
     cli_simulate,
+    cli_tray,
     demo,
 )
 from spheremouse.calibrate import cli as cli_calibrate
@@ -44,6 +45,7 @@ app.command(epilog=cli_bench.EXAMPLE)(cli_bench.bench)
 app.command(epilog=cli_layout.EXAMPLE)(cli_layout.layout)
 app.command(epilog=cli_doctor.EXAMPLE)(cli_doctor.doctor)
 app.add_typer(cli_ctl.app, name="ctl", epilog=cli_ctl.EPILOG)
+app.command(epilog=cli_tray.EXAMPLE)(cli_tray.tray)
 app.add_typer(cli_service.app, name="service", epilog="Example: sudo spheremouse service install")
 app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")
 app.add_typer(cli_calibrate.app, name="calibrate", epilog="Begin with: spheremouse calibrate next")

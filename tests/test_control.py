@@ -425,9 +425,9 @@ def test_all_watchers_together_cost_the_daemon_one_question(serve, path):
         reply({"state": "lost"})
     for wire in wires:
         assert wire.read() == {"event": "status", "state": "lost"}
-    now = time.monotonic()
+    soon = time.monotonic() + 0.3  # none is due before all are
     for client in server._clients.values():
-        client.due = now
+        client.due = soon
     server._wake()
     wait_for(lambda: len(asked) == 4)
     asked[-1]({"state": "tracking"})

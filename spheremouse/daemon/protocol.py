@@ -286,3 +286,4 @@ class StatusReport(_Part):
     memory_mb: float | None
     cpu_share: float | None
     scheduling: str
+    paused: bool

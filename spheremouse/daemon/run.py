@@ -667,6 +667,7 @@ class Daemon:
             "memory_mb": _memory_mb(),
             "cpu_share": self._cpu_share,
             "scheduling": self._scheduling,
+            "paused": bool(self._paused),
         }
 
     def _pose(self, now: float) -> dict[str, Any] | None:

@@ -1,0 +1,218 @@
+"""The tray on a desktop: real daemon, real panel, real clicks. Pictures go to $TRAY_PICTURES where it is set.
+
+    .venv/bin/python -m pytest tests/system/tray.py
+
+Skips where Xvfb, trayer, xdotool, dbus or pystray are missing; the parts with a menu also need PyGObject (Debian:
+python3-gi gir1.2-ayatanaappindicator3-0.1).
+"""
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from desk import Desk, end, gtk, missing, process, until
+
+from spheremouse.daemon.client import Client
+from spheremouse.daemon.control import ControlServer
+from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.daemon.protocol import STATES
+from spheremouse.errors import ControlError
+from spheremouse.rig_file import save_rig
+from spheremouse.source import open_source
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+
+PROGRAM = [sys.executable, "-m", "spheremouse"]
+REINIT, PAUSE, RECORD, QUIT = 1, 2, 3, 4  # among the entries that can be chosen
+
+
+@pytest.fixture(scope="module")
+def films(tmp_path_factory):
+    """Recordings: a long one, one in the dark, one where the light goes out."""
+    folder = tmp_path_factory.mktemp("films")
+    dark = ["--dim", "0", "--dim-seconds", "100"]
+    for name, options in (
+        ("long", ["--seconds", "100"]),
+        ("dark", ["--seconds", "12", *dark, "--dim-at", "0"]),
+        ("lost", ["--seconds", "30", *dark, "--dim-at", "10"]),
+    ):
+        command = [*PROGRAM, "simulate", str(folder / name), "--fps", "5", *options]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    with open_source(f"dataset:{folder / 'long'}") as source:
+        save_rig(folder / "rig.yaml", source.rig)
+    return folder
+
+
+@pytest.fixture
+def desk(tmp_path):
+    with contextlib.ExitStack() as stack:
+        yield Desk(stack, tmp_path)
+
+
+@pytest.fixture
+def with_menu(tmp_path_factory):
+    """PYTHONPATH that has PyGObject."""
+    path = gtk(tmp_path_factory.mktemp("gtk"))
+    if path is None:
+        pytest.skip("needs PyGObject and its indicators: python3-gi gir1.2-ayatanaappindicator3-0.1")
+    return {"PYTHONPATH": str(path)}
+
+
+class World:
+    """Where daemon and tray meet: a socket, and a folder for what they write."""
+
+    def __init__(self, desk, folder):
+        self.desk, self.folder = desk, folder
+        self.socket = folder / "control.sock"
+
+    def daemon(self, source, output="null", *more):
+        settings = [f"control.socket={self.socket}", f"record.folder={self.folder / 'recordings'}"]
+        command = [*PROGRAM, "run", "--source", source, "--output", output, "--realtime", *more]
+        log = (self.folder / "daemon.log").open("a")
+        return process(*command, *(w for s in settings for w in ("--set", s)), stdout=log, stderr=log)
+
+    def tray(self, **env):
+        log = (self.folder / "tray.log").open("a")
+        command = [*PROGRAM, "tray", "--socket", str(self.socket)]
+        return process(*command, env=self.desk.env | env, stdout=log, stderr=log)
+
+    def status(self):
+        try:
+            with Client(self.socket) as client:
+                return client.ask("status")
+        except ControlError:
+            return {"state": "no-daemon"}
+
+    def shows(self, state, seconds=40.0):
+        """Whether daemon and icon come to say so; the picture is kept."""
+        said = until(lambda: self.status()["state"] == state, seconds)
+        seen = until(lambda: self.desk.state() == state, 10.0)
+        self.keep(f"{state}.png")
+        assert (said, seen) == (True, True), (self.status()["state"], self.desk.state(), self.said())
+        return True
+
+    def said(self):
+        return (self.folder / "tray.log").read_text()
+
+    def keep(self, name, picture=None):
+        if "TRAY_PICTURES" in os.environ:
+            kept = Path(os.environ["TRAY_PICTURES"]) / name
+            (picture or self.desk.picture()).crop((0, 0, 240, 120)).save(kept)
+
+
+@pytest.fixture
+def world(desk, tmp_path):
+    return World(desk, tmp_path)
+
+
+def test_the_menu_pauses_reinitialises_records_and_quits(world, with_menu, films, tmp_path):
+    with world.tray(**with_menu) as tray:
+        assert world.shows("no-daemon")
+        with world.daemon(f"dataset:{films / 'long'}"):
+            assert world.shows("tracking")
+            assert "icon by appindicator: a click opens the menu" in world.said()
+
+            world.desk.choose(PAUSE, tmp_path / "menu.png")
+            assert world.shows("paused")
+            world.desk.choose(PAUSE)  # is now Resume
+            assert world.shows("tracking")
+
+            assert until(lambda: world.status()["pose"]["age_s"] > 3.0)
+            posed = world.status()["pose"]["age_s"]
+            world.desk.choose(REINIT)
+            assert until(lambda: world.status()["pose"]["age_s"] < posed)
+            assert world.shows("tracking")
+
+            world.desk.choose(RECORD)
+            assert until(lambda: world.status()["recording"] is not None)
+            folder = Path(world.status()["recording"]["folder"])
+            assert until(lambda: world.status()["recording"]["frames"] > 3)
+            assert until(lambda: world.said().count("\n") >= 1)
+            world.desk.choose(RECORD)  # is now: end the recording
+            assert until((folder / "scene.json").exists)
+            assert until(lambda: f"recorded into {folder}" in world.said())
+            assert until(lambda: f"recorded into {folder}" in world.desk.notices())
+
+        assert world.shows("no-daemon")
+        with world.daemon(f"dataset:{films / 'long'}"):  # a new one, on the same socket
+            assert world.shows("tracking")
+        assert tray.poll() is None
+        assert world.shows("no-daemon")
+        world.desk.choose(1)  # all that needs a daemon is grey: Quit
+        assert tray.wait(20) == 0
+    if "TRAY_PICTURES" in os.environ:
+        shutil.copy(tmp_path / "menu.png", os.environ["TRAY_PICTURES"])
+
+
+@pytest.mark.parametrize("backend", ["appindicator", "xorg"])
+def test_every_trouble_has_its_icon(world, with_menu, films, backend):
+    with world.tray(**with_menu, PYSTRAY_BACKEND=backend) as tray:
+        with world.daemon(f"dataset:{films / 'dark'}"):
+            assert world.shows("searching-targets")
+        with world.daemon(f"dataset:{films / 'lost'}"):
+            assert world.shows("tracking")
+            assert world.shows("lost")
+        with world.daemon(f"dataset:{films / 'long'}", "serial:/dev/does-not-exist"):
+            assert world.shows("failed-output")
+            if backend == "appindicator":
+                assert until(lambda: "failed output" in world.desk.notices())
+        with world.daemon("v4l2:/dev/does-not-exist", "null", "--rig", str(films / "rig.yaml")):
+            assert world.shows("no-camera")
+            assert until(lambda: "no camera" in world.said())
+        assert end(tray) == 0
+
+
+def test_without_a_menu_a_click_reinitialises(world, films):
+    with world.tray(PYSTRAY_BACKEND="xorg") as tray, world.daemon(f"dataset:{films / 'long'}"):
+        assert world.shows("tracking")
+        assert "icon by xorg: no menu" in world.said()
+        assert until(lambda: world.status()["pose"]["age_s"] > 3.0)
+        posed = world.status()["pose"]["age_s"]
+        world.desk.click()
+        assert until(lambda: world.status()["pose"]["age_s"] < posed)
+        assert world.shows("tracking")
+        assert end(tray) == 0
+
+
+@pytest.mark.parametrize("backend", ["appindicator", "xorg"])
+def test_the_icon_comes_back_with_the_panel(world, with_menu, backend):
+    """Also at login, where the panel is not there yet."""
+    world.desk.end_panel()
+    with world.tray(**with_menu, PYSTRAY_BACKEND=backend) as tray:
+        world.desk.start_panel()
+        assert until(lambda: world.desk.state() == "no-daemon"), world.said()
+        world.desk.end_panel()
+        assert until(lambda: world.desk.state() == "")
+        world.desk.start_panel()
+        assert until(lambda: world.desk.state() == "no-daemon"), world.said()
+        assert end(tray) == 0
+
+
+def test_without_a_session_bus_it_still_shows(world, with_menu):
+    with world.tray(**with_menu, DBUS_SESSION_BUS_ADDRESS="unix:path=/does/not/exist") as tray:
+        assert until(lambda: world.desk.state() == "no-daemon"), world.said()
+        assert "icon by xorg" in world.said()
+        assert end(tray) == 0
+
+
+@pytest.mark.parametrize("backend", ["appindicator", "xorg"])
+def test_the_icon_follows_every_change(world, with_menu, backend):
+    """Also where a reason is long and not English; a window that is left behind would show an old state."""
+    state = "tracking"
+
+    def handle(_, reply):
+        reply({"state": state, "reason": f"{state} → Жук " * 20})
+
+    with world.tray(**with_menu, PYSTRAY_BACKEND=backend) as tray:
+        for _ in range(3):
+            with ControlServer(world.socket, ControlSettings(), handle, lambda _: None):
+                for state in STATES:  # `handle` reads it
+                    assert until(lambda: world.desk.state() == state), (state, world.said())  # noqa: B023  called at once
+            assert until(lambda: world.desk.state() == "no-daemon"), world.said()
+        assert end(tray) == 0

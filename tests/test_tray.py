@@ -1,0 +1,376 @@
+"""The tray without a desktop: icons that differ without colour, the menu's laws, notices, the link to the daemon."""
+
+import importlib.util
+import subprocess
+import sys
+import time
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from spheremouse import tray, tray_live
+from spheremouse.daemon.control import ControlServer
+from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.daemon.protocol import refused
+from spheremouse.tray import NO_DAEMON, SEPARATOR, STATES, Notices, View
+from spheremouse.tray_live import Link, TrayError
+
+GROUNDS = {"dark": 40, "light": 240}
+ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}
+
+
+# ---- icons ----
+
+
+def grey(state, size, ground):
+    """The icon on a panel, seen without colours, levels."""
+    picture = np.asarray(tray.icon(state, size), dtype=float)
+    alpha = picture[..., 3:] / 255.0
+    flat = alpha * picture[..., :3] + (1.0 - alpha) * ground
+    return flat @ (0.299, 0.587, 0.114)
+
+
+@pytest.mark.parametrize("size", [16, 22, 24, 32])
+@pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS)
+def test_icons_differ_without_their_colours(size, ground):
+    """Even where all grey values are stretched alike, a tenth of the pixels differs by a third of the range."""
+    seen = {}
+    for state in (*STATES, "of a later version"):
+        g = grey(state, size, ground)
+        seen[state] = (g - g.min()) / np.ptp(g)
+    for a, b in combinations(seen, 2):
+        assert np.mean(np.abs(seen[a] - seen[b]) > 0.33) > 0.10, (a, b)
+
+
+@pytest.mark.parametrize("ground", GROUNDS.values(), ids=GROUNDS)
+def test_icons_are_seen_on_every_panel(ground):
+    for state in STATES:
+        assert np.mean(np.abs(grey(state, 22, ground) - ground) > 60) > 0.25, state
+
+
+def test_colour_is_the_state_but_for_the_two_that_need_a_hand():
+    """No camera and no output are both red, and differ in outline and sign."""
+    colours = [tray.LOOKS[s].colour for s in STATES if s != "failed-output"]
+    assert len(set(colours)) == len(STATES) - 1
+    red, red_too = tray.LOOKS["no-camera"], tray.LOOKS["failed-output"]
+    assert (red.outline, red.sign) != (red_too.outline, red_too.sign)
+    assert len({(look.outline, look.sign) for look in tray.LOOKS.values()}) == len(STATES)
+
+
+def test_every_state_of_the_protocol_has_a_look():
+    assert set(tray.LOOKS) == set(STATES)
+
+
+def test_outside_the_outline_the_panel_shines_through():
+    for state in STATES:
+        alpha = np.asarray(tray.icon(state))[..., 3]
+        assert alpha[32, 32] == 255
+        assert alpha[0, 0] == 0, state
+
+
+# ---- words and menu ----
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=200),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+statuses = st.fixed_dictionaries(
+    {},
+    optional={
+        "state": anything | st.sampled_from(STATES),
+        "reason": anything,
+        "fps": anything,
+        "paused": anything,
+        "recording": anything | st.fixed_dictionaries({"folder": anything}),
+        "page": anything | st.just("http://127.0.0.1:8080/"),
+    },
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(statuses, st.text(max_size=300))
+@example({"state": "tracking", "fps": 1e300}, "\n")
+@example({"state": "tracking", "fps": 10**400}, "")
+@example({"state": "tracking", "fps": float("nan")}, "")
+def test_whatever_the_daemon_says_tooltip_and_menu_are_short_plain_lines(status, note):
+    v = tray.view(status)
+    assert v.there
+    tip, items = tray.tooltip(v), tray.menu(v, note)
+    assert len(tip) <= 127
+    assert all(c.isprintable() or c == "\n" for c in tip)
+    assert tip.startswith("spheremouse: ")
+    assert tip.count("\n") <= 1
+    assert all(i.text.isprintable() and 0 < len(i.text) <= 90 for i in items)
+    assert {i.action for i in items} <= ACTIONS
+    assert [i.action for i in items].count("quit") == 1
+    assert sum(i.default for i in items) == 1
+    assert tray.icon(v.state, 16).size == (16, 16)
+
+
+def actions(v):
+    return [i.action for i in tray.menu(v) if i.action is not None]
+
+
+def test_the_menu_offers_what_can_be_done_now():
+    assert actions(View("tracking")) == ["reinit", "pause", "record", "quit"]
+    assert actions(View("paused", paused=True)) == ["reinit", "resume", "record", "quit"]
+    assert actions(View("no-camera", paused=True)) == ["reinit", "resume", "record", "quit"]
+    assert actions(View("tracking", recording="/var/r/1")) == ["reinit", "pause", "end-record", "quit"]
+    assert actions(View("tracking", page="http://127.0.0.1:80/")) == ["reinit", "pause", "record", "page", "quit"]
+    assert actions(tray.no_daemon("none")) == ["quit"]
+
+
+def test_the_first_line_is_the_state_with_its_reason_and_cannot_be_chosen():
+    items = tray.menu(View("searching-targets", "1 of 4 targets found"), "paused")
+    assert items[0] == tray.Item("searching targets: 1 of 4 targets found")
+    assert items[1] == tray.Item("paused")
+    assert items[2] is SEPARATOR
+    assert [i.text for i in items if i.default] == ["Re-initialise camera pose"]
+
+
+def test_no_daemon_says_how_to_start_one():
+    v = tray.no_daemon("no daemon runs (nobody listens at /run/a or /run/b); start one with `spheremouse run`")
+    assert tray.headline(v) == "no daemon runs; start one with `spheremouse run`"
+
+
+@pytest.mark.parametrize("url", ["file:///etc/passwd", "javascript:alert(1)", "--help", "http:///", "", 5, None])
+def test_only_web_pages_are_opened(url):
+    assert tray.view({"state": "tracking", "page": url}).page is None
+
+
+def test_a_status_without_paused_is_paused_in_its_state():
+    assert tray.view({"state": "paused"}).paused
+    assert not tray.view({"state": "tracking"}).paused
+    assert tray.view({"state": "no-camera", "paused": True}).paused
+    assert tray.tooltip(tray.view({"state": "tracking", "fps": 59.9})).endswith("\n60 frames/s")
+
+
+# ---- notices ----
+
+
+def told(transcript):
+    """Times and texts of the notices about (time, state) pairs; each state holds until the next, looked at every s."""
+    notices, found = Notices(), []
+    end = transcript[-1][0]
+    for now in range(end + 1):
+        state = [s for t, s in transcript if t <= now][-1]
+        text = notices.see(View(state), float(now))
+        if text is not None:
+            found.append((now, text))
+    return found
+
+
+def test_what_lasts_is_told_once_and_its_end_too():
+    assert told([(0, "tracking"), (10, "no-camera"), (200, "tracking"), (300, "tracking")]) == [
+        (15, "no camera"),
+        (202, "tracking again"),
+    ]
+
+
+def test_what_passes_is_not_told():
+    assert (
+        told([(0, "tracking"), (10, "lost"), (20, "tracking"), (30, "lost"), (40, "tracking"), (60, "tracking")]) == []
+    )
+
+
+def test_states_that_somebody_chose_or_that_end_by_themselves_are_not_told():
+    assert told([(0, "starting"), (300, "searching-targets"), (600, "paused"), (900, "paused")]) == []
+
+
+def test_a_trouble_that_comes_and_goes_is_told_every_five_minutes():
+    flapping = [(t, "no-camera" if (t // 20) % 2 else "tracking") for t in range(0, 1000, 20)]
+    times = [t for t, text in told(flapping) if text == "no camera"]
+    assert len(times) >= 3
+    assert min(np.diff(times)) >= 300
+
+
+def test_a_daemon_that_restarts_is_not_told():
+    assert told([(0, "tracking"), (5, NO_DAEMON), (12, "starting"), (15, "tracking"), (40, "tracking")]) == []
+
+
+# ---- the link ----
+
+
+class Daemon:
+    """A control server that notes what it is asked; the state is as told."""
+
+    def __init__(self, path):
+        self.path, self.state, self.asked, self.held = path, "tracking", [], []
+        self.server = None
+
+    def __enter__(self):
+        self.server = ControlServer(self.path, ControlSettings(), self.handle, lambda _: None)
+        self.server.__enter__()
+        return self
+
+    def __exit__(self, *error):
+        self.server.__exit__(*error)
+
+    def handle(self, request, reply):
+        if request.command == "status":
+            reply({"state": self.state, "reason": "as told"})
+            return
+        self.asked.append(request.model_dump(exclude_defaults=True))
+        if request.command == "reinit":
+            self.held.append(reply)
+        elif request.command == "record":
+            reply(refused("disk full"))
+        else:
+            self.state = {"pause": "paused", "resume": "tracking"}[request.command]
+            reply({"state": self.state})
+
+
+def until(what):
+    end = time.monotonic() + 20.0
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def world(tmp_path):
+    """A link to a daemon that is not there yet, and what it showed."""
+    shown = []
+    link = Link(tmp_path / "s", lambda v, note: shown.append((v, note)), every=0.05)
+    link.start()
+    until(lambda: shown)
+    yield tmp_path / "s", link, shown
+    link.close()
+
+
+def test_the_link_outlives_daemons(world):
+    path, _, shown = world
+    assert shown[-1][0].state == NO_DAEMON
+    assert "spheremouse run" in shown[-1][0].reason
+    for _ in range(2):
+        with Daemon(path) as daemon:
+            until(lambda: shown[-1][0] == View("tracking", "as told"))
+            daemon.state = "lost"
+            until(lambda: shown[-1][0].state == "lost")
+        until(lambda: shown[-1][0].state == NO_DAEMON)
+
+
+def test_what_is_clicked_is_asked_and_its_answer_shown(world):
+    path, link, shown = world
+    with Daemon(path) as daemon:
+        link.do("pause")
+        until(lambda: shown[-1][0].state == "paused")
+        until(lambda: shown[-1][1] == "paused")
+        link.do("resume")
+        until(lambda: shown[-1][0].state == "tracking")
+        link.do("record")
+        until(lambda: shown[-1][1] == "disk full")
+        link.do("end-record")
+        until(lambda: len(daemon.asked) == 4)
+        assert daemon.asked == [
+            {"command": "pause"},
+            {"command": "resume"},
+            {"command": "record", "seconds": 60.0},
+            {"command": "record", "stop": True},
+        ]
+
+
+def test_an_answer_that_is_long_in_coming_holds_up_nothing(world):
+    path, link, shown = world
+    with Daemon(path) as daemon:
+        for _ in range(5):  # five clicks while one is under way are one
+            link.do("reinit")
+        until(lambda: daemon.held)
+        assert any("estimating" in note for _, note in shown)
+        link.do("pause")
+        until(lambda: shown[-1][0].state == "paused")
+        assert daemon.asked == [{"command": "reinit"}, {"command": "pause"}]
+        daemon.held[0]({"text": "there"})
+        until(lambda: shown[-1][1] == "camera pose estimated anew")
+
+
+def test_without_a_daemon_a_click_says_so(world):
+    _, link, shown = world
+    link.do("pause")
+    until(lambda: shown and shown[-1][1].startswith("no daemon runs"))
+
+
+def test_a_page_that_is_none_is_not_opened(world, monkeypatch):
+    path, link, shown = world
+    opened = []
+    monkeypatch.setattr(tray_live.webbrowser, "open", opened.append)
+    with Daemon(path):
+        until(lambda: shown[-1][0].state == "tracking")
+        link.do("page")
+        link.do("pause")
+        until(lambda: shown[-1][0].state == "paused")
+    assert opened == []
+    link._view = View("tracking", page="http://127.0.0.1:8080/")
+    link._over.set()
+    link.do("page")
+    until(lambda: opened == ["http://127.0.0.1:8080/"])
+
+
+# ---- bare X11 ----
+
+
+@pytest.mark.parametrize(("width", "height"), [(24, 30), (30, 24), (16, 16)])
+def test_in_a_window_that_is_not_square_the_icon_keeps_its_shape(width, height):
+    side = min(width, height)
+    seen = np.asarray(tray_live._fitted(tray.icon("tracking"), width, height), dtype=int)
+    ground = seen[0, 0]
+    ys, xs = np.nonzero(np.abs(seen - ground).sum(axis=2) > 30)
+    assert seen.shape == (height, width, 3)
+    assert abs((xs.max() - xs.min()) - (ys.max() - ys.min())) <= 1
+    assert xs.max() - xs.min() + 1 >= 0.85 * side
+    assert abs(xs.max() + xs.min() + 1 - width) <= 1
+    assert abs(ys.max() + ys.min() + 1 - height) <= 1
+
+
+# ---- where it works ----
+
+
+def test_without_a_display_it_says_so_in_one_line():
+    env = {"PATH": "/usr/bin", "SPHEREMOUSE_SOCKET": "/nowhere"}
+    if importlib.util.find_spec("pystray") is None:
+        pytest.skip("the extra `tray` is not installed")
+    done = subprocess.run(
+        [sys.executable, "-m", "spheremouse", "tray"], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "no display" in done.stderr
+
+
+def test_without_pystray_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pystray", None)
+    monkeypatch.setattr(tray_live.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(TrayError, match=r"pip install 'spheremouse\[tray\]'"):
+        tray_live._library()
+
+
+@pytest.mark.parametrize(
+    ("backend", "desktop", "wayland", "words", "not_words"),
+    [
+        ("appindicator", "ubuntu:GNOME", True, "gnome-shell-extension-appindicator", "python3-gi"),
+        ("xorg", "GNOME", True, "python3-gi", "trayer"),
+        ("xorg", "sway", True, "python3-gi", "gnome-shell"),
+        ("appindicator", "sway", True, "trayer", "python3-gi"),
+        ("xorg", "", False, "trayer", "gnome-shell"),
+    ],
+)
+def test_without_a_tray_it_says_what_to_install(backend, desktop, wayland, words, not_words):
+    text = tray_live.advice(backend, desktop, wayland=wayland)
+    assert words in text
+    assert not_words not in text
+    assert "\n" not in text
+
+
+def test_the_autostart_entry_starts_this_command():
+    entry = Path(__file__).parents[1] / "service" / "desktop" / "spheremouse-tray.desktop"
+    lines = entry.read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "[Desktop Entry]"
+    assert "Exec=@EXECUTABLE@ tray" in lines
+    assert "Type=Application" in lines
+    assert "Terminal=false" in lines
