@@ -38,7 +38,7 @@ picture: demo
 	$(BIN)/python -c "import cv2; cv2.imwrite('docs/images/overlay.jpg', cv2.imread('demo/overlay.png'), [1, 88])"
 
 test: $(STAMP)
-	$(BIN)/python -m pytest $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check
