@@ -110,6 +110,7 @@ def _create(third: str) -> Any:
             "and log in again"
         )
     capabilities = {EV_KEY: [BTN_LEFT, BTN_RIGHT, BTN_MIDDLE], EV_REL: [REL_X, REL_Y, *_AXES[third]]}
+
     class Mouse(evdev.UInput):
         """Without a look at its own event node: a service may write to uinput and read no input device."""
 
