@@ -95,7 +95,7 @@ def run(
     by frame, as fast as it goes. What changes goes to standard error. Ctrl-C ends the run.
     """
     from spheremouse.daemon.cameras import is_camera
-    from spheremouse.daemon.plan import Request, read_plan, without_map
+    from spheremouse.daemon.plan import Request, check_kinds, read_plan, without_map
     from spheremouse.live import Board, Tally
     from spheremouse.overlay import OverlayFile
     from spheremouse.source import open_source
@@ -106,6 +106,7 @@ def run(
     to = output[0] if output else None
     request = Request(config, tuple(assignments or ()), source, to, rig, camera, map_file, no_map)
     plan = read_plan(request)
+    check_kinds(plan)
     shared = plan.output in ("text:-", "text:", "text") and sys.stdout.isatty()
     wanted = sys.stderr.isatty() and not shared if table is None else table
     tally = Tally()

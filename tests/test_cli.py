@@ -402,6 +402,13 @@ def test_simulate_replaces_nothing_unasked(spheremouse, roll):
     assert open_dataset(roll).frames == 60
 
 
+def test_a_slip_in_the_output_ends_a_live_run_too(spheremouse, roll):
+    code, out, err = spheremouse("run", "--source", f"dataset:{roll}", "--realtime", "--output", "nonsense")
+    assert (code, out) == (2, "")
+    assert err.startswith("spheremouse: unknown output 'nonsense'; ")
+    assert err.count("\n") == 1
+
+
 def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_request(spheremouse, monkeypatch):
     def broken(*_, **__):
         raise ZeroDivisionError("one\ntwo")

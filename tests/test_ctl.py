@@ -236,7 +236,10 @@ def test_an_event_is_a_line():
 def test_watching_streams_until_interrupted(path, daemon, as_json):
     """In a process of its own, for the signal; status and log arrive while it runs, not when it ends."""
     words = ["watch", "--interval", "0.1", *(["--json"] if as_json else [])]
-    code = f"from spheremouse.cli_ctl import app; app({[*words, '--socket', str(path)]!r})"
+    hearing = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a job in the background is deaf
+    )
+    code = f"{hearing}; from spheremouse.cli_ctl import app; app({[*words, '--socket', str(path)]!r})"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     lines = [process.stdout.readline() for _ in range(3)]

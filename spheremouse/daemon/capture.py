@@ -18,7 +18,9 @@ from spheremouse.source import Camera, Shot, Source
 PATIENCE = 2.0  # s without a frame after which a stream counts as frozen: exposures are shorter, so are focus hunts
 BACK_OFF = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
 _STEADY = 2.0  # s that a stream must last for the next failure to count as the first one
+_LATE = 0.2  # s that a recording may lag behind its own pace
 _WAIT = 0.25  # s
+_TELL = 1.0  # s between two looks at what the camera says of itself: what stamps are and lack, only frames show
 
 
 class EndOfSource(Exception):  # noqa: N818  an end, not an error
@@ -47,6 +49,7 @@ class Streamed:
         self._source, self._name = source, name
         self.live = source.live
         self._frames: Iterator[Frame] = iter(())
+        self._ahead: float | None = None  # s, clock less stamp of the first frame
 
     def next(self, timeout: float) -> Shot | None:
         """The next frame; EndOfSource where a recording ends, SourceError where a camera does."""
@@ -56,11 +59,20 @@ class Streamed:
             if self.live:
                 raise
             raise EndOfSource(e) from None
+        if frame is not None and not self.live and self._is_late(frame):
+            frame = next(self._frames, frame)  # every other one: a film is no reason to be slow for ever
         if frame is not None:
             return Fetched(frame)
         if self.live:
             raise SourceError(f"{self._name}: gives no more frames")
         raise EndOfSource
+
+    def _is_late(self, frame: Frame) -> bool:
+        """Does a recording that is played at its own pace lag behind it?"""
+        now = time.monotonic()
+        if self._ahead is None:
+            self._ahead = now - frame.stamp
+        return now - frame.stamp - self._ahead > _LATE
 
     def describe(self) -> str:
         """Its name and rate."""
@@ -132,7 +144,7 @@ class Capture(threading.Thread):
         with self._open() as camera:
             self._recorded = isinstance(camera, Streamed) and not camera.live
             self.description = camera.describe()
-            last, before = time.monotonic(), 0
+            last, before, told = time.monotonic(), 0, 0.0
             try:
                 while not (self._over or self._bell.is_set()):
                     shot = camera.next(_WAIT)
@@ -150,6 +162,8 @@ class Capture(threading.Thread):
                         self.dropped += max(0, shot.sequence - before - 1)
                     if self._failures and now - began > _STEADY:
                         self._failures = 0
+                    if now - told > _TELL:
+                        self.description, told = camera.describe(), now
                     last, before = now, shot.sequence
                     self._ring.put(Arrival(shot, now if self._recorded else min(shot.stamp, now)))
             finally:

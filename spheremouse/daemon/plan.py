@@ -8,12 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from spheremouse import config
+from spheremouse import output as outputs
+from spheremouse import source as sources
 from spheremouse.camera import InteriorOrientation
 from spheremouse.daemon.settings import Configuration
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.map_file import map_path
 from spheremouse.rig import Rig
 from spheremouse.rig_file import load_camera, load_rig, with_camera
+from spheremouse.spec import resolve
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,13 +24,14 @@ class Request:
     """What the command line says; None leaves it to the configuration file."""
 
     file: Path | None = None  # the configuration
-    assignments: tuple[str, ...] = ()  # KEY=VALUE, and those that `ctl set` added
+    assignments: tuple[str, ...] = ()  # KEY=VALUE
     source: str | None = None
     output: str | None = None
     rig: Path | None = None
     camera: Path | None = None
     map: Path | None = None
     no_map: bool = False
+    changes: tuple[str, ...] = ()  # KEY=VALUE by `ctl set`: until the next start or reload
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,8 @@ def read_plan(request: Request) -> Plan:
     c = Configuration() if request.file is None else config.load(request.file, Configuration)
     for assignment in request.assignments:
         c = config.override(c, assignment)
+    for change in request.changes:
+        c = config.override(c, change, label="")
     source, output = request.source or c.source, request.output or c.output
     if source is None:
         raise ConfigurationError(
@@ -80,6 +86,15 @@ def read_plan(request: Request) -> Plan:
     else:
         map_file = given_map or (None if rig_path is None else _usual_map(rig_path))
     return Plan(c, source, output, rig, rig_path, camera, camera_path, map_file)
+
+
+def check_kinds(plan: Plan, before: Plan | None = None) -> None:
+    """Refuse a source or output of no known kind, where it is another than `before`: a device that is missing may come,
+    a slip will not mend itself."""
+    if before is None or plan.source != before.source:
+        resolve(sources, plan.source, SourceError)
+    if before is None or plan.output != before.output:
+        resolve(outputs, plan.output, OutputError)
 
 
 def without_map(plan: Plan) -> Plan:

@@ -27,9 +27,10 @@ from spheremouse.daemon.control import ControlServer, Reply
 from spheremouse.daemon.metrics import serve as serve_metrics
 from spheremouse.daemon.notify import Notifier
 from spheremouse.daemon.places import socket_path
-from spheremouse.daemon.plan import Plan, read_plan
+from spheremouse.daemon.plan import Plan, check_kinds, read_plan
 from spheremouse.daemon.plan import Request as PlanRequest
 from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
+from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder, tidy
 from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Newest
@@ -57,6 +58,7 @@ _STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
 _USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
+_LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
 _AT_START = ("control", "metrics", "realtime")  # what is read at the start only
 
 Show = Callable[[Step], None]
@@ -105,6 +107,8 @@ class Daemon:
         self._ball: TrackState | None = None  # after the last frame
         self._snapshots: list[tuple[Path, Reply]] = []
         self._server: ControlServer | None = None
+        self._later: deque[Callable[[], None]] = deque()  # `set` and `reload` that wait for another to be done
+        self._listen_at = 0.0  # s, when the socket is tried for again
         self._notifier = Notifier()
         self._keeper = self._new_keeper(plan, self._rig)
         self._worker = Worker(self._rig, plan.configuration, self._known(), self.say)
@@ -252,12 +256,14 @@ class Daemon:
             if times.count
         }
         self._background = [t for t in self._background if t.is_alive()]
+        if self._server is None and now >= self._listen_at:
+            self._listen_again(now)
         useless = now - max(self._worker.good, self._cured)
         if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
             self._cured = now
             self._capture.again()
         if self._files != _stamps_of(self._request, self._plan) and self._loading is None:
-            self._load(self._request, lambda _: None, quiet=True)
+            self._load(replace(self._request, changes=()), lambda _: None, quiet=True)
         if self._recorder is not None and self._recorder.status().ended is not None:
             self._end_recording(lambda _: None)
 
@@ -267,12 +273,12 @@ class Daemon:
         """The control socket, metrics, and the news that we are there."""
         c = self._plan.configuration
         try:
-            path = socket_path(c.control.socket)
-            self._server = self._stack.enter_context(ControlServer(path, c.control, self.handle, self.say))
+            self._listen()
         except ControlError as e:
             if c.control.socket is not None:
                 raise
-            self.say(f"control: {e}: `spheremouse ctl` cannot ask this run")
+            self.say(f"control: {e}: `spheremouse ctl` cannot ask this run until that is over")
+            self._listen_at = time.monotonic() + _LISTEN_EVERY
         try:
             metrics = serve_metrics(c.metrics, self.status)
         except SpheremouseError as e:
@@ -287,8 +293,20 @@ class Daemon:
             self.say(f"record: {removed} half-written by a run that was cut off, removed")
         self._notifier.ready()
 
+    def _listen(self) -> None:
+        c = self._plan.configuration
+        path = socket_path(c.control.socket)
+        self._server = self._stack.enter_context(ControlServer(path, c.control, self.handle, self.say))
+
+    def _listen_again(self, now: float) -> None:
+        """Whoever had the socket at our start may be gone."""
+        self._listen_at = now + _LISTEN_EVERY
+        with contextlib.suppress(ControlError):
+            self._listen()
+            self.say("control: `spheremouse ctl` can ask this run now")
+
     def _get_ready(self) -> None:
-        self._starting = "compiling for this machine, once after an installation"
+        self._starting = "the program is made ready; after an installation it compiles for a minute or more"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
         make_ready(self._plan.configuration)
@@ -330,7 +348,7 @@ class Daemon:
             return
 
         def reload(_number: int, _frame: Any) -> None:
-            self._ask(lambda: self._load(self._request, lambda _: None))
+            self._ask(lambda: self._load(replace(self._request, changes=()), lambda _: None))
 
         before = signal.signal(signal.SIGHUP, reload)
         try:
@@ -362,6 +380,9 @@ class Daemon:
         self._ring.wake()
 
     def _do(self, request: Request, reply: Reply) -> None:
+        if self._loading is not None and request.command in ("set", "reload"):
+            self._later.append(lambda: self._do(request, reply))
+            return
         try:
             self._answer(request, reply)
         except (SpheremouseError, OSError) as e:
@@ -372,14 +393,19 @@ class Daemon:
 
     def _answer(self, request: Request, reply: Reply) -> None:
         if isinstance(request, Set):
-            wanted = replace(self._request, assignments=_latest((*self._request.assignments, *request.assignments)))
-            self._load(wanted, reply)
+            sections = {a.partition("=")[0].partition(".")[0].strip() for a in request.assignments}
+            if not sections.isdisjoint(_AT_START):
+                raise ControlError(
+                    f"{', '.join(sorted(sections & set(_AT_START)))}: read at the start only; write it into the "
+                    "configuration file and start again"
+                )
+            self._load(replace(self._request, changes=_latest((*self._request.changes, *request.assignments))), reply)
         elif isinstance(request, Record):
             self._record(request, reply)
         elif isinstance(request, Snapshot):
             self._want_snapshot(request, reply)
         elif request.command == "reload":
-            self._load(self._request, reply)
+            self._load(replace(self._request, changes=()), reply)
         elif request.command == "reinit":
             if self._state is State.NO_CAMERA:
                 raise ControlError(f"no frame to find the targets in: {self._reason}")
@@ -415,6 +441,7 @@ class Daemon:
             files = _stamps_of(wanted, before)
             try:
                 plan = read_plan(wanted)
+                check_kinds(plan, before)
                 if _stages_of(plan) != _stages_of(before):
                     make_ready(plan.configuration)  # no frame is to wait for a compiler
             except SpheremouseError as e:
@@ -429,14 +456,21 @@ class Daemon:
         self._loading = threading.Thread(target=read, name="reload", daemon=True)
         self._loading.start()
 
+    def _go_on_loading(self) -> None:
+        """What was asked while the configuration was being read."""
+        if self._later:
+            self._ask(self._later.popleft())
+
     def _not_applied(self, error: str, files: dict[Path, int], reply: Reply) -> None:
         self._loading, self._files = None, files
+        self._go_on_loading()
         self.say(f"configuration not applied: {error}")
         reply(refused(error))
 
     def _apply(self, wanted: PlanRequest, plan: Plan, files: dict[Path, int], reply: Reply, quiet: bool) -> None:
         """Another plan from here on; what cannot be changed under way is said."""
         before, self._loading = self._plan, None
+        self._go_on_loading()
         if plan.rig is None and before.rig is None:
             plan = replace(plan, map_path=before.map_path)
         changed = _differences(before, plan)
@@ -558,20 +592,22 @@ class Daemon:
             except (SpheremouseError, OSError) as e:
                 reply(refused(str(e)))
             else:
-                self._ask(lambda: self._recording_begun(recorder, settings.seconds, reply))
+                self._ask(lambda: self._recording_begun(recorder, settings, reply))
 
         self._in_background(begin)
 
-    def _recording_begun(self, recorder: Recorder, seconds: float, reply: Reply) -> None:
+    def _recording_begun(self, recorder: Recorder, settings: RecordSettings, reply: Reply) -> None:
         if self._recorder is not None:  # two asked at once
             recorder.stop()
             reply(refused(f"recording into {self._recorder.status().folder} already"))
             return
         self._recorder = recorder
         self._worker.colour = True  # one frame: what tracks the recording needs the targets' colours
-        folder = recorder.status().folder
-        self.say(f"record: {folder}: begun, {seconds:g} s at most")
-        reply({"folder": str(folder), "seconds": seconds})
+        folder, seconds = recorder.status().folder, settings.seconds
+        kept = "whole pictures" if settings.everything else "the ball and the targets"
+        words = f"recording {kept}, {seconds:g} s at most"
+        self.say(f"record: {folder}: {words}")
+        reply({"folder": str(folder), "seconds": seconds, "message": f"{folder}: {words}"})
 
     def _end_recording(self, reply: Reply) -> None:
         recorder, self._recorder = self._recorder, None

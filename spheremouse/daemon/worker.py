@@ -189,7 +189,7 @@ class Worker:
             if len(self._views) < self.settings.pose.frames:
                 return
             found = resect(gather(self._views, self.settings.pose), self.rig, self._first.image)
-            self._stands(found.pose, f"camera pose: {describe(found, self.rig)}")
+            self._stands(found.pose, f"camera pose: {_in_a_line(found, self.rig)}")
         except PoseError as e:
             self.targets = str(e)
         self._views, self._first = [], None
@@ -236,7 +236,7 @@ class Worker:
         except Exception:
             anew.give_up("internal error; the ball is looked for anew")
             raise
-        anew.answer(None, f"camera pose: {describe(found, self.rig)}")
+        anew.answer(None, f"camera pose: {_in_a_line(found, self.rig)}")
         return replace(new, event=new.event.removeprefix("the camera was moved: ")), motion
 
     def _remember(self, before: TrackState, state: TrackState) -> None:
@@ -259,6 +259,11 @@ class Worker:
         self._views, self._first = [], None
         self._faults.append(now)
         return len(self._faults) == _FAULTS and now - self._faults[0] < _FAULTS_WITHIN
+
+
+def _in_a_line(found: Resection, rig: Rig) -> str:
+    """What a log has room for: the targets and how well they fit."""
+    return describe(found, rig).splitlines()[0]
 
 
 class _Reinitialisation:
