@@ -58,6 +58,7 @@ CORE: list[str] = [
     "constellation_kernel",
     "constellation",
     "associate",
+    "wand",
     "filters",
     "motion",
     "pointer",

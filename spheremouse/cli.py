@@ -14,6 +14,7 @@ from spheremouse import (
     cli_config,
     cli_ctl,
     cli_doctor,
+    cli_experiments,
     cli_firmware,
     cli_layout,
     cli_map,
@@ -21,6 +22,7 @@ from spheremouse import (
     cli_service,
     cli_simulate,
     cli_tray,
+    cli_wand,
     demo,
 )
 from spheremouse.calibrate import cli as cli_calibrate
@@ -47,6 +49,8 @@ app.command(epilog=cli_doctor.EXAMPLE)(cli_doctor.doctor)
 app.add_typer(cli_ctl.app, name="ctl", epilog=cli_ctl.EPILOG)
 app.command(epilog=cli_tray.EXAMPLE)(cli_tray.tray)
 app.add_typer(cli_service.app, name="service", epilog="Example: sudo spheremouse service install")
+app.add_typer(cli_wand.app, name="wand", epilog="Example: spheremouse wand simulate demo/drive --seed 1")
+app.add_typer(cli_experiments.app, name="experiments", epilog="Example: spheremouse experiments wand --quick --out out")
 app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")
 app.add_typer(cli_calibrate.app, name="calibrate", epilog="Begin with: spheremouse calibrate next")
 app.add_typer(cli_firmware.app, name="firmware", epilog="Example: spheremouse firmware check")

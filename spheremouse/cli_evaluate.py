@@ -12,6 +12,7 @@ from rich.table import Table
 
 from spheremouse import config
 from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.cli_evaluate_wand import WandEvaluation, evaluate_wands, wand_table
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
@@ -24,6 +25,7 @@ from spheremouse.rig_file import load_camera, load_rig, with_camera
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
 from spheremouse.track import Settings, build
+from spheremouse.wand_recording import is_wand
 from spheremouse.yaml_file import write_json
 
 _SEED = 0  # of the noise added: the same frame gets the same noise in every run
@@ -31,7 +33,9 @@ _SEED = 0  # of the noise added: the same frame gets the same noise in every run
 
 def evaluate(
     datasets: Annotated[list[Path], typer.Argument(metavar="DATASET...", show_default=False, help="Folders.")],
-    tracker: Annotated[str | None, typer.Option(metavar="so3|ekf1|ekf2", help="Filter.")] = None,
+    tracker: Annotated[
+        str | None, typer.Option(metavar="so3|ekf1|ekf2|wand", help="Filter; recordings of a wand take wand.")
+    ] = None,
     detector: Annotated[str | None, typer.Option(metavar="default|blobs", help="Disc detector.")] = None,
     pose: Annotated[
         str, typer.Option(metavar="own|known", help="Camera pose: found from the images, or the true one.")
@@ -51,10 +55,20 @@ def evaluate(
     ] = None,
     noise: Annotated[float, typer.Option(metavar="S", help="Add normal noise, grey values.")] = 0.0,
     brightness: Annotated[float, typer.Option(metavar="L", help="Add a constant, grey values.")] = 0.0,
+    wand_file: Annotated[
+        Path | None, typer.Option("--wand", metavar="FILE", help="Wand: the ball, in place of the dataset's.")
+    ] = None,
+    runs: Annotated[int, typer.Option("--runs", metavar="N", help="Wand: runs with seeds 1 to N.")] = 1,
 ) -> None:
     """Track recordings and compare with their truth."""
     printed_json = json_file == Path("-")
     out, err = _console(stderr=printed_json), _console(stderr=True)
+    if tracker == "wand" or (tracker is None and all(is_wand(path) for path in datasets)):
+        others = {"--detector": detector, "--rig": rig_file, "--map": map_file, "--plot": plot_file}
+        others |= {"--noise": noise or None, "--brightness": brightness or None}
+        asked = WandEvaluation(datasets, assignments or [], config_file, wand_file, camera_file, pose == "known", runs)
+        _evaluate_wands(asked, pose, others, json_file, out, err)
+        return
     try:
         settings = _settings(config_file, assignments, tracker, detector)
         _check(pose, noise, datasets, json_file, plot_file)
@@ -103,6 +117,26 @@ def evaluate(
     try:
         if json_file is not None and results:
             write_json(json_file, results[0] if len(datasets) == 1 else results)
+    except SpheremouseError as e:
+        _fail(str(e))
+    if failed:
+        raise typer.Exit(2)
+
+
+def _evaluate_wands(
+    asked: WandEvaluation, pose: str, others: dict[str, Any], json_file: Path | None, out: Console, err: Console
+) -> None:
+    """The same of hand-held balls; `others` are options that do not go with them, where given."""
+    try:
+        _check(pose, 0.0, asked.datasets, json_file, None)
+        for name, value in others.items():
+            if value is not None:
+                raise ConfigurationError(f"{name}: does not go with --tracker wand; leave it out")
+        results, failed = evaluate_wands(asked, err)
+        if results:
+            out.print(wand_table(results))
+            if json_file is not None:
+                write_json(json_file, results[0] if len(asked.datasets) == 1 else results)
     except SpheremouseError as e:
         _fail(str(e))
     if failed:

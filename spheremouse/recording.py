@@ -161,7 +161,7 @@ def _read_scene(path: Path) -> _Scene:
     except json.JSONDecodeError as e:
         raise DatasetError(f"{path}, line {e.lineno}: not valid JSON ({e.msg})") from None
     if isinstance(content, dict) and "wand" in content and "ball" not in content:
-        raise DatasetError(f"{path}: this is a recording of a wand, which this tracker does not support yet")
+        raise DatasetError(f"{path}: this is a recording of a wand; use --tracker wand")
     try:
         # Through JSON once more, so that lists count as tuples while "640" still does not count as a number.
         scene = _Scene.model_validate_json(json.dumps(content))

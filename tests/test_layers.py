@@ -23,6 +23,7 @@ CORE = (
     "constellation_kernel",
     "constellation",
     "associate",
+    "wand",
     "filters",
     "motion",
     "pointer",

@@ -269,7 +269,7 @@ def test_a_wand_recording_is_told_apart(folder):
     spoil_scene(folder, "wand", {"radius": 0.05})
     with pytest.raises(DatasetError) as e:
         open_dataset(folder)
-    assert one_line(e, "wand", "not support")
+    assert one_line(e, "wand", "--tracker wand")
 
 
 def lines(file):

@@ -1,0 +1,162 @@
+"""`spheremouse evaluate --tracker wand`: run the particle filter on recordings of wands, compare with their truth.
+
+The command line is that of `cli_evaluate`, which hands over here.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from spheremouse import config
+from spheremouse.camera import InteriorOrientation
+from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
+from spheremouse.evaluate.wand import WandRun, wand_report
+from spheremouse.progress import progress_bar
+from spheremouse.rig_file import load_camera
+from spheremouse.wand.ball import WandBall
+from spheremouse.wand.colour import ColourSettings
+from spheremouse.wand.track import WandSettings, build
+from spheremouse.wand_file import load_wand
+from spheremouse.wand_recording import WandRecording, open_wand, read_wand_frames
+from spheremouse.wand_session import Known, WandHistory, track_wand
+
+
+@dataclass(frozen=True, slots=True)
+class WandEvaluation:
+    """What is asked for."""
+
+    datasets: list[Path]
+    assignments: list[str]
+    config_file: Path | None = None
+    wand_file: Path | None = None
+    camera_file: Path | None = None
+    known_pose: bool = False
+    runs: int = 1
+
+
+def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, Any]], bool]:
+    """Reports of the datasets, and whether one of them failed, which `say` tells."""
+    if asked.runs < 1:
+        raise ConfigurationError(f"--runs: must be 1 or more, is {asked.runs}")
+    settings = WandSettings() if asked.config_file is None else config.load(asked.config_file, WandSettings)
+    for assignment in asked.assignments:
+        settings = config.override(settings, assignment)
+    camera = None if asked.camera_file is None else load_camera(asked.camera_file)
+    wand = None if asked.wand_file is None else load_wand(asked.wand_file)
+    recordings = [open_wand(path) for path in asked.datasets]
+    for recording in recordings:
+        if asked.known_pose and recording.truth is None:
+            raise DatasetError(f"{recording.path}: no truth.csv, whose first pose --pose known takes")
+    results: list[dict[str, Any]] = []
+    failed = False
+    for recording in recordings:
+        try:
+            balls = recording.balls if wand is None else (wand.ball,)
+            colours = None if wand is None else wand.colours
+            runs = [
+                _run(recording, balls, settings, colours, camera, seed, asked.known_pose, say)
+                for seed in range(1, asked.runs + 1)
+            ]
+        except SpheremouseError as e:
+            say.print(_about(recording, str(e)), markup=False, highlight=False)
+            failed = True
+            continue
+        report = wand_report(
+            [run[0] for run in runs],
+            recording.truth,
+            dataset=recording.name,
+            frames=recording.frames,
+            radius=balls[0].radius,
+        )
+        for k in range(1, len(balls)):
+            truth = recording.truths[k] if k < len(recording.truths) else None
+            of_ball = [run[k] for run in runs]
+            name = f"{recording.name}, ball {k + 1}"
+            report.setdefault("more_balls", []).append(
+                wand_report(of_ball, truth, dataset=name, frames=recording.frames, radius=balls[k].radius)
+            )
+        results.append(report)
+    return results, failed
+
+
+def _run(
+    recording: WandRecording,
+    balls: tuple[WandBall, ...],
+    settings: WandSettings,
+    colours: dict[str, ColourSettings] | None,
+    camera: InteriorOrientation | None,
+    seed: int,
+    known_pose: bool,
+    say: Console,
+) -> list[WandRun]:
+    """One run over a recording: of each ball."""
+    tracker = build(recording.camera if camera is None else camera, balls, settings, colours)
+    known: Known | None = None
+    if known_pose:
+        truths = recording.truths[: len(balls)]
+        known = {k: (truth.position[0], truth.rotation[0]) for k, truth in enumerate(truths)}
+    history = WandHistory()
+    with progress_bar() as progress:
+        task = progress.add_task(f"{recording.name}, seed {seed}", total=recording.frames)
+        for epoch in track_wand(read_wand_frames(recording), tracker, seed, known):
+            history.add(epoch)
+            progress.update(task, completed=len(history.stamps))
+    if seed == 1:
+        for frame, event in history.events()[:10]:
+            say.print(_about(recording, f"frame {frame}: {event}"), markup=False, highlight=False)
+    return [history.run(k) for k in range(len(balls))]
+
+
+def _about(recording: WandRecording, message: str) -> str:
+    return message if str(recording.path) in message else f"{recording.path}: {message}"
+
+
+# ---- for a reader ----
+
+
+def wand_table(results: list[dict[str, Any]]) -> Table:
+    """The reports side by side."""
+    every = [r for result in results for r in (result, *result.get("more_balls", []))]
+    table = Table(title="wand", caption="x right, y down, z away from the camera", title_justify="left")
+    table.add_column("")
+    for result in every:
+        table.add_column(result["dataset"], justify="right")
+    rows = (
+        ("frames tracked / all", lambda r: f"{r['tracked']:g} / {r['frames']}"),
+        ("runs that lost the ball / all", lambda r: f"{shown(r['lost_runs'], 'd')} / {r['runs']}"),
+        ("right from frame, in all runs", lambda r: shown(r["found_from_frame"], "d")),
+        ("position RMSE x y z, mm", lambda r: axes(r["position_rmse_mm"])),
+        ("  95th percentile, mm", lambda r: axes(r["position_p95_mm"])),
+        ("  largest, mm", lambda r: axes(r["position_max_mm"])),
+        (
+            "rotation RMSE, 95th percentile, largest, °",
+            lambda r: "  ".join(shown(r[f"rotation_{k}_deg"]) for k in ("rmse", "p95", "max")),
+        ),
+        (
+            "ANEES of position, rotation, pose (1 is right)",
+            lambda r: "  ".join(shown(r["anees"][k]) for k in ("position", "rotation", "pose")),
+        ),
+        ("poses within their 95 % region, %", lambda r: shown(r["within_95"] and 100.0 * r["within_95"])),
+        ("frames per second", lambda r: shown(r["fps"], ".0f")),
+        (
+            "time per frame: median, p99, max, µs",
+            lambda r: "  ".join(shown(r["frame_us"][k], ".0f") for k in ("median", "p99", "max")),
+        ),
+    )
+    for label, value in rows:
+        table.add_row(label, *(value(result) for result in every))
+    return table
+
+
+def shown(value: float | None, form: str = ".3g") -> str:
+    """A number, or a dash."""
+    return "–" if value is None else format(value, form)
+
+
+def axes(part: dict[str, float | None], form: str = ".3g", scale: float = 1.0) -> str:
+    """x, y and z, or a dash."""
+    values = [part[a] for a in "xyz"]
+    return "  ".join("–" if v is None else format(scale * v, form) for v in values)

@@ -1,0 +1,232 @@
+"""`spheremouse wand`: films of a hand-held ball with exact truth, and the bounds that select its colours."""
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from spheremouse.camera_options import parse_distortion, parse_size
+from spheremouse.errors import ConfigurationError
+from spheremouse.progress import progress_bar
+from spheremouse.simulate.wand import Light, Motion, WandOptions, prepare_wand
+from spheremouse.wand_file import WandFile, load_wand, save_wand
+
+app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
+
+_DEFAULT = WandOptions()
+
+
+@app.command(epilog="Example: spheremouse wand simulate demo/drive --seed 1")
+def simulate(
+    folder: Annotated[Path, typer.Argument(metavar="OUT_DIR", help="Folder of the dataset; made, or empty.")],
+    motion: Annotated[
+        Motion, typer.Option("--motion", "--path", help="drive: on a robot, as in Grzonka 2005; hand: on a stick.")
+    ] = _DEFAULT.motion,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of path, room, paints and noise.")] = _DEFAULT.seed,
+    fps: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Frames per second.  [default: 0.8 of a drive, 15 of a hand]")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", help="Length in s.  [default: the whole drive, 20 s of a hand]")
+    ] = None,
+    begin: Annotated[float, typer.Option(metavar="S", help="Time of the motion at which the film begins.")] = 0.0,
+    speed: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M/S", help="Largest speed; a drive turns in proportion.  [default: 0.035, 0.4 of a hand]"
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(metavar="DEG/S", help="Largest turning rate of a hand.  [default: 180]")
+    ] = None,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Size of the images in px.")] = "1280x960",
+    focal: Annotated[
+        float | None,
+        typer.Option(metavar="PX", help="Focal length.  [default: 2100 of a drive, 1000 of a hand, at 1280 columns]"),
+    ] = None,
+    dist: Annotated[
+        str, typer.Option(metavar="k1,k2,p1,p2,k3", help="Lens distortion in OpenCV's order.")
+    ] = "0,0,0,0,0",
+    distance: Annotated[float, typer.Option(metavar="M", help="From the camera to a hand.")] = _DEFAULT.distance,
+    wand: Annotated[
+        Path | None, typer.Option("--wand", metavar="FILE", help="Another ball than Grzonka's: a wand file.")
+    ] = None,
+    balls: Annotated[int, typer.Option(metavar="N", help="Balls in view, 1 to 3.")] = _DEFAULT.balls,
+    light: Annotated[Light, typer.Option(help="outdoor: sun, with glare on the ball.")] = _DEFAULT.light,
+    noise: Annotated[
+        float, typer.Option(metavar="LEVELS", help="Standard deviation of the image noise in grey values.")
+    ] = _DEFAULT.noise,
+    blur: Annotated[float, typer.Option(metavar="S", help="Exposure time in s: motion blur.")] = _DEFAULT.blur,
+    hand: Annotated[
+        float | None, typer.Option(metavar="S", help="Time at which a hand passes beside the ball.")
+    ] = None,
+    card: Annotated[
+        float | None, typer.Option(metavar="S", help="Time at which a card in the ball's colours passes before it.")
+    ] = None,
+    clutter: Annotated[bool, typer.Option(help="A red mug and a blue book.")] = _DEFAULT.clutter,
+    vary: Annotated[
+        float, typer.Option(metavar="F", help="Share by which paints differ from seed to seed.")
+    ] = _DEFAULT.vary,
+    force: Annotated[bool, typer.Option("--force", help="Replace a dataset that is there.")] = False,
+) -> None:
+    """Film a simulated wand: a dataset with exact truth.
+
+    Ray-cast and anti-aliased: discs as true spherical caps, shading, highlights, robot or hand, a room that changes
+    with the seed. Nothing is written unless all of it is.
+    """
+    from spheremouse.wand_recording import write_wand
+
+    options = WandOptions(
+        motion=motion,
+        seed=seed,
+        fps=fps,
+        seconds=seconds,
+        begin=begin,
+        speed=speed,
+        rate=rate,
+        size=parse_size(size, 64, "1280x960"),
+        focal=focal,
+        dist=parse_distortion(dist, "-0.1,0,0,0,0"),
+        distance=distance,
+        balls=balls,
+        light=light,
+        noise=noise,
+        blur=blur,
+        hand=hand,
+        card=card,
+        clutter=clutter,
+        vary=vary,
+    )
+    ball = None if wand is None else load_wand(wand).ball
+    film = prepare_wand(options, ball)
+    with progress_bar() as bar:
+        task = bar.add_task(f"filming {folder}", total=film.frames)
+        for done in write_wand(folder, film, replace=force):
+            bar.update(task, completed=done)
+    megabytes = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file()) / 1e6
+    camera = film.scene.camera
+    print(
+        f"{folder}: {film.frames} frame{'' if film.frames == 1 else 's'} of {camera.width}x{camera.height} at "
+        f"{film.fps:g} Hz, motion {motion}, ball {film.scene.balls[0].ball.name}; {megabytes:.1f} MB"
+    )
+    print(f"next: spheremouse evaluate {folder} --tracker wand")
+
+
+@app.command(epilog="Example: spheremouse wand colours photo.png --out wand.yaml")
+def colours(
+    picture: Annotated[
+        Path, typer.Argument(metavar="PICTURE", show_default=False, help="With the ball in it; or a wand's dataset.")
+    ],
+    wand: Annotated[
+        Path | None, typer.Option("--wand", metavar="FILE", help="The ball's wand file.  [default: Grzonka's ball]")
+    ] = None,
+    at: Annotated[
+        str | None,
+        typer.Option(metavar="U,V,RADIUS", help="Where the ball is, px.  [default: it is looked for]"),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Show what the bounds of --wand select; pick no others.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the ball with its bounds.  [default: print them]")
+    ] = None,
+    show: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="What they select.  [default: beside the picture]")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+) -> None:
+    """Pick the bounds that select a ball's colours, and show what they select.
+
+    Hold the ball so that discs of every colour face the camera, in the light it will be used in.
+    """
+    from spheremouse.wand.ball import grzonka_ball
+    from spheremouse.wand.colour import DEFAULT_COLOURS
+    from spheremouse.wand_colours import Circle, find, judged, overlay, pick
+
+    ball = grzonka_ball()
+    given = WandFile(ball, {c: DEFAULT_COLOURS[c] for c in ball.colours}) if wand is None else load_wand(wand)
+    if show is None:
+        name = picture.name if picture.is_dir() else picture.stem
+        show = picture.resolve().parent / f"{name}.colours.png"
+    if show.suffix.lower() != ".png":
+        raise ConfigurationError(f"--show {show}: must end in .png")
+    _refuse([out, show], [picture, wand], force)
+    image = _image(picture)
+    circle = None if at is None else Circle(*_circle(at))
+    if check:
+        picked = judged(image, given.colours, find(image, given.ball) if circle is None else circle)
+    else:
+        picked = pick(image, given.ball, circle)
+    _write_png(show, overlay(image, picked))
+    c = picked.circle
+    print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (not so? say it with --at U,V,RADIUS)")
+    for name, colour in picked.colours.items():
+        bounds = ", ".join(f"{f.name} {getattr(colour, f.name):g}" for f in fields(colour) if _tells(colour, f.name))
+        print(f"{name}: {bounds}")
+        print(
+            f"  selects {100 * picked.inside[name]:.1f} % of the ball, {100 * picked.outside[name]:.2f} % of the rest"
+        )
+        if picked.outside[name] > 0.02 and name not in ("dark", "light"):
+            print(f"  much beside the ball is {name}: clear it away, or use another background")
+    print(f"{show}: what they select")
+    if out is not None:
+        save_wand(out, given.ball, picked.colours, {"colours_from": picture.name})
+        print(f"{out}: the ball with these bounds")
+    elif not check:
+        print("next: look at the picture, then write the bounds with --out wand.yaml")
+
+
+def _tells(colour: object, name: str) -> bool:
+    """Does a bound differ from that which bounds nothing?"""
+    return getattr(colour, name) != getattr(type(colour)(), name)
+
+
+def _image(path: Path) -> NDArray[np.uint8]:
+    """A picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
+    from spheremouse.wand_recording import open_wand, read_wand_frames
+
+    if path.is_dir():
+        return next(read_wand_frames(open_wand(path))).image
+    if not path.exists():
+        raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ConfigurationError(f"{path}: not a picture that can be read; give a PNG or JPEG file")
+    if min(image.shape[:2]) < 32:
+        raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _circle(text: str) -> tuple[float, float, float]:
+    try:
+        u, v, radius = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ConfigurationError(f"--at {text}: write the centre and the radius in px, as in 640,480,25") from None
+    return u, v, radius
+
+
+def _refuse(outputs: list[Path | None], inputs: list[Path | None], force: bool) -> None:
+    """What is there is replaced only by --force, and never what is read."""
+    read = {p.resolve() for p in inputs if p is not None}
+    for path in (p for p in outputs if p is not None):
+        if not path.parent.is_dir():
+            raise ConfigurationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+        if path.resolve() in read:
+            raise ConfigurationError(f"{path}: is read by this very command; name another file to write")
+        if path.exists() and not force:
+            raise ConfigurationError(f"{path}: there already; name another file, or replace it with --force")
+
+
+def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
+    """Whole or not at all."""
+    made = path.with_name(f".{path.name}.new")
+    try:
+        made.write_bytes(cv2.imencode(".png", image)[1].tobytes())
+        made.replace(path)
+    except OSError as e:
+        made.unlink(missing_ok=True)
+        raise ConfigurationError(f"{path}: cannot be written ({e.strerror})") from None

@@ -1,0 +1,184 @@
+"""The metrics of `evaluate --tracker wand`: runs of the particle filter and the truth of a recording in, numbers out.
+
+Errors are those of the poses the tracker gave, in the camera's axes: of the centre, and the angle of the rotation
+R_est R_true^T. What a run or a recording does not have is None. Compared with Grzonka 2005, chapter 4.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from spheremouse.evaluate.metrics import mean_nees
+from spheremouse.rotation import Array, log
+from spheremouse.simulate.wand import WandTruth
+
+# Beside the ball, or another side of it taken for this one (the pattern repeats after 90 degrees, but for its colours)
+OFF_ANGLE = np.radians(45.0)
+RECOVERED = 1.0  # s: a distractor is to be recovered from within a second
+_GRACE = 2  # frames, where a second is less than that
+
+
+@dataclass(frozen=True, slots=True)
+class WandRun:
+    """What a tracker said, one entry per frame it was given; what it did not find is nan."""
+
+    stamp: Array  # (n,) s
+    position: Array  # (n, 3) m, centre in cam
+    rotation: Array  # (n, 3, 3) R_cam_ball
+    covariance: Array  # (n, 6, 6) of the centre (m) and the rotation (rad, exp(e) @ R), in cam
+    seconds: Array  # (n,) s that each frame took, measured by the caller
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """(n,) the tracker gave a pose."""
+        return np.asarray(np.isfinite(self.position).all(axis=1))
+
+
+def position_error(run: WandRun, truth: WandTruth) -> Array:
+    """(n, 3) m, estimate less truth in cam; nan where there is no estimate."""
+    return run.position - truth.position[: len(run.stamp)]
+
+
+def rotation_error(run: WandRun, truth: WandTruth) -> Array:
+    """Rotation vectors, (n, 3) rad in cam, of R_est R_true^T; nan where there is no estimate."""
+    error = np.full((len(run.stamp), 3), np.nan)
+    k = np.flatnonzero(run.found)
+    error[k] = log(run.rotation[k] @ truth.rotation[k].transpose(0, 2, 1))
+    return error
+
+
+def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:
+    """(n,) no pose, or one beside the ball by more than its radius (m) across the line of sight, or wrongly turned."""
+    error = np.nan_to_num(position_error(run, truth), nan=np.inf)
+    sight = truth.position[: len(run.stamp)]
+    sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    finite = np.isfinite(error).all(axis=1)
+    across = np.full(len(error), np.inf)
+    e, s = error[finite], sight[finite]
+    across[finite] = np.linalg.norm(e - np.sum(e * s, axis=1, keepdims=True) * s, axis=1)
+    turned = np.linalg.norm(np.nan_to_num(rotation_error(run, truth), nan=np.inf), axis=1)
+    return (across > radius) | (turned > OFF_ANGLE)
+
+
+def is_lost(run: WandRun, truth: WandTruth, radius: float) -> bool:
+    """Did the run lose the ball: never had it, was off for longer than a second (and two frames), or off at the end?"""
+    wrong = off(run, truth, radius)
+    if wrong.all() or (len(wrong) and wrong[-1]):
+        return True
+    begin = int(np.argmin(wrong))  # it was found here
+    start: int | None = None
+    for k in range(begin, len(wrong)):
+        if not wrong[k]:
+            start = None
+            continue
+        start = k if start is None else start
+        if k - start + 1 > _GRACE and run.stamp[k] - run.stamp[start - 1] > RECOVERED:
+            return True
+    return False
+
+
+def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:
+    """The first frame whose pose is right; None if there is none."""
+    right = np.flatnonzero(~off(run, truth, radius))
+    return int(right[0]) if len(right) else None
+
+
+def wand_report(
+    runs: Sequence[WandRun], truth: WandTruth | None, *, dataset: str, frames: int, radius: float
+) -> dict[str, Any]:
+    """All metrics of one or several runs over a recording (other seeds), as `evaluate --json` writes them.
+
+    Errors are over the frames in which the tracker gave a pose, of all runs; 95th percentiles of absolute values.
+    `fps` is frames per second of the tracker's own time, which hides neither the first frame nor a search.
+    """
+    tracked = [int(run.found.sum()) for run in runs]
+    report: dict[str, Any] = {
+        "dataset": dataset,
+        "tracker": "wand",
+        "frames": frames,
+        "runs": len(runs),
+        "tracked": _number(np.mean(tracked)),
+        "lost_runs": None,
+        "found_from_frame": None,
+        **errors([], []),
+        "fps": _fps(runs),
+        "frame_us": _times(runs),
+    }
+    if truth is None:
+        return report
+    report["lost_runs"] = sum(is_lost(run, truth, radius) for run in runs)
+    firsts = [first for run in runs if (first := found_from(run, truth, radius)) is not None]
+    report["found_from_frame"] = max(firsts) if len(firsts) == len(runs) and firsts else None
+    return {**report, **errors(runs, [truth] * len(runs))}
+
+
+def errors(runs: Sequence[WandRun], truths: Sequence[WandTruth]) -> dict[str, Any]:
+    """Errors of runs, each with its own truth, taken together; and whether covariances say how large they are.
+
+    `anees`: mean of e^T P^-1 e per degree of freedom: 1 where the filter knows what it knows, above 1 where it
+    believes too much; few frames that are far off rule it. `within_95`: share of the frames whose e^T P^-1 e is below
+    the 95 % quantile of chi² with 6 degrees of freedom, 0.95 where all is well.
+    """
+    position, turned, covariance = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 6, 6))]
+    for run, truth in zip(runs, truths, strict=True):
+        k = run.found
+        position.append(position_error(run, truth)[k])
+        turned.append(rotation_error(run, truth)[k])
+        covariance.append(run.covariance[k])
+    p, r, P = np.concatenate(position), np.concatenate(turned), np.concatenate(covariance)
+    angle = np.linalg.norm(r, axis=1)
+    return {
+        "position_rmse_mm": _axes(1e3 * p, lambda e: np.sqrt(np.mean(e**2))),
+        "position_p95_mm": _axes(1e3 * p, lambda e: np.quantile(np.abs(e), 0.95)),
+        "position_max_mm": _axes(1e3 * p, lambda e: np.max(np.abs(e))),
+        "rotation_rmse_deg": _number(np.degrees(np.sqrt(np.mean(angle**2)))) if len(angle) else None,
+        "rotation_p95_deg": _number(np.degrees(np.quantile(angle, 0.95))) if len(angle) else None,
+        "rotation_max_deg": _number(np.degrees(np.max(angle))) if len(angle) else None,
+        "anees": {
+            "position": _per_freedom(p, P[:, :3, :3]),
+            "rotation": _per_freedom(r, P[:, 3:, 3:]),
+            "pose": _per_freedom(np.hstack([p, r]), P),
+        },
+        "within_95": _within(np.hstack([p, r]), P),
+    }
+
+
+def _axes(error: Array, of: Any) -> dict[str, float | None]:
+    return {axis: _number(of(error[:, k])) if len(error) else None for k, axis in enumerate("xyz")}
+
+
+def _per_freedom(error: Array, covariance: Array) -> float | None:
+    nees = mean_nees(error, covariance)
+    return None if nees is None else nees / error.shape[1]
+
+
+def _within(error: Array, covariance: Array) -> float | None:
+    if len(error) == 0:
+        return None
+    inverse = np.linalg.pinv(covariance, hermitian=True)
+    nees = np.einsum("ni,nij,nj->n", error, inverse, error)
+    return _number(np.mean(nees < chi2.ppf(0.95, error.shape[1])))
+
+
+def _fps(runs: Sequence[WandRun]) -> float | None:
+    seconds = sum(float(run.seconds.sum()) for run in runs)
+    return _number(sum(len(run.seconds) for run in runs) / seconds) if seconds > 0.0 else None
+
+
+def _times(runs: Sequence[WandRun]) -> dict[str, float | None]:
+    every = np.concatenate([run.seconds for run in runs]) if runs else np.zeros(0)
+    if len(every) == 0:
+        return {"median": None, "p99": None, "max": None}
+    return {
+        "median": _number(1e6 * np.median(every)),
+        "p99": _number(1e6 * np.quantile(every, 0.99)),
+        "max": _number(1e6 * np.max(every)),
+    }
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,233 @@
+"""A simulated camera films a wand: frames and exact truth, without files or clocks.
+
+`WandOptions` says what to film, in the words of the command line; `prepare_wand` builds it, `simulate_wand` films it.
+The scene and the drive are those of Grzonka 2005, chapter 4; the hand-held motion is what a player's arm does.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from spheremouse.camera import InteriorOrientation
+from spheremouse.errors import ConfigurationError
+from spheremouse.frame import Frame
+from spheremouse.rotation import Array
+from spheremouse.simulate import MOST_FRAMES, option_name
+from spheremouse.simulate.wand_path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
+from spheremouse.simulate.wand_render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
+from spheremouse.simulate.wand_things import Passing
+from spheremouse.wand.ball import WandBall, grzonka_ball
+
+Motion = Literal["drive", "hand"]
+Light = Literal["indoor", "outdoor"]
+
+_DRIVE_FPS, _HAND_FPS = 0.8, 15.0  # Hz: that of the thesis' recording, and what the issue asks of a hand
+_DRIVE_FOCAL, _HAND_FOCAL = 2100.0, 1000.0  # px at 1280 columns: the thesis' lens, and that of a webcam
+_HAND_SECONDS = 20.0
+_WIDTH = 1280  # px, that those focal lengths are for
+_PASSES = 0.10  # m/s, of the hand past the robot, as in the shared recording
+_MOST_BALLS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class WandOptions:
+    """What to film; the fields are the options of `spheremouse wand simulate`."""
+
+    motion: Motion = "drive"
+    seed: int = 0
+    fps: float | None = None  # Hz; None: 0.8 of a drive, 15 of a hand
+    seconds: float | None = None  # s; None: to the end of the drive, 20 s of a hand
+    begin: float = 0.0  # s, of the motion, at which the film begins
+    speed: float | None = None  # m/s, largest; None: 0.035 of a drive (which turns in proportion), 0.4 of a hand
+    rate: float | None = None  # deg/s, largest, of a hand; None: 180
+    size: tuple[int, int] = (1280, 960)  # px
+    focal: float | None = None  # px; None: 2100 of a drive, 1000 of a hand, at 1280 columns
+    dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    distance: float = 1.0  # m, of a hand
+    balls: int = 1
+    light: Light = "indoor"
+    noise: float = 2.0  # grey values
+    blur: float = 0.0  # s, exposure
+    hand: float | None = None  # s, when a hand passes beside the ball
+    card: float | None = None  # s, when a card in the ball's colours passes before the ball
+    clutter: bool = True  # a red mug and a blue book
+    vary: float = 0.1  # share by which paints differ from one seed to the next
+
+
+@dataclass(frozen=True, slots=True)
+class WandTruth:
+    """The motion of a ball, one row per frame."""
+
+    stamp: Array  # (n,) s
+    position: Array  # (n, 3) m, centre in cam
+    rotation: Array  # (n, 3, 3) R_cam_ball
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+
+@dataclass(frozen=True, slots=True)
+class WandFilm:
+    """Everything that `simulate_wand` needs."""
+
+    scene: WandScene
+    fps: float  # Hz
+    begin: float  # s
+    frames: int
+    seed: int
+
+    @property
+    def stamps(self) -> Array:
+        """(n,) s, from 0."""
+        return np.arange(self.frames) / self.fps
+
+    def truth(self, ball: int = 0) -> WandTruth:
+        """What one of the balls does."""
+        return WandTruth(self.stamps, *self.scene.balls[ball].path.pose(self.begin + self.stamps))
+
+
+@dataclass(frozen=True, slots=True)
+class WandShot:
+    """A frame with what really happened."""
+
+    frame: Frame
+    position: Array  # (k, 3) m, centres of the k balls in cam
+    rotation: Array  # (k, 3, 3) R_cam_ball
+
+
+Named = Callable[[str], str]
+
+
+def prepare_wand(options: WandOptions, ball: WandBall | None = None, named: Named = option_name) -> WandFilm:
+    """Scene and motion of some options; ConfigurationError where they make no sense.
+
+    `ball`: another than Grzonka's. `named` says how a field is called where it came from.
+    """
+    _check(options, named)
+    ball = grzonka_ball() if ball is None else ball
+    fps = options.fps or (_DRIVE_FPS if options.motion == "drive" else _HAND_FPS)
+    paths = _paths(options)
+    length = min(p.seconds for p in paths) - options.begin
+    seconds = length if options.seconds is None else options.seconds
+    if seconds > length + 1e-9:
+        raise ConfigurationError(
+            f"{named('seconds')}: {seconds:g} s from {options.begin:g} s on; this motion ends {length:.1f} s after that"
+        )
+    frames = max(1, int(np.floor(seconds * fps + 1e-9)))
+    if frames > MOST_FRAMES:
+        raise ConfigurationError(f"{named('seconds')}: {frames} frames; at most {MOST_FRAMES} make a recording")
+    for field in ("hand", "card"):
+        time = getattr(options, field)
+        if time is not None and not 0.0 <= time < seconds:
+            raise ConfigurationError(f"{named(field)}: {time:g} s is not within the film's {seconds:g} s")
+    rng = np.random.default_rng([options.seed, 12])
+    outdoors = options.light == "outdoor"
+    scene = WandScene(
+        camera=_camera(options),
+        balls=tuple(Carried(ball, p, "robot" if options.motion == "drive" else "stick") for p in paths),
+        light=outdoor_light(rng) if outdoors else indoor_light(),
+        outdoors=outdoors,
+        clutter=options.clutter,
+        exposure_s=options.blur,
+        noise=options.noise,
+        hands=() if options.hand is None else (_passing_hand(options, paths[0], rng),),
+        cards=() if options.card is None else (_passing_card(options, paths[0], rng),),
+        seed=options.seed,
+        vary=options.vary,
+    )
+    return WandFilm(scene, fps, options.begin, frames, options.seed)
+
+
+def simulate_wand(film: WandFilm, renderer: WandRenderer | None = None) -> Iterator[WandShot]:
+    """Its frames one by one, with truth; stamps start at 0. A `renderer` of the same scene may be handed in."""
+    renderer = WandRenderer(film.scene) if renderer is None else renderer
+    rng = np.random.Generator(np.random.SFC64([film.seed, 13]))
+    truths = [film.truth(k) for k in range(len(film.scene.balls))]
+    for index, stamp in enumerate(film.stamps):
+        image = renderer.picture(film.begin + float(stamp), rng)
+        position = np.array([truth.position[index] for truth in truths])
+        rotation = np.array([truth.rotation[index] for truth in truths])
+        yield WandShot(Frame(image, float(stamp), index), position, rotation)
+
+
+def _paths(options: WandOptions) -> list[WandPath]:
+    """One per ball; that of the first does not depend on what the others do."""
+    found: list[WandPath] = []
+    for k in range(options.balls):
+        rng = np.random.default_rng([options.seed, 14, k])
+        if options.motion == "drive":
+            speed = 1.0 if options.speed is None else options.speed / 0.035
+            found.append(drive(rng, speed=speed, part=k, of=options.balls))
+        else:
+            seconds = options.begin + (_HAND_SECONDS if options.seconds is None else options.seconds)
+            found.append(
+                hand(
+                    rng,
+                    distance=options.distance,
+                    reach=0.16 * options.distance,
+                    speed=HAND_SPEED if options.speed is None else options.speed,
+                    rate=HAND_RATE if options.rate is None else np.radians(options.rate),
+                    seconds=seconds,
+                    aside=0.45 * options.distance * (k - 0.5 * (options.balls - 1)),
+                )
+            )
+    return found
+
+
+def _camera(options: WandOptions) -> InteriorOrientation:
+    width, height = options.size
+    focal = options.focal
+    if focal is None:
+        focal = (_DRIVE_FOCAL if options.motion == "drive" else _HAND_FOCAL) * width / _WIDTH
+    return InteriorOrientation(width, height, focal, focal, 0.5 * width, 0.5 * height, np.array(options.dist))
+
+
+def _passing_hand(options: WandOptions, path: WandPath, rng: np.random.Generator) -> Passing:
+    """Fingers first, past the ball, just beside it and a little nearer."""
+    assert options.hand is not None
+    time = options.begin + options.hand
+    centre = path.pose(np.array([time]))[0][0]
+    angle = np.radians(rng.uniform(-30.0, 30.0)) + rng.choice([0.0, np.pi])
+    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
+    aside = np.array([-towards[1], towards[0], 0.0]) * rng.choice([-1.0, 1.0])
+    speed = _PASSES if options.motion == "drive" else 0.5
+    nearest = centre + 0.12 * aside - np.array([0.0, 0.0, 0.12])
+    return Passing(time, speed * towards, nearest, 0.6 / speed)
+
+
+def _passing_card(options: WandOptions, path: WandPath, rng: np.random.Generator) -> Passing:
+    """Straight across the ball, close in front of it, and away."""
+    assert options.card is not None
+    time = options.begin + options.card
+    centre = path.pose(np.array([time]))[0][0]
+    angle = rng.uniform(-np.pi, np.pi)
+    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
+    speed = _PASSES if options.motion == "drive" else 0.5
+    return Passing(time, speed * towards, centre - np.array([0.0, 0.0, 0.12]), 0.5 / speed)
+
+
+def _check(options: WandOptions, named: Named) -> None:
+    for name in ("fps", "seconds", "speed", "rate", "focal", "distance"):
+        value = getattr(options, name)
+        if value is not None and (not value > 0.0 or not np.isfinite(value)):
+            raise ConfigurationError(f"{named(name)}: {value:g} must be above 0{'' if value <= 0 else ' and finite'}")
+    for name in ("seed", "begin", "noise", "blur", "vary"):
+        value = getattr(options, name)
+        if not value >= 0 or not np.isfinite(value):
+            raise ConfigurationError(f"{named(name)}: {value:g} must be 0 or more{'' if value < 0 else ', and finite'}")
+    if options.motion not in ("drive", "hand"):
+        raise ConfigurationError(f"{named('motion')}: must be drive or hand, is {options.motion!r}")
+    if options.light not in ("indoor", "outdoor"):
+        raise ConfigurationError(f"{named('light')}: must be indoor or outdoor, is {options.light!r}")
+    if not 1 <= options.balls <= _MOST_BALLS:
+        raise ConfigurationError(f"{named('balls')}: {options.balls} must be from 1 to {_MOST_BALLS}")
+    if options.vary > 0.5:
+        raise ConfigurationError(f"{named('vary')}: {options.vary:g} must not be above 0.5: red would not be red")
+    if options.fps is not None and options.blur > 1.0 / options.fps:
+        raise ConfigurationError(f"{named('blur')}: {options.blur:g} s is longer than a frame at {options.fps:g} Hz")
+    if options.motion == "hand" and options.distance < 0.4:
+        raise ConfigurationError(f"{named('distance')}: {options.distance:g} m is too near; from 0.4 m")
+    if options.motion == "drive" and options.rate is not None:
+        raise ConfigurationError(f"{named('rate')}: belongs to a hand; a drive turns in proportion to {named('speed')}")

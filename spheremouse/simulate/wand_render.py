@@ -1,0 +1,224 @@
+"""Frames of a hand-held ball or a ball on a robot: a still background, drawn once, and what moves painted over it.
+
+Only the windows in which something moves are painted anew. Light is mixed linearly, blurred as by a lens, then turned
+into grey values; sensor noise comes last.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import InteriorOrientation, project
+from spheremouse.rotation import Array
+from spheremouse.simulate.hands import draw_hand
+from spheremouse.simulate.light import develop
+from spheremouse.simulate.wand_ball import Layer, WandLight, disc_paints, paint_ball
+from spheremouse.simulate.wand_path import WandPath, world_to_cam
+from spheremouse.simulate.wand_room import background, lay
+from spheremouse.simulate.wand_things import Passing, card, grip, hand_at, linear_hand, robot, shadow, stick
+from spheremouse.wand.ball import WandBall
+
+Carrier = Literal["robot", "stick", "nothing"]
+
+_LENS = 0.45  # px, standard deviation of a lens in focus
+_MARGIN = 3  # px around what moves, for that blur
+_MOST_MOMENTS = 16  # of an exposure
+_TONES = develop(np.arange(16384) / 4096.0).astype(np.float32)
+_SPARE = 64  # px by which the noise is larger than the picture: each frame takes another part of it
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """A ball, where it goes, and what carries it."""
+
+    ball: WandBall
+    path: WandPath
+    carrier: Carrier
+
+
+@dataclass(frozen=True, slots=True)
+class WandScene:
+    """Everything the camera sees."""
+
+    camera: InteriorOrientation
+    balls: tuple[Carried, ...]
+    light: WandLight
+    outdoors: bool = False
+    clutter: bool = True  # red mug and blue book
+    exposure_s: float = 0.0
+    noise: float = 0.0  # grey values
+    hands: tuple[Passing, ...] = ()
+    cards: tuple[Passing, ...] = ()
+    seed: int = 0  # of background and paints
+    vary: float = 0.0  # share by which paints differ from their nominal values
+
+
+def indoor_light(gloss: float = 0.25) -> WandLight:
+    """Lamps at the ceiling and a window at the right."""
+    R = world_to_cam()
+    towards = np.array([[-0.35, -0.85, -0.45], [0.75, -0.35, -0.55]])
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    return WandLight(
+        towards=towards @ R.T,
+        power=np.array([[0.44, 0.47, 0.50], [0.22, 0.20, 0.19]]),
+        above=np.array([0.52, 0.54, 0.56]),
+        below=np.array([0.30, 0.33, 0.36]),
+        up=R @ (0.0, -1.0, 0.0),
+        gloss=gloss,
+        polish=60.0,
+    )
+
+
+def outdoor_light(rng: np.random.Generator, gloss: float = 2.5) -> WandLight:
+    """Sun on the camera's side, 30 to 60 degrees high: bright, with glare on the ball; blue light from the sky."""
+    R = world_to_cam()
+    high, side = np.radians(rng.uniform(30.0, 60.0)), np.radians(rng.uniform(-60.0, 60.0))
+    sun = np.array([np.sin(side) * np.cos(high), -np.sin(high), -np.cos(side) * np.cos(high)])
+    return WandLight(
+        towards=(R @ sun)[None],
+        power=np.array([[0.95, 1.08, 1.15]]),
+        above=np.array([0.42, 0.36, 0.32]),
+        below=np.array([0.14, 0.22, 0.20]),
+        up=R @ (0.0, -1.0, 0.0),
+        gloss=gloss,
+        polish=45.0,
+    )
+
+
+class WandRenderer:
+    """Renders frames of one scene; making it takes a second or two, a frame some milliseconds."""
+
+    def __init__(self, scene: WandScene) -> None:
+        self.scene = scene
+        rng = np.random.default_rng([scene.seed, 11])
+        self._still = background(scene.camera, scene.outdoors, scene.clutter, rng)
+        self._bytes = _exposed(_blurred(self._still))
+        self._brightness = float(np.mean(scene.light.above + 0.5 * scene.light.power.sum(axis=0)))
+        self._paints = [_varied(disc_paints(b.ball), scene.vary, rng) for b in scene.balls]
+        needs_hand = scene.hands or any(b.carrier == "stick" for b in scene.balls)
+        self._hand = linear_hand(draw_hand()) if needs_hand else None
+        self._noise = _noise_field(scene.camera, scene.noise, rng)
+
+    def picture(self, t: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """The picture of time `t` (s, mid-exposure), (h, w, 3) blue, green, red."""
+        image = self._bytes.copy()
+        layers = self._layers(t)
+        for x0, y0, x1, y1 in _windows(layers, self.scene.camera):
+            part = self._still[y0:y1, x0:x1].copy()
+            for layer in layers:
+                lay(part, layer, (x0, y0))
+            left, top = min(x0, _MARGIN), min(y0, _MARGIN)  # at the picture's edge there is no margin to cut
+            right = _MARGIN if x1 < image.shape[1] else 0
+            below = _MARGIN if y1 < image.shape[0] else 0
+            inner = _exposed(_blurred(part))[top : part.shape[0] - below, left : part.shape[1] - right]
+            image[y0 + top : y1 - below, x0 + left : x1 - right] = inner
+        return image if self._noise is None else self._noisy(image, rng)
+
+    def _layers(self, t: float) -> list[Layer]:
+        """What moves, farther things first."""
+        found: list[tuple[float, list[Layer | None]]] = []
+        camera, light = self.scene.camera, self._brightness
+        for carried, paints in zip(self.scene.balls, self._paints, strict=True):
+            times = self._moments(carried, t)
+            centres, rotations = carried.path.pose(times)
+            middle = len(times) // 2
+            c, R = centres[middle], rotations[middle]
+            moments = list(zip(centres, rotations, strict=True))
+            ball = paint_ball(carried.ball, paints, moments, camera, self.scene.light)
+            if carried.carrier == "robot":
+                group = [shadow(c, R, camera), robot(c, R, camera, light), ball]
+            elif carried.carrier == "stick":
+                palm, fingers = grip(c, R, carried.ball.radius)
+                assert self._hand is not None
+                held = [stick(c, R, carried.ball.radius, camera, light), hand_at(self._hand, palm, fingers, camera, 1)]
+                group = [*held, ball] if R[2, 2] < 0.0 else [ball, *held]
+            else:
+                group = [ball]
+            found.append((float(c[2]), group))
+        for passing in self.scene.hands:
+            place = passing.at(t)
+            if place is not None:
+                assert self._hand is not None
+                found.append((place[2], [hand_at(self._hand, place, passing.velocity, camera, light)]))
+        for passing in self.scene.cards:
+            place = passing.at(t)
+            if place is not None:
+                found.append((place[2], [card(place, self._card_colours(), camera, light)]))
+        found.sort(key=lambda item: -item[0])
+        return [layer for _, group in found for layer in group if layer is not None]
+
+    def _moments(self, carried: Carried, t: float) -> Array:
+        """Times within the exposure, an odd number, so near that the ball moves by half a pixel in between."""
+        exposure = self.scene.exposure_s
+        if exposure == 0.0:
+            return np.array([t])
+        ends = np.array([t - 0.5 * exposure, t, t + 0.5 * exposure])
+        centres, rotations = carried.path.pose(ends)
+        uv = project(centres, self.scene.camera)[0]
+        shift = float(np.max(np.linalg.norm(np.diff(uv, axis=0), axis=1)))
+        across = self.scene.camera.fx * carried.ball.radius / max(float(centres[1, 2]), 0.1)
+        turn = across * float(np.max(np.linalg.norm(rotations[1:] - rotations[:-1], axis=(1, 2)))) / np.sqrt(2.0)
+        needed = np.nan_to_num(4.0 * (shift + turn), nan=1.0)
+        n = 2 * int(np.clip(np.ceil(0.5 * needed), 0, _MOST_MOMENTS // 2)) + 1
+        return t + exposure * ((np.arange(n) + 0.5) / n - 0.5)
+
+    def _card_colours(self) -> tuple[str, ...]:
+        return self.scene.balls[0].ball.colours if self.scene.balls else ("red", "blue")
+
+    def _noisy(self, image: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+        """Noise from one field at a place of its own: independent from frame to frame, at a fraction of the time."""
+        assert self._noise is not None
+        h, w = image.shape[:2]
+        x, y = (int(k) for k in rng.integers(0, _SPARE, 2))
+        field = self._noise[y : y + h, x : x + w]
+        return np.asarray(cv2.add(image, field, dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+def _windows(layers: list[Layer], camera: InteriorOrientation) -> list[tuple[int, int, int, int]]:
+    """First column and row, last+1 column and row of the parts that layers touch; none overlaps another."""
+    merged: list[tuple[int, int, int, int]] = []
+    for layer in layers:
+        x0, y0 = (max(p - 2 * _MARGIN, 0) for p in layer.place)
+        h, w = layer.paint.shape[:2]
+        x1 = min(layer.place[0] + w + 2 * _MARGIN, camera.width)
+        y1 = min(layer.place[1] + h + 2 * _MARGIN, camera.height)
+        k = 0
+        while k < len(merged):
+            a = merged[k]
+            if a[0] < x1 and x0 < a[2] and a[1] < y1 and y0 < a[3]:
+                x0, y0, x1, y1 = min(x0, a[0]), min(y0, a[1]), max(x1, a[2]), max(y1, a[3])
+                del merged[k]
+                k = 0  # it has grown: those before may overlap now
+            else:
+                k += 1
+        merged.append((x0, y0, x1, y1))
+    return merged
+
+
+def _varied(paints: Array, share: float, rng: np.random.Generator) -> Array:
+    """Paints as somebody else would buy them: the same for each colour of a ball."""
+    if share == 0.0:
+        return paints
+    kinds, which = np.unique(paints, axis=0, return_inverse=True)
+    factors = 1.0 + share * rng.uniform(-1.0, 1.0, kinds.shape)
+    return np.clip(kinds * factors, 0.0, 0.95)[which.ravel()]
+
+
+def _noise_field(camera: InteriorOrientation, sigma: float, rng: np.random.Generator) -> NDArray[np.int16] | None:
+    if sigma == 0.0:
+        return None
+    shape = (camera.height + _SPARE, camera.width + _SPARE, 3)
+    return np.rint(sigma * rng.standard_normal(shape, dtype=np.float32)).astype(np.int16)
+
+
+def _blurred(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(cv2.GaussianBlur(light, (0, 0), _LENS), dtype=np.float32)
+
+
+def _exposed(light: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Grey values of light."""
+    index = np.minimum(light * np.float32(4096.0), np.float32(16383.0)).astype(np.uint16)
+    return np.rint(_TONES[index]).astype(np.uint8)

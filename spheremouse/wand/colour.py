@@ -1,0 +1,186 @@
+"""A picture in, one weight field per colour out: how near a place is to pixels of that colour, 0 to 255.
+
+HSV with the brightness normalised to a mean of 127, six bounds per colour, binary images convolved with a 5 x 5
+Gaussian (Grzonka 2005, section 3.4.2 and 3.4.3). Only a region of interest need be looked at, and a large ball is
+looked at in a reduced picture, so that the work does not depend on its size.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from spheremouse.rotation import Array
+from spheremouse.settings import param
+
+Image = NDArray[np.uint8]
+Region = tuple[int, int, int, int]  # left, top, right, bottom px; right and bottom excluded
+
+MEAN_BRIGHTNESS = 127.0
+FIELD_SIGMA = 1.2  # px of the field: the kernel's 1.1 and half a pixel of thresholding and interpolation
+_KERNEL = (5, 5)
+_BRIGHTEST = 250.0  # a pixel this bright is overexposed: bright enough whatever the mean of a bright picture asks
+_SAMPLE = 16  # every so many rows and columns tell the mean brightness, from thousands of pixels
+_ACROSS = 64.0  # px, a ball's diameter beyond which the picture is reduced: its rims then outweigh the pixels' noise
+
+
+@dataclass(frozen=True, slots=True)
+class ColourSettings:
+    """Six bounds that select a colour (Grzonka 2005, section 3.4.2)."""
+
+    hue_min: float = param(0.0, "deg", "least hue, 0 to 360; above hue_max the range passes through 0", ge=0, le=360)
+    hue_max: float = param(360.0, "deg", "greatest hue", ge=0, le=360)
+    saturation_min: float = param(0.0, "-", "least saturation, 0 to 255", ge=0, le=255)
+    saturation_max: float = param(255.0, "-", "greatest saturation", ge=0, le=255)
+    value_min: float = param(0.0, "-", "least brightness after normalisation to a mean of 127", ge=0)
+    value_max: float = param(1e4, "-", "greatest brightness after normalisation", ge=0)
+
+
+# Print on white: a pixel half disc, half white has about 0.4 of full saturation, so the bound lies there and the rim
+# stays where it is. Hues: red keeps clear of skin and wood (20 to 35°), blue of teal and purple.
+DEFAULT_COLOURS: dict[str, ColourSettings] = {
+    "red": ColourSettings(hue_min=340.0, hue_max=14.0, saturation_min=95.0, value_min=25.0),
+    "blue": ColourSettings(hue_min=205.0, hue_max=262.0, saturation_min=95.0, value_min=25.0),
+    "dark": ColourSettings(value_max=75.0),
+    "light": ColourSettings(value_min=215.0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """Weight fields of part of a picture, reduced `factor` times."""
+
+    weight: NDArray[np.uint8]  # (c, h, w), 255 deep within the colour
+    binary: NDArray[np.uint8]  # (c, h, w), 255 or 0
+    left: int  # px of the whole picture, where the fields begin
+    top: int
+    factor: int
+    share: Array  # (c,) part of the whole picture's pixels that have the colour
+    colours: tuple[str, ...]
+
+    def place(self) -> Array:
+        """(3,): left, top, factor, for compiled code."""
+        return np.array([self.left, self.top, self.factor], dtype=float)
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """What the whole picture says of a region: told by every sixteenth row and column."""
+
+    mean: float  # of the HSV brightness
+    share: Array  # (c,) part of the pixels that have each colour
+
+
+def tone(image: Image, colours: dict[str, ColourSettings], names: tuple[str, ...]) -> Tone:
+    """Brightness and colours of a BGR picture, (h, w, 3)."""
+    sample = np.ascontiguousarray(image[_SAMPLE // 2 :: _SAMPLE, _SAMPLE // 2 :: _SAMPLE])
+    mean = float(_mean_value(sample))
+    _, count = _selected(sample, colours, names, mean)
+    return Tone(mean, count / sample[:, :, 0].size)
+
+
+def fields(
+    image: Image,
+    colours: dict[str, ColourSettings],
+    names: tuple[str, ...],
+    region: Region | None = None,
+    factor: int = 1,
+    known: Tone | None = None,
+) -> Fields:
+    """Weight fields of the colours `names` in a BGR picture, (h, w, 3), or in a region of it.
+
+    `known` is the picture's `tone` where it is known already.
+    """
+    h, w = image.shape[:2]
+    known = known or tone(image, colours, names)
+    left, top, right, bottom = region or (0, 0, w, h)
+    part = image[top:bottom, left:right]
+    if factor > 1:
+        part = cv2.resize(part, (part.shape[1] // factor, part.shape[0] // factor), interpolation=cv2.INTER_AREA)
+    binary, count = _selected(np.ascontiguousarray(part, dtype=np.uint8), colours, names, known.mean)
+    weight = np.empty_like(binary)
+    for one, to in zip(binary, weight, strict=True):
+        cv2.GaussianBlur(one, _KERNEL, 0.0, dst=to, borderType=cv2.BORDER_REPLICATE)
+    share = known.share if region else count / max(binary[0].size, 1)
+    return Fields(weight, binary, left, top, factor, share, names)
+
+
+def _selected(
+    image: Image, colours: dict[str, ColourSettings], names: tuple[str, ...], mean: float
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Binary pictures, (c, h, w), and how many pixels each has."""
+    gain = MEAN_BRIGHTNESS / max(mean, 1.0)
+    bounds = np.array([_row(colours[name], gain) for name in names], dtype=np.float32)
+    binary = np.zeros((len(names), *image.shape[:2]), dtype=np.uint8)
+    count = np.zeros(len(names), dtype=np.int64)
+    _select(image, bounds, binary, count)
+    return binary, count
+
+
+def reduction(diameter: float) -> int:
+    """How often to reduce the picture for a ball so many pixels across."""
+    return max(int(diameter / _ACROSS), 1)
+
+
+def _row(colour: ColourSettings, gain: float) -> tuple[float, ...]:
+    """Bounds for one picture: hue, saturation, brightness of its own pixels."""
+    return (
+        colour.hue_min,
+        colour.hue_max,
+        colour.saturation_min / 255.0,
+        colour.saturation_max / 255.0,
+        min(colour.value_min / gain, _BRIGHTEST),
+        colour.value_max / gain,
+    )
+
+
+@njit(cache=True)
+def _mean_value(image):
+    total = 0
+    for i in range(image.shape[0]):
+        for j in range(image.shape[1]):
+            total += max(image[i, j, 0], image[i, j, 1], image[i, j, 2])
+    return total / (image.shape[0] * image.shape[1])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _select(image, bounds, binary, count):
+    """Pixels of each colour to 255 where the bounds, as `_row` gives them, are met."""
+    h, w, _ = image.shape
+    n = len(bounds)
+    least, darkest, brightest = np.float32(1.0), np.float32(255.0), np.float32(0.0)
+    for c in range(n):
+        least = min(least, bounds[c, 2])
+        darkest = min(darkest, bounds[c, 4])
+        brightest = max(brightest, bounds[c, 5])
+    grey = np.int32(least * np.float32(256.0))  # of 256: below, no colour whatever the hue
+    low_value, high_value = np.int32(min(darkest, np.float32(255.0))), np.int32(min(brightest, np.float32(255.0)))
+    for i in range(h):
+        for j in range(w):
+            b, g, r = np.int32(image[i, j, 0]), np.int32(image[i, j, 1]), np.int32(image[i, j, 2])
+            high = max(b, g, r)
+            spread = high - min(b, g, r)
+            if spread * 256 < grey * high or high < low_value or high > high_value:
+                continue
+            hue = np.float32(0.0)
+            if spread > 0:
+                if high == r:
+                    hue = np.float32(60.0) * np.float32(g - b) / np.float32(spread)
+                elif high == g:
+                    hue = np.float32(60.0) * np.float32(b - r) / np.float32(spread) + np.float32(120.0)
+                else:
+                    hue = np.float32(60.0) * np.float32(r - g) / np.float32(spread) + np.float32(240.0)
+                if hue < 0.0:
+                    hue += np.float32(360.0)
+            for c in range(n):
+                low, top = bounds[c, 0], bounds[c, 1]
+                inside = (low <= hue <= top) if low <= top else (hue >= low or hue <= top)
+                if (
+                    inside
+                    and bounds[c, 2] * high <= spread <= bounds[c, 3] * high
+                    and bounds[c, 4] <= high <= bounds[c, 5]
+                ):
+                    binary[c, i, j] = 255
+                    count[c] += 1

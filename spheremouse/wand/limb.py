@@ -1,0 +1,134 @@
+"""The ball's outline: places on it in, how far the picture's edge lies from each out. It tells the distance.
+
+The outlook of Grzonka 2005 (section 5.2) asks for ring outlines, because discs tell the distance badly: there it was up
+to 40 cm off. The ball's own outline is the largest ring there is. At directions around the ball the step from the
+ball's colour to what lies beside it is looked for across the predicted outline.
+"""
+
+import numpy as np
+from numba import njit
+
+from spheremouse.camera import distorted
+from spheremouse.rotation import Array
+from spheremouse.wand.colour import Image
+
+DIRECTIONS = 24  # around the outline; every four pixels of a ball 50 px across
+SIGMA = 0.5  # px, of one place: shading, noise
+OFFSET = 0.3  # px, standard deviation common to all: lens blur, a rim that turns dark
+HIDDEN = 0.3  # part of the outline that hand, stick or robot covers or that does not show against what is behind
+REACH = 4.0  # px to either side that are searched
+FLAT = 1.0 / (2.0 * REACH) * np.sqrt(2.0 * np.pi) * SIGMA  # density of an edge anywhere, over that of the true edge
+_COS = np.cos(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS))
+_SIN = np.sin(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS))
+_STEP = 0.5  # px
+_SAMPLES = 25  # from -6 to 6 px
+_CONTRAST = 8.0  # grey values, least step: more than the noise of a mean of nine pixels
+_CLEAR = 0.06  # rad between outline and disc: a pixel and a half of a ball 50 px across
+
+
+def measure(image: Image, position: Array, rotation: Array, discs: Array, radius: float, lens: Array, f: int) -> Array:
+    """Edges across the outline of a ball, (24, 5): u, v px, outward normal in the picture, 1 where one was found.
+
+    `discs` (m, 4): direction in `ball` and angular radius, where the outline is not looked for. `f`: pixels per step.
+    """
+    found = np.zeros((DIRECTIONS, 5))
+    _measure(image, position, rotation, discs, radius, lens, float(f), found)
+    return found
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def outline(c, radius, lens, k):
+    """Point k of the outline of a sphere at c, (3,) m: px, and the point on the sphere less the centre, m."""
+    d2 = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
+    d = np.sqrt(d2)
+    # a basis across the line of sight that turns little with it: c x (0, 1, 0) is never short before a camera
+    n = np.sqrt(c[0] * c[0] + c[2] * c[2])
+    ax, az = c[2] / n, -c[0] / n
+    bx, by, bz = c[1] * az / d, (c[2] * ax - c[0] * az) / d, -c[1] * ax / d
+    s = radius * np.sqrt(max(1.0 - radius * radius / d2, 0.0))
+    p, q, t = s * _COS[k], s * _SIN[k], -radius * radius / d2
+    x, y, z = p * ax + q * bx + t * c[0], q * by + t * c[1], p * az + q * bz + t * c[2]
+    depth = c[2] + z
+    xd, yd, _, _, _ = distorted((c[0] + x) / depth, (c[1] + y) / depth, lens[4:])
+    return lens[0] * xd + lens[2], lens[1] * yd + lens[3], x, y, z
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _measure(image, c, R, discs, radius, lens, f, found):
+    h, w, channels = image.shape
+    line = np.empty((_SAMPLES, channels))
+    for k in range(DIRECTIONS):
+        u, v, x, y, z = outline(c, radius, lens, k)
+        covered = False
+        for q in range(len(discs)):
+            nx = R[0, 0] * discs[q, 0] + R[0, 1] * discs[q, 1] + R[0, 2] * discs[q, 2]
+            ny = R[1, 0] * discs[q, 0] + R[1, 1] * discs[q, 1] + R[1, 2] * discs[q, 2]
+            nz = R[2, 0] * discs[q, 0] + R[2, 1] * discs[q, 1] + R[2, 2] * discs[q, 2]
+            covered = covered or (nx * x + ny * y + nz * z) / radius > np.cos(discs[q, 3] + _CLEAR)
+        # outward: from the middle of the opposite points
+        u2, v2, _, _, _ = outline(c, radius, lens, k + DIRECTIONS // 2)
+        length = np.sqrt((u - u2) ** 2 + (v - v2) ** 2)
+        du, dv = (u - u2) / length, (v - v2) / length
+        reach = 0.5 * (_SAMPLES - 1) * _STEP * f + 1.0
+        if covered or not (reach < u < w - 1 - reach and reach < v < h - 1 - reach):
+            continue
+        for i in range(_SAMPLES):
+            s = (i - (_SAMPLES - 1) // 2) * _STEP * f
+            pu, pv = u + s * du, v + s * dv
+            j, a = int(pu), pu - int(pu)
+            l, b = int(pv), pv - int(pv)
+            for m in range(channels):
+                line[i, m] = (1.0 - b) * ((1.0 - a) * image[l, j, m] + a * image[l, j + 1, m]) + b * (
+                    (1.0 - a) * image[l + 1, j, m] + a * image[l + 1, j + 1, m]
+                )
+        # the strongest step of a width of four samples within reach, each way of colour
+        best, at = 0.0, -1
+        for i in range(4, _SAMPLES - 4):
+            step = 0.0
+            for m in range(channels):
+                step += (line[i + 2, m] - line[i - 2, m]) ** 2
+            if step > best:
+                best, at = step, i
+        if at < 0:
+            continue
+        # half way from the colour inside to that outside
+        size = 0.0
+        for m in range(channels):
+            size += (line[at + 4, m] - line[at - 4, m]) ** 2
+        if size < _CONTRAST * _CONTRAST:
+            continue
+        before, place = 0.0, -1.0
+        for i in range(at - 4, at + 5):
+            part = 0.0
+            for m in range(channels):
+                part += (line[i, m] - line[at - 4, m]) * (line[at + 4, m] - line[at - 4, m]) / size
+            if i > at - 4 and before < 0.5 <= part:
+                place = i - 1 + (0.5 - before) / (part - before)
+                break
+            before = part
+        if place < 0.0:
+            continue
+        s = (place - (_SAMPLES - 1) // 2) * _STEP * f
+        found[k, 0], found[k, 1] = u + s * du, v + s * dv
+        found[k, 2], found[k, 3], found[k, 4] = du, dv, 1.0
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def weigh(position, which, edges, radius, lens, f, out):
+    """Add to out, (n,), the log-likelihood ratio of the edges `edges[which]`, (24, 5), for balls at (n, 3) m."""
+    variance = (SIGMA * f) ** 2
+    for n in range(len(position)):
+        rg, gg, total = 0.0, 0.0, 0.0
+        found = edges[which[n]]
+        for k in range(DIRECTIONS):
+            if found[k, 4] == 0.0:
+                continue
+            u, v, _, _, _ = outline(position[n], radius, lens, k)
+            r = (found[k, 0] - u) * found[k, 2] + (found[k, 1] - v) * found[k, 3]
+            seen = (1.0 - HIDDEN) * np.exp(-0.5 * r * r / variance) / FLAT
+            total += np.log(seen + HIDDEN)
+            sure = seen / (seen + HIDDEN)
+            rg += sure * r
+            gg += sure
+        information = 1.0 / (OFFSET * f) ** 2 + gg / variance
+        out[n] += total + 0.5 * (rg / variance) ** 2 / information - 0.5 * np.log(information * (OFFSET * f) ** 2)

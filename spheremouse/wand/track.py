@@ -1,0 +1,669 @@
+"""The wand's use phase: one frame in, the pose of each ball out. The only place that knows the order of the stages.
+
+Select colours, look for the likelihood's peaks (near the prediction, else by spots, else in the whole picture), draw
+particles, weigh, resample, average (Grzonka 2005, section 3.4 and its outlook 5.2). Nothing here reads a clock.
+"""
+
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Literal
+
+import numpy as np
+
+from spheremouse.camera import InteriorOrientation, project
+from spheremouse.frame import Frame
+from spheremouse.rotation import Array, exp, log
+from spheremouse.settings import param
+from spheremouse.wand import limb
+from spheremouse.wand.ball import WandBall
+from spheremouse.wand.colour import (
+    DEFAULT_COLOURS,
+    ColourSettings,
+    Fields,
+    Image,
+    Region,
+    Tone,
+    fields,
+    reduction,
+    tone,
+)
+from spheremouse.wand.likelihood import Model, log_likelihood, model, published
+from spheremouse.wand.particles import (
+    Motions,
+    Particles,
+    Peaks,
+    effective,
+    estimate,
+    low_variance,
+    moved,
+    normalised,
+    proposed,
+    scatter,
+    steadied,
+)
+from spheremouse.wand.refine import Peak, refine
+from spheremouse.wand.start import hypotheses, same, spots
+
+_THESIS_DT = 1.25  # s between the frames to which the thesis' standard deviations belong (0.8 per second)
+_MOST_PEAKS = 3  # of the likelihood followed at a time: a pose, its mirror, a second ball
+_WORSE = 15.0  # log-likelihood below the best at which a peak is none
+_LOOK_EVERY = 15  # frames at least between searches of the whole picture: a slow camera has no time for more
+_WIDER = 1.5  # covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
+_SURE = 0.8  # match of a pose that is believed at first sight: less is looked at twice, or is the mirror of the truth
+_COARSE = 36.0  # px across: in a picture so far reduced, a hypothesis is within reach of its peak
+_DOUBT = 0.85  # of that level: below, the picture is searched for a better pose before this one is believed
+_HIDDEN_LEVEL = 0.4  # of that level: below, and with a poor match, more than half is hidden or it is another thing
+_NEAR_PEAK = 0.5  # of that level: a predicted pose that has as much lies on the flank of the right peak
+_ROUNDS, _ROUNDS_NEAR = 7, 3  # of the refinement, from a hypothesis and from the flank of a peak
+_STEEP = 0.5  # `Peak.slope` above which a pose is still on its way: half a standard deviation off
+_LEVEL_GAIN = 0.2  # the level follows the ball's turning within five frames
+_BLIND = 0.1  # part of the particles that know nothing of the peaks
+_BIRTH = 1e-3  # probability per frame that the ball is somewhere else altogether
+_REDRAW = 0.5  # of the particles that count, below which they are resampled
+_PREDICTED = 48  # predicted particles that are tried for a peak
+_SECOND = "a second ball like"
+_NOTHING, _TOO_MUCH = 2e-6, 0.25  # part of the picture of one colour that no ball makes
+_MIXTURE = np.array([0.45, 0.45, 0.1])  # rest, go on, free
+_STAYS = 0.8  # part of a motion's probability that lives on to the next frame
+_REACH = 0.5  # radii around the ball that the region of interest keeps free, besides the motion
+
+
+@dataclass(frozen=True, slots=True)
+class WandSettings:
+    """Parameters of the wand's tracker."""
+
+    particles: int = param(350, "-", "particles; the thesis needs as many to keep the ball", ge=10)
+    proposal: Literal["peaks", "motion"] = param(
+        "peaks", "-", "particles are drawn towards the likelihood's peaks, or by motion alone as in the thesis"
+    )
+    region: bool = param(True, "-", "look only at the region where the ball can be")
+    outline: bool = param(True, "-", "the ball's outline as a further cue for the distance")
+    adaptive: bool = param(True, "-", "motion goes on with the last velocity, besides resting and starting anew")
+    sigma_x: float = param(0.045, "m", "random walk in 1.25 s, as the thesis' robot", gt=0)
+    sigma_y: float = param(0.045, "m", "the same downward: a hand moves every way (the thesis' robot: 0.005)", gt=0)
+    sigma_z: float = param(0.045, "m", "the same away from the camera", gt=0)
+    sigma_pitch: float = param(0.15 * np.pi, "rad", "about x in 1.25 s (the thesis' robot: 0.005 pi)", gt=0)
+    sigma_yaw: float = param(0.15 * np.pi, "rad", "about y", gt=0)
+    sigma_roll: float = param(0.15 * np.pi, "rad", "about z (the thesis' robot: 0.005 pi)", gt=0)
+    acceleration: float = param(2.5, "m/s²", "of a hand: 0.4 m/s to and fro once a second", gt=0)
+    turn_acceleration: float = param(20.0, "rad/s²", "of a wrist: 180 °/s to and fro once a second", gt=0)
+    fastest: float = param(1.0, "m/s", "a start from rest between two frames", gt=0)
+    fastest_turn: float = param(6.0, "rad/s", "the same for rotation", gt=0)
+    nearest: float = param(0.2, "m", "least distance at which the ball is looked for", gt=0)
+    farthest: float = param(
+        8.0, "m", "greatest distance: the ball is then 26 px across at a focal length of 2100", gt=0
+    )
+    match: float = param(
+        0.65, "-", "part of the coloured points in view that must show: a hand may hide a third", gt=0, lt=1
+    )
+    evidence: float = param(
+        25.0, "-", "log-likelihood ratio that no background reaches: there are e^23 poses to choose from", gt=0
+    )
+    lost_after: float = param(0.5, "s", "unseen for so long the prediction is a guess", gt=0)
+    look_around: float = param(1.0, "s", "between searches of the whole picture for a better ball", gt=0)
+
+
+class WandPhase(StrEnum):
+    """What is known of a ball."""
+
+    SEARCHING = "searching"  # never seen
+    TRACKING = "tracking"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class WandTracker:
+    """What stays the same from frame to frame."""
+
+    settings: WandSettings
+    camera: InteriorOrientation
+    balls: tuple[WandBall, ...]
+    models: tuple[Model, ...]
+    discs: tuple[Array, ...]  # (m, 4) of each ball: direction, angular radius
+    colours: dict[str, ColourSettings]
+    names: tuple[str, ...]  # of the colours in use
+
+
+@dataclass(frozen=True, slots=True)
+class WandPose:
+    """A ball in one frame."""
+
+    name: str
+    position: Array | None  # (3,) m, cam; None where it is not known
+    rotation: Array | None  # (3, 3) R_cam_ball
+    covariance: Array | None  # (6, 6) m, rad: position + d, exp(theta) @ rotation, cam axes
+    phase: WandPhase
+    event: str  # what a user should know, in words; empty where all is well
+    match: float = 0.0  # part of the coloured points that show
+    effective: float = 0.0  # effective number of particles before resampling
+    seen: bool = False  # in this frame, not only predicted
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One ball's state."""
+
+    phase: WandPhase = WandPhase.SEARCHING
+    particles: Particles | None = None
+    pose: tuple[Array, Array, Array] | None = None  # position, rotation, covariance
+    velocity: Array = field(default_factory=lambda: np.zeros(6))  # m/s, rad/s, cam axes
+    velocity_covariance: Array = field(default_factory=lambda: np.diag([0.04] * 3 + [1.0] * 3))
+    motion: Array = field(default_factory=_MIXTURE.copy)  # (3,) probabilities of the motions
+    stamp: float = 0.0  # s, of the particles
+    seen: float = -np.inf  # s
+    unseen_frames: int = 0
+    level: float = 0.0  # log-likelihood ratio that this ball's pose has had of late
+
+
+@dataclass(frozen=True, slots=True)
+class WandState:
+    """The tracker's memory."""
+
+    tracks: tuple[Track, ...]
+    looked: float = -np.inf  # s, last search of the whole picture
+    waited: int = 0  # frames since
+    complaint: str = ""  # of the last search: about colours
+    seed: int = 0
+
+
+def build(
+    camera: InteriorOrientation,
+    balls: tuple[WandBall, ...],
+    settings: WandSettings | None = None,
+    colours: dict[str, ColourSettings] | None = None,
+) -> WandTracker:
+    """A tracker of balls before a camera."""
+    discs = tuple(np.array([[*d.direction, d.angle] for d in ball.discs]) for ball in balls)
+    names = tuple(sorted({c for ball in balls for c in ball.colours}))
+    models = tuple(model(ball, camera, names) for ball in balls)
+    return WandTracker(
+        settings or WandSettings(), camera, balls, models, discs, DEFAULT_COLOURS | (colours or {}), names
+    )
+
+
+def begin(
+    tracker: WandTracker, seed: int = 0, stamp: float = 0.0, poses: dict[int, tuple[Array, Array]] | None = None
+) -> WandState:
+    """The state before the first frame. `poses`: position and rotation of balls where they are known (by index)."""
+    rng = np.random.default_rng(seed)
+    tracks = []
+    for i in range(len(tracker.balls)):
+        track = Track()
+        if poses and i in poses:
+            p, R = poses[i]
+            covariance = np.diag([0.02**2] * 2 + [0.05**2] + [0.1**2] * 3)
+            cloud = scatter(p, R, covariance, tracker.settings.particles, rng)
+            track = Track(WandPhase.TRACKING, cloud, (p, R, covariance), stamp=stamp, seen=stamp)
+        tracks.append(track)
+    return WandState(tuple(tracks), seed=seed)
+
+
+def step(
+    state: WandState, frame: Frame, tracker: WandTracker, command: Array | None = None
+) -> tuple[WandState, tuple[WandPose, ...]]:
+    """One frame. Gives the state after it and the pose of each ball.
+
+    `command`, (6,) m/s and rad/s in cam axes, is a known velocity until this frame (a robot's), in place of the last
+    one.
+    """
+    image = frame.image if frame.image.ndim == 3 else np.repeat(frame.image[:, :, None], 3, axis=2)
+    rng = np.random.default_rng((state.seed, frame.sequence))
+    scene = _Scene(image, tracker, tone(image, tracker.colours, tracker.names))
+    tracks, poses = list(state.tracks), []
+    looked = frame.stamp - state.looked >= tracker.settings.look_around and state.waited >= _LOOK_EVERY
+    complaint = state.complaint
+    for i in range(len(tracks)):
+        track = tracks[i]
+        others = [
+            t.pose[0] for j, t in enumerate(tracks) if j != i and t.pose is not None and t.phase == WandPhase.TRACKING
+        ]
+        if command is not None:
+            track = replace(track, velocity=command, velocity_covariance=np.diag([1e-4] * 3 + [1e-3] * 3))
+        tracks[i], pose = _follow(track, frame.stamp, scene, i, others, looked, rng)
+        if pose.event.startswith(_SECOND) and len(others) < len(tracks) - 1:
+            pose = replace(pose, event="")  # it may be a declared one that is not found yet
+        poses.append(pose)
+    if scene.whole is not None:
+        complaint = _complaint(scene.whole)
+    missing = [p for p in poses if p.phase != WandPhase.TRACKING]
+    if complaint and (missing or "%" in complaint):
+        poses = [replace(p, event=complaint) if not p.event or p.phase != WandPhase.TRACKING else p for p in poses]
+    around = scene.searched
+    after = WandState(
+        tuple(tracks), frame.stamp if around else state.looked, 0 if around else state.waited + 1, complaint, state.seed
+    )
+    return after, tuple(poses)
+
+
+class _Scene:
+    """One picture and what has been made of it so far: the whole picture's fields are made at most once."""
+
+    def __init__(self, image: Image, tracker: WandTracker, known: Tone) -> None:
+        self.image = image
+        self.tracker = tracker
+        self.tone = known
+        self.whole: Fields | None = None
+        self.searched = False
+
+    def all(self) -> Fields:
+        """Fields of the whole picture."""
+        if self.whole is None:
+            self.whole = self.part(None, 1)
+        return self.whole
+
+    def part(self, region: Region | None, factor: int) -> Fields:
+        """Fields of a region."""
+        return fields(self.image, self.tracker.colours, self.tracker.names, region, factor, self.tone)
+
+
+def _complaint(whole: Fields) -> str:
+    """What is wrong with the colours, in words."""
+    for name, share in zip(whole.colours, whole.share, strict=True):
+        if share < _NOTHING:
+            return f"the bounds of {name} match nothing in the picture: pick them with `spheremouse wand colours`"
+        if share > _TOO_MUCH and name not in ("dark", "light"):
+            return (
+                f"the bounds of {name} match {100 * share:.0f} % of the picture: "
+                "narrow them with `spheremouse wand colours`"
+            )
+    return ""
+
+
+def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
+    """Rest, go on, free, over dt."""
+    s = tracker.settings
+    walk = np.array([s.sigma_x, s.sigma_y, s.sigma_z, s.sigma_pitch, s.sigma_yaw, s.sigma_roll])
+    rest = np.diag(walk**2 * (dt / _THESIS_DT))
+    camera = tracker.camera
+    volume = camera.width * camera.height / (camera.fx * camera.fy) * (s.farthest**3 - s.nearest**3) / 3.0
+    birth = _BIRTH / (volume * 8.0 * np.pi**2)
+    if not s.adaptive or s.proposal == "motion":
+        return Motions(np.zeros((1, 6)), rest[None], np.array([1.0 - _BIRTH]), birth)
+    kick = np.array([min(0.5 * s.acceleration * dt**2, 0.3)] * 3 + [min(0.5 * s.turn_acceleration * dt**2, 0.8)] * 3)
+    on = track.velocity_covariance * dt**2 + np.diag(kick**2)
+    leap = np.array([min(0.01 + s.fastest * dt, 0.5)] * 3 + [min(0.05 + s.fastest_turn * dt, 1.2)] * 3)
+    shift = np.zeros((3, 6))
+    shift[1] = track.velocity * dt
+    angle = np.linalg.norm(shift[1, 3:])
+    if angle > 2.5:  # more between two frames is no prediction
+        shift[1, 3:] *= 2.5 / angle
+    covariance = np.stack([rest, _limited(on), np.diag(leap**2)])
+    return Motions(shift, covariance, track.motion * (1.0 - _BIRTH), birth)
+
+
+def _limited(covariance: Array) -> Array:
+    """A covariance whose standard deviations stay below what a motion may be: 0.5 m, 1.2 rad."""
+    most = np.array([0.5] * 3 + [1.2] * 3)
+    scale = np.minimum(1.0, most / np.sqrt(np.diag(covariance)))
+    return covariance * np.outer(scale, scale)
+
+
+def _region(track: Track, motions: Motions, tracker: WandTracker, radius: float) -> tuple[Region, int]:
+    """Where to look, and how much to reduce the picture there."""
+    assert track.pose is not None
+    camera, (p, _, covariance) = tracker.camera, track.pose
+    middle = p + motions.shift[:, :3]
+    middle = middle[middle[:, 2] > radius]
+    uv = project(middle if len(middle) else p[None], camera)[0]
+    depth = max(float(p[2]), 2.0 * radius)
+    spread = 3.0 * np.sqrt(np.max(np.diagonal(motions.covariance[:2], axis1=1, axis2=2)[:, :2]) + covariance[0, 0])
+    reach = camera.fx * (radius * (1.0 + _REACH) + min(spread, 0.4)) / depth + 8.0
+    left, top = np.floor(np.min(uv, axis=0) - reach).astype(int)
+    right, bottom = np.ceil(np.max(uv, axis=0) + reach).astype(int) + 1
+    h, w = camera.height, camera.width
+    left, top = min(max(left, 0), w - 8), min(max(top, 0), h - 8)
+    region = (left, top, max(min(right, w), left + 8), max(min(bottom, h), top + 8))
+    return region, reduction(2.0 * camera.fx * radius / depth)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Peaks of one ball in one picture, the best first."""
+
+    peaks: tuple[Peak, ...]
+    log_likelihood: Array  # (k,)
+    match: Array  # (k,)
+    fields: Fields | None
+
+
+def _weighed(peaks: list[Peak], index: int, tracker: WandTracker, seen: Fields) -> tuple[Array, Array]:
+    """Log-likelihood ratio and match of peaks."""
+    position = np.array([k.position for k in peaks])
+    out, match = log_likelihood(position, np.array([k.rotation for k in peaks]), tracker.models[index], seen)
+    m = tracker.models[index]
+    limb.weigh(position, np.arange(len(peaks)), np.array([k.edges for k in peaks]), m.radius, m.lens, seen.factor, out)
+    return out, match
+
+
+def _climb(
+    position: Array,
+    rotation: Array,
+    most: int,
+    index: int,
+    scene: _Scene,
+    seen: Fields,
+    others: list[Array],
+    outline: bool = True,
+    sure: float = 0.0,
+) -> _Found:
+    """Peaks near the best of some poses; of the best alone where its log-likelihood is above `sure`."""
+    tracker = scene.tracker
+    m, radius = tracker.models[index], tracker.balls[index].radius
+    empty = _Found((), np.zeros(0), np.zeros(0), seen)
+    if len(position) == 0:
+        return empty
+    first, _ = log_likelihood(position, rotation, m, seen)
+    starts: list[int] = []
+    rounds = _ROUNDS
+    if sure and first.max() > sure:
+        most, rounds = 1, _ROUNDS_NEAR
+    for i in np.argsort(-first, kind="stable"):
+        if len(starts) < most and not any(
+            same(position[i], rotation[i], position[j], rotation[j], 0.5 * radius) for j in starts
+        ):
+            starts.append(i)
+    none = np.zeros((limb.DIRECTIONS, 5))
+    peaks = [_settled(refine(position[i], rotation[i], m, seen, none, rounds), m, seen) for i in starts]
+    s = tracker.settings
+    peaks = [
+        k
+        for k in peaks
+        if s.nearest < k.position[2] < 1.2 * s.farthest
+        and all(np.linalg.norm(k.position[:2] / k.position[2] - o[:2] / o[2]) > radius / k.position[2] for o in others)
+    ]
+    if not peaks:
+        return empty
+    value, match = _weighed(peaks, index, tracker, seen)
+    least = min(value.max() - 2.0 * _WORSE, 0.5 * value.max())  # a second ball is worth a word, if not a particle
+    order = [i for i in np.argsort(-value) if value[i] > least][: 4 * _MOST_PEAKS]
+    chosen: list[Peak] = []
+    for i in order:
+        k = peaks[i]
+        if len(chosen) < _MOST_PEAKS and not any(_one(k, c, radius) for c in chosen):
+            chosen.append(k)
+    if s.outline and outline:
+        for i, k in enumerate(chosen):
+            edges = limb.measure(scene.image, k.position, k.rotation, tracker.discs[index], radius, m.lens, seen.factor)
+            chosen[i] = _settled(refine(k.position, k.rotation, m, seen, edges, _ROUNDS_NEAR), m, seen)
+    value, match = _weighed(chosen, index, tracker, seen)
+    order = np.argsort(-value)
+    return _Found(tuple(chosen[i] for i in order), value[order], match[order], seen)
+
+
+def _settled(peak: Peak, m: Model, seen: Fields) -> Peak:
+    """The peak, climbed to the end where a few rounds did not reach it."""
+    return peak if peak.slope < _STEEP else refine(peak.position, peak.rotation, m, seen, peak.edges, _ROUNDS)
+
+
+def _one(a: Peak, b: Peak, radius: float) -> bool:
+    return same(a.position, a.rotation, b.position, b.rotation, radius)
+
+
+def _good(found: _Found, settings: WandSettings, level: float = 0.0) -> bool:
+    """Is the best peak the ball? `level`: what its log-likelihood has been of late."""
+    if not found.peaks or found.log_likelihood[0] < settings.evidence or found.match[0] < settings.match:
+        return False
+    return bool(found.match[0] >= _SURE or found.log_likelihood[0] >= _HIDDEN_LEVEL * level)
+
+
+def _search(scene: _Scene, index: int, others: list[Array]) -> _Found:
+    """Peaks in the whole picture."""
+    scene.searched = True
+    return _from_spots(scene, index, scene.all(), 12, others)
+
+
+def _from_spots(scene: _Scene, index: int, seen: Fields, most: int, others: list[Array]) -> _Found:
+    """Peaks from the spots of a region.
+
+    A hypothesis is as exact as the ball is near round and far away, some hundredths of its diameter. So near balls are
+    looked for in reduced pictures first.
+    """
+    tracker, ball, s = scene.tracker, scene.tracker.balls[index], scene.tracker.settings
+    guess = hypotheses(spots(seen), ball, tracker.camera, tracker.names, s.nearest, s.farthest)
+    across = 2.0 * tracker.camera.fx * ball.radius / np.maximum(guess.position[:, 2], ball.radius)
+    coarse = np.maximum(np.rint(across / _COARSE), seen.factor).astype(int)
+    position, rotation = [], []
+    for factor in np.unique(coarse):
+        group = coarse == factor
+        if factor == seen.factor:
+            position.append(guess.position[group])
+            rotation.append(guess.rotation[group])
+            continue
+        reduced = scene.part(_whole_region(seen), int(factor))
+        found = _climb(guess.position[group], guess.rotation[group], most, index, scene, reduced, others, False)
+        position.append(np.array([k.position for k in found.peaks]).reshape(-1, 3))
+        rotation.append(np.array([k.rotation for k in found.peaks]).reshape(-1, 3, 3))
+    if not position:
+        return _Found((), np.zeros(0), np.zeros(0), seen)
+    p, R = np.concatenate(position), np.concatenate(rotation)
+    found = _climb(p, R, most, index, scene, seen, others)
+    if found.peaks:
+        factor = reduction(2.0 * tracker.camera.fx * ball.radius / found.peaks[0].position[2])
+        if factor > seen.factor:
+            p = np.array([k.position for k in found.peaks])
+            R = np.array([k.rotation for k in found.peaks])
+            found = _climb(p, R, _MOST_PEAKS, index, scene, scene.part(_whole_region(seen), factor), others)
+    return found
+
+
+def _whole_region(seen: Fields) -> Region:
+    """The part of the picture that fields cover."""
+    h, w = seen.binary.shape[1:]
+    return seen.left, seen.top, seen.left + w * seen.factor, seen.top + h * seen.factor
+
+
+def _follow(
+    track: Track, stamp: float, scene: _Scene, index: int, others: list[Array], look: bool, rng: np.random.Generator
+) -> tuple[Track, WandPose]:
+    """One ball, one frame."""
+    tracker, s = scene.tracker, scene.tracker.settings
+    ball = tracker.balls[index]
+    if track.phase != WandPhase.TRACKING or track.particles is None:
+        return _acquire(track, stamp, scene, index, others, rng)
+    dt = max(stamp - track.stamp, 1e-4)
+    motions = _motions(track, dt, tracker)
+    region, factor = _region(track, motions, tracker, ball.radius)
+    seen = scene.part(region if s.region else None, factor)
+    if s.region is False and factor == 1:
+        scene.whole = seen
+    if s.proposal == "motion":
+        return _by_motion(track, stamp, motions, seen, scene, index, rng)
+    ahead = moved(_some(track.particles, _PREDICTED, rng), motions, rng)
+    p, R, _ = track.pose if track.pose is not None else (None, None, None)
+    assert p is not None
+    assert R is not None
+    position = np.concatenate([p + motions.shift[:, :3], ahead.position])
+    rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
+    found = _climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
+    if not _good(found, s, track.level) or found.match[0] < _SURE or found.log_likelihood[0] < _DOUBT * track.level:
+        near = _from_spots(scene, index, seen, 6, others)
+        found = _joined(found, near, ball.radius)
+    event = ""
+    if not _good(found, s, track.level) or look:
+        far = _search(scene, index, others)
+        event = _second(far, ball, s)
+        found = _joined(found, far, ball.radius)
+    if not _good(found, s, track.level):
+        return _unseen(track, stamp, dt, motions, scene, index, rng, found)
+    peaks = _as_peaks(found)
+    drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
+    assert found.fields is not None
+    value, _ = log_likelihood(drawn.position, drawn.rotation, tracker.models[index], found.fields)
+    edges = np.array([k.edges for k in found.peaks])
+    m = tracker.models[index]
+    limb.weigh(drawn.position, nearest, edges, m.radius, m.lens, found.fields.factor, value)
+    weight, _ = normalised(ratio + value)
+    count = effective(weight)
+    particles = Particles(drawn.position, drawn.rotation, weight)
+    p, R, sample = estimate(particles)
+    pose = p, R, steadied(sample, count, found.peaks[0].covariance)
+    if count < _REDRAW * len(weight):
+        particles = _some(particles, len(weight), rng)
+    moved_track = _adapted(track, pose, motions, dt)
+    after = replace(
+        moved_track,
+        phase=WandPhase.TRACKING,
+        particles=particles,
+        pose=pose,
+        stamp=stamp,
+        seen=stamp,
+        unseen_frames=0,
+        level=_level(track, found),
+    )
+    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
+
+
+def _level(track: Track, found: _Found) -> float:
+    best = float(found.log_likelihood[0])
+    return best if track.level == 0.0 else track.level + _LEVEL_GAIN * (best - track.level)
+
+
+def _some(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
+    """n particles drawn by weight, of equal weight."""
+    i = low_variance(particles.weight, n, rng.random())
+    return Particles(particles.position[i], particles.rotation[i], np.full(n, 1.0 / n))
+
+
+def _as_peaks(found: _Found) -> Peaks:
+    covariance = np.array([_WIDER * k.covariance for k in found.peaks])
+    _, log_det = np.linalg.slogdet(covariance)
+    mass = found.log_likelihood + 0.5 * log_det + 3.0 * np.log(2.0 * np.pi)
+    return Peaks(
+        np.array([k.position for k in found.peaks]), np.array([k.rotation for k in found.peaks]), covariance, mass
+    )
+
+
+def _joined(a: _Found, b: _Found, radius: float) -> _Found:
+    """Peaks of two searches. Both are judged by the fields of the better: they may lie in different parts."""
+    if not b.peaks:
+        return a
+    if not a.peaks:
+        return b
+    best, rest = (a, b) if a.log_likelihood[0] >= b.log_likelihood[0] - 1.0 else (b, a)
+    if best.fields is rest.fields:
+        peaks, value, match = list(best.peaks), list(best.log_likelihood), list(best.match)
+        for k, v, m in zip(rest.peaks, rest.log_likelihood, rest.match, strict=True):
+            if len(peaks) < _MOST_PEAKS and not any(_one(k, c, radius) for c in peaks):
+                peaks.append(k)
+                value.append(v)
+                match.append(m)
+        return _Found(tuple(peaks), np.array(value), np.array(match), best.fields)
+    return best
+
+
+def _second(found: _Found, ball: WandBall, settings: WandSettings) -> str:
+    """Words for a second ball like this one."""
+    for k, v, m in zip(found.peaks[1:], found.log_likelihood[1:], found.match[1:], strict=True):
+        first = found.peaks[0].position
+        apart = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
+        if (
+            v >= max(settings.evidence, 0.5 * found.log_likelihood[0])
+            and m >= _SURE
+            and apart > 1.5 * ball.radius / first[2]
+        ):
+            return f"{_SECOND} {ball.name} is in view: declare it too, or take it away"
+    return ""
+
+
+def _unseen(
+    track: Track, stamp: float, dt: float, motions: Motions, scene: _Scene, index: int, rng: np.random.Generator,
+    found: _Found,
+) -> tuple[Track, WandPose]:  # fmt: skip
+    """The ball does not show: the particles go on unweighted, for a while."""
+    assert track.particles is not None
+    s, ball = scene.tracker.settings, scene.tracker.balls[index]
+    frames = track.unseen_frames + 1
+    match = float(found.match[0]) if found.peaks else 0.0
+    if stamp - track.seen > s.lost_after and frames > 1:
+        lost = Track(WandPhase.LOST, stamp=stamp, seen=track.seen)
+        return lost, WandPose(ball.name, None, None, None, WandPhase.LOST, _missing(ball, track.seen), match)
+    quiet = replace(motions, shift=motions.shift[:1], covariance=motions.covariance[:1], probability=np.ones(1))
+    particles = moved(track.particles, quiet, rng)
+    pose = estimate(particles)
+    after = replace(track, particles=particles, pose=pose, stamp=stamp, unseen_frames=frames)
+    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
+
+
+def _missing(ball: WandBall, seen: float) -> str:
+    if np.isfinite(seen):
+        return f"{ball.name} is lost: hold it into the picture"
+    return f"no ball like {ball.name} in view: hold it into the picture, or check its colours and size"
+
+
+def _acquire(
+    track: Track, stamp: float, scene: _Scene, index: int, others: list[Array], rng: np.random.Generator
+) -> tuple[Track, WandPose]:
+    """Find the ball in the whole picture: particles are injected at the peaks."""
+    tracker, s, ball = scene.tracker, scene.tracker.settings, scene.tracker.balls[index]
+    found = _search(scene, index, others)
+    if not _good(found, s) or found.match[0] < _SURE:
+        phase = track.phase
+        match = float(found.match[0]) if found.peaks else 0.0
+        return replace(track, stamp=stamp), WandPose(
+            ball.name, None, None, None, phase, _missing(ball, track.seen), match
+        )
+    assert found.fields is not None
+    peaks = _as_peaks(found)
+    share, _ = normalised(peaks.log_mass)
+    which = low_variance(share, s.particles, rng.random())
+    root = np.linalg.cholesky(peaks.covariance)
+    d = np.einsum("nij,nj->ni", root[which], rng.standard_normal((s.particles, 6)))
+    position, rotation = peaks.position[which] + d[:, :3], exp(d[:, 3:]) @ peaks.rotation[which]
+    m = tracker.models[index]
+    value, _ = log_likelihood(position, rotation, m, found.fields)
+    limb.weigh(position, which, np.array([k.edges for k in found.peaks]), m.radius, m.lens, found.fields.factor, value)
+    gaussian = np.array([-0.5 * x @ np.linalg.solve(peaks.covariance[k], x) for x, k in zip(d, which, strict=True)])
+    weight, _ = normalised(value - gaussian - found.log_likelihood[which])
+    count = effective(weight)
+    particles = Particles(position, rotation, weight)
+    p, R, sample = estimate(particles)
+    pose = p, R, steadied(sample, count, found.peaks[0].covariance)
+    level = float(found.log_likelihood[0])
+    after = Track(WandPhase.TRACKING, _some(particles, s.particles, rng), pose, stamp=stamp, seen=stamp, level=level)
+    event = _second(found, ball, s)
+    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
+
+
+def _by_motion(
+    track: Track, stamp: float, motions: Motions, seen: Fields, scene: _Scene, index: int, rng: np.random.Generator
+) -> tuple[Track, WandPose]:
+    """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh, resample."""
+    assert track.particles is not None
+    ball = scene.tracker.balls[index]
+    ahead = moved(track.particles, motions, rng)
+    value, match = published(ahead.position, ahead.rotation, scene.tracker.models[index], seen)
+    weight, _ = normalised(np.log(np.maximum(ahead.weight, 1e-300)) + value)
+    count = effective(weight)
+    particles = Particles(ahead.position, ahead.rotation, weight)
+    pose = estimate(particles)
+    if count < _REDRAW * len(weight):
+        particles = _some(particles, len(weight), rng)
+    after = replace(track, particles=particles, pose=pose, stamp=stamp, seen=stamp)
+    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, "", float(weight @ match), count, True)
+
+
+def _adapted(track: Track, pose: tuple[Array, Array, Array], motions: Motions, dt: float) -> Track:
+    """Velocity and probabilities of the motions after a frame: a Kalman filter on the velocity, and Bayes' rule."""
+    assert track.pose is not None
+    p, R, covariance = track.pose
+    way = np.concatenate([pose[0] - p, log(pose[1] @ R.T)])
+    if len(motions.probability) < 3:
+        return track
+    noise = (pose[2] + covariance) / dt**2
+    prior = motions.covariance[1] / dt**2
+    gain = np.linalg.solve(prior + noise, prior).T
+    velocity = track.velocity + gain @ (way / dt - track.velocity)
+    A = np.eye(6) - gain
+    after = A @ prior @ A.T + gain @ noise @ gain.T
+    fit = np.empty(3)
+    for m in range(3):
+        S = motions.covariance[m] + pose[2] + covariance
+        d = way - motions.shift[m]
+        fit[m] = np.log(motions.probability[m]) - 0.5 * (d @ np.linalg.solve(S, d) + np.linalg.slogdet(S)[1])
+    share, _ = normalised(fit)
+    return replace(
+        track,
+        velocity=velocity,
+        velocity_covariance=_limited(0.5 * (after + after.T)),
+        motion=_STAYS * share + (1.0 - _STAYS) * _MIXTURE,
+    )

@@ -1,0 +1,330 @@
+"""The experiments of the wand: which films, which trackers, one job at a time, and the table of what came out.
+
+A job is one film (options and seed) with several trackers that see the same frames, rendered once. Its result is plain
+data, so that it can be kept in a file and taken up again. Compared with Grzonka 2005, chapter 4.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import spheremouse
+from spheremouse.evaluate.wand import WandRun, errors, found_from, is_lost
+from spheremouse.rotation import Array
+from spheremouse.simulate.wand import WandFilm, WandOptions, WandTruth, prepare_wand, simulate_wand
+from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
+from spheremouse.wand.track import WandSettings, begin, build, step
+from spheremouse.wand_session import WandHistory, track_wand
+
+BALLS = {"grzonka": grzonka_ball, "contrast": contrast_ball, "led": led_ball}
+FOUND_WITHIN = 5  # frames, of a start without an initial pose
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way to track."""
+
+    name: str
+    settings: WandSettings
+    known: bool = False  # begins with the true pose, as the thesis did
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """What is filmed, for every seed."""
+
+    name: str
+    words: str  # for a reader
+    options: WandOptions
+    seeds: tuple[int, ...]
+    variants: tuple[Variant, ...]
+    ball: str = "grzonka"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One film with one seed: the unit of work, and of what is kept."""
+
+    film: Film
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Name of its result."""
+        return f"{self.film.name}-{self.seed:02d}"
+
+    @property
+    def recipe(self) -> str:
+        """All that determines its result: another recipe, or another program, is another result."""
+        return f"{program()} {replace(self.film, seeds=())!r} {self.seed}"
+
+
+@cache
+def program() -> str:
+    """Fingerprint of the code that films and tracks."""
+    root = Path(spheremouse.__file__).parent
+    files = sorted([*root.glob("wand*.py"), *root.glob("wand/*.py"), *root.glob("simulate/wand*.py")])
+    files += [root / "evaluate" / "wand.py", root / "rotation.py", root / "camera.py"]
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:16]
+
+
+def _particles(n: int, **more: Any) -> WandSettings:
+    return WandSettings(particles=n, **more)
+
+
+def thesis_settings(n: int) -> WandSettings:
+    """A random walk with the thesis' standard deviations (Grzonka 2005, chapter 4), no peaks, no outline, no speed."""
+    small = 0.005 * np.pi
+    return _particles(
+        n, proposal="motion", adaptive=False, outline=False, sigma_y=0.005, sigma_pitch=small, sigma_roll=small
+    )
+
+
+def films(quick: bool) -> tuple[Film, ...]:
+    """What is filmed; `quick`: fewer seeds and particles, some minutes."""
+    seeds = tuple(range(1, 5 if quick else 21))
+    few = tuple(range(1, 3 if quick else 7))
+    many = (50, 350, 5000) if quick else (50, 350, 5000, 50_000)
+    ours = Variant("350, own start", _particles(350))
+    drive = (
+        *(Variant(f"{n}, known start", _particles(n), known=True) for n in many),
+        ours,
+        *(Variant(f"{n}, random walk alone", thesis_settings(n), known=True) for n in (50, 350)),
+    )
+    hand = WandOptions(motion="hand", blur=0.008)
+    chosen = [
+        Film("drive", "the thesis' drive, 0.8 Hz", WandOptions(), seeds, drive),
+        Film("drive-hand", "a hand passes, 0.8 Hz", WandOptions(hand=80.0), few, (ours,)),
+        Film("hand-held", "0.4 m/s, 180 °/s, 15 Hz", hand, seeds, (ours,)),
+    ]
+    if quick:
+        return tuple(chosen)
+    part = WandOptions(begin=58.0, seconds=24.0)
+    return (
+        *chosen,
+        Film("drive-7.5", "part with turns, 7.5 Hz", replace(part, fps=7.5), few, (ours,)),
+        Film("drive-30", "part with turns, 30 Hz", replace(part, fps=30.0, seconds=16.0), few, (ours,)),
+        Film("drive-fast", "7 cm/s, 100 °/s, 0.8 Hz", WandOptions(speed=0.07), few, (ours,)),
+        Film("drive-sun", "outdoors with glare, 0.8 Hz", WandOptions(light="outdoor"), few, (ours,)),
+        Film("hand-card", "a card in both colours, 15 Hz", replace(hand, card=8.0), few, (ours,)),
+        Film("hand-hand", "a hand passes, 15 Hz", replace(hand, hand=8.0), few, (ours,)),
+        Film("hand-sun", "outdoors with glare, 15 Hz", replace(hand, light="outdoor"), few, (ours,)),
+        Film("two", "two balls, hand-held, 15 Hz", replace(hand, balls=2, distance=1.4), few, (ours,)),
+        Film("contrast", "one colour, dark on white, 15 Hz", hand, few, (ours,), "contrast"),
+        Film("led", "lit discs on black, 15 Hz", replace(hand, clutter=False), few, (ours,), "led"),
+    )
+
+
+def jobs(quick: bool) -> list[Job]:
+    """All of them, the longest first."""
+    found = [Job(film, seed) for film in films(quick) for seed in film.seeds]
+    return sorted(found, key=lambda job: -len(job.film.variants))
+
+
+def work(job: Job) -> dict[str, Any]:
+    """Film and track: per variant and ball the run and its truth, as lists of numbers."""
+    film = prepare_wand(replace(job.film.options, seed=job.seed), BALLS[job.film.ball]())
+    balls = tuple(carried.ball for carried in film.scene.balls)
+    truths = [film.truth(k) for k in range(len(balls))]
+    followed = []
+    for variant in job.film.variants:
+        tracker = build(film.scene.camera, balls, variant.settings)
+        known = {k: (t.position[0], t.rotation[0]) for k, t in enumerate(truths)} if variant.known else None
+        followed.append((variant, _Fed(lambda frames, t=tracker, p=known: track_wand(frames, t, job.seed, p))))
+    for shot in simulate_wand(film):
+        for _, fed in followed:
+            fed.feed(shot.frame)
+    return {
+        "recipe": job.recipe,
+        "variants": {
+            variant.name: [_kept(fed.history.run(k), truths[k], balls[k].radius) for k in range(len(balls))]
+            for variant, fed in followed
+        },
+    }
+
+
+class _Fed:
+    """A run that is given its frames one by one."""
+
+    def __init__(self, start: Callable[[Iterator[Any]], Iterator[Any]]) -> None:
+        self.history = WandHistory()
+        self._next: Any = None
+        self._epochs = start(iter(lambda: self._next, self))
+
+    def feed(self, frame: Any) -> None:
+        """One more frame."""
+        self._next = frame
+        self.history.add(next(self._epochs))
+
+
+def _kept(run: WandRun, truth: WandTruth, radius: float) -> dict[str, Any]:
+    """Errors of one run, and what it takes to put them together with others: nothing else need be kept."""
+    k = np.flatnonzero(run.found)
+    return {
+        "lost": bool(is_lost(run, truth, radius)),
+        "found_from": found_from(run, truth, radius),
+        "frames": len(run.stamp),
+        "index": k.tolist(),
+        "position": run.position[k].tolist(),
+        "rotation": run.rotation[k].tolist(),
+        "covariance": [np.asarray(c)[np.triu_indices(6)].tolist() for c in run.covariance[k]],
+        "true_position": truth.position[k].tolist(),
+        "true_rotation": truth.rotation[k].tolist(),
+    }
+
+
+def _runs(kept: Sequence[dict[str, Any]]) -> tuple[list[WandRun], list[WandTruth]]:
+    """The tracked frames of results."""
+    runs, truths = [], []
+    for result in kept:
+        n = len(result["index"])
+        covariance = np.zeros((n, 6, 6))
+        upper = np.triu_indices(6)
+        covariance[:, upper[0], upper[1]] = np.array(result["covariance"]).reshape(n, 21)
+        covariance[:, upper[1], upper[0]] = covariance[:, upper[0], upper[1]]
+        stamp = np.array(result["index"], dtype=float)
+
+        def of(name: str, *shape: int, result: dict[str, Any] = result, n: int = n) -> Array:
+            return np.array(result[name], dtype=float).reshape(n, *shape)
+
+        runs.append(WandRun(stamp, of("position", 3), of("rotation", 3, 3), covariance, np.zeros(n)))
+        truths.append(WandTruth(stamp, of("true_position", 3), of("true_rotation", 3, 3)))
+    return runs, truths
+
+
+# ---- speeds ----
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """What is timed, and what must be reached."""
+
+    name: str
+    settings: WandSettings
+    thesis: float | None  # frames per second, 2.8 GHz in 2005
+    least: float | None  # frames per second asked for
+
+
+SPEEDS = (
+    Speed("350 particles, whole frame", WandSettings(region=False), 1.4, 60.0),
+    Speed("350 particles, region of interest", WandSettings(), None, 200.0),
+    Speed("5000 particles, region of interest", WandSettings(particles=5000), 0.37, 30.0),
+    Speed("5000 particles, whole frame", WandSettings(particles=5000, region=False), 0.37, 30.0),
+)
+
+
+def speed_film(frames: int) -> WandFilm:
+    """The thesis' scene at 30 Hz, while the robot drives."""
+    return prepare_wand(WandOptions(fps=30.0, begin=40.0, seconds=frames / 30.0, seed=1))
+
+
+def measure_speeds(frames: int = 60) -> dict[str, Any]:
+    """Median frames per second of each of `SPEEDS`, pictures in memory; 90th percentile of the time per frame, ms.
+
+    Measured alone, after everything else. What is found is followed; the first frames, which search, are left out.
+    """
+    film = speed_film(frames)
+    pictures = [shot.frame for shot in simulate_wand(film)]
+    found = {}
+    for speed in SPEEDS:
+        tracker = build(film.scene.camera, (film.scene.balls[0].ball,), speed.settings)
+        times = []
+        for _ in range(2):
+            state = begin(tracker, 1, pictures[0].stamp)
+            for frame in pictures:
+                start = time.perf_counter()
+                state, _ = step(state, frame, tracker)
+                times.append(time.perf_counter() - start)
+        settled = np.array(times[frames + 3 :])
+        found[speed.name] = {
+            "fps": float(1.0 / np.median(settled)),
+            "mean_fps": float(1.0 / np.mean(settled)),
+            "p90_ms": float(1e3 * np.quantile(settled, 0.9)),
+        }
+    return found
+
+
+# ---- what came out ----
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One film with one variant, over its seeds."""
+
+    film: Film
+    variant: str
+    runs: int  # that were made; several balls count each
+    lost: int
+    found: int  # within FOUND_WITHIN frames
+    tracked: float  # share of the frames
+    figures: dict[str, Any] = field(default_factory=dict)  # as evaluate.wand.errors
+    failures: tuple[str, ...] = ()  # of jobs that ended with an error
+
+
+def rows(quick: bool, results: dict[str, dict[str, Any]]) -> list[Row]:
+    """What is known of each film and variant; `results` by the jobs' keys, those with `error` failed."""
+    found = []
+    for film in films(quick):
+        of_film = {seed: results[key] for seed in film.seeds if (key := Job(film, seed).key) in results}
+        failures = tuple(f"seed {seed}: {r['error']}" for seed, r in of_film.items() if "error" in r)
+        for variant in film.variants:
+            kept = [k for r in of_film.values() if "error" not in r for k in r["variants"][variant.name]]
+            total = sum(k["frames"] for k in kept)
+            runs, truths = _runs(kept)
+            found.append(
+                Row(
+                    film,
+                    variant.name,
+                    len(kept),
+                    sum(k["lost"] for k in kept),
+                    sum(k["found_from"] is not None and k["found_from"] < FOUND_WITHIN for k in kept),
+                    sum(len(k["index"]) for k in kept) / total if total else 0.0,
+                    errors(runs, truths),
+                    failures,
+                )
+            )
+    return found
+
+
+def verdicts(table: Sequence[Row], speeds: dict[str, Any]) -> list[tuple[str, str, str, bool | None]]:
+    """The issue's table: what is asked, the thesis' figure, ours, and whether it is reached (None: not measured)."""
+    drive = {row.variant: row for row in table if row.film.name == "drive"}
+    found: list[tuple[str, str, str, bool | None]] = []
+
+    def kept(row: Row | None, most: float) -> bool | None:
+        return None if row is None or row.runs == 0 or row.failures else row.lost <= most * row.runs
+
+    row = drive.get("350, known start")
+    limits = (10.0, 40.0, 100.0)
+    if row is not None and row.runs:
+        p95 = [row.figures["position_p95_mm"][a] for a in "xyz"]
+        turned = row.figures["rotation_p95_deg"]
+        whole = None not in (*p95, turned)
+        ours = f"{' / '.join(f'{0.1 * p:.2f}' for p in p95)} cm / {turned:.1f}°" if whole else "–"
+        good = whole and all(p <= m for p, m in zip(p95, limits, strict=True)) and turned <= 4.0
+        asked = "350 particles: 95th percentile of x / y / z / rotation ≤ 1 / 4 / 10 cm / 4°"
+        found.append((asked, "largest 3 / 15 / 40 cm / 7°", ours, good))
+        text = f"{row.runs - row.lost} of {row.runs}"
+        found.append(("350 particles: runs kept, all", "–", text, kept(row, 0.0)))
+    row = drive.get("50, known start")
+    if row is not None:
+        asked = "50 particles: runs that lose the ball, ≤ 2 of 20"
+        found.append((asked, "2 of 3", f"{row.lost} of {row.runs}", kept(row, 0.1)))
+    row = drive.get("350, own start")
+    if row is not None:
+        asked = f"start without a pose: found within {FOUND_WITHIN} frames, 19 of 20"
+        good = None if row.runs == 0 or row.failures else row.found >= 0.95 * row.runs
+        found.append((asked, "not done", f"{row.found} of {row.runs}", good))
+    for speed in SPEEDS:
+        if speed.name in speeds:
+            fps = speeds[speed.name]["fps"]
+            asked = f"{speed.name}: ≥ {speed.least:g} fps"
+            thesis = "–" if speed.thesis is None else f"{speed.thesis:g} fps"
+            found.append((asked, thesis, f"{fps:.0f} fps", fps >= (speed.least or 0.0)))
+    return found

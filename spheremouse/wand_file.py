@@ -1,0 +1,212 @@
+"""Files of hand-held balls (wand.yaml): discs and the bounds that select their colours, to and from text.
+
+Units and frame are those of `wand.ball`, but angles are in degrees: origin at the centre, z towards the pole, azimuth
+counter-clockwise seen from above. Everything a file claims is checked here; all problems are told, each with its line.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from spheremouse.rotation import Array, align, log
+from spheremouse.validate import read_checked
+from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
+from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
+from spheremouse.yaml_file import SCHEMA, Document, Problem, write_atomically
+
+_ALIKE = np.radians(6.0)  # discs this near to one another are taken for the same one: half of the smallest disc
+_TURNED = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect
+_FEWEST = 3
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+@dataclass(frozen=True, slots=True)
+class WandFile:
+    """A ball, and how to see its colours."""
+
+    ball: WandBall
+    colours: dict[str, ColourSettings]  # of every colour on the ball, and of no other
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
+
+
+class _Disc(_Part):
+    azimuth: float = Field(ge=-360, le=360, description="degrees about the pole, counter-clockwise from above")
+    latitude: float = Field(ge=-90, le=90, description="degrees above the equator, 90 at the pole")
+    diameter: Positive = Field(description="straight across the disc's rim, in m")
+    colour: str = Field(min_length=1, description="a name of `colours`, or red, blue, dark or light")
+    points: Positive | None = Field(None, description="m along the surface from the centre to the four outer points")
+
+
+class _Colour(_Part):
+    hue_min: float = Field(0.0, ge=0, le=360, description="least hue, degrees; above hue_max it passes through 0")
+    hue_max: float = Field(360.0, ge=0, le=360, description="greatest hue, degrees")
+    saturation_min: float = Field(0.0, ge=0, le=255, description="least saturation, 0 to 255")
+    saturation_max: float = Field(255.0, ge=0, le=255, description="greatest saturation, 0 to 255")
+    value_min: float = Field(0.0, ge=0, description="least brightness where the picture's mean is 127")
+    value_max: float = Field(1e4, ge=0, description="greatest brightness where the picture's mean is 127")
+
+
+class _Provenance(BaseModel):
+    """Whatever people want to know; nothing here reads it."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class _Wand(_Part):
+    name: str = Field("wand", min_length=1, description="what messages call the ball")
+    radius: Positive = Field(le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
+    body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
+    discs: tuple[_Disc, ...] = Field(description="list of {azimuth, latitude, diameter, colour}")
+    colours: dict[str, _Colour] = Field({}, description="bounds of each colour; `spheremouse wand colours` picks them")
+    provenance: _Provenance | None = Field(None, description="where the numbers come from: a section, for people")
+
+
+def load_wand(path: Path) -> WandFile:
+    """The ball of a file; ConfigurationError with a line per problem."""
+    document, file = read_checked(path, _Wand)
+    if problems := [*_disc_problems(file), *_colour_problems(file)]:
+        raise document.error(problems)
+    ball = WandBall(file.name, file.radius, tuple(_disc(d, file.radius) for d in file.discs), file.body)
+    if problems := [*_overlaps(ball), *_symmetries(ball, document)]:
+        raise document.error(problems)
+    colours = {}
+    for name in ball.colours:
+        given = file.colours.get(name)
+        colours[name] = DEFAULT_COLOURS[name] if given is None else ColourSettings(**given.model_dump())
+    return WandFile(ball, colours)
+
+
+def save_wand(
+    path: Path,
+    ball: WandBall,
+    colours: Mapping[str, ColourSettings] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a file that reads back to the same ball; whole or not at all."""
+    write_atomically(path, wand_text(ball, colours, provenance))
+
+
+def wand_text(
+    ball: WandBall,
+    colours: Mapping[str, ColourSettings] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> str:
+    """A ball as YAML, with the bounds of its colours where given."""
+    lines = [
+        "# A hand-held ball. Lengths in m, angles in degrees. Frame: origin at the centre, pole away from the stick,",
+        "# azimuth counter-clockwise seen from above. A disc's diameter is measured straight across its rim.",
+        f"schema: {SCHEMA}",
+    ]
+    if provenance:
+        lines += ["provenance:", *(f"  {key}: {json.dumps(value)}" for key, value in provenance.items())]
+    lines += [f"name: {ball.name}", f"radius: {ball.radius:.9g}", f"body: {ball.body}", "discs:"]
+    for disc in ball.discs:
+        x, y, z = disc.direction
+        azimuth, latitude = np.degrees(np.arctan2(y, x)), np.degrees(np.arcsin(np.clip(z, -1.0, 1.0)))
+        lines.append(
+            f"  - {{azimuth: {_short(azimuth % 360.0)}, latitude: {_short(latitude)}, "
+            f"diameter: {_short(2.0 * ball.radius * np.sin(disc.angle))}, colour: {disc.colour}, "
+            f"points: {_short(ball.radius * disc.points_angle)}}}"
+        )
+    if colours:
+        lines.append("colours:  # brightness (value) is that of a picture whose mean is 127")
+        for name, colour in colours.items():
+            bounds = ", ".join(f"{f.name}: {_short(getattr(colour, f.name))}" for f in fields(colour))
+            lines.append(f"  {name}: {{{bounds}}}")
+    return "\n".join(lines) + "\n"
+
+
+def _short(x: float) -> str:
+    return f"{round(float(x), 9):.9g}"
+
+
+def _disc(disc: _Disc, radius: float) -> WandDisc:
+    return wand_disc(
+        float(np.radians(disc.azimuth)),
+        float(np.radians(disc.latitude)),
+        float(np.arcsin(0.5 * disc.diameter / radius)),
+        disc.colour,
+        None if disc.points is None else disc.points / radius,
+    )
+
+
+# ---- what can be wrong ----
+
+
+def _disc_problems(file: _Wand) -> Iterator[Problem]:
+    if len(file.discs) < _FEWEST:
+        yield Problem(("discs",), f"are {len(file.discs)}; at least {_FEWEST} tell how the ball is turned")
+    for i, disc in enumerate(file.discs):
+        if disc.diameter >= 2.0 * file.radius:
+            text = f"is {disc.diameter:g} m, on a ball {2.0 * file.radius:g} m across; both are in metres"
+            yield Problem(("discs", i, "diameter"), text)
+        elif disc.points is not None and disc.points >= file.radius * np.arcsin(0.5 * disc.diameter / file.radius):
+            text = f"is {disc.points:g} m from the centre, beyond the rim of a disc {disc.diameter:g} m across"
+            yield Problem(("discs", i, "points"), text)
+
+
+def _colour_problems(file: _Wand) -> Iterator[Problem]:
+    used = {disc.colour for disc in file.discs}
+    for i, disc in enumerate(file.discs):
+        if disc.colour not in file.colours and disc.colour not in DEFAULT_COLOURS:
+            text = f"is {disc.colour!r}, which has no bounds; write them under `colours`"
+            yield Problem(("discs", i, "colour"), f"{text}, or use {', '.join(sorted(DEFAULT_COLOURS))}")
+    for name, colour in file.colours.items():
+        if name not in used:
+            yield Problem(("colours", name), "no disc has this colour; remove it, or give it to a disc")
+        for what in ("saturation", "value"):
+            low, high = getattr(colour, f"{what}_min"), getattr(colour, f"{what}_max")
+            if low >= high:
+                text = f"is {low:g}, not below {what}_max, {high:g}: that selects nothing"
+                yield Problem(("colours", name, f"{what}_min"), text)
+
+
+def _overlaps(ball: WandBall) -> Iterator[Problem]:
+    for i, disc in enumerate(ball.discs):
+        for k, other in enumerate(ball.discs[:i]):
+            apart = float(np.arccos(np.clip(disc.direction @ other.direction, -1.0, 1.0)))
+            if apart < disc.angle + other.angle:
+                gap = np.degrees(disc.angle + other.angle)
+                text = f"overlaps disc {k + 1}: {np.degrees(apart):.1f} degrees apart, {gap:.1f} would touch"
+                yield Problem(("discs", i), text)
+
+
+def _symmetries(ball: WandBall, document: Document) -> Iterator[Problem]:
+    turn = symmetry(ball)
+    if turn is None:
+        return
+    vector = log(turn)
+    x, y, z = vector / np.linalg.norm(vector)
+    text = f"the ball looks the same turned by {np.degrees(np.linalg.norm(vector)):.0f} degrees about"
+    yield Problem(("discs",), f"{text} ({x:.2f}, {y:.2f}, {z:.2f}); change the colour, size or place of a disc")
+
+
+def symmetry(ball: WandBall) -> Array | None:
+    """A rotation, (3, 3), that maps the discs of a ball onto discs that look the same; None if there is none."""
+    directions = np.array([d.direction for d in ball.discs])
+    kinds = [(d.colour, round(float(np.degrees(d.angle)))) for d in ball.discs]
+    first = 0
+    second = int(np.argmin(np.abs(directions @ directions[first])))  # as near to a right angle as there is
+    apart = directions[first] @ directions[second]
+    for i, a in enumerate(directions):
+        for k, b in enumerate(directions):
+            if kinds[i] != kinds[first] or kinds[k] != kinds[second] or abs(a @ b - apart) > np.sin(_ALIKE):
+                continue
+            turn = align(directions[[first, second]], np.array([a, b]))
+            if np.linalg.norm(log(turn)) < _TURNED:
+                continue
+            angles = np.arccos(np.clip((directions @ turn.T) @ directions.T, -1.0, 1.0))
+            nearest = np.argmin(angles, axis=1)
+            same = all(kinds[j] == kinds[n] for j, n in enumerate(nearest)) and len(set(nearest.tolist())) == len(kinds)
+            if same and float(np.max(angles[np.arange(len(kinds)), nearest])) < _ALIKE:
+                return turn
+    return None

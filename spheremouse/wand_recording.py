@@ -1,0 +1,313 @@
+"""Recordings of hand-held balls on disk: scene.json with `wand`, the frames, and truth.csv where there is one.
+
+`open_wand` and `read_wand_frames` read one, `write_wand` makes one, whole or not at all. The format is that of
+docs/datasets; where several balls are in view, `wands` describes them all, the first being `wand`, and truth.csv has
+columns x_1, y_1, ... of the second, and so on.
+"""
+
+import csv
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from spheremouse.camera import InteriorOrientation
+from spheremouse.dataset_format import MATRIX_COLUMNS, folder_images, video_images
+from spheremouse.dataset_writer import _finish, _refuse_to_overwrite, _write_scene
+from spheremouse.errors import DatasetError
+from spheremouse.folders import begin_folder, finish_folder
+from spheremouse.frame import Frame
+from spheremouse.picture_writer import PictureWriter
+from spheremouse.recording import _is_rotation, _read_table
+from spheremouse.rotation import Array
+from spheremouse.simulate.wand import WandFilm, WandTruth, simulate_wand
+from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
+
+WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
+_FRAME = (
+    "origin = ball centre, z = pole (away from robot / stick), x = azimuth 0, y = azimuth 90 (right-handed, "
+    "counter-clockwise seen from above); disc = spherical cap, diameter = chord of its rim, "
+    "angular radius = asin(diameter / 2 / radius)"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WandRecording:
+    """A wand dataset whose description has been read and checked; its frames come from `read_wand_frames`."""
+
+    path: Path
+    name: str
+    camera: InteriorOrientation
+    balls: tuple[WandBall, ...]  # one or more
+    fps: float
+    frames: int
+    exposure_s: float
+    truths: tuple[WandTruth, ...]  # of each ball; empty where there is no truth.csv
+
+    @property
+    def ball(self) -> WandBall:
+        """The first one."""
+        return self.balls[0]
+
+    @property
+    def truth(self) -> WandTruth | None:
+        """Of the first ball."""
+        return self.truths[0] if self.truths else None
+
+
+# ---- scene.json ----
+
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore")
+
+
+class _Camera(_Model):
+    fx: _Positive
+    fy: _Positive
+    cx: _Number
+    cy: _Number
+    dist: tuple[_Number, _Number, _Number, _Number, _Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class _Disc(_Model):
+    azimuth_deg: _Number
+    latitude_deg: Annotated[float, Field(ge=-90, le=90)]
+    diameter: _Positive  # m, of the rim
+    colour: Annotated[str, Field(min_length=1)]
+    points: _Positive | None = None  # m from the centre to the outer points, straight
+
+
+class _Wand(_Model):
+    name: str = "wand"
+    radius: _Positive
+    body: str = "white"
+    discs: Annotated[list[_Disc], Field(min_length=1)]
+
+
+class _Scene(_Model):
+    name: str = ""
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    fps: _Positive
+    frames: Annotated[int, Field(gt=0)]
+    exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    camera: _Camera
+    wand: _Wand
+    wands: list[_Wand] | None = None
+
+
+def is_wand(path: Path | str) -> bool:
+    """Does a folder say that it is a recording of a wand? False for whatever cannot be read."""
+    try:
+        content = json.loads((Path(path) / "scene.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and "wand" in content
+
+
+def open_wand(path: Path | str) -> WandRecording:
+    """Read and check the description of a wand dataset; DatasetError names the file at fault."""
+    path = Path(path)
+    if not path.is_dir():
+        raise DatasetError(f"{path}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
+    scene = _read_scene(path / "scene.json")
+    if not (path / "video.mkv").is_file() and not (path / "frames").is_dir():
+        raise DatasetError(f"{path}: neither video.mkv nor a folder frames/ is there")
+    c = scene.camera
+    wands = [scene.wand] if scene.wands is None else scene.wands
+    truth = path / "truth.csv"
+    return WandRecording(
+        path=path,
+        name=scene.name or path.name,
+        camera=InteriorOrientation(scene.width, scene.height, c.fx, c.fy, c.cx, c.cy, np.array(c.dist, dtype=float)),
+        balls=tuple(_ball(path / "scene.json", wand) for wand in wands),
+        fps=scene.fps,
+        frames=scene.frames,
+        exposure_s=scene.exposure_s,
+        truths=_read_truths(truth, scene.frames, len(wands)) if truth.exists() else (),
+    )
+
+
+def _read_scene(path: Path) -> _Scene:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: missing; a dataset needs it") from None
+    except (OSError, UnicodeDecodeError) as e:
+        raise DatasetError(f"{path}: cannot be read ({e})") from None
+    except json.JSONDecodeError as e:
+        raise DatasetError(f"{path}, line {e.lineno}: not valid JSON ({e.msg})") from None
+    if isinstance(content, dict) and "wand" not in content:
+        raise DatasetError(f"{path}: no `wand` in it; this is no recording of a wand, leave --tracker wand out")
+    try:
+        scene = _Scene.model_validate_json(json.dumps(content))  # once more, so that lists count as tuples
+    except ValidationError as e:
+        first = e.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the file"
+        more = f" (and {e.error_count() - 1} more)" if e.error_count() > 1 else ""
+        raise DatasetError(f"{path}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{more}") from None
+    if scene.wands is not None and not scene.wands:
+        raise DatasetError(f"{path}: wands: is empty; leave it out where there is one ball")
+    return scene
+
+
+def _ball(path: Path, wand: _Wand) -> WandBall:
+    discs: list[WandDisc] = []
+    for i, disc in enumerate(wand.discs):
+        if disc.diameter >= 2.0 * wand.radius or (disc.points or 0.0) >= 2.0 * wand.radius:
+            raise DatasetError(f"{path}: wand.discs.{i}: larger than the ball of radius {wand.radius:g} m")
+        angle = float(np.arcsin(0.5 * disc.diameter / wand.radius))
+        # along the surface: the thesis' points lie on it, 0.5 and 1.2 cm from the centre
+        points = None if disc.points is None else disc.points / wand.radius
+        azimuth, latitude = np.radians(disc.azimuth_deg), np.radians(disc.latitude_deg)
+        discs.append(wand_disc(float(azimuth), float(latitude), angle, disc.colour, points))
+    return WandBall(wand.name, wand.radius, tuple(discs), wand.body)
+
+
+# ---- truth.csv ----
+
+
+def _columns(ball: int) -> tuple[str, ...]:
+    """Of a pose in truth.csv."""
+    return tuple(name if ball == 0 else f"{name}_{ball}" for name in WAND_COLUMNS[2:])
+
+
+def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
+    table = _read_table(path, (*WAND_COLUMNS[:2], *(name for k in range(balls) for name in _columns(k))))
+    if len(table) != frames:
+        raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
+    stamp = table[:, 1].copy()
+    for i in range(frames):
+        if table[i, 0] != i:
+            raise DatasetError(f"{path}, row {i + 1}: frame {table[i, 0]:g} where {i} is due")
+        if i and stamp[i] <= stamp[i - 1]:
+            raise DatasetError(f"{path}, row {i + 1}: t does not increase")
+    truths = []
+    for k in range(balls):
+        part = table[:, 2 + 12 * k : 14 + 12 * k]
+        rotation = part[:, 3:].reshape(-1, 3, 3).copy()
+        for i in range(frames):
+            if not _is_rotation(rotation[i]):
+                raise DatasetError(f"{path}, row {i + 1}: {_columns(k)[3]}..{_columns(k)[-1]} is not a rotation")
+        truths.append(WandTruth(stamp, part[:, :3].copy(), rotation))
+    return tuple(truths)
+
+
+# ---- frames ----
+
+
+def read_wand_frames(recording: WandRecording) -> Iterator[Frame]:
+    """The frames in order, in colour; stamps are the truth's times, or index / fps.
+
+    A recording cut short gives what is there and then raises DatasetError.
+    """
+    source = recording.path / "video.mkv"
+    images = video_images(source) if source.is_file() else folder_images(recording.path)
+    source = source if source.is_file() else recording.path / "frames"
+    size = (recording.camera.height, recording.camera.width)
+    count = 0
+    for image in images:
+        if image.shape[:2] != size:
+            raise DatasetError(
+                f"{source}: frame {count} is {image.shape[1]}x{image.shape[0]}, but scene.json says {size[1]}x{size[0]}"
+            )
+        stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
+        yield Frame(image, stamp, count)
+        count += 1
+        if count == recording.frames:
+            return
+    if count == 0:
+        raise DatasetError(f"{source}: no frame in it can be read")
+    raise DatasetError(f"{source}: ends after {count} of {recording.frames} frames")
+
+
+# ---- writing ----
+
+
+def wand_description(ball: WandBall) -> dict[str, Any]:
+    """A ball as scene.json has it."""
+    discs = []
+    for disc in ball.discs:
+        x, y, z = disc.direction
+        discs.append(
+            {
+                "azimuth_deg": round(float(np.degrees(np.arctan2(y, x))), 9),
+                "latitude_deg": round(float(np.degrees(np.arcsin(np.clip(z, -1.0, 1.0)))), 9),
+                "diameter": float(2.0 * ball.radius * np.sin(disc.angle)),
+                "colour": disc.colour,
+                "angular_radius_deg": float(np.degrees(disc.angle)),
+                "points": float(ball.radius * disc.points_angle),
+            }
+        )
+    return {"name": ball.name, "radius": float(ball.radius), "body": ball.body, "frame": _FRAME, "discs": discs}
+
+
+def wand_scene_description(film: WandFilm, name: str) -> dict[str, Any]:
+    """The content of scene.json, but for `frames`."""
+    camera, balls = film.scene.camera, [wand_description(b.ball) for b in film.scene.balls]
+    description: dict[str, Any] = {
+        "name": name,
+        "made_by": "spheremouse wand simulate",
+        "width": int(camera.width),
+        "height": int(camera.height),
+        "fps": float(film.fps),
+        "exposure_s": float(film.scene.exposure_s),
+        "camera": {
+            **dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True)),
+            "dist": camera.distortion.tolist(),
+        },
+        "wand": balls[0],
+        "camera_frame": "OpenCV: x right, y down, z forward; truth.csv x,y,z = ball centre in it (m); r11..r33 "
+        "row-major, P_cam = R P_ball + (x,y,z)",
+    }
+    if len(balls) > 1:
+        description["wands"] = balls
+    return description
+
+
+def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> Iterator[int]:
+    """Film into a dataset folder, giving the number of frames done after each; complete at the end.
+
+    Raises DatasetError where `path` is there and not empty (unless `replace`, and it holds a dataset), or cannot be
+    written. An iterator that is closed early writes nothing.
+    """
+    path = Path(path).absolute()
+    _refuse_to_overwrite(path, replace)
+    folder = begin_folder(path, DatasetError)
+    camera = film.scene.camera
+    pictures: PictureWriter | None = None
+    try:
+        folder.chmod(0o755)
+        pictures = PictureWriter(folder, (camera.width, camera.height), film.fps)
+        with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            columns = [name for k in range(len(film.scene.balls)) for name in _columns(k)]
+            rows.writerow([*WAND_COLUMNS[:2], *columns])
+            for shot in simulate_wand(film):
+                pictures.add(shot.frame.image)
+                numbers = [shot.frame.stamp, *_poses(shot.position, shot.rotation)]
+                rows.writerow([shot.frame.sequence, *(repr(float(x)) for x in numbers)])
+                yield shot.frame.sequence + 1
+        _finish(pictures, path)
+        _write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
+        _refuse_to_overwrite(path, replace)  # once more: somebody may have come first
+        finish_folder(folder, path)
+    except OSError as e:
+        raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None
+    finally:
+        if pictures is not None:
+            pictures.release()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _poses(position: Array, rotation: Array) -> list[float]:
+    return [float(x) for p, R in zip(position, rotation, strict=True) for x in (*p, *R.ravel())]

@@ -1,0 +1,300 @@
+"""The wand's commands as a user meets them: films, bounds of colours, evaluation, experiments."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from spheremouse import cli_experiments, cli_wand, wand_experiments
+from spheremouse.cli_evaluate import evaluate
+from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.evaluate.wand import errors
+from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
+from spheremouse.wand.track import WandSettings
+from spheremouse.wand_colours import Circle, disc_mask, find, judged, pick
+from spheremouse.wand_experiments import Film, Job, Variant, films, jobs, rows, verdicts
+from spheremouse.wand_file import load_wand
+
+app = typer.Typer()
+app.add_typer(cli_wand.app, name="wand")
+app.add_typer(cli_experiments.app, name="experiments")
+app.command()(evaluate)
+
+
+@pytest.fixture
+def run():
+    """(*words) -> exit code, what was printed; errors of ours as their text."""
+
+    def call(*words):
+        result = CliRunner().invoke(app, [str(w) for w in words])
+        if isinstance(result.exception, SpheremouseError):
+            return 2, str(result.exception)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        return result.exit_code, result.output
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def shot():
+    """A hand holds the ball before the camera: the picture, and where the ball is in it."""
+    film = prepare_wand(WandOptions(motion="hand", seed=1, seconds=3.0, size=(640, 480)))
+    return list(simulate_wand(film))[40], film
+
+
+def circle_of(shot, film):
+    x, y, z = shot.position[0]
+    c = film.scene.camera
+    return Circle(c.cx + c.fx * x / z, c.cy + c.fy * y / z, c.fx * 0.05 / z)
+
+
+@pytest.fixture
+def picture(shot, tmp_path):
+    path = tmp_path / "hand.png"
+    cv2.imwrite(str(path), shot[0].frame.image)
+    return path
+
+
+# ---- simulate and evaluate ----
+
+
+def test_a_film_is_made_and_evaluated(run, tmp_path):
+    out = tmp_path / "film"
+    words = ("--path", "hand", "--seconds", 1, "--seed", 3, "--size", "640x480", "--blur", 0.005)
+    code, said = run("wand", "simulate", out, *words)
+    assert code == 0
+    assert said.startswith(f"{out}: 15 frames of 640x480 at 15 Hz, motion hand, ball grzonka; ")
+    assert f"next: spheremouse evaluate {out} --tracker wand" in said
+    code, said = run(
+        "evaluate", out, "--tracker", "wand", "--runs", 2, "--pose", "known", "--json", tmp_path / "a.json"
+    )
+    assert code == 0, said
+    figures = json.loads((tmp_path / "a.json").read_text())
+    assert (figures["dataset"], figures["tracker"], figures["frames"], figures["runs"]) == ("film", "wand", 15, 2)
+    assert set(figures["position_p95_mm"]) == {"x", "y", "z"}
+    assert figures["lost_runs"] in (0, 1, 2)
+    assert figures["fps"] > 0.0
+    code, said = run("wand", "simulate", out, "--seconds", 1)
+    assert code == 2
+    assert "is not empty; name another folder or use --force" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--runs", "0"), "--runs: must be 1 or more, is 0"),
+        (("--detector", "blobs"), "--detector: does not go with --tracker wand; leave it out"),
+        (("--set", "partikles=3"), "unknown"),
+        (("--pose", "maybe"), "--pose: must be own or known"),
+        (("--wand", "none.yaml"), "none.yaml: no such file"),
+    ],
+)
+def test_evaluate_refuses_what_does_not_go_with_a_wand(run, tmp_path, words, said):
+    (tmp_path / "scene.json").write_text('{"wand": 1}')
+    code, output = run("evaluate", tmp_path, "--tracker", "wand", *words)
+    assert code == 2
+    assert said in output
+
+
+def test_a_recording_of_a_ball_in_its_frame_is_no_wand(run, tmp_path):
+    (tmp_path / "scene.json").write_text('{"ball": {"radius": 0.6}}')
+    code, said = run("evaluate", tmp_path, "--tracker", "wand")
+    assert code == 2
+    assert "no `wand` in it" in said
+
+
+# ---- colours ----
+
+
+def test_the_ball_is_found_and_its_bounds_select_its_discs(shot):
+    picked = pick(shot[0].frame.image, grzonka_ball())
+    true = circle_of(*shot)
+    assert np.hypot(picked.circle.u - true.u, picked.circle.v - true.v) < 0.1 * true.radius
+    assert picked.circle.radius == pytest.approx(true.radius, rel=0.1)
+    red, blue = picked.colours["red"], picked.colours["blue"]
+    assert red.hue_min > 330
+    assert red.hue_max < 25
+    assert 200 < blue.hue_min < blue.hue_max < 255
+    for name in ("red", "blue"):
+        assert 0.02 < picked.inside[name] < 0.4
+        assert picked.outside[name] < 0.02
+
+
+def test_bounds_follow_the_light(shot):
+    """Under blue light, in which white is blue, the bounds picked are others, and still select the discs alone."""
+    image, circle = shot[0].frame.image, circle_of(*shot)
+    tinted = np.clip(image * np.array([1.0, 0.9, 0.7]), 0, 255).astype(np.uint8)
+    picked = pick(tinted, grzonka_ball(), circle)
+    plain = pick(image, grzonka_ball(), circle)
+    assert picked.colours["blue"].saturation_min > plain.colours["blue"].saturation_min
+    for name in ("red", "blue"):
+        assert picked.inside[name] == pytest.approx(plain.inside[name], abs=0.03)
+        assert picked.outside[name] < 0.02
+
+
+def test_one_colour_is_split_by_brightness():
+    film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=1.0, size=(640, 480)), contrast_ball())
+    shot = next(simulate_wand(film))
+    picked = pick(shot.frame.image, contrast_ball(), circle_of(shot, film))
+    assert 0.05 < picked.inside["dark"] < 0.35
+    assert 40 < picked.colours["dark"].value_max < 140
+
+
+def test_the_command_writes_bounds_and_picture(run, picture, tmp_path):
+    out = tmp_path / "wand.yaml"
+    code, said = run("wand", "colours", picture, "--out", out)
+    assert code == 0, said
+    assert "the ball is at" in said
+    assert "red: hue_min" in said
+    file = load_wand(out)
+    assert file.ball.colours == ("blue", "red")
+    assert file.colours["red"] != DEFAULT_COLOURS["red"]
+    shown = cv2.imread(str(tmp_path / "hand.colours.png"))
+    assert shown.shape == (480, 640 + 240, 3)
+    red = np.all(shown[:, :640] == (60, 60, 255), axis=2)
+    assert 0 < np.count_nonzero(red) < 0.05 * red.size
+    code, said = run("wand", "colours", picture)
+    assert code == 2
+    assert "hand.colours.png: there already; name another file, or replace it with --force" in said
+    code, said = run("wand", "colours", picture, "--check", "--wand", out, "--force")
+    assert code == 0
+    assert "selects" in said
+
+
+def test_what_cannot_be_picked_is_said_in_words(run, picture, shot, tmp_path):
+    empty = tmp_path / "empty.png"
+    cv2.imwrite(str(empty), np.full((240, 320, 3), 128, np.uint8))
+    for words, said in (
+        ((empty,), "no ball with blue and red discs on white is in view"),
+        ((tmp_path / "none.png",), "none.png: no such file"),
+        ((picture, "--at", "1,2"), "--at 1,2: write the centre and the radius in px"),
+        ((picture, "--at", "9999,2,5"), "--at 9999,2,5: not in a picture of 640x480 px"),
+        ((picture, "--at", "30,30,20"), "blue: no such disc on the ball"),
+        ((picture, "--show", "x.jpg"), "must end in .png"),
+    ):
+        code, output = run("wand", "colours", *words)
+        assert code == 2
+        assert said in output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["empty.png", "hand.png"]
+    image, circle = shot[0].frame.image, circle_of(*shot)
+    with pytest.raises(ConfigurationError, match="green: the bounds select nothing on the ball"):
+        judged(image, {"green": ColourSettings(hue_min=100, hue_max=140, saturation_min=200)}, circle)
+    with pytest.raises(ConfigurationError, match=r"light: the bounds select .* % of the picture"):
+        judged(image, {"light": ColourSettings(value_min=20)}, circle)
+
+
+def test_a_circle_is_where_it_says():
+    mask = disc_mask((40, 60), Circle(20.0, 15.0, 10.0), 1.0)
+    assert np.count_nonzero(mask) == pytest.approx(np.pi * 100, rel=0.04)
+    assert np.argwhere(mask).mean(axis=0) == pytest.approx([15.0, 20.0])
+    with pytest.raises(ConfigurationError):
+        find(np.random.default_rng(0).integers(100, 140, (200, 200, 3), dtype=np.uint8), grzonka_ball())
+
+
+# ---- experiments ----
+
+TINY = Film(
+    "tiny",
+    "a short one",
+    WandOptions(motion="hand", seconds=0.4, size=(320, 240)),
+    (1, 2),
+    (Variant("20, known start", WandSettings(particles=20), known=True), Variant("30", WandSettings(particles=30))),
+)
+
+
+def test_the_issue_s_cases_are_all_there():
+    every = {film.name: film for film in films(quick=False)}
+    drive = every["drive"]
+    assert drive.seeds == tuple(range(1, 21))
+    known = sorted(v.settings.particles for v in drive.variants if v.known and v.settings.proposal == "peaks")
+    assert known == [50, 350, 5000, 50_000]
+    assert any(not v.known for v in drive.variants)
+    assert every["hand-held"].options.motion == "hand"
+    assert len({job.key for job in jobs(quick=False)}) == len(jobs(quick=False))
+    assert {f.name for f in films(quick=True)} <= set(every)
+
+
+def test_a_recipe_tells_what_a_result_belongs_to():
+    job = Job(TINY, 1)
+    assert job.recipe == Job(TINY, 1).recipe != Job(TINY, 2).recipe
+    assert job.recipe != Job(replace(TINY, options=replace(TINY.options, noise=9.0)), 1).recipe
+    assert job.recipe == Job(replace(TINY, seeds=(1,)), 1).recipe  # more seeds do not undo what is done
+
+
+def test_experiments_run_resume_and_tell_of_failures(run, tmp_path, monkeypatch):
+    """In this process: a film that works, taken up again, and one that fails, which is a row that says so."""
+    broken = replace(TINY, name="broken", ball="nobody's", seeds=(1,))
+    made = []
+
+    def here(todo, cores):
+        for job in todo:
+            made.append(job.key)
+            yield job, cli_experiments._safely(job)
+
+    monkeypatch.setattr(wand_experiments, "films", lambda quick: (TINY, broken))
+    monkeypatch.setattr(cli_experiments, "_worked", here)
+    monkeypatch.setattr(cli_experiments, "measure_speeds", lambda: {})
+    code, said = run("experiments", "wand", "--out", tmp_path / "out")
+    assert code == 1  # one failed
+    assert 'broken, 30: seed 1: KeyError: "nobody\'s"' in said
+    assert made == ["tiny-01", "tiny-02", "broken-01"]
+    code, again = run("experiments", "wand", "--out", tmp_path / "out")
+    assert made[3:] == ["broken-01"]  # only what failed is done anew
+    assert again == said
+    figures = json.loads((tmp_path / "out" / "wand.json").read_text())
+    row = next(r for r in figures["rows"] if (r["film"], r["variant"]) == ("tiny", "20, known start"))
+    assert row["runs"] == 2
+    assert row["tracked"] > 0.0
+    text = (tmp_path / "out" / "wand.md").read_text()
+    assert "| broken: a short one | 30 | 0 | failed: see below |" in text
+    (tmp_path / "out" / "wand" / "tiny-01.json").write_text("{")  # cut short
+    run("experiments", "wand", "--out", tmp_path / "out")
+    assert made[4:] == ["tiny-01", "broken-01"]
+
+
+def test_processes_give_what_this_one_gives():
+    """Two processes, real ones."""
+    job = Job(replace(TINY, variants=TINY.variants[:1], seeds=(1,)), 1)
+    found = {j.key: r for j, r in cli_experiments._worked([job], 2)}["tiny-01"]
+    here = wand_experiments.work(job)
+    assert found["recipe"] == here["recipe"]
+    assert list(found["variants"]) == list(here["variants"])
+    for there, own in zip(found["variants"].values(), here["variants"].values(), strict=True):
+        # Sums in another order of memory round otherwise, and a resampling may fall the other way.
+        assert [(r["lost"], r["frames"]) for r in there] == [(r["lost"], r["frames"]) for r in own]
+        assert np.allclose([r["position"][-1] for r in there], [r["position"][-1] for r in own], atol=0.02)
+
+
+def test_results_put_together_are_the_metrics_of_the_runs(monkeypatch):
+    monkeypatch.setattr(wand_experiments, "films", lambda quick: (TINY,))
+    results = {Job(TINY, seed).key: wand_experiments.work(Job(TINY, seed)) for seed in (1, 2)}
+    row = rows(True, json.loads(json.dumps(results)))[0]
+    runs, truths = wand_experiments._runs([results[k]["variants"]["20, known start"][0] for k in results])
+    assert row.figures == errors(runs, truths)
+    assert (row.runs, row.lost) == (2, sum(results[k]["variants"]["20, known start"][0]["lost"] for k in results))
+
+
+def test_verdicts_hold_figures_against_what_is_asked():
+    def row(variant, lost, runs, p95=(5.0, 5.0, 50.0), turned=1.0, found=20):
+        figures = {"position_p95_mm": dict(zip("xyz", p95, strict=True)), "rotation_p95_deg": turned}
+        film = replace(TINY, name="drive")
+        return wand_experiments.Row(film, variant, runs, lost, found, 1.0, figures)
+
+    good = [row("350, known start", 0, 20), row("50, known start", 2, 20), row("350, own start", 0, 20, found=19)]
+    speeds = {"350 particles, whole frame": {"fps": 61.0}, "5000 particles, region of interest": {"fps": 29.0}}
+    reached = {asked: ok for asked, _, _, ok in verdicts(good, speeds)}
+    assert list(reached.values()) == [True, True, True, True, True, False]
+    bad = [
+        row("350, known start", 1, 20, p95=(5.0, 5.0, 101.0)),
+        row("50, known start", 3, 20),
+        row("350, own start", 0, 20, found=18),
+    ]
+    assert [ok for _, _, _, ok in verdicts(bad, {})] == [False, False, False, False]
+    assert [ok for _, _, _, ok in verdicts([row("50, known start", 0, 0)], {})] == [None]

@@ -1,0 +1,362 @@
+"""The wand's films: its paths against their own laws, its renderer against OpenCV and an independent path tracer."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from conftest import datasets_dir
+
+from spheremouse.camera import InteriorOrientation
+from spheremouse.errors import ConfigurationError
+from spheremouse.rotation import exp
+from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand_ball import disc_paints, label_at, paint_ball, window
+from spheremouse.simulate.wand_path import (
+    BALL_HEIGHT,
+    CAMERA_HEIGHT,
+    REST_AFTER,
+    REST_BEFORE,
+    drive,
+    hand,
+    turning_rates,
+    world_to_cam,
+)
+from spheremouse.simulate.wand_render import (
+    Carried,
+    WandRenderer,
+    WandScene,
+    _blurred,
+    _exposed,
+    _windows,
+    indoor_light,
+    outdoor_light,
+)
+from spheremouse.simulate.wand_room import lay
+from spheremouse.wand.ball import WandBall, grzonka_ball, wand_disc
+from spheremouse.wand_recording import open_wand, read_wand_frames
+
+CAMERA = InteriorOrientation(1280, 960, 2100.0, 2100.0, 640.0, 480.0)
+LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+class Fixed:
+    """A ball that stays where it is."""
+
+    seconds = 100.0
+
+    def __init__(self, centre, rotation):
+        self.centre, self.rotation = np.array(centre, dtype=float), rotation
+
+    def pose(self, t):
+        n = len(np.atleast_1d(t))
+        return np.tile(self.centre, (n, 1)), np.tile(self.rotation, (n, 1, 1))
+
+
+class Moving(Fixed):
+    """One that goes at constant velocity."""
+
+    def __init__(self, centre, rotation, velocity):
+        super().__init__(centre, rotation)
+        self.velocity = np.array(velocity)
+
+    def pose(self, t):
+        c, R = super().pose(t)
+        return c + np.atleast_1d(t)[:, None] * self.velocity, R
+
+
+# ---- paths ----
+
+
+@pytest.mark.parametrize("seed", [1, 7])
+def test_a_drive_is_that_of_the_thesis(seed):
+    path = drive(rng(seed))
+    t = np.arange(0.0, path.seconds, 0.05)
+    centre, R = path.pose(t)
+    world = centre @ world_to_cam()
+    speed = np.linalg.norm(np.diff(centre, axis=0), axis=1) / 0.05
+    assert np.allclose(world[:, 1], CAMERA_HEIGHT - BALL_HEIGHT)  # on a level floor
+    assert speed.max() == pytest.approx(0.035, rel=1e-6)
+    assert np.degrees(turning_rates(R, 0.05).max()) == pytest.approx(50.0, abs=0.5)  # wobble only while it drives
+    assert 0.55 < np.abs(world[:, 0]).max() < 0.67
+    assert 3.65 < world[:, 2].min() < 3.8
+    assert 4.2 < world[:, 2].max() < 4.35
+    assert np.all(speed[t[1:] < REST_BEFORE] == 0.0)
+    assert np.all(speed[t[1:] > path.seconds - REST_AFTER + 0.1] < 1e-12)
+
+
+def test_a_robot_drives_where_its_ball_says_it_looks():
+    path = drive(rng(3), wobble=0.0)
+    t = np.arange(REST_BEFORE, path.seconds - REST_AFTER, 0.01)
+    centre, R = path.pose(t)
+    velocity = np.diff(centre, axis=0) / 0.01
+    driving = np.linalg.norm(velocity, axis=1) > 0.035 * (1.0 - 1e-6)  # the whole step
+    assert driving.mean() > 0.8
+    assert np.allclose(velocity[driving], 0.035 * R[:-1][driving, :, 0], atol=1e-6)
+
+
+def test_robots_keep_clear_of_each_other():
+    paths = [drive(rng(k), part=k, of=3) for k in range(3)]
+    t = np.arange(0.0, 250.0, 0.5)
+    places = [p.pose(t)[0] for p in paths]
+    for a, b in ((0, 1), (1, 2)):
+        assert np.min(np.linalg.norm(places[a] - places[b], axis=1)) > 0.19
+
+
+@pytest.mark.parametrize(("speed", "rate"), [(0.4, 180.0), (0.1, 360.0)])
+def test_a_hand_reaches_the_speeds_asked_for_and_no_more(speed, rate):
+    for seed in range(4):
+        path = hand(rng(seed), speed=speed, rate=np.radians(rate))
+        t = np.arange(0.0, path.seconds, 0.01)
+        centre, R = path.pose(t)
+        assert np.max(np.linalg.norm(np.diff(centre, axis=0), axis=1)) / 0.01 == pytest.approx(speed, rel=0.02)
+        assert np.degrees(np.max(turning_rates(R, 0.01))) == pytest.approx(rate, rel=0.02)
+        assert np.max(np.abs(centre - path.middle)) < 0.16
+        assert np.allclose(R @ R.transpose(0, 2, 1), np.eye(3), atol=1e-12)
+
+
+# ---- the ball ----
+
+
+def opencv_label(uv, centre, R, ball, camera):
+    """What pixels meet, through OpenCV's undistortion and a quadratic in NumPy: an independent way to the labels."""
+    matrix, dist = camera.matrix, camera.distortion
+    xy = cv2.undistortPoints(uv.reshape(-1, 1, 2), matrix, dist, None, None, None)[:, 0]
+    rays = np.column_stack([xy, np.ones(len(xy))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    b = rays @ centre
+    root = b**2 - (centre @ centre - ball.radius**2)
+    with np.errstate(invalid="ignore"):
+        points = rays * (b - np.sqrt(root))[:, None] - centre
+    on_ball = points @ R / ball.radius
+    angle = np.arccos(np.clip(on_ball @ np.array([d.direction for d in ball.discs]).T, -1, 1))
+    inside = angle < np.array([d.angle for d in ball.discs])
+    return np.where(root < 0, -1, np.where(inside.any(axis=1), 1 + np.argmax(inside, axis=1), 0))
+
+
+def test_rays_meet_what_opencv_says():
+    ball, camera = grzonka_ball(), replace(CAMERA, distortion=LENS)
+    centre, R = np.array([0.4, 0.3, 1.8]), exp(np.array([2.0, 0.3, -0.4]))
+    left, right, top, bottom = window(centre, ball.radius, camera)
+    uv = rng().uniform((left, top), (right, bottom), (4000, 2))
+    ours, theirs = label_at(uv, centre, R, ball, camera), opencv_label(uv, centre, R, ball, camera)
+    assert len(np.unique(ours)) > 4
+    assert np.mean(ours != theirs) < 0.003  # but for what lies within OpenCV's own 0.01 px of an edge
+
+
+def test_a_disc_appears_where_opencv_projects_its_rim():
+    """The centroid of a painted disc against the polygon of its rim projected by OpenCV."""
+    disc = wand_disc(0.4, 0.5, 0.3, "red")
+    ball, camera = WandBall("one", 0.05, (disc,)), replace(CAMERA, distortion=LENS)
+    centre = np.array([-0.5, 0.2, 2.0])
+    R = np.linalg.qr(np.column_stack([-centre, (1, 0, 0), (0, 1, 0)]))[0]
+    R *= np.sign(np.linalg.det(R))
+    R = R if disc.direction @ R.T @ centre < 0 else R @ np.diag([-1.0, -1.0, 1.0])
+    light = indoor_light(gloss=0.0)
+    only_disc = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
+    flat = replace(light, power=np.zeros((2, 3)), above=np.ones(3), below=np.ones(3))
+    layer = paint_ball(ball, only_disc, [(centre, R)], camera, flat)
+    red = layer.paint[..., 2] / 0.5
+    v, u = np.mgrid[: red.shape[0], : red.shape[1]]
+    found = np.array([np.sum(red * u), np.sum(red * v)]) / red.sum() + layer.place
+    t = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    a = np.linalg.svd(disc.direction[None])[2][1:]
+    rim = np.cos(disc.angle) * disc.direction + np.sin(disc.angle) * (
+        np.cos(t)[:, None] * a[0] + np.sin(t)[:, None] * a[1]
+    )
+    seen = cv2.projectPoints(ball.radius * rim, R, centre, camera.matrix, camera.distortion)[0][:, 0]
+    m = cv2.moments(seen.astype(np.float32))
+    assert red.sum() == pytest.approx(m["m00"], rel=0.005)
+    assert found == pytest.approx([m["m10"] / m["m00"], m["m01"] / m["m00"]], abs=0.02)
+
+
+def test_cover_is_the_area_of_the_outline_and_goes_to_the_edge_of_the_picture():
+    ball, light = grzonka_ball(), indoor_light()
+    centre = np.array([0.0, 0.0, 2.0])
+    layer = paint_ball(ball, disc_paints(ball), [(centre, np.eye(3))], CAMERA, light)
+    assert layer.paint[..., 3].sum() == pytest.approx(np.pi * 2100.0**2 / (2.0**2 / 0.05**2 - 1.0), rel=2e-3)
+    half = paint_ball(ball, disc_paints(ball), [(np.array([-640.5 / 2100 * 2, 0, 2.0]), np.eye(3))], CAMERA, light)
+    assert half.place[0] == 0
+    assert half.paint[..., 3].sum() == pytest.approx(0.5 * layer.paint[..., 3].sum(), rel=0.06)
+    assert paint_ball(ball, disc_paints(ball), [(np.array([5.0, 0, 2.0]), np.eye(3))], CAMERA, light) is None
+    assert paint_ball(ball, disc_paints(ball), [(np.array([0, 0, -2.0]), np.eye(3))], CAMERA, light) is None
+
+
+def test_exposure_blurs_along_the_motion():
+    ball, camera = grzonka_ball(), InteriorOrientation(400, 300, 2100.0, 2100.0, 200.0, 150.0)
+    R = exp(np.array([np.pi / 2, 0, 0]))
+
+    def profile(exposure):
+        path = Moving((0, 0, 1.0), R, (0.4, 0.0, 0.0))
+        scene = WandScene(camera, (Carried(ball, path, "nothing"),), indoor_light(), exposure_s=exposure)
+        renderer = WandRenderer(scene)
+        layers = renderer._layers(0.0)
+        cover = np.zeros((300, 400))
+        (x, y), paint = layers[0]
+        cover[y : y + paint.shape[0], x : x + paint.shape[1]] = paint[..., 3]
+        return cover
+
+    sharp, blurred = profile(0.0), profile(0.02)
+    assert blurred.sum() == pytest.approx(sharp.sum(), rel=1e-3)  # light is neither made nor lost
+    u = np.arange(400)
+    across = [np.sum(c.sum(axis=0) * (u - 200) ** 2) / c.sum() for c in (sharp, blurred)]
+    way = 0.4 * 0.02 * 2100.0  # px
+    assert across[1] - across[0] == pytest.approx(way**2 / 12.0, rel=0.03)  # variance of an even spread
+    assert np.sum(blurred.sum(axis=0) * u) / blurred.sum() == pytest.approx(200.0, abs=0.02)  # about mid-exposure
+
+
+# ---- the picture ----
+
+
+def coloured(image):
+    """Masks of saturated red and blue by plain rules."""
+    h, s, _ = (image_hsv.astype(int) for image_hsv in cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2HSV)))
+    return {"red": (s > 110) & ((h < 12) | (h > 168)), "blue": (s > 110) & (h > 100) & (h < 135)}
+
+
+def test_coloured_regions_lie_where_a_path_tracer_puts_them():
+    """The shared recording, rendered once more: centroids of its discs to a tenth of a pixel, areas to some percent.
+
+    Measured over every fifth frame: 77 regions, 0.07 px RMS per axis, none beyond 0.23 px.
+    """
+    recording = open_wand(datasets_dir() / "wand_drive")
+    truth = recording.truth
+
+    class Replayed:
+        seconds = 1e9
+
+        def pose(self, t):
+            i = np.rint(np.atleast_1d(t) * recording.fps).astype(int)
+            return truth.position[i], truth.rotation[i]
+
+    renderer = WandRenderer(
+        WandScene(recording.camera, (Carried(recording.ball, Replayed(), "robot"),), indoor_light())
+    )
+    apart, ratio = [], []
+    for frame in read_wand_frames(recording):
+        if frame.sequence % 10:
+            continue
+        ours = renderer.picture(frame.stamp, rng())
+        x, y, z = truth.position[frame.sequence]
+        u, v = int(640 + 2100 * x / z), int(480 + 2100 * y / z)
+        part = slice(v - 32, v + 33), slice(max(u - 32, 0), u + 33)
+        theirs, mine = coloured(frame.image[part]), coloured(ours[part])
+        for name, mask in theirs.items():
+            n, _, stats, centre = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+            m, _, my_stats, my_centre = cv2.connectedComponentsWithStats(mine[name].astype(np.uint8))
+            for i in range(1, n):
+                if stats[i, cv2.CC_STAT_AREA] < 40:
+                    continue
+                k = 1 + int(np.argmin(np.linalg.norm(my_centre[1:m] - centre[i], axis=1)))
+                apart.append(my_centre[k] - centre[i])
+                ratio.append(my_stats[k, cv2.CC_STAT_AREA] / stats[i, cv2.CC_STAT_AREA])
+    apart = np.array(apart)
+    assert len(apart) > 30
+    assert np.all(np.sqrt(np.mean(apart**2, axis=0)) < 0.12)
+    assert np.abs(apart).max() < 0.4
+    assert 0.9 < np.median(ratio) < 1.1
+
+
+def test_windows_painted_anew_are_the_picture_painted_whole():
+    """No seam: to the last bit what comes out if the whole picture is painted and blurred."""
+    film = prepare_wand(WandOptions(seed=4, noise=0.0, size=(640, 480), balls=2, begin=40.0, seconds=60.0, hand=30.0))
+    renderer = WandRenderer(film.scene)
+    for t in (45.0, 70.0):
+        layers = renderer._layers(t)
+        whole = renderer._still.copy()
+        for layer in layers:
+            lay(whole, layer)
+        picture = renderer.picture(t, rng())
+        assert np.array_equal(picture, _exposed(_blurred(whole)))
+        assert 2000 < np.count_nonzero(np.any(picture != renderer._bytes, axis=2)) < 60_000
+    assert len(_windows(layers, film.scene.camera)) >= 2
+
+
+def test_noise_is_that_asked_for_and_new_in_every_frame():
+    film = prepare_wand(WandOptions(seed=1, noise=3.0, size=(640, 480), seconds=4.0))
+    clean = WandRenderer(replace(film.scene, noise=0.0)).picture(0.0, rng()).astype(float)
+    first, second = (shot.frame.image.astype(float) - clean for shot in list(simulate_wand(film))[:2])
+    middle = (clean > 30) & (clean < 225)
+    assert np.std(first[middle]) == pytest.approx(3.0, rel=0.03)
+    assert abs(np.mean(first[middle])) < 0.05
+    assert abs(np.corrcoef(first[middle], second[middle])[0, 1]) < 0.01
+
+
+def test_the_sun_leaves_glare_on_the_ball_and_the_room_does_not():
+    R = exp(np.array([np.pi / 2 + 0.2, 0, 0]))
+
+    def whitest(light):
+        ball = grzonka_ball()
+        layer = paint_ball(ball, disc_paints(ball), [(np.array([0, 0.1, 1.0]), R)], CAMERA, light)
+        return np.mean(layer.paint[..., :3].min(axis=2)[layer.paint[..., 3] > 0.99] > 1.4)
+
+    assert all(whitest(outdoor_light(rng(seed))) > 0.005 for seed in range(5))
+    assert whitest(indoor_light()) == 0.0
+
+
+# ---- films ----
+
+
+def test_a_film_repeats_and_another_seed_is_another():
+    options = WandOptions(motion="hand", seed=2, seconds=0.2, size=(320, 240))
+
+    def shots(seed):
+        return list(simulate_wand(prepare_wand(replace(options, seed=seed))))
+
+    a, b, c = shots(2), shots(2), shots(3)
+    assert len(a) == 3
+    for one, same in zip(a, b, strict=True):
+        assert np.array_equal(one.frame.image, same.frame.image)
+        assert np.array_equal(one.position, same.position)
+    assert not np.array_equal(a[0].position, c[0].position)
+    film = prepare_wand(options)
+    assert np.array_equal(film.truth().position[1], a[1].position[0])
+    assert [shot.frame.stamp for shot in a] == pytest.approx([0.0, 1 / 15, 2 / 15])
+
+
+def test_a_second_ball_does_not_move_the_first():
+    one = prepare_wand(WandOptions(motion="hand", seconds=1.0))
+    two = prepare_wand(WandOptions(motion="hand", seconds=1.0, balls=2))
+    assert np.array_equal(one.truth().rotation, two.truth(0).rotation)
+    apart = two.truth(1).position - two.truth(0).position
+    assert np.all(apart[:, 0] > 0.1)  # beside each other
+
+
+def test_hand_and_card_come_and_go():
+    """The card hides the ball at its time; a second and a half later, and before, the picture is as without it."""
+    options = WandOptions(motion="hand", seed=6, noise=0.0, size=(640, 480), seconds=6.0, vary=0.0)
+    plain = WandRenderer(prepare_wand(options).scene)
+    for field, hides in (("card", True), ("hand", False)):
+        film = prepare_wand(replace(options, **{field: 3.0}))
+        renderer = WandRenderer(film.scene)
+        centre = film.truth().position[45]
+        u, v = int(320 + 500 * centre[0] / centre[2]), int(240 + 500 * centre[1] / centre[2])
+        changed = np.any(renderer.picture(3.0, rng()) != plain.picture(3.0, rng()), axis=2)
+        assert changed.any()
+        assert changed[v, u] == hides
+        for t in (0.5, 5.5):
+            assert np.array_equal(renderer.picture(t, rng()), plain.picture(t, rng()))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"fps": 0.0}, "--fps: 0 must be above 0"),
+        ({"seconds": 1e6}, "--seconds: 1e+06 s from 0 s on; this motion ends"),
+        ({"balls": 4}, "--balls: 4 must be from 1 to 3"),
+        ({"vary": 0.9}, "--vary: 0.9 must not be above 0.5"),
+        ({"fps": 30.0, "blur": 0.05}, "--blur: 0.05 s is longer than a frame at 30 Hz"),
+        ({"hand": 500.0}, "--hand: 500 s is not within the film's"),
+        ({"rate": 90.0}, "--rate: belongs to a hand"),
+        ({"motion": "hand", "distance": 0.1}, "--distance: 0.1 m is too near"),
+        ({"noise": float("nan")}, "--noise: nan must be 0 or more"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_in_words(change, words):
+    with pytest.raises(ConfigurationError) as refused:
+        prepare_wand(WandOptions(**change))
+    assert words in str(refused.value)

@@ -1,0 +1,61 @@
+"""Balls: what the thesis prints of them, no rotation onto themselves, and the left-handed frame turned over once."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from spheremouse.wand.ball import contrast_ball, from_left_handed, grzonka_ball, led_ball
+
+
+def test_the_thesis_ball_has_the_printed_measures():
+    ball = grzonka_ball()
+    rims = sorted({round(2 * ball.radius * np.sin(d.angle), 6) for d in ball.discs})
+    assert rims == [0.021, 0.035]
+    assert sorted({round(ball.radius * d.points_angle, 6) for d in ball.discs}) == [0.005, 0.012]
+    assert [d.colour for d in ball.discs].count("red") == 4
+    azimuths = {round(np.rad2deg(np.arctan2(d.direction[1], d.direction[0]))) % 360 for d in ball.discs}
+    assert azimuths == {0, 90, 180, 270}
+
+
+def test_neighbours_in_the_gray_code_differ_in_one_colour():
+    code = [d.colour for d in grzonka_ball().discs]
+    pairs = [tuple(code[2 * i : 2 * i + 2]) for i in range(4)]
+    for a, b in zip(pairs, pairs[1:] + pairs[:1], strict=True):
+        assert sum(x != y for x, y in zip(a, b, strict=True)) == 1
+
+
+@pytest.mark.parametrize("ball", [grzonka_ball(), contrast_ball(), led_ball()], ids=lambda b: b.name)
+def test_no_rotation_maps_the_pattern_to_itself(ball):
+    """Every rotation that takes two discs onto two others of their kind puts some disc where there is none."""
+    n = np.array([d.direction for d in ball.discs])
+    kind = [(d.colour, round(d.angle, 6)) for d in ball.discs]
+    pairs = list(itertools.permutations(range(len(n)), 2))
+    a, b = pairs[0]
+    for c, d in pairs:
+        if (a, b) == (c, d) or kind[a] != kind[c] or kind[b] != kind[d]:
+            continue
+        if abs(n[a] @ n[b] - n[c] @ n[d]) > 0.01:
+            continue
+        R, _ = Rotation.align_vectors(n[[c, d]], n[[a, b]])
+        moved = R.apply(n)
+        on = [any(kind[i] == kind[j] and moved[i] @ n[j] > np.cos(0.1) for j in range(len(n))) for i in range(len(n))]
+        assert not all(on)
+
+
+@pytest.mark.parametrize("ball", [grzonka_ball(), contrast_ball(), led_ball()], ids=lambda b: b.name)
+def test_discs_do_not_touch(ball):
+    for a, b in itertools.combinations(ball.discs, 2):
+        assert np.arccos(a.direction @ b.direction) > a.angle + b.angle + np.deg2rad(5)
+
+
+def test_a_left_handed_turn_is_the_right_handed_one_seen_in_a_mirror():
+    """Yaw in the thesis is counter-clockwise for who looks along its y axis, which points up: cam's y points down."""
+    yaw = 0.3
+    left = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
+    p, R = from_left_handed(np.array([1.0, 2.0, 3.0]), left)
+    np.testing.assert_allclose(p, [1.0, -2.0, 3.0])
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    x = np.array([0.1, -0.4, 0.7])
+    np.testing.assert_allclose(from_left_handed(left @ x, left)[0], R @ from_left_handed(x, left)[0], atol=1e-12)

@@ -1,0 +1,118 @@
+"""Files of hand-held balls: they read back, those we give out are sound, mistakes are told with their line."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.rotation import exp
+from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball, wand_disc
+from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
+from spheremouse.wand_file import load_wand, save_wand, symmetry, wand_text
+
+GIVEN = Path(__file__).parents[1] / "calibration" / "wand"
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "wand.yaml"
+    save_wand(path, grzonka_ball(), {c: DEFAULT_COLOURS[c] for c in ("red", "blue")}, {"made_by": "a: test"})
+    return path
+
+
+def edited(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    return path
+
+
+@pytest.mark.parametrize("ball", [grzonka_ball(), contrast_ball(), led_ball()], ids=lambda b: b.name)
+def test_the_balls_we_give_out_are_those_of_the_code(ball):
+    file = load_wand(GIVEN / f"{ball.name}.yaml")
+    assert (file.ball.name, file.ball.radius, file.ball.body) == (ball.name, ball.radius, ball.body)
+    for a, b in zip(file.ball.discs, ball.discs, strict=True):
+        assert np.allclose(a.direction, b.direction, atol=1e-7)
+        assert (a.angle, a.points_angle) == (pytest.approx(b.angle, abs=1e-6), pytest.approx(b.points_angle, abs=1e-6))
+        assert a.colour == b.colour
+    assert file.colours == {c: DEFAULT_COLOURS[c] for c in ball.colours}
+
+
+def test_a_file_reads_back_with_its_bounds(tmp_path):
+    red = ColourSettings(hue_min=350.0, hue_max=12.5, saturation_min=80.0, value_max=300.0)
+    path = tmp_path / "own.yaml"
+    save_wand(path, grzonka_ball(), {"red": red})
+    file = load_wand(path)
+    assert file.colours == {"red": red, "blue": DEFAULT_COLOURS["blue"]}
+    assert wand_text(file.ball, {"red": red}) == path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("radius: 0.05", "radius: 5 cm", 7, "radius: must be a number, is '5 cm'; radius of the ball in m"),
+        ("radius: 0.05", "radius: 50", 7, "radius: must be at most 1, is 50"),
+        ("azimuth: 0,", "azimut: 0,", 10, "unknown key; did you mean azimuth?"),
+        ("latitude: 55", "latitude: 95", 10, "latitude: must be at most 90, is 95"),
+        ("diameter: 0.021", "diameter: 0.21", 10, "is 0.21 m, on a ball 0.1 m across; both are in metres"),
+        ("points: 0.005", "points: 0.02", 10, "is 0.02 m from the centre, beyond the rim of a disc 0.021 m across"),
+        ("colour: red", "colour: mauve", 10, "is 'mauve', which has no bounds; write them under `colours`"),
+        ("latitude: 55", "latitude: 30", 11, "overlaps disc 1: 15.0 degrees apart, 32.6 would touch"),
+        ("saturation_min: 95", "saturation_min: 300", 19, "saturation_min: must be at most 255, is 300"),
+        ("value_min: 25", "value_min: 20000", 19, "is 20000, not below value_max, 10000: that selects nothing"),
+        ("  red: {", "  pink: {", 19, "no disc has this colour; remove it, or give it to a disc"),
+        ("body: white", "body: grey", 8, "body: must be 'white' or 'black', is 'grey'"),
+        ("discs:", "discs: [", 10, "not YAML"),
+    ],
+)
+def test_a_mistake_is_told_with_its_line(file, old, new, line, words):
+    with pytest.raises(ConfigurationError) as refused:
+        load_wand(edited(file, old, new))
+    assert f"{file}:{line}: " in str(refused.value)
+    assert words in str(refused.value)
+
+
+def test_all_mistakes_are_told_at_once(file):
+    edited(file, "diameter: 0.021", "diameter: 0.21")
+    edited(file, "colour: blue", "colour: teal")
+    with pytest.raises(ConfigurationError) as refused:
+        load_wand(file)
+    assert len(str(refused.value).splitlines()) == 2
+
+
+def test_a_ball_that_looks_the_same_twice_is_refused(file):
+    """Red and blue in turn: half a turn about the pole maps the pattern to itself."""
+    code = ("red", "blue", "red", "blue")
+    discs = [wand_disc(k * np.pi / 2, np.radians(20), 0.2, c) for k, c in enumerate(code)]
+    twice = WandBall("twice", 0.05, tuple(discs))
+    turn = symmetry(twice)
+    assert np.allclose(turn, exp(np.array([0.0, 0.0, np.pi])), atol=1e-9)
+    save_wand(file, twice)
+    with pytest.raises(ConfigurationError, match=r"wand.yaml:7: discs: the ball looks the same turned by 180 degrees"):
+        load_wand(file)
+    unlike = replace(twice, discs=(*discs[:3], wand_disc(1.5 * np.pi, np.radians(20), 0.12, "blue")))
+    assert symmetry(unlike) is None
+
+
+def test_symmetry_is_found_however_the_ball_is_turned():
+    """Three discs at right angles repeat about the diagonal; turned anywhere they still do."""
+    R = exp(np.array([0.3, -1.1, 0.7]))
+    discs = []
+    for d in np.eye(3) @ R.T:
+        discs.append(wand_disc(np.arctan2(d[1], d[0]), np.arcsin(d[2]), 0.2, "red"))
+    turn = symmetry(WandBall("corner", 0.05, tuple(discs)))
+    assert turn is not None
+    assert np.trace(turn) == pytest.approx(0.0, abs=1e-9)  # 120 degrees
+    assert np.allclose(turn @ R @ np.ones(3), R @ np.ones(3))
+
+
+def test_two_discs_are_too_few(tmp_path):
+    ball = grzonka_ball()
+    path = tmp_path / "two.yaml"
+    save_wand(path, replace(ball, discs=ball.discs[:2]))
+    with pytest.raises(ConfigurationError, match="discs: are 2; at least 3 tell how the ball is turned"):
+        load_wand(path)
+    with pytest.raises(ConfigurationError, match="no such file"):
+        load_wand(tmp_path / "none.yaml")

@@ -1,0 +1,117 @@
+"""The likelihood: greatest at the truth, hiding does not pay, curvature that the refinement tells; the outline."""
+
+import numpy as np
+import pytest
+
+from spheremouse.camera import InteriorOrientation, project, project_sphere
+from spheremouse.rotation import exp, log
+from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.wand import limb
+from spheremouse.wand.ball import grzonka_ball
+from spheremouse.wand.colour import DEFAULT_COLOURS, fields
+from spheremouse.wand.likelihood import log_likelihood, model, published
+from spheremouse.wand.refine import refine
+
+BALL = grzonka_ball()
+NONE = np.zeros((limb.DIRECTIONS, 5))
+
+
+@pytest.fixture(scope="module")
+def view():
+    """A frame of the independent renderer: fields, model, position, rotation, picture."""
+    film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=0.1, size=(640, 480), focal=1000.0, distance=1.6))
+    shot = next(iter(simulate_wand(film)))
+    m = model(BALL, film.scene.camera)
+    return (
+        fields(shot.frame.image, DEFAULT_COLOURS, BALL.colours),
+        m,
+        shot.position[0],
+        shot.rotation[0],
+        shot.frame.image,
+    )
+
+
+def values(view, position, rotation, weigh=log_likelihood):
+    seen, m, *_ = view
+    return weigh(np.atleast_2d(position), np.reshape(rotation, (-1, 3, 3)), m, seen)
+
+
+def test_the_truth_matches_and_beats_any_other_attitude(view):
+    _, _, p, R, _ = view
+    value, match = values(view, p, R)
+    rng = np.random.default_rng(0)
+    v = rng.normal(size=(3000, 3))
+    turned = exp(v / np.linalg.norm(v, axis=1)[:, None] * rng.uniform(0.3, np.pi, (3000, 1))) @ R
+    others, _ = values(view, np.repeat(p[None], 3000, 0), turned)
+    assert match[0] > 0.9
+    assert value[0] > others.max() + 20
+
+
+def test_it_falls_to_both_sides_along_each_axis(view):
+    _, _, p, R, _ = view
+    at, _ = values(view, p, R)
+    for step in np.eye(3) * [0.008, 0.008, 0.1]:
+        assert max(values(view, p + s * step, R)[0][0] for s in (-1, 1)) < at[0] - 10
+
+
+def test_hiding_points_does_not_pay(view):
+    """With the bare side towards the camera nothing is asked; the thesis' product would be one."""
+    _, _, p, R, _ = view
+    away = exp(np.array([np.pi, 0.0, 0.0])) @ R
+    value, match = values(view, p, away)
+    at, _ = values(view, p, R)
+    assert value[0] < at[0] - 50
+    assert match[0] < 0.5
+    assert values(view, p, away, published)[0][0] < values(view, p, R, published)[0][0]
+
+
+def test_beside_the_ball_there_is_no_evidence(view):
+    _, _, p, R, _ = view
+    assert values(view, p + np.array([0.25, 0.0, 0.0]), R)[0][0] < 10
+
+
+def test_the_refinement_climbs_and_tells_the_curvature(view):
+    """The Gaussian of the peak explains how the likelihood falls: mean drop of its samples is 6 / 2."""
+    seen, m, p, R, _ = view
+    rng = np.random.default_rng(1)
+    start = p + np.array([0.002, -0.002, 0.03])
+    peak = refine(start, exp(np.array([0.08, -0.06, 0.05])) @ R, m, seen, NONE)
+    peak = refine(peak.position, peak.rotation, m, seen, NONE, 3)
+    assert np.linalg.norm(log(peak.rotation @ R.T)) < np.deg2rad(2.5)
+    assert np.all(np.abs(peak.position - p) < [0.002, 0.002, 0.05])
+    d = rng.standard_normal((3000, 6)) @ np.linalg.cholesky(peak.covariance).T
+    drop = (
+        values(view, peak.position, peak.rotation)[0][0]
+        - values(view, peak.position + d[:, :3], exp(d[:, 3:]) @ peak.rotation)[0]
+    )
+    assert 1.5 < drop.mean() < 6.0
+
+
+def test_the_outline_is_that_of_a_sphere():
+    camera = InteriorOrientation(1280, 960, 900.0, 900.0, 640.0, 480.0)
+    lens = np.concatenate([camera.intrinsic, camera.distortion])
+    c = np.array([0.3, -0.2, 0.8])
+    centre, shape = project_sphere(c, 0.05)
+    for k in range(limb.DIRECTIONS):
+        u, v, x, y, z = limb.outline(c, 0.05, lens, k)
+        xy = (np.array([u, v]) - [640, 480]) / 900.0 - centre
+        assert xy @ np.linalg.solve(shape, xy) == pytest.approx(1.0, abs=1e-9)
+        np.testing.assert_allclose(project((c + np.array([x, y, z]))[None], camera)[0][0], [u, v], atol=1e-9)
+        assert np.hypot(np.hypot(x, y), z) == pytest.approx(0.05)
+
+
+def test_the_outline_is_found_where_it_is(view):
+    """Of a ball taken for 3 % nearer than it is, the edges lie inward by that."""
+    _, m, p, R, image = view
+    discs = np.array([[*d.direction, d.angle] for d in BALL.discs])
+    found = limb.measure(image, 0.97 * p, R, discs, BALL.radius, m.lens, 1)
+    good = found[:, 4] > 0
+    assert good.sum() >= 8
+    r = np.array(
+        [
+            np.hypot(*(found[k, :2] - project(p[None], InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0][0]))
+            for k in np.flatnonzero(good)
+        ]
+    )
+    true = m.lens[0] * BALL.radius / np.linalg.norm(p)
+    assert np.median(r) == pytest.approx(true, abs=0.5)

@@ -1,0 +1,175 @@
+"""Recordings of wands: what is written comes back, what is wrong is said with its file, nothing is written by half."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import datasets_dir
+
+from spheremouse.errors import DatasetError
+from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand_recording import WandRecording, is_wand, open_wand, read_wand_frames, write_wand
+
+OPTIONS = WandOptions(motion="hand", seconds=0.3, fps=10.0, size=(160, 120), seed=1, balls=2)
+
+
+@pytest.fixture(scope="module")
+def film():
+    return prepare_wand(OPTIONS, contrast_ball())
+
+
+@pytest.fixture
+def folder(film, tmp_path):
+    path = tmp_path / "wand"
+    assert list(write_wand(path, film)) == [1, 2, 3]
+    return path
+
+
+def damage(folder, **changes):
+    """Change keys of scene.json; None removes one."""
+    scene = json.loads((folder / "scene.json").read_text())
+    for key, value in changes.items():
+        part = scene
+        *way, last = key.split("__")
+        for word in way:
+            part = part[int(word) if word.isdigit() else word]
+        if value is None:
+            del part[last]
+        else:
+            part[last] = value
+    (folder / "scene.json").write_text(json.dumps(scene))
+
+
+def test_the_shared_recording_opens():
+    recording = open_wand(datasets_dir() / "wand_drive")
+    assert isinstance(recording, WandRecording)
+    assert (recording.frames, recording.fps, recording.camera.fx) == (162, 0.8, 2100.0)
+    theirs, ours = recording.ball, grzonka_ball()
+    assert theirs.radius == ours.radius
+    for a, b in zip(theirs.discs, ours.discs, strict=True):
+        assert np.allclose(a.direction, b.direction)
+        assert (a.colour, a.angle) == (b.colour, pytest.approx(b.angle))
+    assert np.allclose(recording.truth.position[0], (-0.63, 0.13643240242942245, 3.8217522420438685), atol=0)
+    first = next(read_wand_frames(recording))
+    assert first.image.shape == (960, 1280, 3)
+
+
+def test_what_is_written_comes_back_to_the_last_bit(folder, film):
+    recording = open_wand(folder)
+    shots = list(simulate_wand(film))
+    for k in range(2):
+        truth, truly = recording.truths[k], film.truth(k)
+        assert np.array_equal(truth.position, truly.position)
+        assert np.array_equal(truth.rotation, truly.rotation)
+        assert np.array_equal(truth.stamp, truly.stamp)
+    for frame, shot in zip(read_wand_frames(recording), shots, strict=True):
+        assert np.array_equal(frame.image, shot.frame.image)
+        assert (frame.stamp, frame.sequence) == (shot.frame.stamp, shot.frame.sequence)
+    assert recording.camera.intrinsic == film.scene.camera.intrinsic
+    assert len(recording.balls) == 2
+    for a, b in zip(recording.ball.discs, contrast_ball().discs, strict=True):
+        assert np.allclose(a.direction, b.direction, atol=1e-9)
+        assert (a.angle, a.points_angle) == (pytest.approx(b.angle), pytest.approx(b.points_angle))
+    assert (recording.ball.name, recording.ball.body) == ("contrast", "white")
+
+
+def test_without_truth_the_rate_stamps_the_frames(folder):
+    (folder / "truth.csv").unlink()
+    recording = open_wand(folder)
+    assert recording.truth is None
+    assert [f.stamp for f in read_wand_frames(recording)] == pytest.approx([0.0, 0.1, 0.2])
+
+
+def test_one_that_is_closed_early_leaves_nothing(film, tmp_path):
+    frames = write_wand(tmp_path / "half", film)
+    next(frames)
+    frames.close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_there_is_not_replaced_unasked(folder, film):
+    before = (folder / "truth.csv").read_bytes()
+    with pytest.raises(DatasetError, match="is not empty; name another folder or use --force"):
+        list(write_wand(folder, film))
+    assert (folder / "truth.csv").read_bytes() == before
+    list(write_wand(folder, film, replace=True))
+    assert [p.name for p in folder.parent.iterdir()] == ["wand"]
+    (folder / "letter.txt").write_text("dear")
+    with pytest.raises(DatasetError, match=r"holds letter\.txt, which is no part of a dataset"):
+        list(write_wand(folder, film, replace=True))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"wand": None}, "scene.json: no `wand` in it"),
+        ({"wand__radius": -1.0}, "wand.radius: input should be greater than 0"),
+        ({"width": "640"}, "width: input should be a valid integer"),
+        ({"wand__discs": []}, "wand.discs: list should have at least 1 item"),
+        ({"wands__0__discs__3__diameter": 0.2}, "wand.discs.3: larger than the ball of radius 0.05 m"),
+        ({"camera__fx": None}, "camera.fx: field required"),
+        ({"wands": []}, "wands: is empty"),
+        ({"frames": 4}, "truth.csv: 3 rows, but scene.json says 4 frames"),
+    ],
+)
+def test_a_damaged_description_is_refused_in_words(folder, changes, words):
+    damage(folder, **changes)
+    with pytest.raises(DatasetError) as refused:
+        open_wand(folder)
+    assert words in str(refused.value)
+    assert str(folder) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("frame,t", "frame,s", "line 1: no column t"),
+        ("1,0.1,", "1,later,", "line 3: t: 'later' is not a number"),
+        ("2,0.2,", "7,0.2,", "row 3: frame 7 where 2 is due"),
+        ("2,0.2,", "2,0.1,", "row 3: t does not increase"),
+        ("x_1", "x_9", "no column x_1"),
+    ],
+)
+def test_a_damaged_truth_is_refused_with_its_place(folder, old, new, words):
+    table = folder / "truth.csv"
+    text = table.read_text()
+    assert old in text
+    table.write_text(text.replace(old, new, 1))
+    with pytest.raises(DatasetError) as refused:
+        open_wand(folder)
+    assert words in str(refused.value)
+
+
+def test_a_mirror_is_no_rotation(folder):
+    table = folder / "truth.csv"
+    lines = table.read_text().splitlines()
+    cells = lines[2].split(",")
+    cells[5:8] = [str(-float(c)) for c in cells[5:8]]
+    lines[2] = ",".join(cells)
+    table.write_text("\n".join(lines) + "\n")
+    with pytest.raises(DatasetError, match=r"row 2: r11\.\.r33 is not a rotation"):
+        open_wand(folder)
+
+
+def test_a_film_cut_short_gives_what_is_there_and_says_so(folder, tmp_path):
+    damage(folder, frames=3, width=320)
+    with pytest.raises(DatasetError, match=r"frame 0 is 160x120, but scene\.json says 320x120"):
+        list(read_wand_frames(open_wand(folder)))
+    damage(folder, width=160, frames=5)
+    (folder / "truth.csv").unlink()
+    frames = read_wand_frames(open_wand(folder))
+    assert [next(frames).sequence for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(DatasetError, match="ends after 3 of 5 frames"):
+        next(frames)
+    with pytest.raises(DatasetError, match="no such folder"):
+        open_wand(tmp_path / "nowhere")
+
+
+def test_a_wand_is_known_by_its_description(folder, tmp_path):
+    assert is_wand(folder)
+    assert not is_wand(tmp_path)
+    (tmp_path / "scene.json").write_text("{")
+    assert not is_wand(tmp_path)
+    (tmp_path / "scene.json").write_text('{"ball": {}}')
+    assert not is_wand(tmp_path)

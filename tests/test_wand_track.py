@@ -1,0 +1,163 @@
+"""The wand tracked: films of the independent renderer, and what is said when something is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spheremouse.frame import Frame
+from spheremouse.rotation import log
+from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.wand.ball import contrast_ball, led_ball
+from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, fields
+from spheremouse.wand.start import hypotheses, spots
+from spheremouse.wand.track import WandPhase, WandSettings, begin, build, step
+
+HAND = WandOptions(motion="hand", blur=0.008, size=(640, 480), focal=500.0, seconds=1.4, seed=3)
+
+
+def film(options=HAND, ball=None):
+    made = prepare_wand(options, ball)
+    return made.scene.camera, tuple(c.ball for c in made.scene.balls), list(simulate_wand(made))
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return film()
+
+
+def follow(shots, tracker, state=None):
+    state = state or begin(tracker, 1)
+    poses = []
+    for shot in shots:
+        state, found = step(state, shot.frame, tracker)
+        poses.append(found)
+    return state, poses
+
+
+def worst(shots, poses, ball=0, skip=0):
+    """Largest errors: across, along the line of sight, m, and rotation, rad."""
+    errors = []
+    for shot, found in list(zip(shots, poses, strict=True))[skip:]:
+        assert found[ball].position is not None, found[ball].event
+        d = found[ball].position - shot.position[ball]
+        errors.append([np.hypot(*d[:2]), abs(d[2]), np.linalg.norm(log(found[ball].rotation @ shot.rotation[ball].T))])
+    return np.max(errors, axis=0)
+
+
+@pytest.mark.parametrize("particles", [50, 350])
+def test_a_fast_hand_is_followed_from_the_first_frames_without_a_pose(hand, particles):
+    camera, balls, shots = hand
+    _, poses = follow(shots, build(camera, balls, WandSettings(particles=particles)))
+    assert np.all(worst(shots, poses, skip=4) < [0.006, 0.06, np.deg2rad(8)])
+
+
+def test_the_covariance_is_not_far_from_the_errors(hand):
+    camera, balls, shots = hand
+    _, poses = follow(shots, build(camera, balls))
+    nees = []
+    for shot, (pose,) in zip(shots, poses, strict=True):
+        e = np.concatenate([pose.position - shot.position[0], log(pose.rotation @ shot.rotation[0].T)])
+        nees.append(e @ np.linalg.solve(pose.covariance, e) / 6.0)
+    assert 0.1 < np.mean(nees) < 3.0
+
+
+def test_the_same_frames_and_seed_give_the_same_poses(hand):
+    camera, balls, shots = hand
+    tracker = build(camera, balls)
+    one, other = (follow(shots[:5], tracker)[1] for _ in range(2))
+    for (a,), (b,) in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a.position, b.position)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+@pytest.mark.parametrize("ball", [contrast_ball(), led_ball()], ids=lambda b: b.name)
+def test_other_balls_are_followed_too(ball):
+    camera, balls, shots = film(replace(HAND, clutter=False, seconds=0.7, focal=700.0), ball)
+    _, poses = follow(shots, build(camera, balls))
+    assert np.all(worst(shots, poses, skip=4) < [0.006, 0.06, np.deg2rad(8)])
+
+
+def test_the_ball_is_found_again_after_it_was_away(hand):
+    camera, balls, shots = hand
+    tracker = build(camera, balls)
+    state, _ = follow(shots[:4], tracker)
+    empty = np.full_like(shots[0].frame.image, 128)
+    for k in range(12):
+        state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066 * (k + 1), 100 + k), tracker)
+    assert pose.phase == WandPhase.LOST
+    assert pose.position is None
+    assert "lost" in pose.event or "match nothing" in pose.event
+    later = [replace(s, frame=Frame(s.frame.image, s.frame.stamp + 2.0, 200 + i)) for i, s in enumerate(shots[8:14])]
+    _, poses = follow(later, tracker, state)
+    assert np.all(worst(later, poses, skip=3) < [0.006, 0.06, np.deg2rad(8)])
+
+
+def test_a_hidden_ball_is_predicted_for_a_while(hand):
+    camera, balls, shots = hand
+    tracker = build(camera, balls)
+    state, poses = follow(shots[:4], tracker)
+    empty = np.full_like(shots[0].frame.image, 128)
+    state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066, 100), tracker)
+    assert pose.phase == WandPhase.TRACKING
+    assert not pose.seen
+    assert "hidden" in pose.event
+    assert np.all(np.diag(pose.covariance)[:2] > np.diag(poses[-1][0].covariance)[:2])
+
+
+def test_no_ball_in_view_is_said():
+    camera, balls, _ = film(replace(HAND, seconds=0.1))
+    tracker = build(camera, balls)
+    image = np.full((480, 640, 3), 120, dtype=np.uint8)
+    image[100:110, 100:110], image[200:210, 300:310] = (200, 60, 30), (30, 30, 200)
+    _, (pose,) = step(begin(tracker), Frame(image, 0.0, 0), tracker)
+    assert pose.phase == WandPhase.SEARCHING
+    assert "no ball like grzonka in view" in pose.event
+
+
+def test_colours_that_match_nothing_or_too_much_are_said(hand):
+    camera, balls, shots = hand
+    nothing = build(camera, balls, colours={"red": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
+    _, (pose,) = step(begin(nothing), shots[0].frame, nothing)
+    assert "bounds of red match nothing" in pose.event
+    half = build(camera, balls, colours={"blue": ColourSettings()})
+    _, (pose,) = step(begin(half), shots[0].frame, half)
+    assert "bounds of blue match 100 % of the picture" in pose.event
+
+
+def test_two_balls_are_followed_and_a_second_one_that_is_not_declared_is_said():
+    camera, balls, shots = film(replace(HAND, balls=2, distance=0.9, seconds=0.8))
+    both = build(camera, balls)
+    state, poses = follow(shots, both)
+    assert all(p.phase == WandPhase.TRACKING for p in poses[-1])
+    apart = np.linalg.norm(poses[-1][0].position - poses[-1][1].position)
+    assert apart == pytest.approx(np.linalg.norm(np.subtract(*shots[-1].position)), abs=0.05)
+    one = build(camera, balls[:1])
+    _, single = follow(shots[:3], one)
+    assert any("second ball" in p.event for (p,) in single)
+    assert state.waited >= 0
+
+
+def test_spots_give_the_pose_without_any_other_knowledge(hand):
+    camera, balls, shots = hand
+    near = 0
+    for shot in shots[::4]:
+        seen = fields(shot.frame.image, DEFAULT_COLOURS, balls[0].colours)
+        guess = hypotheses(spots(seen), balls[0], camera, balls[0].colours, 0.2, 8.0)
+        angles = np.linalg.norm(log(guess.rotation @ shot.rotation[0].T), axis=1)
+        gaps = np.linalg.norm(guess.position[:, :2] - shot.position[0][:2], axis=1)
+        near += bool(np.any((angles < 0.35) & (gaps < 0.01)))
+    assert near >= len(shots[::4]) - 1
+
+
+def test_a_known_command_replaces_the_last_velocity(hand):
+    """Told the true velocity, two frames apart by 0.4 s, the ball is kept without looking around."""
+    camera, balls, shots = hand
+    tracker = build(camera, balls)
+    state, _ = follow(shots[:3], tracker)
+    a, b = shots[2], shots[8]
+    dt = b.frame.stamp - a.frame.stamp
+    command = np.concatenate([(b.position[0] - a.position[0]) / dt, log(b.rotation[0] @ a.rotation[0].T) / dt])
+    _, (pose,) = step(state, b.frame, tracker, command)
+    assert pose.seen
+    assert np.linalg.norm(log(pose.rotation @ b.rotation[0].T)) < np.deg2rad(8)
