@@ -133,3 +133,13 @@ def test_garbage_waits_for_a_rest_and_goes_however_old_it_is():
         quiet.close()
     assert gc.isenabled()
     assert sys.getswitchinterval() == pytest.approx(switch)
+
+
+def test_weak_proxies_of_what_is_gone_do_no_harm():
+    class Thing:
+        pass
+
+    proxy = weakref.proxy(Thing())
+    assert realtime._fold_up_code() >= 0
+    with pytest.raises(ReferenceError):
+        repr(proxy.anything)
