@@ -60,8 +60,8 @@ def _fold_up_code() -> int:
     from numba.core.dispatcher import Dispatcher
 
     folded = 0
-    # The collector knows them all, as long as they have not been taken out of its sight (Quiet). By type(): a weak proxy
-    # whose object is gone cannot be asked for its class.
+    # The collector knows them all, as long as they have not been taken out of its sight (Quiet).
+    # By type(): a weak proxy whose object is gone cannot be asked for its class.
     for function in [o for o in gc.get_objects() if issubclass(type(o), Dispatcher)]:
         for made in function.overloads.values():
             library, module = made.library, getattr(made.library, "_shared_module", None)
