@@ -1,0 +1,650 @@
+"""The daemon between a camera and a mouse of a real kernel: a film is written to v4l2loopback, events are read back.
+
+Run by tests/system/run, in the order of this file: one daemon lives through most of it. FILMS names what film.py made.
+The guest is slow: a daemon is this process forked, with all imported and compiled, and `spheremouse` called in it. In
+the long form (SHORT unset) one is begun as people begin it. No deadline here is tight.
+"""
+
+import ctypes
+import fcntl
+import gc
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from film import SLOW
+from numba.core.dispatcher import Dispatcher
+
+from spheremouse import cli, config
+from spheremouse.daemon.client import Client
+from spheremouse.daemon.settings import Configuration
+from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.output import uinput
+from spheremouse.rotation import log
+from spheremouse.session import make_ready
+
+linuxpy = pytest.importorskip("linuxpy.video.device")
+
+MODULES = Path("/run/cameras")
+FILMS = Path(os.environ["FILMS"])
+SHORT = bool(os.environ.get("SHORT"))
+PATIENCE = 120.0  # s, for what takes a few
+INTERVAL = 0.2  # s between two pictures, on a guest that is fast enough
+LONGEST = 0.5  # s; three of them are less than what a camera may be silent
+W, H = 640, 480
+COUNTS = 600.0  # per radian: the default, 1 per mm of a ball of 0.6 m
+UI_DEV_DESTROY, PIDFD_GETFD = 0x5502, 438  # linux/uinput.h; the number of a system call
+
+# A second process: one line per event of an input device, code and value; its name, last, when the device goes.
+READER = """
+import struct, sys
+with open(sys.argv[1], "rb", buffering=0) as device:
+    print("ready", flush=True)
+    try:
+        while True:
+            for _, _, kind, code, value in struct.iter_unpack("llHHi", device.read(24 * 64)):
+                print("dropped" if (kind, code) == (0, 3) else f"{code} {value}" if kind == 2 else "", flush=True)
+    except OSError:
+        print("gone", flush=True)
+"""
+
+
+# ---- the camera ----
+
+
+class Film:
+    """Pictures that are known."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.attitude = np.load(folder / "attitude.npy")
+        self.ends = np.load(folder / "ends.npy")
+
+    def __len__(self):
+        return len(self.attitude)
+
+    def pictures(self, name):
+        """A function that gives the bytes of a picture."""
+        data = np.memmap(self.folder / name, np.uint8, "r")
+        if name == "MJPG":
+            return lambda k: data[self.ends[k] : self.ends[k + 1]].tobytes()
+        return lambda k: data[k * 2 * W * H : (k + 1) * 2 * W * H].tobytes()
+
+    def counts(self, way):
+        """(3,) of the true motion along `way` through the film, and (3,) the length of its path."""
+        R = self.attitude[way]
+        turns = COUNTS * np.array([log(b @ a.T) for a, b in pairwise(R)])[:, [2, 0, 1]]
+        return turns.sum(axis=0), np.abs(turns).sum(axis=0)
+
+
+class Writer:
+    """A process that writes a film to a loopback device: rests on a picture until it is asked to play."""
+
+    def __init__(self, film, node, name, at):
+        context = get_context("fork")
+        self._here, there = context.Pipe()
+        self._process = context.Process(target=_write, args=(film, node, name, at, there), daemon=True)
+        self._process.start()
+        self._expect("writing")
+
+    def play(self, way, interval):
+        """Show these pictures, None where nothing is written for once; waits until the last one is there to stay."""
+        self._here.send((list(way), interval))
+        self._expect("played", 4 * len(way) * interval + PATIENCE)
+
+    def end(self):
+        """The device has no writer any more."""
+        if self._process.is_alive():
+            self._here.send(None)
+            self._process.join(PATIENCE)
+        assert self._process.exitcode == 0
+
+    def _expect(self, word, patience=PATIENCE):
+        assert self._here.poll(patience), f"the writer is not {word}"
+        assert self._here.recv() == word
+
+
+def _write(film, node, name, at, pipe):
+    """The writer's process."""
+    device = linuxpy.Device.from_id(node)
+    device.open()
+    device.set_format(linuxpy.BufferType.VIDEO_OUTPUT, W, H, name)
+    picture = film.pictures(name)
+    way, interval, word, rested, due = [], INTERVAL, "writing", 0, time.monotonic()
+    while True:
+        shown = way.pop(0) if way else at
+        if shown is not None:
+            os.write(device.fileno(), picture(shown))
+            at = shown
+        rested = 0 if way else rested + 1
+        if rested == 3 and word:
+            pipe.send(word)
+            word = ""
+        due = max(due + interval, time.monotonic())
+        if pipe.poll(max(0.0, due - time.monotonic())):
+            asked = pipe.recv()
+            if asked is None:
+                break
+            (way, interval), word, rested = asked, "played", 0
+    device.close()
+
+
+def insert(name, **parameters):
+    """Load a module and what it needs; skips the test where there is none."""
+    missing = MODULES / f"{name}.missing"
+    if missing.exists():
+        pytest.skip(missing.read_text().strip())
+    *needs, module = (MODULES / name).read_text().split()
+    for file in needs:
+        subprocess.run(["/sbin/insmod", MODULES / file], check=False, capture_output=True)  # it may be there already
+    given = [f"{k}={v}" for k, v in parameters.items()]
+    subprocess.run(["/sbin/insmod", MODULES / module, *given], check=True)
+
+
+def remove(name):
+    """Unload it, as soon as nobody has it open."""
+    until(lambda: subprocess.run(["/sbin/rmmod", name], check=False, capture_output=True).returncode == 0, f"no {name}")
+
+
+# ---- the mouse ----
+
+
+def mice():
+    """Event nodes of our name."""
+    return [
+        Path("/dev/input") / p.name
+        for p in Path("/sys/class/input").glob("event*")
+        if (p / "device" / "name").read_text().strip() == uinput.NAME
+    ]
+
+
+class Reader:
+    """A process that reads the only mouse there is."""
+
+    def __init__(self, folder):
+        (self.node,) = until(mice, "there is no mouse")
+        self._lines = folder / f"events{time.monotonic_ns()}"
+        with self._lines.open("wb") as file:
+            command = [sys.executable, "-I", "-S", "-c", READER, str(self.node)]
+            self._process = subprocess.Popen(command, stdout=file)
+        until(self._read, "the mouse is not read")
+
+    def _read(self):
+        return self._lines.read_text().split("\n")[:-1]
+
+    @property
+    def gone(self):
+        """Has the kernel removed the device?"""
+        return "gone" in self._read()
+
+    @property
+    def counts(self):
+        """(3,) all that arrived."""
+        codes = {uinput.REL_X: 0, uinput.REL_Y: 1, uinput.REL_RZ: 2}
+        sums = np.zeros(3, dtype=int)
+        for line in self._read():
+            assert line != "dropped"
+            if " " in line:
+                code, value = map(int, line.split())
+                sums[codes[code]] += value
+        return sums
+
+    def close(self):
+        self._process.kill()
+        self._process.wait()
+
+
+# ---- the program ----
+
+
+class Program:
+    """`spheremouse` with these arguments, in a process of its own."""
+
+    def __init__(self, folder, *arguments):
+        self._name = folder / f"program{time.monotonic_ns()}"
+        self.pid = os.fork()
+        if self.pid == 0:
+            _be(self._name, [str(a) for a in arguments])
+        self.code = None
+
+    @property
+    def out(self):
+        return Path(f"{self._name}.out").read_text()
+
+    @property
+    def said(self):
+        """On standard error."""
+        return Path(f"{self._name}.err").read_text() if Path(f"{self._name}.err").exists() else ""
+
+    def ended(self):
+        """Its exit code, -signal where one ended it; None while it runs."""
+        if self.code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if pid:
+                self.code = os.waitstatus_to_exitcode(status)
+        return self.code
+
+    def wait(self):
+        """The exit code, in the end."""
+        until(lambda: self.ended() is not None, "it does not end")
+        return self.code
+
+    def kill(self, number=signal.SIGKILL):
+        """End it, and see it off."""
+        if self.ended() is None:
+            os.kill(self.pid, number)
+        return self.wait()
+
+
+def _be(name, arguments):
+    """The rest of this process is the program."""
+    code = 70
+    try:
+        for number, suffix in ((1, "out"), (2, "err")):
+            os.dup2(os.open(f"{name}.{suffix}", os.O_WRONLY | os.O_CREAT | os.O_APPEND), number)
+        sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
+        sys.argv = ["spheremouse", *arguments]
+        cli.main()
+    except SystemExit as e:
+        code = e.code if isinstance(e.code, int) else 1
+    finally:
+        with suppress(Exception):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+class Command(Program):
+    """The same begun from nothing, as from a shell."""
+
+    def __init__(self, folder, *arguments):
+        self._name, self.code = folder / f"command{time.monotonic_ns()}", None
+        command = [sys.executable, "-m", "spheremouse", *map(str, arguments)]
+        with open(f"{self._name}.out", "w") as out, open(f"{self._name}.err", "w") as err:
+            self._process = subprocess.Popen(command, stdout=out, stderr=err)
+        self.pid = self._process.pid
+
+    def ended(self):
+        self.code = self._process.poll()
+        return self.code
+
+
+def until(condition, words, patience=PATIENCE):
+    """What the condition gives once it is true."""
+    end = time.monotonic() + patience
+    while not (found := condition()):
+        assert time.monotonic() < end, words if isinstance(words, str) else words()
+        time.sleep(0.05)
+    return found
+
+
+# ---- the cabinet ----
+
+CONFIG = """\
+schema: 1
+source: v4l2:{folder}/camera
+output: "uinput:third=rz"
+rig: rig.yaml
+pose: {{frames: 2}}
+loss: {{lost_after: {slow.lost_after}, reset_after: {slow.reset_after}}}
+pointer: {{horizon: 0}}
+control: {{socket: {folder}/socket}}
+record: {{folder: {folder}/recordings, seconds: 600, free_megabytes: 0}}
+"""
+
+
+class Cabinet:
+    """A folder with a configuration, a film that is shown to the camera, and the daemon."""
+
+    def __init__(self, folder, film):
+        self.folder, self.film = folder, film
+        self.config, self.socket = folder / "config.yaml", folder / "socket"
+        self.config.write_text(CONFIG.format(folder=folder, slow=SLOW.loss))
+        for name in ("rig.yaml", "posed.yaml"):
+            (folder / name).write_text((film.folder / name).read_text())
+        self.writer = self.daemon = self.mouse = None
+        self._place = 0  # in the film played forwards and backwards
+
+    # the camera
+
+    def plug(self, number, name="YUYV", turned=0):
+        """A camera under its lasting name; the ball has been turned by so many pictures."""
+        self._place += turned
+        link = self.folder / "camera.new"
+        link.symlink_to(f"/dev/video{number}")
+        self.writer = Writer(self.film, number, name, self.onward(0)[0])
+        link.rename(self.folder / "camera")
+
+    # the daemon
+
+    def start(self, *arguments):
+        """Begin it, until it tracks."""
+        self.daemon = Program(self.folder, "run", "--config", self.config, *arguments)
+
+    def status(self):
+        """What it says of itself, {} while it does not."""
+        assert self.daemon.ended() is None, f"it has ended with {self.daemon.ended()}: {self.daemon.said}"
+        with suppress(SpheremouseError), Client(self.socket) as client:
+            return client.ask("status")
+        return {}
+
+    def reach(self, state):
+        """Wait until it says so; its status then."""
+        last = {}
+
+        def there():
+            last.clear()
+            last.update(self.status())
+            return last.get("state") == state
+
+        until(there, lambda: f"not {state} but {last}: {self.daemon.said}")
+        return last
+
+    def ctl(self, *arguments):
+        """`spheremouse ctl`: exit code, output, complaint."""
+        asked = Program(self.folder, "ctl", *arguments, "--socket", self.socket)
+        return asked.wait(), asked.out, asked.said
+
+    def told(self, command, **arguments):
+        """The reply to what `spheremouse ctl` sends, which must be yes; ten times as quick as the command itself."""
+        with Client(self.socket) as client:
+            return client.ask(command, **arguments)
+
+    def reload(self):
+        """Exit code and complaint; the daemon may have seen the change by itself, and be reading."""
+        while True:
+            code, _, said = self.ctl("reload")
+            if "being read already" not in said:
+                return code, said
+
+    def settle(self, frames=4):
+        """Wait until so many more frames were worked on, and sent."""
+        n = self.status()["frames"] + frames
+        until(lambda: self.status()["frames"] >= n, "no frames come")
+        time.sleep(0.3)
+
+    def onward(self, n):
+        """The picture that is shown and n more, the film played forwards and backwards."""
+        last = len(self.film) - 1
+        return [last - abs(last - k % (2 * last)) for k in range(self._place, self._place + n + 1)]
+
+    def play(self, way):
+        """(3,) events that came for it, (3,) the true counts, (3,) the path."""
+        before = self.mouse.counts
+        self._place += len(way) - 1
+        work = sum(self.status()["stages_ms"][stage]["p50"] for stage in ("decode", "detect", "filter"))
+        self.writer.play(way, min(max(INTERVAL, 2e-3 * work), LONGEST))
+        self.settle()
+        return self.mouse.counts - before, *self.film.counts([k for k in way if k is not None])
+
+
+def borrowed(pid, path):
+    """A file descriptor of our own for what another process has open."""
+    (number,) = [p.name for p in Path(f"/proc/{pid}/fd").iterdir() if os.readlink(p) == path]
+    libc = ctypes.CDLL(None, use_errno=True)
+    process = os.pidfd_open(pid)
+    held = libc.syscall(PIDFD_GETFD, process, int(number), 0)
+    os.close(process)
+    assert held >= 0, os.strerror(ctypes.get_errno())
+    return held
+
+
+def check(title, play, slack=0.0):
+    """Within 1 % of the path, and a count for what is not whole yet."""
+    counts, truth, path = play
+    off = counts - truth
+    print(f"{title}: events {counts.tolist()}, off {np.round(off, 1).tolist()} of a path of {np.round(path).tolist()}")
+    assert np.all(np.abs(off) <= 0.01 * path + 1.0 + slack), title
+
+
+def told_at_the_end(program):
+    """(3,) counts of all frames, as the program says when it ends."""
+    return np.array(re.search(r"counts x ([+-]\d+), y ([+-]\d+), third ([+-]\d+)", program.said).groups(), dtype=int)
+
+
+@pytest.fixture(scope="module")
+def cabinet(tmp_path_factory):
+    """With a camera at rest on the first picture, and a daemon that tracks it."""
+    insert("v4l2loopback", video_nr=9, max_buffers=8)
+    made = Cabinet(tmp_path_factory.mktemp("cabinet"), Film(FILMS / "play"))
+    began = time.monotonic()
+    make_ready(config.load(made.config, Configuration))
+    compiled = sum(sum(o.stats.cache_misses.values()) for o in gc.get_objects() if isinstance(o, Dispatcher))
+    print(f"made ready in {time.monotonic() - began:.1f} s, {compiled} functions compiled")
+    assert compiled == 0, "the host has compiled for another processor: NUMBA_CPU_NAME, NUMBA_CACHE_DIR"
+    made.plug(9)
+    made.start()
+    made.reach("tracking")
+    made.mouse = Reader(made.folder)
+    yield made
+    for end in (made.daemon.kill, made.mouse.close, made.writer.end):
+        with suppress(Exception):
+            end()
+    print(made.daemon.said)
+    remove("v4l2loopback")
+
+
+# ---- what it is for ----
+
+
+def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabinet):
+    n = len(cabinet.film)
+    way = [None if 0 < k < n - 1 and (k % 5 == 3 or k % 17 in (8, 9)) else k for k in cabinet.onward(n - 1)]
+    print(f"{way.count(None)} of {n} pictures left out")
+    check("exact", cabinet.play(way))
+    code, out, said = cabinet.ctl("status", "--json")
+    assert code == 0, said
+    status = json.loads(out)
+    assert status["state"] == "tracking"
+    assert status["lost_count"] == 0
+    assert status["unseen_s"] == 0
+    assert status["output"]["unsent"] == [0, 0, 0]
+    assert 0 < status["latency_ms"]["p50"] <= status["latency_ms"]["p99"] <= status["latency_ms"]["max"] < 60_000
+    print({key: status[key] for key in ("fps", "latency_ms", "stages_ms", "skipped", "dropped", "memory_mb")})
+
+
+def test_with_prediction_no_more_than_the_lead_is_missing_or_too_much(cabinet):
+    cabinet.told("set", assignments=["pointer.horizon=0.1"])
+    way = cabinet.onward(24)
+    lead = np.max([cabinet.film.counts(list(pair))[1] for pair in pairwise(way)], axis=0)
+    check("predicted", cabinet.play(way), lead)
+    assert cabinet.told("set", assignments=["pointer.horizon=0"])["changed"] == ["pointer"]
+
+
+def test_another_daemon_on_the_camera_is_refused_and_told_the_first_one_s_number(cabinet):
+    second = Program(cabinet.folder, "run", "--config", cabinet.config, "--output", "null")
+    assert second.wait() == 2
+    assert f"in use by another spheremouse (process {cabinet.daemon.pid})" in second.said
+    assert second.said.count("\n") == 1
+    cabinet.reach("tracking")
+
+
+# ---- spheremouse ctl ----
+
+
+def test_while_paused_nothing_moves_and_nothing_is_saved_up(cabinet):
+    assert cabinet.told("pause")["state"] == "paused"
+    before = cabinet.status()["output"]["unsent"]
+    counts, truth, path = cabinet.play(cabinet.onward(12))
+    np.testing.assert_array_equal(counts, 0)
+    unsent = np.subtract(cabinet.status()["output"]["unsent"], before)
+    assert np.all(np.abs(unsent - truth) <= 0.01 * path + 2.0)
+    assert cabinet.told("resume")["state"] == "tracking"
+    before = cabinet.mouse.counts
+    cabinet.settle()
+    np.testing.assert_array_equal(cabinet.mouse.counts, before)
+
+
+def test_set_and_reload_change_all_or_nothing(cabinet):
+    code, _, said = cabinet.ctl("set", "motion.scale_x=2", "motion.scale_q=2")
+    assert (code, said.count("\n")) == (1, 1)
+    assert "scale_q" in said
+    assert cabinet.told("set", assignments=["motion.scale_x=2"])["changed"] == ["tracker"]
+    counts, truth, path = cabinet.play(cabinet.onward(12))
+    check("twice as far", (counts, truth * (2, 1, 1), path * (2, 1, 1)), 2.0)
+    whole = cabinet.config.read_text()
+    cabinet.config.write_text(whole + "motion: {scale_y: two}\n")
+    code, said = cabinet.reload()
+    assert code == 1
+    assert re.search(r"config\.yaml:10: motion\.scale_y: .*'two'", said), said
+    cabinet.config.write_text(whole)
+    assert cabinet.reload()[0] == 0
+    if not SHORT:  # where what comes next shows it
+        check("as before", cabinet.play(cabinet.onward(12)), 1.0)
+
+
+def test_a_recording_replays_to_the_same_counts(cabinet):
+    folder = Path(cabinet.told("record", folder="bug")["folder"])
+    until(lambda: cabinet.status()["recording"]["frames"] > 1, "nothing is recorded")
+    played = cabinet.play(cabinet.onward(24))
+    ended = cabinet.told("record", stop=True)
+    check("recorded", played, 1.0)
+    assert Path(ended["folder"]) == folder == cabinet.folder / "recordings" / "bug"
+    assert ended["frames"] > 12
+    replay = Program(
+        cabinet.folder,
+        *("run", "--config", cabinet.config, "--source", f"dataset:{folder}", "--rig", folder / "rig.yaml"),
+        *("--output", "null", "--no-map", "--no-table"),
+    )
+    assert replay.wait() == 0, replay.said
+    assert f"{ended['frames']} frames" in replay.said
+    check("replayed", (told_at_the_end(replay), played[0], played[2]), 1.0)
+
+
+def test_a_snapshot_is_a_picture(cabinet):
+    path = Path(cabinet.told("snapshot", file="now.png")["file"])
+    assert path == cabinet.folder / "recordings" / "now.png"
+    assert path.read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ControlError, match=r"now\.png"):  # nothing is overwritten
+        cabinet.told("snapshot", file="now.png")
+
+
+# ---- what may happen ----
+
+
+def test_the_camera_goes_and_comes_back_as_the_same_node_and_as_another(cabinet):
+    mouse, before = cabinet.mouse.node.stat(), cabinet.mouse.counts
+    for number, turned in ((9, 0), (11, 20)):
+        lost = cabinet.status()["camera_restarts"]
+        cabinet.writer.end()
+        status = cabinet.reach("no-camera")
+        print(f"no-camera: {status['reason']}")
+        if number == 11:
+            remove("v4l2loopback")
+            cabinet.reach("no-camera")
+            insert("v4l2loopback", video_nr=number, max_buffers=8)
+        cabinet.plug(number, turned=turned)
+        assert cabinet.reach("tracking")["camera_restarts"] == lost + 1
+        cabinet.settle()
+        np.testing.assert_array_equal(cabinet.mouse.counts, before)
+    now = cabinet.mouse.node.stat()
+    assert (now.st_ino, now.st_rdev, now.st_ctime) == (mouse.st_ino, mouse.st_rdev, mouse.st_ctime)
+    assert not cabinet.mouse.gone
+    check("after it came back", cabinet.play(cabinet.onward(12)), 1.0)
+
+
+def test_the_output_fails_and_comes_back(cabinet):
+    """The mouse is destroyed behind the daemon's back, and the way to another one is barred."""
+    held = borrowed(cabinet.daemon.pid, "/dev/uinput")
+    barred = Path("/dev/uinput").rename("/dev/uinput.away")
+    fcntl.ioctl(held, UI_DEV_DESTROY)
+    os.close(held)
+    until(lambda: cabinet.mouse.gone, "the mouse is still there")
+    np.testing.assert_array_equal(cabinet.play(cabinet.onward(12))[0], 0)
+    status = cabinet.reach("failed-output")
+    print(f"failed-output: {status['reason']}; unsent {status['output']['unsent']}")
+    assert status["output"]["failed"] == status["reason"]
+    assert mice() == []
+    barred.rename("/dev/uinput")
+    assert cabinet.reach("tracking")["output"]["failed"] is None
+    cabinet.mouse.close()
+    cabinet.mouse = Reader(cabinet.folder)
+    np.testing.assert_array_equal(cabinet.mouse.counts, 0)
+    unsent = cabinet.status()["output"]["unsent"]
+    assert any(unsent)
+    check("after it came back", cabinet.play(cabinet.onward(12)), 1.0)
+    assert cabinet.status()["output"]["unsent"] == unsent
+
+
+def test_killed_it_leaves_no_mouse_and_the_next_one_knows_the_ball(cabinet):
+    until((cabinet.folder / "rig.map.yaml").exists, "no map was saved")
+    assert cabinet.daemon.kill() == -signal.SIGKILL
+    until(lambda: mice() == [], "the mouse has stayed")
+    assert cabinet.mouse.gone
+    assert cabinet.socket.exists()  # nobody was there to remove it
+    cabinet.writer.end()
+    cabinet.plug(11, "MJPG")  # as well
+    cabinet.start()
+    assert "MJPG" in cabinet.reach("tracking")["source"]["description"]
+    assert re.search(r"recognised by \d+ discs of the saved map", cabinet.daemon.said)
+    cabinet.mouse.close()
+    cabinet.mouse = Reader(cabinet.folder)
+    check("after the restart", cabinet.play(cabinet.onward(16)), 1.0)
+    assert cabinet.status()["damaged"] == 0
+
+
+def test_stopped_it_leaves_nothing_and_has_sent_what_the_frames_said(cabinet):
+    code, _, said = cabinet.ctl("stop")
+    assert code == 0, said
+    assert cabinet.daemon.wait() == 0
+    assert mice() == []
+    assert not cabinet.socket.exists()
+    np.testing.assert_array_equal(told_at_the_end(cabinet.daemon), cabinet.mouse.counts)
+    assert "internal error" not in cabinet.daemon.said
+
+
+def test_a_camera_without_ball_and_with_stamps_ahead_of_the_clock(cabinet):
+    insert("vivid", n_devs=1, node_types="0x1", num_inputs=1, input_types=0)
+    (node,) = [p for p in Path("/sys/class/video4linux").iterdir() if "vid-cap" in (p / "name").read_text()]
+    cabinet.start("--source", f"v4l2:/dev/{node.name},width={W},height={H},fps=5", "--output", "null")
+    first = cabinet.reach("searching-targets")
+    until(lambda: cabinet.status()["fps"] > 0, "no frames")
+    time.sleep(3.0)
+    status = cabinet.reach("searching-targets")
+    print(f"searching-targets: {status['reason']}; {status['source']['description']}")
+    assert status["since_s"] > first["since_s"] + 3.0
+    assert (status["frames"], status["latency_ms"], status["pose"]) == (0, None, None)
+    assert cabinet.told("set", assignments=["rig=posed.yaml"])["changed"] == ["rig", "map"]
+    cabinet.reach("lost")
+    until(lambda: "wait" in cabinet.status()["stages_ms"], "no frames are tracked")
+    status = cabinet.reach("lost")
+    print({key: status[key] for key in ("fps", "latency_ms", "stages_ms")})
+    assert 0 < status["latency_ms"]["p50"] <= status["latency_ms"]["max"] < 10_000
+    assert status["stages_ms"]["wait"]["p50"] >= 0
+    assert status["damaged"] == 0
+    assert cabinet.daemon.kill(signal.SIGTERM) == 0
+    assert "internal error" not in cabinet.daemon.said
+    assert "ahead of the clock" in status["source"]["description"]
+
+
+@pytest.mark.skipif(SHORT, reason="left out of the short form")
+def test_as_people_begin_it_with_a_film_rendered_by_other_software(tmp_path):
+    if not (FILMS / "far26").exists():
+        pytest.skip("the reference recording is not here")
+    cabinet = Cabinet(tmp_path, Film(FILMS / "far26"))
+    with suppress(subprocess.CalledProcessError):
+        insert("v4l2loopback", video_nr=9, max_buffers=8)  # unless it is there still
+    (node,) = [p for p in Path("/sys/class/video4linux").iterdir() if "Dummy" in (p / "name").read_text()]
+    cabinet.plug(int(node.name.removeprefix("video")))
+    cabinet.daemon = Command(tmp_path, "run", "--config", cabinet.config)
+    try:
+        until(lambda: cabinet.status().get("state") == "tracking", lambda: cabinet.daemon.said, 10 * PATIENCE)
+        cabinet.mouse = Reader(tmp_path)
+        check("far26", cabinet.play([k if k % 5 else None for k in cabinet.onward(len(cabinet.film) - 2)][1:]))
+        assert Command(tmp_path, "ctl", "stop", "--socket", cabinet.socket).wait() == 0
+        assert cabinet.daemon.wait() == 0
+        np.testing.assert_array_equal(told_at_the_end(cabinet.daemon), cabinet.mouse.counts)
+        cabinet.mouse.close()
+    finally:
+        cabinet.daemon.kill()
+        cabinet.writer.end()

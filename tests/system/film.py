@@ -1,0 +1,80 @@
+"""What the guest needs and is too slow to make: films for a camera, and the tracker compiled. Run by tests/system/run.
+
+    NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=CODE python tests/system/film.py OUT [--short]
+
+Each film is a folder in OUT: `YUYV` and `MJPG` (pictures one behind the other, with `ends.npy`, the places in bytes
+where those of MJPG end), `attitude.npy` (n, 3, 3) R_obj_ball, `rig.yaml`, and `posed.yaml` with the camera's pose.
+QEMU's processor is not the host's: what is compiled for `generic` runs on both.
+"""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from spheremouse.frame import Frame
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.rig_file import load_rig, rig_text
+from spheremouse.track import LossSettings, Settings, begin, build, step
+from spheremouse.warm import warm_up
+
+REFERENCE = Path(os.environ.get("SPHEREMOUSE_DATASETS", Path(__file__).parents[3] / "shared" / "datasets")) / "far26"
+
+# The pictures come six times as slowly as those of a usual camera: so the tracker waits six times as long.
+SLOW = Settings(loss=LossSettings(lost_after=1.8, reset_after=6.0))
+
+
+def convert(dataset: Path, folder: Path, most: int = sys.maxsize) -> None:
+    """A dataset's frames as a film, but for those before the ball begins to turn."""
+    recording = open_dataset(dataset)
+    assert recording.truth is not None
+    folder.mkdir()
+    rate = np.linalg.norm(recording.truth.rate, axis=1)
+    first = max(0, int(np.argmax(rate > 0.0)) - 2)
+    n, ends = 0, [0]
+    with (folder / "YUYV").open("wb") as plain, (folder / "MJPG").open("wb") as packed:
+        for frame in islice(read_frames(recording), first, None):
+            if n == most:
+                break
+            plain.write(cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2).tobytes())
+            packed.write(cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes())
+            ends.append(packed.tell())
+            n += 1
+    np.save(folder / "ends.npy", ends)
+    np.save(folder / "attitude.npy", recording.truth.attitude[first : first + n])
+    (folder / "rig.yaml").write_text(rig_text(replace(recording.rig, pose=None)), encoding="utf-8")
+    (folder / "posed.yaml").write_text(rig_text(replace(recording.rig, pose=recording.pose)), encoding="utf-8")
+
+
+def compile_for(film: Path) -> None:
+    """Call what the tracker will call: on two pictures out of three, as slowly as they will come."""
+    warm_up(Settings())
+    warm_up(SLOW)
+    rig = load_rig(film / "posed.yaml")
+    assert rig.pose is not None
+    tracker = build(rig, rig.pose, SLOW)
+    state = begin(tracker, 0.0)
+    for k, picture in enumerate(np.fromfile(film / "YUYV", np.uint8).reshape(-1, 480, 640, 2)):
+        if k % 3:
+            state, _ = step(state, Frame(picture[:, :, 0].copy(), 0.2 * k, k), tracker)
+
+
+def main() -> None:
+    """The film that somebody plays; without --short also a longer one, and the reference recording where it is."""
+    out, short = Path(sys.argv[1]), "--short" in sys.argv
+    seconds, fps = (3, 16) if short else (4, 30)
+    words = f"simulate {out / 'dataset'} --motion play --seed 7 --seconds {seconds} --fps {fps} --noise 2"
+    subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
+    convert(out / "dataset", out / "play")
+    compile_for(out / "play")
+    if not short and REFERENCE.is_dir():
+        convert(REFERENCE, out / "far26", 150)
+
+
+if __name__ == "__main__":
+    main()
