@@ -3,58 +3,96 @@
 import os
 import signal
 import sys
-from typing import Annotated, NoReturn
+from collections.abc import Iterator, MutableMapping
+from importlib import import_module
+from typing import Annotated, Any, NoReturn
 
 import typer
 from threadpoolctl import threadpool_limits
+from typer.core import TyperGroup
 
-from spheremouse import (
-    __version__,
-    cli_bench,
-    cli_config,
-    cli_ctl,
-    cli_doctor,
-    cli_experiments,
-    cli_firmware,
-    cli_layout,
-    cli_map,
-    cli_run,
-    cli_service,
-    cli_simulate,
-    cli_tray,
-    cli_wand,
-    demo,
-)
-from spheremouse.calibrate import cli as cli_calibrate
-from spheremouse.cli_evaluate import evaluate
+from spheremouse import __version__
 from spheremouse.errors import SpheremouseError
 
 _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+_COMMANDS = {
+    # name: module, function or group in it, what its help ends with
+    "run": ("cli_run", "run", "Example: spheremouse run --source dataset:demo/roll --output text:-"),
+    "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
+    "simulate": (
+        "cli_simulate", "simulate", "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",
+    ),
+    "evaluate": (
+        "cli_evaluate", "evaluate", "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
+    ),
+    "bench": ("cli_bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),
+    "layout": ("cli_layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
+    "doctor": ("cli_doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
+    "tray": ("cli_tray", "tray", "Example: spheremouse tray"),
+    "ctl": ("cli_ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
+    "service": ("cli_service", "app", "Example: sudo spheremouse service install"),
+    "wand": ("cli_wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
+    "experiments": ("cli_experiments", "app", "Example: spheremouse experiments wand --quick --out out"),
+    "config": ("cli_config", "app", "Example: spheremouse config init spheremouse.yaml"),
+    "calibrate": ("calibrate.cli", "app", "Begin with: spheremouse calibrate next"),
+    "firmware": ("cli_firmware", "app", "Example: spheremouse firmware check"),
+    "map": ("cli_map", "app", "Example: spheremouse map show rig.map.yaml"),
+}  # fmt: skip
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings=_SETTINGS,
-)
-app.command(epilog=cli_run.EXAMPLE)(cli_run.run)
-app.command(epilog=demo.EXAMPLE)(demo.demo)
-app.command(epilog=cli_simulate.EXAMPLE)(cli_simulate.simulate)
-app.command(epilog="Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json")(evaluate)
-app.command(epilog=cli_bench.EXAMPLE)(cli_bench.bench)
-app.command(epilog=cli_layout.EXAMPLE)(cli_layout.layout)
-app.command(epilog=cli_doctor.EXAMPLE)(cli_doctor.doctor)
-app.add_typer(cli_ctl.app, name="ctl", epilog=cli_ctl.EPILOG)
-app.command(epilog=cli_tray.EXAMPLE)(cli_tray.tray)
-app.add_typer(cli_service.app, name="service", epilog="Example: sudo spheremouse service install")
-app.add_typer(cli_wand.app, name="wand", epilog="Example: spheremouse wand simulate demo/drive --seed 1")
-app.add_typer(cli_experiments.app, name="experiments", epilog="Example: spheremouse experiments wand --quick --out out")
-app.add_typer(cli_config.app, name="config", epilog="Example: spheremouse config init spheremouse.yaml")
-app.add_typer(cli_calibrate.app, name="calibrate", epilog="Begin with: spheremouse calibrate next")
-app.add_typer(cli_firmware.app, name="firmware", epilog="Example: spheremouse firmware check")
-app.add_typer(cli_map.app, name="map", epilog="Example: spheremouse map show rig.map.yaml")
+
+class _Commands(MutableMapping[str, Any]):
+    """The commands by their names; a module is loaded when its command is wanted: most need none of the others."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            self._made[name] = _command(name, *_COMMANDS[name])
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_COMMANDS)
+
+    def __len__(self) -> int:
+        return len(_COMMANDS)
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._made[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._made[name]
+
+
+class _Group(TyperGroup):
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = _Commands()
+
+
+def _command(name: str, module: str, attribute: str, epilog: str) -> Any:
+    found = getattr(import_module(f"spheremouse.{module}"), attribute)
+    one = _typer()
+    if isinstance(found, typer.Typer):
+        one.add_typer(found, name=name, epilog=epilog)
+        return typer.main.get_group(one).commands[name]
+    one.command(name, epilog=epilog)(found)
+    return typer.main.get_command(one)
+
+
+def _typer(**options: Any) -> typer.Typer:
+    return typer.Typer(
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings=_SETTINGS,
+        **options,
+    )
+
+
+app = _typer(cls=_Group)
 
 _debug = False
 

@@ -41,7 +41,6 @@ from spheremouse.progress import progress_bar
 from spheremouse.rotation import Array
 from spheremouse.yaml_file import write_atomically
 
-EXAMPLE = "Example: spheremouse bench --steps 100000 --json speed.json"
 _NAMES = {
     STEP: "step: detect and filter",
     DETECT: "  its detect stage",

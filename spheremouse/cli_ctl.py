@@ -21,7 +21,6 @@ from spheremouse.daemon.client import Client, NoDaemonError
 from spheremouse.errors import ControlError
 
 app = typer.Typer(no_args_is_help=True, help="Ask the running daemon how it is, and tell it what to do.")
-EPILOG = "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."
 
 REFUSED, NO_DAEMON = 1, 3
 

@@ -8,8 +8,6 @@ from typing import Annotated
 
 import typer
 
-EXAMPLE = "Example: spheremouse doctor --source dataset:demo/roll"
-
 
 def doctor(
     config: Annotated[

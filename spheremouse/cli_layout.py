@@ -32,8 +32,6 @@ from spheremouse.rotation import Array, log
 from spheremouse.simulate.scene import spread_directions
 from spheremouse.yaml_file import read_document, write_atomically, write_json
 
-EXAMPLE = "Example: spheremouse layout --discs 26 --out calibration/placement-26"
-
 _RADIUS, _DISC_RADIUS = 0.6, 0.02  # m
 _CARELESS = (0.2, 0.5, 1.0, 2.0, 4.0)  # of the distance at which places pass for alike
 _TRIALS, _MISSING = 300, 0.2  # attitudes, and the probability that a disc is hidden

@@ -12,8 +12,6 @@ from spheremouse.progress import progress_bar
 from spheremouse.recording import write_simulation
 from spheremouse.simulate import Motion, SimulationOptions, View, prepare
 
-EXAMPLE = "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3"
-
 _DEFAULT = SimulationOptions()
 
 

@@ -6,8 +6,6 @@ from typing import Annotated
 
 import typer
 
-EXAMPLE = "Example: spheremouse tray"
-
 
 def tray(
     socket: Annotated[

@@ -32,7 +32,6 @@ from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.stopping import Stopping
 from spheremouse.track import Phase, Settings, Tracker, build
 
-EXAMPLE = "Example: spheremouse demo --seconds 20 --seed 2"
 FILES = ("overlay.png", "overlay.mp4", "plot.png", "motion.txt")
 _NOISE = 4.0  # grey values: a webcam in a lit room
 

@@ -107,6 +107,16 @@ class Resampler:
         return x.truth, y.truth, z.truth
 
 
+def plus(a: Counts, b: Counts) -> Counts:
+    """Sum, axis by axis."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def minus(a: Counts, b: Counts) -> Counts:
+    """Difference, axis by axis."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
 def due(resampler: Resampler, now: float) -> Counts:
     """Sum of counts that should have been sent by `now`."""
     x, y, z = resampler.courses

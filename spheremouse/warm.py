@@ -5,17 +5,18 @@ of milliseconds, which no frame should wait for. So all that tracking calls is c
 """
 
 from functools import cache
+from typing import Literal
 
 import cv2
 import numpy as np
 
-from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.detect.cap import appearance, ball_mask
 from spheremouse.detect.detections import Image
 from spheremouse.disc_map import DiscMap
 from spheremouse.frame import Frame
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import Array, exp
+from spheremouse.rotation import Array, exp, log
 from spheremouse.track import Settings, Tracker, begin, build, disc_map, step
 
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])
@@ -27,20 +28,28 @@ _TURN = np.array([0.06, 0.05, 0.03])  # rad a frame
 _DT = 1.0 / 30.0
 
 
-@cache
 def warm_up(settings: Settings) -> None:
-    """Call what tracking with these settings calls; once a process."""
+    """Call what tracking calls with this tracker and detector; once a process, whatever the other settings are."""
+    _warm_up(settings.tracker, settings.detector)
+
+
+@cache
+def _warm_up(tracker: Literal["so3", "ekf1", "ekf2"], detector: Literal["default", "blobs"]) -> None:
     discs = _spread(40)
-    tracker = build(_RIG, _POSE, settings)
-    known = _watch(tracker, discs, None)
+    made = build(_RIG, _POSE, Settings(tracker=tracker, detector=detector))
+    known = _watch(made, discs, None)
     if known is not None:
-        _watch(tracker, discs, known)
+        _watch(made, discs, known)
+    unproject(np.zeros((1, 2)), _CAMERA)  # for a pose
+    log(np.eye(3)[None])
 
 
 def _watch(tracker: Tracker, discs: Array, known: DiscMap | None) -> DiscMap | None:
     state = begin(tracker, 0.0, known=known)
     for k in range(60):
         turned = discs @ exp(_TURN * k).T
+        if 24 <= k < 30:  # hands: more that is no disc than discs
+            turned = np.concatenate([turned[::3], discs @ exp(-3.0 * _TURN * k).T])
         hidden = 30 <= k < 45  # lost, and found again
         image = _picture(turned[:0] if hidden else turned[: len(turned) - k % 3])
         state, _ = step(state, Frame(image, k * _DT, k), tracker)

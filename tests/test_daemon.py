@@ -23,6 +23,7 @@ from spheremouse.daemon import realtime
 from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon import run as run_module
 from spheremouse.daemon.client import Client
+from spheremouse.daemon.protocol import Request
 from spheremouse.errors import ControlError
 from spheremouse.rig_file import rig_text
 
@@ -118,7 +119,7 @@ def test_counts_are_the_integral_of_the_motion(playing):
     assert status["state"] == "tracking"
     assert (status["skipped"], status["damaged"], status["unseen_s"], status["lost_count"]) == (0, 0, 0.0, 0)
     assert status["output"] == {"spec": "sink:quiet", "failed": None, "reports": status["output"]["reports"],
-                                "unsent": [0, 0, 0]}  # fmt: skip
+                                "unsent": [0, 0, 0], "ahead": [0, 0, 0]}  # fmt: skip
     world.until(lambda: set(ask(world, "status")["stages_ms"]) == {"wait", "decode", "detect", "filter"})
     assert status["discs"] >= 4
     assert status["pose"]["position_m"][2] == pytest.approx(2.35, abs=0.01)
@@ -426,10 +427,10 @@ def test_another_rig_is_taken_up_or_refused(playing):
     assert not said(world, "internal error")
 
 
-def test_hang_up_twice_at_once_is_no_error(playing):
+def test_hang_ups_wait_for_each_other(playing):
     for _ in range(5):
-        playing.daemon._ask(lambda: playing.daemon._load(playing.daemon._request, lambda _: None))
-    playing.until(lambda: said(playing, "is being read already"))
+        playing.daemon._ask(lambda: playing.daemon._do(Request(command="reload"), lambda _: None))
+    playing.until(lambda: len(said(playing, "configuration applied: nothing has changed")) == 5)
     playing.settle()
     assert playing.state == "tracking"
 

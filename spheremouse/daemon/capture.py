@@ -177,7 +177,7 @@ class Capture(threading.Thread):
 
     def reopen(self, open_camera: Callable[[], Camera]) -> None:
         """Open the camera anew, in another way."""
-        self._open, self._failures = open_camera, 0
+        self._open, self._failures, self.description = open_camera, 0, ""
         self._bell.set()
 
     def again(self) -> None:

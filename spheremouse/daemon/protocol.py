@@ -235,6 +235,7 @@ class OutputStatus(_Part):
     failed: str | None
     reports: int
     unsent: list[int] = Field(min_length=3, max_length=3)
+    ahead: list[int] = Field(min_length=3, max_length=3)
 
 
 class SourceStatus(_Part):

@@ -21,7 +21,7 @@ from spheremouse.motion import Motion
 from spheremouse.output import Output, OutputClosed
 from spheremouse.output.null import Null
 from spheremouse.output.text import Text
-from spheremouse.pointer import Counts, PointerSettings, Resampler
+from spheremouse.pointer import Counts, PointerSettings, Resampler, minus, plus
 
 BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 LATE = 0.25  # s in the queue after which a frame's counts are not wanted any more: an output hung
@@ -101,7 +101,7 @@ class Reporter:
         self._given.append(_Given(motion, rate, taken, tracking, not self._paused, self._clock()))
         if len(self._given) > QUEUED:
             with contextlib.suppress(IndexError):  # the thread was quicker
-                self._overflow = _plus(self._overflow, self._given.popleft().motion.counts)
+                self._overflow = plus(self._overflow, self._given.popleft().motion.counts)
         self._ring()
 
     def pause(self, paused: bool) -> None:
@@ -124,9 +124,9 @@ class Reporter:
             self._failed,
             self._ended,
             self._reports,
-            _plus(self._past, sent),
-            _plus(self._unsent, self._overflow),
-            _minus(sent, self._resampler.truth),
+            plus(self._past, sent),
+            plus(self._unsent, self._overflow),
+            minus(sent, self._resampler.truth),
             latency,
         )
 
@@ -190,7 +190,7 @@ class Reporter:
             now = self._clock()
             late = now - given.came > LATE and not self._per_frame
             if self._output is None or self._paused or late or not given.wanted:
-                self._unsent = _plus(self._unsent, given.motion.counts)
+                self._unsent = plus(self._unsent, given.motion.counts)
             else:
                 self._take(given, now)
         if self._output is not None and (now := self._clock()) >= self._next:
@@ -206,7 +206,7 @@ class Reporter:
         self._last, self._grid, self._period = given, now, 1.0 / settings.rate
         self._plan(now)
         due = pointer.due(self._resampler, now)
-        counts = _minus(due, self._sent)
+        counts = minus(due, self._sent)
         if self._send(Motion(motion.stamp, counts, motion.rotation, motion.rate), due):
             self._latency[self._frames % REMEMBERED] = self._clock() - given.taken
             self._frames += 1
@@ -219,7 +219,7 @@ class Reporter:
             assert self._last is not None
             motion = self._last.motion
             stamp = motion.stamp + now - self._last.taken
-            self._send(Motion(stamp, _minus(due, self._sent), _NOTHING, motion.rate), due)
+            self._send(Motion(stamp, minus(due, self._sent), _NOTHING, motion.rate), due)
 
     def _plan(self, now: float) -> None:
         """When the next report is due: on a grid that does not drift, and once after the course has ended."""
@@ -279,23 +279,15 @@ class Reporter:
     def _forget(self) -> None:
         """Begin anew; what has not been sent will not be."""
         if self._resampler.stamp is not None:
-            self._unsent = _plus(self._unsent, _minus(self._resampler.truth, self._sent))
-            self._past = _plus(self._past, self._sent)
+            self._unsent = plus(self._unsent, minus(self._resampler.truth, self._sent))
+            self._past = plus(self._past, self._sent)
             self._resampler, self._sent = Resampler(), _NONE
         self._next = np.inf
 
     def _drop_queue(self) -> None:
         """What came while the output was gone: all at once it would be a jump."""
         for _ in range(len(self._given)):
-            self._unsent = _plus(self._unsent, self._given.popleft().motion.counts)
-
-
-def _plus(a: Counts, b: Counts) -> Counts:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def _minus(a: Counts, b: Counts) -> Counts:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+            self._unsent = plus(self._unsent, self._given.popleft().motion.counts)
 
 
 def _reason(error: Exception) -> str:

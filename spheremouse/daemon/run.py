@@ -41,7 +41,7 @@ from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.motion import Motion
 from spheremouse.output import Output, open_output
-from spheremouse.pointer import Counts
+from spheremouse.pointer import Counts, minus, plus
 from spheremouse.rig import Rig
 from spheremouse.session import make_ready
 from spheremouse.session_map import MapKeeper
@@ -106,6 +106,7 @@ class Daemon:
         self._background: list[threading.Thread] = []
         self._ball: TrackState | None = None  # after the last frame
         self._snapshots: list[tuple[Path, Reply]] = []
+        self._recording_told: Callable[[], None] = _nothing  # who asked for a recording hears of its first frame
         self._server: ControlServer | None = None
         self._later: deque[Callable[[], None]] = deque()  # `set` and `reload` that wait for another to be done
         self._listen_at = 0.0  # s, when the socket is tried for again
@@ -180,7 +181,7 @@ class Daemon:
         """What a frame gave, to all that want it; the pointer first."""
         epoch = made.epoch
         self._reporter.give(epoch.motion, made.rate, taken, made.holds)
-        self._given_out = _plus(self._given_out, epoch.motion.counts)
+        self._given_out = plus(self._given_out, epoch.motion.counts)
         if self._keeper is not None:
             self._keeper.keep(epoch.state)
         if self._recorder is not None:
@@ -188,6 +189,8 @@ class Daemon:
             kept = self._recorder.add(epoch.frame, None if tracker is None else tracker.pose)
             if kept and epoch.frame.image.ndim == 3:
                 self._worker.colour = False
+            if kept:
+                self._tell_recording()
         self._ball = epoch.state
         self._show(made)
         if self._snapshots:
@@ -219,6 +222,7 @@ class Daemon:
         """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
         self._reporter.give(Motion(now, (0, 0, 0), np.zeros(3), np.zeros(3)), (0.0, 0.0, 0.0), now, False)
         self._worker.interrupted(self._reason)
+        self._tell_recording()  # it begins when they come again
         waiting, self._snapshots = self._snapshots, []
         for _, reply in waiting:
             reply(refused(f"there is no picture now: {self._reason}"))
@@ -348,7 +352,7 @@ class Daemon:
             return
 
         def reload(_number: int, _frame: Any) -> None:
-            self._ask(lambda: self._load(replace(self._request, changes=()), lambda _: None))
+            self._ask(lambda: self._do(Request(command="reload"), lambda _: None))
 
         before = signal.signal(signal.SIGHUP, reload)
         try:
@@ -432,9 +436,6 @@ class Daemon:
 
     def _load(self, wanted: PlanRequest, reply: Reply, quiet: bool = False) -> None:
         """Read all anew in a thread of its own, then apply it between two frames; nothing changes if it is wrong."""
-        if self._loading is not None:
-            raise ControlError("the configuration is being read already; repeat this in a moment")
-
         before = self._plan
 
         def read() -> None:
@@ -552,8 +553,8 @@ class Daemon:
     def _count_past(self, old: Reporter, given: Counts) -> None:
         """What an output was given and did not send, in its queue when it was closed or before."""
         status, (reports, unsent) = old.status(), self._past
-        left = _plus(given, (-status.sent[0], -status.sent[1], -status.sent[2]))
-        self._past = (reports + status.reports, _plus(unsent, left))
+        left = minus(given, status.sent)
+        self._past = (reports + status.reports, plus(unsent, left))
 
     # ---- recording ----
 
@@ -607,11 +608,17 @@ class Daemon:
         kept = "whole pictures" if settings.everything else "the ball and the targets"
         words = f"recording {kept}, {seconds:g} s at most"
         self.say(f"record: {folder}: {words}")
-        reply({"folder": str(folder), "seconds": seconds, "message": f"{folder}: {words}"})
+        told = {"folder": str(folder), "seconds": seconds, "message": f"{folder}: {words}"}
+        self._recording_told = lambda: reply(told)
+
+    def _tell_recording(self) -> None:
+        tell, self._recording_told = self._recording_told, _nothing
+        tell()
 
     def _end_recording(self, reply: Reply) -> None:
         recorder, self._recorder = self._recorder, None
         assert recorder is not None
+        self._tell_recording()
 
         def finish() -> None:
             try:
@@ -687,7 +694,8 @@ class Daemon:
                 "spec": plan.output,
                 "failed": report.failed,
                 "reports": reports + report.reports,
-                "unsent": list(_plus(unsent, report.unsent)),
+                "unsent": list(plus(unsent, report.unsent)),
+                "ahead": list(report.ahead),
             },
             "source": {"spec": plan.source, "description": self._capture.description},
             "unseen_s": self._unseen,
@@ -736,6 +744,10 @@ class Daemon:
 
     def _known(self) -> DiscMap | None:
         return None if self._keeper is None else self._keeper.known
+
+
+def _nothing() -> None:
+    """There is nothing to tell."""
 
 
 def _ms(median: float, slow: float, most: float | None = None) -> dict[str, float]:
@@ -790,10 +802,6 @@ def _differences(before: Plan, now: Plan) -> list[str]:
     for name in ("pointer", "record", *_AT_START):
         found[name] = getattr(a, name) != getattr(b, name)
     return [name for name, other in found.items() if other]
-
-
-def _plus(a: Counts, b: Counts) -> Counts:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _same(a: Any, b: Any) -> bool:
