@@ -46,7 +46,7 @@ class DatasetWriter:
         self._size = (int(scene["width"]), int(scene["height"]))
 
     def __enter__(self) -> Self:
-        _refuse_to_overwrite(self._path, self._replace)
+        refuse_to_overwrite(self._path, self._replace)
         self._folder = begin_folder(self._path, DatasetError)
         try:
             self._folder.chmod(0o755)
@@ -101,9 +101,9 @@ class DatasetWriter:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _publish(self) -> None:
-        _finish(self._pictures, self._path)
-        _write_scene(self._folder, {**self._scene, "frames": self._pictures.written})
-        _refuse_to_overwrite(self._path, self._replace)  # once more: somebody may have come first
+        finish_pictures(self._pictures, self._path)
+        write_scene(self._folder, {**self._scene, "frames": self._pictures.written})
+        refuse_to_overwrite(self._path, self._replace)  # once more: somebody may have come first
         finish_folder(self._folder, self._path)
 
 
@@ -122,7 +122,7 @@ class FilmWriter:
         self._rig, self._scene, self._files = replace(rig, pose=pose), scene, files
         self._stamps: list[float] = []
         self._pictures: PictureWriter | None = None
-        _refuse_to_overwrite(self._path, False)
+        refuse_to_overwrite(self._path, False)
         self.folder = begin_folder(self._path, DatasetError)  # until it takes its name
 
     def open(self, fps: float) -> None:
@@ -159,17 +159,17 @@ class FilmWriter:
         assert self._pictures is not None
         try:
             self._file.close()
-            _finish(self._pictures, self._path)
+            finish_pictures(self._pictures, self._path)
             for name, text in {"rig.yaml": rig_text(self._rig), **self._files}.items():
                 (self.folder / name).write_text(text, encoding="utf-8")
             scene = {"name": self._path.name, **self._scene, **device_description(self._rig)}
             assert self._rig.pose is not None
             scene["T_obj_cam"] = self._rig.pose.matrix().tolist()
-            _write_scene(self.folder, {**scene, "fps": _rate(self._stamps), "frames": self.frames})
+            write_scene(self.folder, {**scene, "fps": _rate(self._stamps), "frames": self.frames})
             for file in [*self.folder.rglob("*"), self.folder]:
                 _sync(file)
             self.folder.chmod(0o750)  # of people, perhaps: not for everybody
-            _refuse_to_overwrite(self._path, False)
+            refuse_to_overwrite(self._path, False)
             finish_folder(self.folder, self._path)
             _sync(self._path.parent)
         except OSError as e:
@@ -183,7 +183,8 @@ class FilmWriter:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def _finish(pictures: PictureWriter, path: Path) -> None:
+def finish_pictures(pictures: PictureWriter, path: Path) -> None:
+    """Close the pictures of the dataset `path`; DatasetError where there are none, or they cannot be written."""
     if pictures.written == 0:
         raise DatasetError(f"{path}: nothing to write, the recording would have no frame")
     try:
@@ -192,11 +193,13 @@ def _finish(pictures: PictureWriter, path: Path) -> None:
         raise DatasetError(f"{path}: {str(e).partition(': ')[2]}") from None
 
 
-def _write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
+def write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
+    """scene.json."""
     (folder / "scene.json").write_text(json.dumps(scene, indent=1) + "\n", encoding="utf-8")
 
 
-def _refuse_to_overwrite(path: Path, replace: bool) -> None:
+def refuse_to_overwrite(path: Path, replace: bool) -> None:
+    """DatasetError where something is there that is not to be replaced, or is no dataset."""
     if not path.exists():
         return
     if not path.is_dir():

@@ -4,8 +4,6 @@
 docs/datasets.
 """
 
-import csv
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +12,7 @@ from typing import Annotated, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.dataset_format import (
@@ -22,9 +20,19 @@ from spheremouse.dataset_format import (
     DISC_COLUMNS,
     MOTION_COLUMNS,
     STAMP_COLUMNS,
+    CameraEntry,
+    Entry,
+    Number,
+    Positive,
+    SceneEntry,
+    check_rows,
+    described,
     folder_images,
+    is_rotation,
     picture_file,
+    read_json,
     read_picture,
+    read_table,
     video_images,
 )
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
@@ -75,48 +83,28 @@ class Stamps:
 
 # ---- scene.json ----
 
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_Number = Annotated[float, Field(allow_inf_nan=False)]
-_Vector = tuple[_Number, _Number, _Number]
-_Row4 = tuple[_Number, _Number, _Number, _Number]
+_Vector = tuple[Number, Number, Number]
+_Row4 = tuple[Number, Number, Number, Number]
 _Matrix4 = tuple[_Row4, _Row4, _Row4, _Row4]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(strict=True, extra="ignore")
+class _Ball(Entry):
+    radius: Positive
 
 
-class _Camera(_Model):
-    fx: _Positive
-    fy: _Positive
-    cx: _Number
-    cy: _Number
-    dist: tuple[_Number, _Number, _Number, _Number, _Number]
-
-
-class _Ball(_Model):
-    radius: _Positive
-
-
-class _Target(_Model):
+class _Target(Entry):
     id: int
     code: Literal["CMY", "CYM", "MCY", "MYC", "YCM", "YMC"]
     position: _Vector
 
 
-class _Scene(_Model):
-    name: str = ""
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    fps: _Positive
-    frames: Annotated[int, Field(gt=0)]
-    exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+class _Scene(SceneEntry):
     readout_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    camera: _Camera
+    camera: CameraEntry
     ball: _Ball
-    disc_radius: _Positive
+    disc_radius: Positive
     targets: list[_Target] = []
-    target_radii: tuple[_Positive, _Positive, _Positive] | None = None
+    target_radii: tuple[Positive, Positive, Positive] | None = None
     T_obj_cam: _Matrix4 | None = None
     truth_T_obj_cam: _Matrix4 | None = None  # noqa: N815
     truth_disc_directions: list[_Vector] | None = None
@@ -152,24 +140,10 @@ def open_dataset(path: Path | str) -> Recording:
 
 
 def _read_scene(path: Path) -> _Scene:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: missing; a dataset needs it") from None
-    except (OSError, UnicodeDecodeError) as e:
-        raise DatasetError(f"{path}: cannot be read ({e})") from None
-    except json.JSONDecodeError as e:
-        raise DatasetError(f"{path}, line {e.lineno}: not valid JSON ({e.msg})") from None
+    content = read_json(path)
     if isinstance(content, dict) and "wand" in content and "ball" not in content:
         raise DatasetError(f"{path}: this is a recording of a wand; use --tracker wand")
-    try:
-        # Through JSON once more, so that lists count as tuples while "640" still does not count as a number.
-        scene = _Scene.model_validate_json(json.dumps(content))
-    except ValidationError as e:
-        first = e.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        more = f" (and {e.error_count() - 1} more)" if e.error_count() > 1 else ""
-        raise DatasetError(f"{path}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{more}") from None
+    scene = described(path, content, _Scene)
     if scene.targets and scene.target_radii is None:
         raise DatasetError(f"{path}: target_radii: field required where there are targets")
     if len({t.id for t in scene.targets}) < len(scene.targets) or len({t.code for t in scene.targets}) < len(
@@ -234,76 +208,26 @@ def _pose(path: Path, key: str, matrix: _Matrix4 | None) -> Pose | None:
     if matrix is None:
         return None
     T = np.array(matrix, dtype=float)
-    if not _is_rotation(T[:3, :3]) or not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
+    if not is_rotation(T[:3, :3]) or not np.allclose(T[3], (0.0, 0.0, 0.0, 1.0)):
         raise DatasetError(f"{path}: {key}: not a rotation and a translation (4 x 4, last row 0 0 0 1)")
     return pose_from_matrix(T)
-
-
-def _is_rotation(R: Array) -> bool:
-    return bool(np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0.0)
 
 
 # ---- tables ----
 
 
-def _read_table(path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = ()) -> Array:
-    """Those columns of a csv file with a header, (n, len(columns)); only `optional` ones may be empty (nan)."""
-    rows: list[list[float]] = []
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.reader(file)
-            header = next(reader, [])
-            missing = [c for c in columns if c not in header]
-            if missing:
-                raise DatasetError(f"{path}, line 1: no column {', '.join(missing)}")
-            places = [header.index(c) for c in columns]
-            for cells in reader:
-                if not cells:
-                    continue
-                if len(cells) != len(header):
-                    raise DatasetError(
-                        f"{path}, line {reader.line_num}: {len(cells)} cells under {len(header)} columns"
-                    )
-                rows.append(
-                    [
-                        _cell(path, reader.line_num, c, cells[i], c in optional)
-                        for c, i in zip(columns, places, strict=True)
-                    ]
-                )
-    except (OSError, UnicodeDecodeError, csv.Error) as e:
-        raise DatasetError(f"{path}: cannot be read ({e})") from None
-    return np.array(rows, dtype=float).reshape(-1, len(columns))
-
-
-def _cell(path: Path, line: int, column: str, text: str, may_be_empty: bool) -> float:
-    if may_be_empty and not text.strip():
-        return np.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise DatasetError(f"{path}, line {line}: {column}: {text!r} is not a number")
-    return value
-
-
 def _read_truth(path: Path, frames: int) -> Truth:
-    table = _read_table(path, MOTION_COLUMNS)
-    if len(table) != frames:
-        raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
+    table = read_table(path, MOTION_COLUMNS)
+    check_rows(path, table, frames)
     truth = Truth(table[:, 1].copy(), table[:, 2:11].reshape(-1, 3, 3).copy(), table[:, 11:14].copy())
     for i in range(frames):
-        if table[i, 0] != i:
-            raise DatasetError(f"{path}, row {i + 1}: frame {table[i, 0]:g} where {i} is due")
-        if i and truth.stamp[i] <= truth.stamp[i - 1]:
-            raise DatasetError(f"{path}, row {i + 1}: t does not increase")
-        if not _is_rotation(truth.attitude[i]):
+        if not is_rotation(truth.attitude[i]):
             raise DatasetError(f"{path}, row {i + 1}: r11..r33 is not a rotation")
     return truth
 
 
 def _read_discs(path: Path, frames: int) -> DiscTruth:
-    table = _read_table(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
+    table = read_table(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
     whole = table[:, [0, 1, 7]]
     if np.any(whole != np.rint(whole)) or np.any(table[:, 0] < 0) or np.any(table[:, 0] >= frames):
         raise DatasetError(f"{path}: frame, disc and state must be whole numbers, frame below {frames}")
@@ -318,7 +242,7 @@ def _read_discs(path: Path, frames: int) -> DiscTruth:
 
 
 def _read_stamps(path: Path, frames: int) -> Stamps:
-    table = _read_table(path, STAMP_COLUMNS)
+    table = read_table(path, STAMP_COLUMNS)
     if len(table) != frames:
         raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
     wrong = np.flatnonzero(table[:, 0] != np.arange(frames))

@@ -14,16 +14,29 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from spheremouse.camera import InteriorOrientation
-from spheremouse.dataset_format import MATRIX_COLUMNS, folder_images, video_images
-from spheremouse.dataset_writer import _finish, _refuse_to_overwrite, _write_scene
+from spheremouse.dataset_format import (
+    MATRIX_COLUMNS,
+    CameraEntry,
+    Entry,
+    Number,
+    Positive,
+    SceneEntry,
+    check_rows,
+    described,
+    folder_images,
+    is_rotation,
+    read_json,
+    read_table,
+    video_images,
+)
+from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, write_scene
 from spheremouse.errors import DatasetError
 from spheremouse.folders import begin_folder, finish_folder
 from spheremouse.frame import Frame
 from spheremouse.picture_writer import PictureWriter
-from spheremouse.recording import _is_rotation, _read_table
 from spheremouse.rotation import Array
 from spheremouse.simulate.wand import WandFilm, WandTruth, simulate_wand
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
@@ -62,44 +75,27 @@ class WandRecording:
 
 # ---- scene.json ----
 
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_Number = Annotated[float, Field(allow_inf_nan=False)]
+
+class _Camera(CameraEntry):
+    dist: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(strict=True, extra="ignore")
-
-
-class _Camera(_Model):
-    fx: _Positive
-    fy: _Positive
-    cx: _Number
-    cy: _Number
-    dist: tuple[_Number, _Number, _Number, _Number, _Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-class _Disc(_Model):
-    azimuth_deg: _Number
+class _Disc(Entry):
+    azimuth_deg: Number
     latitude_deg: Annotated[float, Field(ge=-90, le=90)]
-    diameter: _Positive  # m, of the rim
+    diameter: Positive  # m, of the rim
     colour: Annotated[str, Field(min_length=1)]
-    points: _Positive | None = None  # m from the centre to the outer points, straight
+    points: Positive | None = None  # m from the centre to the outer points, straight
 
 
-class _Wand(_Model):
+class _Wand(Entry):
     name: str = "wand"
-    radius: _Positive
+    radius: Positive
     body: str = "white"
     discs: Annotated[list[_Disc], Field(min_length=1)]
 
 
-class _Scene(_Model):
-    name: str = ""
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    fps: _Positive
-    frames: Annotated[int, Field(gt=0)]
-    exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+class _Scene(SceneEntry):
     camera: _Camera
     wand: _Wand
     wands: list[_Wand] | None = None
@@ -138,23 +134,10 @@ def open_wand(path: Path | str) -> WandRecording:
 
 
 def _read_scene(path: Path) -> _Scene:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: missing; a dataset needs it") from None
-    except (OSError, UnicodeDecodeError) as e:
-        raise DatasetError(f"{path}: cannot be read ({e})") from None
-    except json.JSONDecodeError as e:
-        raise DatasetError(f"{path}, line {e.lineno}: not valid JSON ({e.msg})") from None
+    content = read_json(path)
     if isinstance(content, dict) and "wand" not in content:
         raise DatasetError(f"{path}: no `wand` in it; this is no recording of a wand, leave --tracker wand out")
-    try:
-        scene = _Scene.model_validate_json(json.dumps(content))  # once more, so that lists count as tuples
-    except ValidationError as e:
-        first = e.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the file"
-        more = f" (and {e.error_count() - 1} more)" if e.error_count() > 1 else ""
-        raise DatasetError(f"{path}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{more}") from None
+    scene = described(path, content, _Scene)
     if scene.wands is not None and not scene.wands:
         raise DatasetError(f"{path}: wands: is empty; leave it out where there is one ball")
     return scene
@@ -182,21 +165,15 @@ def _columns(ball: int) -> tuple[str, ...]:
 
 
 def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
-    table = _read_table(path, (*WAND_COLUMNS[:2], *(name for k in range(balls) for name in _columns(k))))
-    if len(table) != frames:
-        raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
+    table = read_table(path, (*WAND_COLUMNS[:2], *(name for k in range(balls) for name in _columns(k))))
+    check_rows(path, table, frames)
     stamp = table[:, 1].copy()
-    for i in range(frames):
-        if table[i, 0] != i:
-            raise DatasetError(f"{path}, row {i + 1}: frame {table[i, 0]:g} where {i} is due")
-        if i and stamp[i] <= stamp[i - 1]:
-            raise DatasetError(f"{path}, row {i + 1}: t does not increase")
     truths = []
     for k in range(balls):
         part = table[:, 2 + 12 * k : 14 + 12 * k]
         rotation = part[:, 3:].reshape(-1, 3, 3).copy()
         for i in range(frames):
-            if not _is_rotation(rotation[i]):
+            if not is_rotation(rotation[i]):
                 raise DatasetError(f"{path}, row {i + 1}: {_columns(k)[3]}..{_columns(k)[-1]} is not a rotation")
         truths.append(WandTruth(stamp, part[:, :3].copy(), rotation))
     return tuple(truths)
@@ -281,7 +258,7 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
     written. An iterator that is closed early writes nothing.
     """
     path = Path(path).absolute()
-    _refuse_to_overwrite(path, replace)
+    refuse_to_overwrite(path, replace)
     folder = begin_folder(path, DatasetError)
     camera = film.scene.camera
     pictures: PictureWriter | None = None
@@ -297,9 +274,9 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
                 numbers = [shot.frame.stamp, *_poses(shot.position, shot.rotation)]
                 rows.writerow([shot.frame.sequence, *(repr(float(x)) for x in numbers)])
                 yield shot.frame.sequence + 1
-        _finish(pictures, path)
-        _write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
-        _refuse_to_overwrite(path, replace)  # once more: somebody may have come first
+        finish_pictures(pictures, path)
+        write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
+        refuse_to_overwrite(path, replace)  # once more: somebody may have come first
         finish_folder(folder, path)
     except OSError as e:
         raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None

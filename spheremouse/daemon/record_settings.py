@@ -10,7 +10,9 @@ class RecordSettings:
     """Recordings and snapshots, made when somebody asks for one; bounded, whatever happens to who asked."""
 
     folder: str | None = param(
-        None, "-", "folder of recordings and snapshots; null takes recordings/ in the state directory"
+        None,
+        "-",
+        "folder of recordings and snapshots, relative to this file; null takes recordings/ in the state directory",
     )
     seconds: float = param(60.0, "s", "a recording ends after so long: a fault is shown in a minute", gt=0, le=86400)
     megabytes: float = param(

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from spheremouse.camera import project
 from spheremouse.simulate.scene import Scene
 
-_PER_METRE = 500  # pixels of the drawing
+PER_METRE = 500  # pixels of the drawing
 _SCALE = 1.3  # a big hand: two of them hide about a third of the ball
-_HALF_WIDTH, _ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, what the drawing shows around the palm
+HALF_WIDTH, ABOVE, _BELOW = 0.12, 0.18, 0.75  # m, what the drawing shows around the palm
 _SKIN = np.array([112.0, 148.0, 205.0])  # grey values blue, green, red
 _SLEEVE = np.array([112.0, 70.0, 48.0])
 _PLANE_Z = 0.66  # m, obj: just in front of the ball
@@ -33,7 +33,7 @@ def draw_hand() -> NDArray[np.float32]:
 
     Colours are multiplied by the cover already.
     """
-    y, x = np.mgrid[_ABOVE : -_BELOW : -1.0 / _PER_METRE, -_HALF_WIDTH : _HALF_WIDTH : 1.0 / _PER_METRE]
+    y, x = np.mgrid[ABOVE : -_BELOW : -1.0 / PER_METRE, -HALF_WIDTH : HALF_WIDTH : 1.0 / PER_METRE]
     parts = [  # from, to, radius at both, m; the origin is the middle of the palm
         (-0.016, -0.030, -0.016, 0.035, 0.031, 0.030), (0.016, -0.030, 0.016, 0.035, 0.031, 0.030),
         (-0.036, 0.055, -0.046, 0.118, 0.0105, 0.009), (-0.012, 0.060, -0.015, 0.140, 0.011, 0.0095),
@@ -47,9 +47,9 @@ def draw_hand() -> NDArray[np.float32]:
         s = np.clip(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy), 0.0, 1.0)
         radius = r0 + s * (r1 - r0)
         depth = np.maximum(depth, radius - np.hypot(x - x0 - s * dx, y - y0 - s * dy))
-    cover = np.clip(0.5 + depth * _PER_METRE, 0.0, 1.0)
+    cover = np.clip(0.5 + depth * PER_METRE, 0.0, 1.0)
     round_edge = 0.62 + 0.38 * np.sqrt(np.clip(depth / 0.02, 0.0, 1.0))
-    sleeve = np.clip(0.5 + (-0.24 - y) * _PER_METRE, 0.0, 1.0)[..., None]
+    sleeve = np.clip(0.5 + (-0.24 - y) * PER_METRE, 0.0, 1.0)[..., None]
     colour = (_SKIN * (1.0 - sleeve) + _SLEEVE * sleeve) * round_edge[..., None]
     return np.concatenate([colour * cover[..., None], cover[..., None]], axis=2).astype(np.float32)
 
@@ -76,7 +76,7 @@ def place_hand(hand: NDArray[np.float32], visit: HandVisit, scene: Scene, t: flo
     up = np.array([-np.sin(tilt), np.cos(tilt), 0.0]) * scale
     h, w = hand.shape[:2]
     drawn = np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float32)
-    metres = drawn / _PER_METRE * (1.0, -1.0) + (-_HALF_WIDTH, _ABOVE)
+    metres = drawn / PER_METRE * (1.0, -1.0) + (-HALF_WIDTH, ABOVE)
     palm = np.array([x, y, _PLANE_Z])
     uv = project(scene.pose.to_cam(palm + metres[:, :1] * right + metres[:, 1:] * up), scene.camera)[0]
     if not np.all(np.isfinite(uv)):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spheremouse.camera import InteriorOrientation, project
 from spheremouse.rotation import Array
-from spheremouse.simulate.hands import _ABOVE, _HALF_WIDTH, _PER_METRE
+from spheremouse.simulate.hands import ABOVE, HALF_WIDTH, PER_METRE
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, box
 from spheremouse.simulate.wand_ball import Layer, paint_of
@@ -113,7 +113,7 @@ def hand_at(
     right = np.array([-up[1], up[0], 0.0])
     h, w = drawing.shape[:2]
     corner = np.array([[0, 0], [w, 0], [0, h], [w, h]], dtype=np.float32)
-    metres = corner / _PER_METRE * (1.0, -1.0) + (-_HALF_WIDTH, _ABOVE)
+    metres = corner / PER_METRE * (1.0, -1.0) + (-HALF_WIDTH, ABOVE)
     points = palm + metres[:, :1] * right + metres[:, 1:] * up
     if np.any(points[:, 2] < 0.1):
         return None
