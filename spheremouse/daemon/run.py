@@ -20,9 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse import __version__, config
+from spheremouse import __version__
 from spheremouse.daemon import realtime
+from spheremouse.daemon.archive import Archive
+from spheremouse.daemon.background import Background
 from spheremouse.daemon.capture import PATIENCE, Capture
+from spheremouse.daemon.changes import AT_START, differences, latest, stages_of, stamps_of
 from spheremouse.daemon.control import ControlServer, Reply
 from spheremouse.daemon.metrics import serve as serve_metrics
 from spheremouse.daemon.notify import Notifier
@@ -30,11 +33,9 @@ from spheremouse.daemon.places import socket_path
 from spheremouse.daemon.plan import Plan, check_kinds, read_plan
 from spheremouse.daemon.plan import Request as PlanRequest
 from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
-from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder, tidy
+from spheremouse.daemon.recorder import recordings_folder, tidy
 from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Newest
-from spheremouse.daemon.snapshot import snapshot
 from spheremouse.daemon.states import Facts, State, judge, letters, news
 from spheremouse.daemon.worker import Step, Worker
 from spheremouse.disc_map import DiscMap
@@ -48,18 +49,16 @@ from spheremouse.session_map import MapKeeper
 from spheremouse.source import Camera
 from spheremouse.stopping import Stopping
 from spheremouse.timing import FrameTimes
-from spheremouse.track import Settings, Tracker, TrackState
+from spheremouse.track import Tracker, TrackState
 
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
 _COMPILING = 900.0  # s that a small computer may take for it
-_PATIENT = 30.0  # s that a recording may take to be finished when we end
 _STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
 _USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
 _LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
-_AT_START = ("control", "metrics", "realtime")  # what is read at the start only
 
 Show = Callable[[Step], None]
 
@@ -102,11 +101,9 @@ class Daemon:
         self._scheduling = "usual scheduling"
         self._loading: threading.Thread | None = None
         self._files: dict[Path, int] = {}
-        self._recorder: Recorder | None = None
-        self._background: list[threading.Thread] = []
+        self._background = Background()
+        self._archive = Archive(self._background, self._ask, self.say)
         self._ball: TrackState | None = None  # after the last frame
-        self._snapshots: list[tuple[Path, Reply]] = []
-        self._recording_told: Callable[[], None] = _nothing  # who asked for a recording hears of its first frame
         self._server: ControlServer | None = None
         self._later: deque[Callable[[], None]] = deque()  # `set` and `reload` that wait for another to be done
         self._listen_at = 0.0  # s, when the socket is tried for again
@@ -153,7 +150,7 @@ class Daemon:
                 self._last = now
                 self._arrivals.add(0.0, now)
                 try:
-                    made = self._worker.work(arrival)
+                    made = self._worker.work(arrival, colour=self._archive.wants_colour)
                     if made is not None:
                         if self._state is not State.TRACKING:
                             self._judge(now)  # nothing moves before it is said that it may
@@ -184,17 +181,9 @@ class Daemon:
         self._given_out = plus(self._given_out, epoch.motion.counts)
         if self._keeper is not None:
             self._keeper.keep(epoch.state)
-        if self._recorder is not None:
-            tracker = self._worker.tracker
-            kept = self._recorder.add(epoch.frame, None if tracker is None else tracker.pose)
-            if kept and epoch.frame.image.ndim == 3:
-                self._worker.colour = False
-            if kept:
-                self._tell_recording()
+        self._archive.keep(made, self._worker.tracker, self._plan.configuration.record.everything)
         self._ball = epoch.state
         self._show(made)
-        if self._snapshots:
-            self._take_snapshots(made)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._over = True
 
@@ -222,10 +211,7 @@ class Daemon:
         """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
         self._reporter.give(Motion(now, (0, 0, 0), np.zeros(3), np.zeros(3)), (0.0, 0.0, 0.0), now, False)
         self._worker.interrupted(self._reason)
-        self._tell_recording()  # it begins when they come again
-        waiting, self._snapshots = self._snapshots, []
-        for _, reply in waiting:
-            reply(refused(f"there is no picture now: {self._reason}"))
+        self._archive.interrupted(self._reason)
 
     def _facts(self, now: float) -> Facts:
         camera = self._capture.trouble or self._worker.trouble
@@ -259,17 +245,15 @@ class Daemon:
             for name, times in self._worker.times.items()
             if times.count
         }
-        self._background = [t for t in self._background if t.is_alive()]
         if self._server is None and now >= self._listen_at:
             self._listen_again(now)
         useless = now - max(self._worker.good, self._cured)
         if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
             self._cured = now
             self._capture.again()
-        if self._files != _stamps_of(self._request, self._plan) and self._loading is None:
+        if self._files != stamps_of(self._request, self._plan) and self._loading is None:
             self._load(replace(self._request, changes=()), lambda _: None, quiet=True)
-        if self._recorder is not None and self._recorder.status().ended is not None:
-            self._end_recording(lambda _: None)
+        self._archive.tend()
 
     # ---- beginning and end ----
 
@@ -291,7 +275,7 @@ class Daemon:
             if metrics is not None:
                 self._stack.enter_context(metrics)
                 self.say(f"metrics: {metrics.url}")
-        self._files = _stamps_of(self._request, self._plan)
+        self._files = stamps_of(self._request, self._plan)
         removed = tidy(recordings_folder(c.record))
         if removed:
             self.say(f"record: {removed} half-written by a run that was cut off, removed")
@@ -334,15 +318,10 @@ class Daemon:
             last.callback(self._stack.close)
             if self._keeper is not None:
                 last.callback(self._keeper.__exit__, None, None, None)
-            last.callback(self._join_background)
-            if self._recorder is not None:
-                last.callback(self._end_recording, lambda _: None)
+            last.callback(self._background.join)
+            last.callback(self._archive.close)
             last.callback(self._reporter.close)
             last.callback(self._capture.close)
-
-    def _join_background(self) -> None:
-        for thread in self._background:
-            thread.join(_PATIENT)
 
     @contextlib.contextmanager
     def _on_hang_up(self) -> Iterator[None]:
@@ -398,16 +377,18 @@ class Daemon:
     def _answer(self, request: Request, reply: Reply) -> None:
         if isinstance(request, Set):
             sections = {a.partition("=")[0].partition(".")[0].strip() for a in request.assignments}
-            if not sections.isdisjoint(_AT_START):
+            if not sections.isdisjoint(AT_START):
                 raise ControlError(
-                    f"{', '.join(sorted(sections & set(_AT_START)))}: read at the start only; write it into the "
+                    f"{', '.join(sorted(sections & set(AT_START)))}: read at the start only; write it into the "
                     "configuration file and start again"
                 )
-            self._load(replace(self._request, changes=_latest((*self._request.changes, *request.assignments))), reply)
+            self._load(replace(self._request, changes=latest((*self._request.changes, *request.assignments))), reply)
         elif isinstance(request, Record):
             self._record(request, reply)
         elif isinstance(request, Snapshot):
-            self._want_snapshot(request, reply)
+            if self._worker.tracker is None or self._state is State.NO_CAMERA:
+                raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
+            self._archive.want_snapshot(request, self._plan.configuration, reply)
         elif request.command == "reload":
             self._load(replace(self._request, changes=()), reply)
         elif request.command == "reinit":
@@ -417,6 +398,16 @@ class Daemon:
         else:
             self._pause(request.command == "pause")
             reply({"state": str(self._state)})
+
+    def _record(self, request: Record, reply: Reply) -> None:
+        tracker = self._worker.tracker
+        if request.stop:
+            self._archive.stop(reply)
+        elif tracker is None:
+            raise ControlError(f"nothing to record before the camera's pose is known: {self._reason}")
+        else:
+            described = self._capture.description
+            self._archive.record(request, self._plan.configuration, self._rig, tracker.pose, described, reply)
 
     def _told_pose(self, reply: Reply, error: str | None, text: str) -> None:
         if error is None:
@@ -439,11 +430,11 @@ class Daemon:
         before = self._plan
 
         def read() -> None:
-            files = _stamps_of(wanted, before)
+            files = stamps_of(wanted, before)
             try:
                 plan = read_plan(wanted)
                 check_kinds(plan, before)
-                if _stages_of(plan) != _stages_of(before):
+                if stages_of(plan) != stages_of(before):
                     make_ready(plan.configuration)  # no frame is to wait for a compiler
             except SpheremouseError as e:
                 error = str(e)
@@ -474,7 +465,7 @@ class Daemon:
         self._go_on_loading()
         if plan.rig is None and before.rig is None:
             plan = replace(plan, map_path=before.map_path)
-        changed = _differences(before, plan)
+        changed = differences(before, plan)
         try:
             rig = plan.device(self._given) if "rig" in changed else self._rig
             if "rig" in changed:
@@ -487,10 +478,9 @@ class Daemon:
             self._not_applied(str(e), files, reply)
             return
         # Nothing from here on is refused.
-        if self._recorder is not None and not {"tracker", "rig"}.isdisjoint(changed):
-            self.say("record: ended, for the configuration changes: a recording is of one")
-            self._end_recording(lambda _: None)
-        self._request, self._plan, self._rig, self._files = wanted, plan, rig, _stamps_of(wanted, plan)
+        if not {"tracker", "rig"}.isdisjoint(changed):
+            self._archive.configuration_changes()
+        self._request, self._plan, self._rig, self._files = wanted, plan, rig, stamps_of(wanted, plan)
         for path, stamp in files.items():
             if path in self._files:
                 self._files[path] = stamp  # when it was read: what was written since is news
@@ -505,7 +495,7 @@ class Daemon:
         elif "pointer" in changed:
             self._reporter.change(plan.configuration.pointer)
         text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
-        later = [name for name in changed if name in _AT_START]
+        later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
         if changed or not quiet:
@@ -527,7 +517,6 @@ class Daemon:
         before.interrupted("another rig is in use now")
         self._worker = Worker(self._rig, self._plan.configuration, self._known(), self.say)
         self._worker.carry_on(before)
-        self._worker.colour = bool(self._snapshots)
 
     def _change_output(self) -> None:
         """The next output is opened when the one before is closed: they may be the same device."""
@@ -548,124 +537,13 @@ class Daemon:
         self._reporter = Reporter(open_next, plan.configuration.pointer, self.say)
         self._claim(self._reporter.native_id)
         self._reporter.pause(bool(self._paused))
-        self._in_background(retire)
+        self._background.begin(retire)
 
     def _count_past(self, old: Reporter, given: Counts) -> None:
         """What an output was given and did not send, in its queue when it was closed or before."""
         status, (reports, unsent) = old.status(), self._past
         left = minus(given, status.sent)
         self._past = (reports + status.reports, plus(unsent, left))
-
-    # ---- recording ----
-
-    def _record(self, request: Record, reply: Reply) -> None:
-        if request.stop:
-            if self._recorder is None:
-                raise ControlError("nothing is being recorded")
-            self._end_recording(reply)
-            return
-        if self._recorder is not None:
-            raise ControlError(f"recording into {self._recorder.status().folder} already; end it with record --stop")
-        tracker = self._worker.tracker
-        if tracker is None:
-            raise ControlError(f"nothing to record before the camera's pose is known: {self._reason}")
-        c = self._plan.configuration
-        settings = replace(
-            c.record,
-            seconds=c.record.seconds if request.seconds is None else request.seconds,
-            everything=c.record.everything or request.everything,
-        )
-        places = recordings_folder(settings)
-        folder = next_name(places) if request.folder is None else places / request.folder
-        described, rig = self._capture.description, self._rig
-
-        def begin() -> None:
-            try:
-                recorder = Recorder(
-                    folder,
-                    rig,
-                    tracker.pose,
-                    settings,
-                    described,
-                    tracker=c,
-                    configuration=config.dump(c, type(c)()),
-                )
-            except (SpheremouseError, OSError) as e:
-                reply(refused(str(e)))
-            else:
-                self._ask(lambda: self._recording_begun(recorder, settings, reply))
-
-        self._in_background(begin)
-
-    def _recording_begun(self, recorder: Recorder, settings: RecordSettings, reply: Reply) -> None:
-        if self._recorder is not None:  # two asked at once
-            recorder.stop()
-            reply(refused(f"recording into {self._recorder.status().folder} already"))
-            return
-        self._recorder = recorder
-        self._worker.colour = True  # one frame: what tracks the recording needs the targets' colours
-        folder, seconds = recorder.status().folder, settings.seconds
-        kept = "whole pictures" if settings.everything else "the ball and the targets"
-        words = f"recording {kept}, {seconds:g} s at most"
-        self.say(f"record: {folder}: {words}")
-        told = {"folder": str(folder), "seconds": seconds, "message": f"{folder}: {words}"}
-        self._recording_told = lambda: reply(told)
-
-    def _tell_recording(self) -> None:
-        tell, self._recording_told = self._recording_told, _nothing
-        tell()
-
-    def _end_recording(self, reply: Reply) -> None:
-        recorder, self._recorder = self._recorder, None
-        assert recorder is not None
-        self._tell_recording()
-
-        def finish() -> None:
-            try:
-                path = recorder.finish()
-            except SpheremouseError as e:
-                self.say(f"record: {e}")
-                reply(refused(str(e)))
-                return
-            status = recorder.status()
-            self.say(f"record: {status.ended}")
-            reply({"folder": str(path), "frames": status.frames, "text": status.ended})
-
-        self._in_background(finish)
-
-    def _in_background(self, work: Callable[[], None]) -> None:
-        """Something that takes its time; what is begun is waited for at the end."""
-        thread = threading.Thread(target=work, name="background", daemon=True)
-        self._background.append(thread)
-        thread.start()
-
-    def _want_snapshot(self, request: Snapshot, reply: Reply) -> None:
-        """Of the next frame, in colour."""
-        if self._worker.tracker is None or self._state is State.NO_CAMERA:
-            raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
-        self._worker.colour = True
-        places = recordings_folder(self._plan.configuration.record)
-        path = next_name(places, suffix=".png") if request.file is None else places / request.file
-        self._snapshots.append((path, reply))
-
-    def _take_snapshots(self, made: Step) -> None:
-        wanted, self._snapshots, self._worker.colour = self._snapshots, [], False
-        tracker, everything = self._worker.tracker, self._plan.configuration.record.everything
-        assert tracker is not None
-        epoch = replace(made.epoch, frame=replace(made.epoch.frame, image=made.epoch.frame.image.copy()))
-
-        def write() -> None:
-            for path, reply in wanted:
-                try:
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    snapshot(path, epoch, tracker, everything=everything)
-                except (SpheremouseError, OSError) as e:
-                    reply(refused(str(e)))
-                else:
-                    self.say(f"snapshot: {path}")
-                    reply({"file": str(path)})
-
-        self._in_background(write)
 
     # ---- the status ----
 
@@ -707,7 +585,7 @@ class Daemon:
             "config": None if self._request.file is None else str(self._request.file),
             "rig": None if plan.rig_path is None else str(plan.rig_path),
             "map": None if plan.map_path is None else str(plan.map_path),
-            "recording": self._recording(),
+            "recording": self._archive.status(),
             "memory_mb": _memory_mb(),
             "cpu_share": self._cpu_share,
             "scheduling": self._scheduling,
@@ -726,14 +604,6 @@ class Daemon:
             "age_s": now - self._worker.posed,
         }
 
-    def _recording(self) -> dict[str, Any] | None:
-        if self._recorder is None:
-            return None
-        s = self._recorder.status()
-        return {
-            "folder": str(s.folder), "frames": s.frames, "seconds": s.seconds, "bytes": s.bytes, "dropped": s.dropped,
-        }  # fmt: skip
-
     def _fps(self, now: float) -> float:
         return 0.0 if now - self._last > PATIENCE else float(np.nan_to_num(self._arrivals.rate))
 
@@ -744,10 +614,6 @@ class Daemon:
 
     def _known(self) -> DiscMap | None:
         return None if self._keeper is None else self._keeper.known
-
-
-def _nothing() -> None:
-    """There is nothing to tell."""
 
 
 def _ms(median: float, slow: float, most: float | None = None) -> dict[str, float]:
@@ -762,54 +628,3 @@ def _memory_mb() -> float:
     except (OSError, ValueError, IndexError):
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return most / (1e6 if sys.platform == "darwin" else 1e3)
-
-
-def _stamps_of(request: PlanRequest, plan: Plan) -> dict[Path, int]:
-    """When the files that a plan was read from were last written."""
-    found: dict[Path, int] = {}
-    for path in (request.file, plan.rig_path, plan.camera_path):
-        if path is not None:
-            try:
-                found[path] = path.stat().st_mtime_ns
-            except OSError:
-                found[path] = 0
-    return found
-
-
-def _stages_of(plan: Plan) -> tuple[str, str]:
-    """What is compiled for a plan."""
-    return plan.configuration.tracker, plan.configuration.detector
-
-
-def _latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
-    """The last assignment to each key, in their order: however often something is set, no more is kept."""
-    last = {a.partition("=")[0].strip(): k for k, a in enumerate(assignments)}
-    return tuple(a for k, a in enumerate(assignments) if last[a.partition("=")[0].strip()] == k)
-
-
-def _differences(before: Plan, now: Plan) -> list[str]:
-    """What has changed, in the words of the configuration."""
-    a, b = before.configuration, now.configuration
-    found = {
-        "tracker": any(getattr(a, f) != getattr(b, f) for f in Settings.__dataclass_fields__),
-        "source": before.source != now.source or a.camera != b.camera,
-        "output": before.output != now.output,
-        "rig": before.rig_path != now.rig_path
-        or not _same(before.rig, now.rig)
-        or not _same(before.camera, now.camera),
-        "map": before.map_path != now.map_path,
-    }
-    for name in ("pointer", "record", *_AT_START):
-        found[name] = getattr(a, name) != getattr(b, name)
-    return [name for name, other in found.items() if other]
-
-
-def _same(a: Any, b: Any) -> bool:
-    """Are two devices, of nested dataclasses with arrays, equal?"""
-    if a is None or b is None:
-        return a is b
-    if isinstance(a, np.ndarray):
-        return np.array_equal(a, b)
-    if hasattr(type(a), "__dataclass_fields__"):
-        return type(a) is type(b) and all(_same(getattr(a, f), getattr(b, f)) for f in type(a).__dataclass_fields__)
-    return bool(a == b)

@@ -78,7 +78,6 @@ class Worker:
         self.good = time.monotonic()  # when a frame last could be used
         self._detected = 0.0
         self._event = ""
-        self.colour = False  # the next frame is wanted in colour, whatever tracking wants
         if rig.pose is not None:
             self._stands(rig.pose, "camera pose: as the rig says")
         elif len(rig.targets.codes) < 3:
@@ -94,8 +93,8 @@ class Worker:
         """What the tracker knows of the ball."""
         return Phase.SEARCHING if self.state is None else self.state.phase
 
-    def work(self, arrival: Arrival) -> Step | None:
-        """Do what there is to be done with a shot.
+    def work(self, arrival: Arrival, colour: bool = False) -> Step | None:
+        """Do what there is to be done with a shot; in `colour`, whatever tracking wants.
 
         None where it was not tracked: damaged, of another size, or the camera's pose is not known yet. The frame of the
         step is good until the shot is released.
@@ -103,7 +102,7 @@ class Worker:
         shot, begun = arrival.shot, time.monotonic()
         self.seen += 1
         try:
-            frame = self._own(shot.frame(self._in_colour(shot.stamp)))
+            frame = self._own(shot.frame(colour or self._in_colour(shot.stamp)))
             check_size(frame, self.rig)
             decoded = time.monotonic()
             self.trouble, self.good = "", decoded
@@ -164,7 +163,7 @@ class Worker:
     # ---- within ----
 
     def _in_colour(self, stamp: float) -> bool:
-        if self.colour or self._tracker is None or (self._anew is not None and self._anew.hungry):
+        if self._tracker is None or (self._anew is not None and self._anew.hungry):
             return True
         return self.state is None or wants_colour(self.state, stamp)
 
