@@ -13,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from modules import insert
 
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.source import open_source
@@ -21,23 +22,10 @@ from spheremouse.source.v4l2 import open_camera
 
 linuxpy = pytest.importorskip("linuxpy.video.device")
 
-MODULES = Path("/run/cameras")
 W, H = 160, 96
 WAIT = 60.0  # s for one frame; thousands of times what it takes
 LOOPBACK = 9
 RED = 160  # Cr of what is written in colour
-
-
-def insert(name, **parameters):
-    """Load a module and what it needs; skips the test where there is none."""
-    missing = MODULES / f"{name}.missing"
-    if missing.exists():
-        pytest.skip(missing.read_text().strip())
-    *needs, module = (MODULES / name).read_text().split()
-    for file in needs:
-        subprocess.run(["/sbin/insmod", MODULES / file], check=False, capture_output=True)  # it may be there already
-    given = [f"{k}={v}" for k, v in parameters.items()]
-    subprocess.run(["/sbin/insmod", MODULES / module, *given], check=True)
 
 
 def node(name):

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from film import SLOW
+from modules import insert
 from numba.core.dispatcher import Dispatcher
 
 from spheremouse import cli, cli_ctl, cli_run, config
@@ -37,7 +38,6 @@ from spheremouse.session import make_ready
 linuxpy = pytest.importorskip("linuxpy.video.device")
 
 IMPORTED = (cli_ctl, cli_run, run)  # once, before the forks
-MODULES = Path("/run/cameras")
 FILMS = Path(os.environ["FILMS"])
 SHORT = bool(os.environ.get("SHORT"))
 PATIENCE = 120.0  # s, for what takes a few
@@ -139,18 +139,6 @@ def _write(film, node, name, at, pipe):
                 break
             (way, interval), word, rested = asked, "played", 0
     device.close()
-
-
-def insert(name, **parameters):
-    """Load a module and what it needs; skips the test where there is none."""
-    missing = MODULES / f"{name}.missing"
-    if missing.exists():
-        pytest.skip(missing.read_text().strip())
-    *needs, module = (MODULES / name).read_text().split()
-    for file in needs:
-        subprocess.run(["/sbin/insmod", MODULES / file], check=False, capture_output=True)  # it may be there already
-    given = [f"{k}={v}" for k, v in parameters.items()]
-    subprocess.run(["/sbin/insmod", MODULES / module, *given], check=True)
 
 
 def remove(name):
