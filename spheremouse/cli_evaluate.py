@@ -1,6 +1,6 @@
 """`spheremouse evaluate`: run the tracker on recordings and measure it against their truth."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -16,7 +16,6 @@ from spheremouse.cli_evaluate_wand import WandEvaluation, evaluate_wands, wand_t
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
-from spheremouse.frame import Frame
 from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.progress import progress_bar
 from spheremouse.recording import Recording, open_dataset, read_frames
@@ -24,11 +23,10 @@ from spheremouse.rig import Rig, in_metres
 from spheremouse.rig_file import load_camera, load_rig, with_camera
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
+from spheremouse.simulate.degrade import degraded
 from spheremouse.track import Settings, build
 from spheremouse.wand_recording import is_wand
 from spheremouse.yaml_file import write_json
-
-_SEED = 0  # of the noise added: the same frame gets the same noise in every run
 
 
 def evaluate(
@@ -228,19 +226,6 @@ def _run(
             history.add(epoch)
             progress.update(task, completed=epoch.frame.sequence + 1)
     return history.run(), None if start.resection is None else start.pose
-
-
-def degraded(frames: Iterator[Frame], noise: float, brightness: float) -> Iterator[Frame]:
-    """Frames with normal noise on every channel and a constant added (Wittich 2017, section 4.9), 8 bits again."""
-    for frame in frames:
-        if noise == 0.0 and brightness == 0.0:
-            yield frame
-            continue
-        rng = np.random.default_rng([_SEED, frame.sequence])
-        values = frame.image + np.float32(brightness)
-        if noise:
-            values += np.float32(noise) * rng.standard_normal(values.shape, dtype=np.float32)
-        yield replace(frame, image=np.clip(np.rint(values), 0, 255).astype(np.uint8))
 
 
 def _plot(run: Run, recording: Recording, path: Path) -> None:

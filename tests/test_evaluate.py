@@ -44,6 +44,7 @@ from spheremouse.recording import open_dataset, write_simulation
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import tangent_basis
 from spheremouse.simulate import SimulationOptions, prepare
+from spheremouse.simulate.degrade import degraded
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.track import Phase
 
@@ -568,13 +569,13 @@ def test_darkness_is_one_line(filmed, tmp_path):
 def test_added_noise_and_brightness():
     image = np.full((200, 200, 3), 100, np.uint8)
     frames = [Frame(image, 0.0, 0), Frame(image, 1.0, 1), Frame(image, 0.0, 0)]
-    a, b, again = (f.image.astype(float) for f in cli_evaluate.degraded(iter(frames), 10.0, 50.0))
+    a, b, again = (f.image.astype(float) for f in degraded(iter(frames), 10.0, 50.0))
     assert a.mean() == pytest.approx(150.0, abs=0.2)
     assert a.std() == pytest.approx(10.0, abs=0.2)
     assert np.corrcoef(a[..., 0].ravel(), a[..., 1].ravel())[0, 1] == pytest.approx(0.0, abs=0.03)
     assert np.corrcoef(a.ravel(), b.ravel())[0, 1] == pytest.approx(0.0, abs=0.03)
     assert np.array_equal(a, again)
-    (dark,) = cli_evaluate.degraded(iter(frames[:1]), 0.0, -120.0)
+    (dark,) = degraded(iter(frames[:1]), 0.0, -120.0)
     assert not dark.image.any()
 
 

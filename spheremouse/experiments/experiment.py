@@ -1,0 +1,67 @@
+"""What an experiment is: jobs that give plain data, and a section of the report made from that.
+
+A module of this package is an experiment: it has a `TITLE`, `jobs(request)` and `section(request, results)`. A job
+names a function of that module, which runs in a process of its own with the job's parameters and returns what JSON can
+hold.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+Result = dict[str, Any]
+Results = Mapping[
+    str, Result
+]  # by the jobs' keys; one that failed is {"error": one line}; one not asked for is missing
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """The unit of work, and of what is kept: seconds to a minute of one core."""
+
+    key: str  # unique in its experiment; a file's name
+    work: Callable[..., Result]  # a function of a module
+    parameters: dict[str, Any] = field(default_factory=dict)  # what JSON can hold
+
+    @property
+    def recipe(self) -> str:
+        """What, beside the program, determines the result."""
+        name = f"{self.work.__module__}.{self.work.__qualname__}"
+        return f"{name} {json.dumps(self.parameters, sort_keys=True)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows for a reader; a thesis' own values are typed in, all others come from results."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A picture that is drawn twice, for light and for dark pages."""
+
+    name: str  # of its file
+    caption: str
+    draw: Callable[[Any], None]  # on a matplotlib figure, in the colours of the style in force (`plot`)
+    size: tuple[float, float] = (7.2, 3.4)  # inches
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """What an experiment has to say: paragraphs (Markdown), tables and figures in their order."""
+
+    parts: tuple[str | Table | Figure, ...]
+    figures: dict[str, Any] = field(default_factory=dict)  # the numbers, for experiments.json
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is to be done."""
+
+    quick: bool
+    datasets: Path | None  # folder of the reference recordings; None: they are not here

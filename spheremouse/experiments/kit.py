@@ -1,0 +1,125 @@
+"""What most jobs are made of: a film made in memory or read from a dataset, the camera's pose, tracking, metrics."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spheremouse import config
+from spheremouse.camera import Pose
+from spheremouse.errors import PoseError
+from spheremouse.evaluate.metrics import Reference, Run, report
+from spheremouse.experiments.experiment import Result
+from spheremouse.frame import Frame
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.rig import Rig
+from spheremouse.session import History, initialise, track
+from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, simulate
+from spheremouse.simulate.degrade import degraded
+from spheremouse.simulate.truth import DiscTruth, Truth
+from spheremouse.track import Settings, build
+
+TRACKERS = ("ekf1", "ekf2", "so3")
+
+
+def settings_of(assignments: Iterable[str] = ()) -> Settings:
+    """The defaults with KEY=VALUE as `--set` takes them."""
+    settings = Settings()
+    for assignment in assignments:
+        settings = config.override(settings, assignment)
+    return settings
+
+
+def options_of(film: dict[str, Any]) -> SimulationOptions:
+    """Options of a film from plain data, in which tuples are lists."""
+    return replace(SimulationOptions(), **{k: tuple(v) if isinstance(v, list) else v for k, v in film.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class Film:
+    """All frames of a film, to be tracked any number of times, with its truth."""
+
+    name: str
+    frames: tuple[Frame, ...]  # their sequence is their index
+    rig: Rig  # as known beforehand, without the camera's pose
+    truth: Reference
+
+
+def made(simulation: Simulation, name: str = "film") -> Film:
+    """A film simulated in memory: 1 MB a frame of 640x480."""
+    shots = list(simulate(simulation))
+    scene = simulation.scene
+    motion = Truth(
+        np.array([s.frame.stamp for s in shots]),
+        np.array([s.attitude for s in shots]),
+        np.array([s.rate for s in shots]),
+    )
+    truth = Reference(motion, _discs(shots), scene.pose, scene.disc_directions)
+    return Film(name, tuple(s.frame for s in shots), scene.rig(), truth)
+
+
+def taken(path: Path | str, frames: int | None = None) -> Film:
+    """A dataset, or its first `frames`."""
+    recording = open_dataset(path)
+    chosen = [
+        replace(f, sequence=i) for i, f in zip(range(frames or recording.frames), read_frames(recording), strict=False)
+    ]
+    truth = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
+    return Film(recording.name, tuple(chosen), recording.rig, truth)
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """What became of a film."""
+
+    run: Run
+    found: Pose | None  # where the pose was looked for
+    report: Result  # as `evaluate --json` has it
+
+
+def tracked(
+    film: Film,
+    settings: Settings,
+    *,
+    own_pose: bool = True,
+    rig: Rig | None = None,
+    noise: float = 0.0,
+    brightness: float = 0.0,
+) -> Tracked:
+    """Track a film from its first frame with the camera's own pose, or the true one.
+
+    `rig`: another one than the film's; `noise`, `brightness` in grey values, added to each frame. Raises PoseError
+    where the targets are not found.
+    """
+    rig = film.rig if rig is None else rig
+    if not own_pose:
+        rig = replace(rig, pose=film.truth.pose)
+    start = initialise(degraded(iter(film.frames), noise, brightness), rig, settings)
+    history = History()
+    for epoch in track(start.frames, build(rig, start.pose, settings)):
+        history.add(epoch)
+    run, found = history.run(), None if start.resection is None else start.pose
+    said = report(
+        run, film.truth, rig, dataset=film.name, tracker=settings.tracker, frames=len(film.frames), found=found
+    )
+    return Tracked(run, found, said)
+
+
+def compared(film: Film, variants: dict[str, Settings], **how: Any) -> Result:
+    """`tracked` of each variant; a pose that is not found is a row that says so."""
+    results: Result = {}
+    for name, settings in variants.items():
+        try:
+            results[name] = tracked(film, settings, **how).report
+        except PoseError as e:
+            results[name] = {"error": str(e)}
+    return results
+
+
+def _discs(shots: list[SimulatedFrame]) -> DiscTruth:
+    parts = [s.discs for s in shots]
+    numbers = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in DiscTruth.__slots__}
+    return DiscTruth(**{**joined, "frame": numbers})

@@ -1,0 +1,86 @@
+"""Jobs on all cores. What each gives is kept in a file: a run that was interrupted goes on where it stopped."""
+
+import hashlib
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import spheremouse
+from spheremouse.experiments.experiment import Job, Result
+from spheremouse.yaml_file import write_atomically
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_SHELL = ("daemon", "calibrate", "doctor", "output", "source")  # folders that no experiment's figure depends on
+
+
+@cache
+def program() -> str:
+    """Fingerprint of the code that films, tracks and compares: of all but what surrounds it."""
+    root = Path(spheremouse.__file__).parent
+    files = [p for p in sorted(root.rglob("*.py")) if p.relative_to(root).parts[0] not in _SHELL]
+    kept = [p for p in files if not p.name.startswith("cli")]
+    return hashlib.sha256(b"".join(p.read_bytes() for p in kept)).hexdigest()[:16]
+
+
+def work_all(
+    jobs: Iterable[Job], folder: Path, cores: int, again: bool = False, done: Callable[[Job], None] = lambda _: None
+) -> dict[str, Result]:
+    """Results by key; `done` hears of each. A job that fails has an `error`, and is tried again the next time."""
+    wanted = list(jobs)
+    results = {} if again else _kept(folder, wanted)
+    for job in wanted:
+        if job.key in results:
+            done(job)
+    for job, result in _worked([j for j in wanted if j.key not in results], cores):
+        results[job.key] = result
+        if "error" not in result:
+            kept = {"program": program(), "recipe": job.recipe, "result": result}
+            write_atomically(folder / f"{job.key}.json", json.dumps(kept))
+        done(job)
+    return {job.key: results[job.key] for job in wanted}
+
+
+def _kept(folder: Path, wanted: list[Job]) -> dict[str, Result]:
+    """Results of an earlier run that still answer the same question."""
+    found = {}
+    for job in wanted:
+        try:
+            kept = json.loads((folder / f"{job.key}.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        if isinstance(kept, dict) and kept.get("recipe") == job.recipe and kept.get("program") == program():
+            found[job.key] = kept["result"]
+    return found
+
+
+def _worked(todo: list[Job], cores: int) -> Iterator[tuple[Job, Result]]:
+    if not todo:
+        return
+    for name in _THREADS:  # one core each: threads of the linear algebra only wait for each other
+        os.environ.setdefault(name, "1")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(cores, len(todo)), mp_context=context) as pool:
+        waiting = {pool.submit(_safely, job.work, job.parameters): job for job in todo}
+        try:
+            for future in as_completed(waiting):
+                job = waiting[future]
+                try:
+                    yield job, future.result()
+                except BrokenProcessPool:
+                    yield job, {"error": "its process ended; was there too little memory?"}
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _safely(work: Callable[..., Result], parameters: dict[str, Any]) -> Result:
+    try:
+        return json.loads(json.dumps(work(**parameters)))  # as it will be read again
+    except Exception as e:  # one job must not end the others: it becomes a row that says so
+        return {"error": " ".join(f"{type(e).__name__}: {e}".split())[:300]}
