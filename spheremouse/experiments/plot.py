@@ -20,7 +20,7 @@ BOUND, THESIS = {"linestyle": ":", "linewidth": 1.2}, {"linestyle": "--", "linew
 
 def style(dark: bool) -> Any:
     """rcParams."""
-    import matplotlib as mpl
+    from cycler import cycler
 
     ink, axes, grid = _DARK if dark else _LIGHT
     dashes = ["-", (0, (5, 1.5)), (0, (1.5, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)), "-"]
@@ -36,7 +36,7 @@ def style(dark: bool) -> Any:
         "axes.titlesize": 10.0,
         "axes.titlelocation": "left",
         "axes.grid": True,
-        "axes.prop_cycle": mpl.cycler(color=_OKABE_ITO) + mpl.cycler(linestyle=dashes),
+        "axes.prop_cycle": cycler(color=_OKABE_ITO) + cycler(linestyle=dashes),
         "grid.color": grid,
         "grid.linewidth": 0.6,
         "lines.linewidth": 1.4,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +38,14 @@ def work_all(
     for job in wanted:
         if job.key in results:
             done(job)
-    for job, result in _worked([j for j in wanted if j.key not in results], cores):
+    todo = sorted((j for j in wanted if j.key not in results), key=lambda job: -job.cost)
+    together, alone = [j for j in todo if not j.alone], [j for j in todo if j.alone]
+    for job, result in chain(_worked(together, cores), _worked(alone, 1)):
         results[job.key] = result
         if "error" not in result:
-            kept = {"program": program(), "recipe": job.recipe, "result": result}
-            write_atomically(folder / f"{job.key}.json", json.dumps(kept))
+            path = folder / f"{job.key}.json"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(path, json.dumps({"program": program(), "recipe": job.recipe, "result": result}))
         done(job)
     return {job.key: results[job.key] for job in wanted}
 
