@@ -76,11 +76,11 @@ class Given:
     def __init__(self, reporter):
         self._reporter, self.sum, self._frames = reporter, np.zeros(3, int), 0
 
-    def __call__(self, *counts, rate=NONE, tracking=True, taken=None):
+    def __call__(self, *counts, rate=NONE, tracking=True, taken=None, wanted=True):
         self._frames += 1
         motion = Motion(float(self._frames), counts, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]))
         self.sum += counts
-        self._reporter.give(motion, rate, time.monotonic() if taken is None else taken, tracking)
+        self._reporter.give(motion, rate, time.monotonic() if taken is None else taken, tracking, wanted)
 
 
 def until(condition):
@@ -219,6 +219,17 @@ def test_while_paused_nothing_is_sent(start):
     given(2, 2, 2)
     until(lambda: world.sum == (3, 3, 3))
     assert reporter.status().unsent == (70, 0, -70)
+    assert even(reporter, given)
+
+
+def test_what_is_not_wanted_is_counted(start):
+    world = World()
+    reporter, given = start(world)
+    given(1, 1, 1)
+    given(5, 0, 0, wanted=False)
+    given(2, 2, 2)
+    until(lambda: world.sum == (3, 3, 3))
+    assert reporter.status().unsent == (5, 0, 0)
     assert even(reporter, given)
 
 

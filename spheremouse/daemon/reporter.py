@@ -96,9 +96,14 @@ class Reporter:
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
         self._thread.start()
 
-    def give(self, motion: Motion, rate: tuple[float, float, float], taken: float, tracking: bool) -> None:
-        """A frame's motion, the rate (counts/s) at its end and the time (s, of the clock) it was taken. Never waits."""
-        self._given.append(_Given(motion, rate, taken, tracking, not self._paused, self._clock()))
+    def give(
+        self, motion: Motion, rate: tuple[float, float, float], taken: float, tracking: bool, wanted: bool = True
+    ) -> None:
+        """A frame's motion, the rate (counts/s) at its end and the time (s, of the clock) it was taken. Never waits.
+
+        What is not `wanted` is counted as unsent, as it is during a pause.
+        """
+        self._given.append(_Given(motion, rate, taken, tracking, wanted and not self._paused, self._clock()))
         if len(self._given) > QUEUED:
             with contextlib.suppress(IndexError):  # the thread was quicker
                 self._overflow = plus(self._overflow, self._given.popleft().motion.counts)

@@ -177,7 +177,8 @@ class Daemon:
     def _pass_on(self, made: Step, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         epoch = made.epoch
-        self._reporter.give(epoch.motion, made.rate, taken, made.holds)
+        # where the output has come back since this was judged, the next frame is the first one for it
+        self._reporter.give(epoch.motion, made.rate, taken, made.holds, self._state is State.TRACKING)
         self._given_out = plus(self._given_out, epoch.motion.counts)
         if self._keeper is not None:
             self._keeper.keep(epoch.state)
