@@ -1,10 +1,11 @@
 """`spheremouse run`: frames from a source, tracked, motion to an output; the one visible loop of the program."""
 
+import json
 import sys
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from spheremouse.overlay import OverlayFile
     from spheremouse.source import Source
     from spheremouse.stopping import Stopping
-
-EXAMPLE = "Example: spheremouse run --source dataset:demo/roll --output text:-"
 
 
 def run(
@@ -36,6 +35,13 @@ def run(
             metavar="KIND:ARG",
             help="Where motion goes: auto, uinput, serial:auto, serial:PORT, desktop, text:-, text:FILE or null.  "
             "[default: `output` of the configuration]",
+        ),
+    ] = None,
+    tracker: Annotated[
+        Literal["so3", "ekf1", "ekf2", "wand"] | None,
+        typer.Option(
+            help="so3, ekf1, ekf2: a ball in its frame; wand: balls in a hand.  [default: `tracker` of the "
+            "configuration, so3]",
         ),
     ] = None,
     config: Annotated[
@@ -83,6 +89,20 @@ def run(
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N tracked frames.")] = None,
+    balls: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--ball",
+            metavar="FILE",
+            help="Wand: a ball's wand file; may be repeated.  [default: the recording's own, or Grzonka's ball]",
+        ),
+    ] = None,
+    axes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE|-", help="Wand: the six axes as text besides the pointer; --output text: has them anyway."
+        ),
+    ] = None,
 ) -> None:
     """Track the ball and send its motion.
 
@@ -93,6 +113,9 @@ def run(
     With a camera, or --realtime, this is the service: nothing that becomes of camera or output ends it, the pointer
     moves at a steady rate between frames, and `spheremouse ctl` asks and tells it. Other recordings are tracked frame
     by frame, as fast as it goes. What changes goes to standard error. Ctrl-C ends the run.
+
+    --tracker wand tracks a ball in a hand: it needs a camera file and no rig, moves the pointer as the ball turns, and
+    writes position and attitude as text. It cannot be asked by `spheremouse ctl`.
     """
     from spheremouse.daemon.cameras import is_camera
     from spheremouse.daemon.plan import Request, check_kinds, read_plan, without_map
@@ -104,11 +127,24 @@ def run(
     if output is not None and len(output) > 1:
         raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")
     to = output[0] if output else None
-    request = Request(config, tuple(assignments or ()), source, to, rig, camera, map_file, no_map)
+    said = [] if tracker is None else [f"tracker={tracker}"]
+    said += [] if axes is None else [f"wand.axes={json.dumps(axes)}"]
+    request = Request(config, (*(assignments or ()), *said), source, to, rig, camera, map_file, no_map)
     plan = read_plan(request)
     check_kinds(plan)
-    shared = plan.output in ("text:-", "text:", "text") and sys.stdout.isatty()
-    wanted = sys.stderr.isatty() and not shared if table is None else table
+    of_wand = plan.configuration.tracker == "wand"
+    shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
+    wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
+    if of_wand:
+        if overlay is not None:
+            raise ConfigurationError("--overlay: does not go with --tracker wand; leave it out")
+        from spheremouse.wand_run import WandOptions, run_wand
+
+        run_wand(request, plan, WandOptions(tuple(balls or ()), realtime, wanted, frames))
+        return
+    for name, value in (("--ball", balls), ("--axes", axes)):
+        if value:
+            raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
     tally = Tally()
     failure: SpheremouseError | None = None
     with ExitStack() as stack:

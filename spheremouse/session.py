@@ -6,6 +6,7 @@ The shell's part of the use phase: it takes frames as they come and measures tim
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from threading import Timer
@@ -133,12 +134,19 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
 
 def make_ready(settings: Settings) -> None:
     """Compile what tracking calls, or read it from disk; whoever has to wait is told why."""
+    with told_why():
+        warm_up(settings)
+
+
+@contextmanager
+def told_why() -> Iterator[None]:
+    """Whoever has to wait for a compiler is told so."""
     word = "spheremouse: compiling for this machine: once after an installation, about a minute"
     timer = Timer(_PATIENCE, lambda: print(word, file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()
     try:
-        warm_up(settings)
+        yield
     finally:
         timer.cancel()
 

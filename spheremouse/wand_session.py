@@ -9,12 +9,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spheremouse.camera import InteriorOrientation
 from spheremouse.errors import SourceError
 from spheremouse.evaluate.wand import WandRun
 from spheremouse.frame import Frame
+from spheremouse.motion import Motion
 from spheremouse.rotation import Array
-from spheremouse.wand.track import WandPose, WandState, WandTracker, begin, step
+from spheremouse.session import told_why
+from spheremouse.wand.pointing import Pointing, PointingSettings, begun_anew, point, pointing_rate
+from spheremouse.wand.track import WandPhase, WandPose, WandState, WandTracker, begin, step
+from spheremouse.wand.warm import warm_up
+
+_NO_HUE = ("dark", "light")  # colours that grey frames show as well
 
 Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by their index
 
@@ -25,7 +30,37 @@ class WandEpoch:
 
     frame: Frame
     poses: tuple[WandPose, ...]
+    state: WandState
     seconds: float  # wall time of the step
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What a frame adds to the pointer."""
+
+    motion: Motion
+    rate: tuple[float, float, float]  # counts/s
+    holds: bool  # the ball was seen: the rate may be carried on
+
+
+class Hand:
+    """Motion of the pointer from the epochs of a run, as they come."""
+
+    def __init__(self, settings: PointingSettings, points: int = 0) -> None:
+        """`points` is the index of the ball that moves the pointer."""
+        self._settings, self._points = settings, points
+        self._pointing = Pointing()
+
+    def move(self, epoch: WandEpoch) -> Moved:
+        """The next one."""
+        pose, velocity = epoch.poses[self._points], epoch.state.tracks[self._points].velocity
+        self._pointing, motion = point(self._pointing, pose, velocity, epoch.frame.stamp, self._settings)
+        holds = pose.seen and pose.phase is WandPhase.TRACKING
+        return Moved(motion, pointing_rate(velocity, self._settings) if holds else (0.0, 0.0, 0.0), holds)
+
+    def interrupted(self) -> None:
+        """No frames came for a while: nothing moves to where the ball is next seen."""
+        self._pointing = begun_anew(self._pointing)
 
 
 @dataclass(slots=True)
@@ -62,33 +97,36 @@ class WandHistory:
         return found
 
 
+def make_wand_ready() -> None:
+    """Compile what tracking calls, or read it from disk; whoever has to wait is told why."""
+    with told_why():
+        warm_up()
+
+
 def track_wand(
     frames: Iterable[Frame], tracker: WandTracker, seed: int = 0, known: Known | None = None
 ) -> Iterator[WandEpoch]:
     """Track every frame; `known` are poses of balls at the first one. What must be compiled is not in the times."""
+    make_wand_ready()
     state: WandState | None = None
     for frame in frames:
-        check_wand_size(frame, tracker.camera)
-        if state is None:
-            _warm(tracker, frame, seed, known)
-            state = begin(tracker, seed, frame.stamp, known)
+        check_wand_frame(frame, tracker)
+        state = state or begin(tracker, seed, frame.stamp, known)
         start = time.perf_counter()
         state, poses = step(state, frame, tracker)
-        yield WandEpoch(frame, poses, time.perf_counter() - start)
+        yield WandEpoch(frame, poses, state, time.perf_counter() - start)
 
 
-def check_wand_size(frame: Frame, camera: InteriorOrientation) -> None:
-    """SourceError where a frame is of another size than the camera's."""
-    height, width = frame.image.shape[:2]
+def check_wand_frame(frame: Frame, tracker: WandTracker) -> None:
+    """SourceError where a frame is of another size than the camera's, or has no colour, which the balls need."""
+    camera, (height, width) = tracker.camera, frame.image.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise SourceError(
             f"frames are {width}x{height}, but the camera is calibrated for {camera.width}x{camera.height}; "
             "set the camera to that size, or give another camera file"
         )
-
-
-def _warm(tracker: WandTracker, frame: Frame, seed: int, known: Known | None) -> None:
-    """Compile what a step calls: a first frame, and one that follows it."""
-    state = begin(tracker, seed, frame.stamp, known)
-    for k in range(2):
-        state, _ = step(state, Frame(frame.image, frame.stamp + 0.03 * k, frame.sequence + k), tracker)
+    if frame.image.ndim == 2 and (paints := [c for c in tracker.names if c not in _NO_HUE]):
+        raise SourceError(
+            f"the frames are grey, and the ball has {' and '.join(paints)} discs: use a camera in colour, or a ball "
+            "in dark and light"
+        )

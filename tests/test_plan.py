@@ -95,6 +95,8 @@ def test_where_the_map_is_kept(folder, monkeypatch):
     assert read_plan(Request(config, no_map=True)).map_path is None
     assert read_plan(Request(config, ("tracker=ekf2",))).map_path is None
     assert read_plan(Request(config, ("map=../m.yaml",))).map_path == folder / "../m.yaml"
+    recordings = read_plan(Request(config, ("record.folder=seen",))).configuration.record.folder
+    assert recordings == str(folder / "seen")
     state = folder / "state"
     monkeypatch.setenv("STATE_DIRECTORY", f"{state}:/elsewhere")
     assert read_plan(Request(config)).map_path == folder / "rig.map.yaml"  # beside the rig where that may be written

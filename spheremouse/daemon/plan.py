@@ -62,7 +62,11 @@ def read_plan(request: Request) -> Plan:
         c = config.override(c, assignment)
     for change in request.changes:
         c = config.override(c, change, label="")
+    if c.record.folder is not None:
+        c = replace(c, record=replace(c.record, folder=str(beside(request.file, c.record.folder))))
     source, output = request.source or c.source, request.output or c.output
+    if output is None and c.tracker == "wand" and c.wand.axes is not None:
+        output = "null"
     if source is None:
         raise ConfigurationError(
             "no source: give --source, for example v4l2:/dev/video0, or `source:` in --config FILE"
@@ -73,12 +77,12 @@ def read_plan(request: Request) -> Plan:
         )
     if request.map is not None and request.no_map:
         raise ConfigurationError("--map and --no-map: give one of the two")
-    given_map = request.map or _beside(request.file, c.map)
+    given_map = request.map or beside(request.file, c.map)
     if given_map is not None and c.tracker != "so3" and not request.no_map:
         where, left = ("--map", "--map") if request.map is not None else (f"{request.file}: map", "it")
         raise ConfigurationError(f"{where}: tracker {c.tracker} keeps no map; use so3, or leave {left} out")
-    rig_path = request.rig or _beside(request.file, c.rig)
-    camera_path = request.camera or _beside(request.file, c.camera_file)
+    rig_path = request.rig or beside(request.file, c.rig)
+    camera_path = request.camera or beside(request.file, c.camera_file)
     rig = None if rig_path is None else load_rig(rig_path)
     camera = None if camera_path is None else load_camera(camera_path)
     if request.no_map or c.tracker != "so3":
@@ -90,7 +94,9 @@ def read_plan(request: Request) -> Plan:
 
 def check_kinds(plan: Plan, before: Plan | None = None) -> None:
     """Refuse a source or output of no known kind, where it is another than `before`: a device that is missing may come,
-    a slip will not mend itself."""
+    a slip will not mend itself. Nor can a run change between a ball in its frame and one in a hand."""
+    if before is not None and "wand" in (plan.configuration.tracker, before.configuration.tracker):
+        raise ConfigurationError("tracker: wand is another program than the others: stop this run and start again")
     if before is None or plan.source != before.source:
         resolve(sources, plan.source, SourceError)
     if before is None or plan.output != before.output:
@@ -102,7 +108,7 @@ def without_map(plan: Plan) -> Plan:
     return replace(plan, map_path=None)
 
 
-def _beside(file: Path | None, name: str | None) -> Path | None:
+def beside(file: Path | None, name: str | None) -> Path | None:
     """A path of the configuration, relative to the folder that it lies in."""
     if name is None:
         return None

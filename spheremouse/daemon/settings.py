@@ -5,6 +5,7 @@ from typing import Literal
 
 from spheremouse.daemon.control_settings import ControlSettings, MetricsSettings
 from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.daemon.wand_settings import WandRunSettings
 from spheremouse.pointer import PointerSettings
 from spheremouse.settings import param
 from spheremouse.source._camera_settings import CameraSettings
@@ -15,6 +16,9 @@ from spheremouse.track import Settings
 class Configuration(Settings):
     """All parameters. Options of the command line, where there are some for the same, come before these."""
 
+    tracker: Literal["so3", "ekf1", "ekf2", "wand"] = param(  # pyright: ignore[reportIncompatibleVariableOverride]
+        "so3", "-", "filter; `ekf1` and `ekf2` are the published ones, `wand` tracks balls in a hand"
+    )
     source: str | None = param(
         None, "-", "where frames come from, as --source: v4l2:/dev/v4l/by-id/... or opencv:INDEX for live cameras"
     )
@@ -35,3 +39,4 @@ class Configuration(Settings):
     control: ControlSettings = field(default_factory=ControlSettings)
     record: RecordSettings = field(default_factory=RecordSettings)
     metrics: MetricsSettings = field(default_factory=MetricsSettings)
+    wand: WandRunSettings = field(default_factory=WandRunSettings)

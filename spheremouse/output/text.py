@@ -24,10 +24,10 @@ HEADER = f"{NAMES} (s, counts, rotation since the last line in rad and rate in r
 class Text:
     """Writes motions as lines."""
 
-    def __init__(self, file: TextIO, name: str) -> None:
+    def __init__(self, file: TextIO, name: str, header: str = HEADER) -> None:
         self._file, self._name, self._reader_gone = file, name, False
         with contextlib.suppress(OutputClosed):  # too early to end quietly: the first `send` does
-            self._write(HEADER)
+            self._write(header)
 
     def send(self, motion: Motion) -> None:
         """Write one line."""
@@ -71,13 +71,18 @@ class Text:
 
 def open(argument: str) -> Text:
     """Lines to standard output (`-` or nothing) or to a file."""
+    return Text(*begin(argument, NAMES))
+
+
+def begin(argument: str, names: str) -> tuple[TextIO, str]:
+    """The file to write lines to, and what messages call it; one that is there must begin with `names`."""
     if argument in ("", "-"):
-        return Text(sys.stdout, "standard output")
+        return sys.stdout, "standard output"
     path = Path(argument)
     try:
-        if _is_something_else(path):
+        if _is_something_else(path, names):
             raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
-        return Text(path.open("w", encoding="utf-8"), str(path))
+        return path.open("w", encoding="utf-8"), str(path)
     except (OSError, ValueError) as e:
         reason = (e.strerror if isinstance(e, OSError) else None) or e
         raise OutputError(f"{path}: cannot be written: {reason}") from None
@@ -89,7 +94,7 @@ def line(motion: Motion) -> str:
     return " ".join([repr(float(motion.stamp)), *(str(int(n)) for n in motion.counts), *map(repr, exact)])
 
 
-def _is_something_else(path: Path) -> bool:
+def _is_something_else(path: Path, names: str) -> bool:
     """Whether overwriting would destroy a file of another kind; pipes and devices cannot be destroyed."""
     try:
         status = path.stat()
@@ -98,4 +103,4 @@ def _is_something_else(path: Path) -> bool:
     if not stat.S_ISREG(status.st_mode) or status.st_size == 0:
         return False
     with path.open("rb") as file:
-        return file.read(len(NAMES)) != NAMES.encode()
+        return file.read(len(names)) != names.encode()

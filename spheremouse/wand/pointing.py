@@ -1,0 +1,149 @@
+"""Poses of a hand-held ball -> motion of a mouse, in counts, with nothing lost to rounding and no jitter at rest.
+
+As with the ball in its frame, what counts is the rotation vector between two frames (or the shift), in axes that stand
+still: it has no singular attitude, however the ball is held. Between the pose and the pointer there is some play, as
+wide as the filter says that the pose may be off: within it a hand is taken to rest.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from spheremouse.motion import Motion, Remainder, to_counts
+from spheremouse.rotation import Array, log
+from spheremouse.settings import param
+from spheremouse.wand.track import WandPhase, WandPose
+
+_NOISE = 3.0  # standard deviations by which a pose may be off, besides what a hand does
+
+
+@dataclass(frozen=True, slots=True)
+class PointingSettings:
+    """From the ball's motion to counts."""
+
+    by: Literal["turn", "shift"] = param(
+        "turn",
+        "-",
+        "the pointer follows how the ball turns (right and left: x; up and down: y; clockwise: third), or how it is "
+        "shifted (right and left: x; up and down: y; ahead: third)",
+    )
+    facing: bool = param(
+        True, "-", "who holds the ball faces the camera, as one on the screen; false: looks the way the camera does"
+    )
+    counts_per_radian: float = param(
+        1800.0, "counts/rad", "scale of turns: 60 degrees, which a wrist does at ease, cross a screen of 1920 px", gt=0
+    )
+    counts_per_metre: float = param(
+        4800.0, "counts/m", "scale of shifts: 0.4 m, which a forearm does at ease, cross a screen of 1920 px", gt=0
+    )
+    scale_x: float = param(1.0, "-", "factor on the pointer's X", gt=0)
+    scale_y: float = param(1.0, "-", "factor on the pointer's Y", gt=0)
+    scale_z: float = param(1.0, "-", "factor on the third axis", gt=0)
+    invert_x: bool = param(False, "-", "reverse X")
+    invert_y: bool = param(False, "-", "reverse Y")
+    invert_z: bool = param(False, "-", "reverse the third axis")
+    play: float = param(
+        2.0,
+        "-",
+        "play either way, in standard deviations of the pose as the filter reports them: 95 % of its errors lie "
+        "within two; 0 passes all of its jitter on",
+        ge=0,
+        le=10,
+    )
+    fastest: float = param(
+        3.0, "m/s", "no hand moves faster: what says so is a pose put right, or another ball, and moves nothing", gt=0
+    )
+    fastest_turn: float = param(20.0, "rad/s", "the same of turns (1150 degrees/s)", gt=0)
+
+    def matrix(self) -> Array:
+        """(3, 3): counts x, y, third per rad of rotation vector, or per m of shift, in cam.
+
+        Whoever holds the ball has right, down and ahead along cam's axes, or turned about y by half a turn. Pointing
+        further to the right is a turn about down, pointing down one about left, and clockwise one about ahead.
+        """
+        side = -1.0 if self.facing else 1.0
+        if self.by == "turn":
+            M = self.counts_per_radian * np.array([[0.0, 1.0, 0.0], [-side, 0.0, 0.0], [0.0, 0.0, side]])
+        else:
+            M = self.counts_per_metre * np.diag([side, 1.0, side])
+        sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
+        return M * (sign * (self.scale_x, self.scale_y, self.scale_z))[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """The pose that motion is counted from."""
+
+    stamp: float  # s
+    position: Array  # (3,) m, cam
+    rotation: Array  # (3, 3) R_cam_ball
+    variance: Array  # (6,) m², rad²
+
+
+@dataclass(frozen=True, slots=True)
+class Pointing:
+    """What is remembered from frame to frame."""
+
+    held: Held | None = None  # None: the ball has not been seen, or was lost since
+    slack: Array = field(default_factory=lambda: np.zeros(3))  # rad or m, cam: motion taken up by the play
+    remainder: Remainder = field(default_factory=Remainder)  # counts
+
+
+def point(
+    pointing: Pointing, pose: WandPose, velocity: Array, stamp: float, settings: PointingSettings
+) -> tuple[Pointing, Motion]:
+    """The motion that one frame adds; `velocity`, (6,) m/s and rad/s in cam, is the tracker's.
+
+    Motion.rotation is the rotation vector since the last pose, and Motion.rate its rate, both in cam. Only poses that
+    were seen move anything: a ball that is hidden for a moment is where it is when it shows again, one that was lost
+    begins anew from there.
+    """
+    still = Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
+    if pose.phase is not WandPhase.TRACKING or pose.position is None or pose.rotation is None:
+        return begun_anew(pointing), still
+    if not pose.seen or pose.covariance is None:
+        return pointing, still
+    held = Held(stamp, pose.position, pose.rotation, np.diag(pose.covariance).clip(0.0))
+    if pointing.held is None or _is_leap(pointing.held, held, settings):
+        return replace(begun_anew(pointing), held=held), still
+    turn = log(held.rotation @ pointing.held.rotation.T)
+    if settings.by == "turn":
+        way, variance = turn, held.variance[3:]
+    else:
+        way, variance = held.position - pointing.held.position, held.variance[:3]
+    slack, passed = taken_up(pointing.slack, way, settings.play * np.sqrt(variance))
+    counts, remainder = to_counts(passed, settings.matrix(), pointing.remainder)
+    return Pointing(held, slack, remainder), Motion(stamp, counts, turn, velocity[3:].copy())
+
+
+def begun_anew(pointing: Pointing) -> Pointing:
+    """Wherever the ball is next seen, nothing moves to there."""
+    return Pointing(remainder=pointing.remainder)
+
+
+def pointing_rate(velocity: Array, settings: PointingSettings) -> tuple[float, float, float]:
+    """Counts/s of the three axes at a velocity, (6,) m/s and rad/s in cam."""
+    part = velocity[3:] if settings.by == "turn" else velocity[:3]
+    x, y, z = (settings.matrix() @ part).tolist()
+    return x, y, z
+
+
+def taken_up(slack: Array, way: Array, play: Array) -> tuple[Array, Array]:
+    """Slack after a way, and what of the way is passed on, all (3,), axis by axis.
+
+    As between two gears: the way goes into the slack until that is as wide as the play, the rest is passed on. No more
+    is passed on than the way itself, also where the play becomes narrower: what rests does not move.
+    """
+    slack = slack + way
+    beyond = np.minimum(np.abs(slack) - play, np.abs(way))
+    passed = np.where((beyond > 0.0) & (slack * way > 0.0), np.sign(way) * beyond, 0.0)
+    return slack - passed, passed
+
+
+def _is_leap(before: Held, after: Held, settings: PointingSettings) -> bool:
+    """Is it further than a hand gets in that time, and the filter may be off?"""
+    dt = after.stamp - before.stamp
+    way = np.concatenate([after.position - before.position, log(after.rotation @ before.rotation.T)])
+    reach = np.repeat([settings.fastest * dt, settings.fastest_turn * dt], 3)
+    return bool(dt <= 0.0 or (np.abs(way) > reach + _NOISE * np.sqrt(before.variance + after.variance)).any())

@@ -1,0 +1,84 @@
+"""The six axes of hand-held balls as text: one line per ball and frame, after a header line that begins with `#`.
+
+`t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state`: s, m and degrees (`wand.axes`), standard
+deviations of the six, counts of the pointer (those of the ball that moves it, 0 of others), number of the ball from 1,
+and searching, tracking, hidden (predicted, not seen) or lost. What is not known is nan. Files as in `output.text`.
+"""
+
+from collections import OrderedDict
+from typing import TextIO
+
+import numpy as np
+
+from spheremouse.motion import Motion
+from spheremouse.output import text
+from spheremouse.output.text import Text
+from spheremouse.wand.axes import axes_of
+from spheremouse.wand.track import WandPhase, WandPose
+
+NAMES = "# t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state"
+HEADER = f"{NAMES} (s; m and degrees before the camera, their standard deviations; counts)"
+_WAITING = 512  # frames whose motion never came, at most: those of an output that failed
+
+
+class AxesOutput:
+    """Where the axes go: told of each frame's poses before its motion is sent, by whoever sends motions."""
+
+    def __init__(self, argument: str, points: int = 0) -> None:
+        """`argument` as of an output `text:`; `points` is the index of the ball that moves the pointer."""
+        self._argument, self._points = argument, points
+        self._poses: OrderedDict[float, tuple[WandPose, ...]] = OrderedDict()  # by the frame's stamp
+
+    def expect(self, stamp: float, poses: tuple[WandPose, ...]) -> None:
+        """The poses of the frame whose motion comes next; from any thread."""
+        self._poses[stamp] = poses
+        while len(self._poses) > _WAITING:
+            self._poses.popitem(last=False)
+
+    def open(self) -> "AxesText":
+        """The output; opened anew where it has failed."""
+        return AxesText(*text.begin(self._argument, NAMES), self)
+
+    def lines(self, motion: Motion) -> list[str]:
+        """What there is to be written of a frame."""
+        poses = self._poses.pop(motion.stamp, ())
+        return [
+            line(motion.stamp, pose, motion.counts if k == self._points else (0, 0, 0), k + 1)
+            for k, pose in enumerate(poses)
+        ]
+
+
+class AxesText(Text):
+    """Writes a line per ball with each motion."""
+
+    def __init__(self, file: TextIO, name: str, axes: AxesOutput) -> None:
+        super().__init__(file, name, HEADER)
+        self._axes = axes
+
+    def send(self, motion: Motion) -> None:
+        """Write the frame's lines."""
+        for made in self._axes.lines(motion):
+            self._write(made)
+
+    def describe(self, motion: Motion) -> str:
+        """The lines are of poses, which a motion alone does not have."""
+        return ""
+
+
+def line(stamp: float, pose: WandPose, counts: tuple[int, int, int], number: int) -> str:
+    """A ball in a frame as a line: positions to a micrometre, angles to 0.0001 degrees."""
+    position = angles = position_sigma = angles_sigma = np.full(3, np.nan)
+    if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
+        axes = axes_of(pose.position, pose.rotation, pose.covariance)
+        position, position_sigma = axes.position, axes.position_sigma
+        angles, angles_sigma = np.degrees(axes.angles), np.degrees(axes.angles_sigma)
+    state = "hidden" if pose.phase is WandPhase.TRACKING and not pose.seen else str(pose.phase)
+    numbers = [
+        repr(float(stamp)),
+        *(f"{v:.6f}" for v in position),
+        *(f"{v:.4f}" for v in angles),
+        *(f"{v:.6f}" for v in position_sigma),
+        *(f"{v:.4f}" for v in angles_sigma),
+        *map(str, counts),
+    ]
+    return f"{' '.join(numbers)} {number} {state}"

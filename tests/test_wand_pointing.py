@@ -1,0 +1,213 @@
+"""Laws of the wand's pointer: nothing is lost, nothing is invented, a ball at rest or lost is silent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from spheremouse.motion import Remainder
+from spheremouse.wand.pointing import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
+from spheremouse.wand.track import WandPhase, WandPose
+
+DT = 1.0 / 30.0
+SIGMA = 0.01  # rad and m
+AHEAD = np.array([0.0, 0.0, 1.5])
+SEEDS = st.integers(0, 2**32 - 1)
+WAYS = st.sampled_from(["turn", "shift"])
+
+
+def pose(position, rotation, sigma=SIGMA, seen=True):
+    return WandPose("ball", position, rotation, np.eye(6) * sigma**2, WandPhase.TRACKING, "", seen=seen)
+
+
+MISSING = WandPose("ball", None, None, None, WandPhase.LOST, "gone")
+
+
+def turned(*degrees):
+    return Rotation.from_rotvec(np.radians(degrees)).as_matrix()
+
+
+def walk(seed, n=40, turn=0.03, shift=0.01):
+    """n random poses, (n, 3) m and (n, 3, 3), each a small step from the one before."""
+    rng = np.random.default_rng(seed)
+    R = [Rotation.random(random_state=rng)]
+    for v in rng.normal(0.0, turn, (n - 1, 3)):
+        R.append(Rotation.from_rotvec(v) * R[-1])
+    return np.cumsum(rng.normal(0.0, shift, (n, 3)), axis=0) + AHEAD, np.array([r.as_matrix() for r in R])
+
+
+def follow(poses, settings, before=Pointing()):  # noqa: B008  frozen
+    """Counts of each pose, (n, 3), and what is remembered after the last."""
+    counts = []
+    for k, one in enumerate(poses):
+        before, motion = point(before, one, np.zeros(6), k * DT, settings)
+        counts.append(motion.counts)
+        assert motion.stamp == k * DT
+    return np.array(counts), before
+
+
+def way_of(p, R, settings):
+    """(3,) integral of the motion, by SciPy."""
+    if settings.by == "shift":
+        return p[-1] - p[0]
+    rotation = Rotation.from_matrix(R)
+    return (rotation[1:] * rotation[:-1].inv()).as_rotvec().sum(axis=0)
+
+
+@settings(deadline=None)
+@given(SEEDS, WAYS, st.floats(0.0, 4.0), st.booleans(), st.booleans(), st.booleans())
+def test_counts_are_the_integral_less_slack_and_remainder(seed, by, play, facing, invert_x, invert_z):
+    settings = PointingSettings(by=by, play=play, facing=facing, invert_x=invert_x, invert_z=invert_z, scale_y=1.7)
+    p, R = walk(seed)
+    counts, after = follow(map(pose, p, R), settings)
+    integral, M = way_of(p, R, settings), settings.matrix()
+    assert counts.sum(axis=0) + after.remainder.value == pytest.approx(M @ (integral - after.slack), abs=1e-6)
+    assert np.abs(after.remainder.value).max() < 1.0
+    assert np.abs(after.slack).max() <= play * SIGMA + 1e-12
+    assert (np.abs(counts.sum(axis=0) - M @ integral) <= np.abs(M) @ np.full(3, play * SIGMA) + 1.0).all()
+
+
+@settings(deadline=None)
+@given(SEEDS, WAYS)
+def test_there_and_back_on_the_same_way_is_nothing_without_play(seed, by):
+    p, R = walk(seed)
+    settings = PointingSettings(by=by, play=0.0)
+    counts, _ = follow(map(pose, np.concatenate([p, p[::-1]]), np.concatenate([R, R[::-1]])), settings)
+    assert np.abs(counts.sum(axis=0)).max() <= 1
+    assert np.abs(counts).sum() > 100
+
+
+@settings(deadline=None)
+@given(SEEDS, WAYS, st.floats(1.0, 4.0))
+def test_what_jitters_within_the_play_moves_nothing(seed, by, play):
+    rng = np.random.default_rng(seed)
+    d = rng.uniform(-1.0, 1.0, (200, 6)) * play * SIGMA * 0.98 / 2.0  # two of them are less than the play apart
+    R = [Rotation.from_rotvec(v).as_matrix() for v in d[:, 3:] * 0.98]
+    counts, _ = follow(map(pose, d[:, :3] + (0, 0, 1), R), PointingSettings(by=by, play=play))
+    assert not counts.any()
+
+
+def test_the_dead_band_is_as_wide_as_the_filter_is_unsure():
+    """The same motion: lost in the noise of one filter, and known to another."""
+    R = [turned(0, a, 0) for a in (0.0, 0.5)]
+    for sigma, moves in ((np.radians(0.3), False), (np.radians(0.1), True)):
+        counts, _ = follow([pose(np.array([0, 0, 1.0]), r, sigma) for r in R], PointingSettings())
+        assert (counts[1, 0] > 0) == moves
+    assert counts[1, 0] == pytest.approx(1800 * np.radians(0.5 - 2 * 0.1), abs=1.0)
+
+
+def test_a_filter_that_becomes_surer_moves_nothing():
+    p, R = np.array([0, 0, 1.0]), turned(0, 1, 0)
+    steps = [pose(p, np.eye(3), 0.02), pose(p, R, 0.02), *(pose(p, R, s) for s in (0.01, 0.003, 0.0))]
+    counts, after = follow(steps, PointingSettings())
+    assert not counts.any()
+    assert after.slack[1] == pytest.approx(np.radians(1))
+
+
+@settings(deadline=None)
+@given(SEEDS, st.lists(st.floats(-0.1, 0.1), min_size=1, max_size=50))
+def test_no_more_is_passed_on_than_comes_in_and_never_against_it(seed, ways):
+    rng = np.random.default_rng(seed)
+    slack = np.zeros(3)
+    for way in ways:
+        play = rng.uniform(0.0, 0.1, 3)
+        after, passed = taken_up(slack, np.full(3, way), play)
+        assert (np.abs(passed) <= abs(way)).all()
+        assert (passed * way >= 0.0).all()
+        assert after + passed == pytest.approx(slack + way)
+        slack = after
+
+
+@settings(deadline=None)
+@given(SEEDS, WAYS, st.sampled_from(["lost", "leap"]))
+def test_a_ball_that_was_lost_or_leapt_begins_anew_where_it_is(seed, by, fault):
+    p, R = walk(seed)
+    settings = PointingSettings(by=by)
+    before = list(map(pose, p, R))
+    away = [replace(MISSING, phase=WandPhase.SEARCHING), MISSING, MISSING] if fault == "lost" else []
+    far = list(map(pose, p + np.array([1.0, 0.0, 0.0]), R @ turned(0, 90, 0)))
+    counts, _ = follow([*before, *away, *far], settings)
+    alone, state = follow(before, settings)
+    assert (counts[: len(before)] == alone).all()
+    assert not counts[len(before) : len(before) + len(away) + 1].any()
+    again, _ = follow(far, settings, begun_anew(state))
+    assert (counts[-len(far) :] == again).all()
+
+
+def test_while_it_is_hidden_nothing_moves_and_afterwards_nothing_is_missing():
+    p = np.array([0, 0, 1.0])
+    steps = [pose(p, turned(0, a, 0), sigma=0.0) for a in (0, 2, 4)]
+    guess = replace(pose(p, turned(30, 0, 0)), seen=False)
+    counts, _ = follow([steps[0], steps[1], guess, guess, steps[2]], PointingSettings())
+    assert not counts[2:4].any()
+    assert counts.sum(axis=0) == pytest.approx((1800 * np.radians(4), 0, 0), abs=1.0)
+
+
+def test_a_slow_camera_is_no_leap():
+    p = np.array([0, 0, 1.0])
+    first, _ = point(Pointing(), pose(p, np.eye(3)), np.zeros(6), 0.0, PointingSettings())
+    for dt, moves in ((0.5, True), (0.02, False)):
+        _, motion = point(first, pose(p, turned(0, 60, 0)), np.zeros(6), dt, PointingSettings())
+        assert (motion.counts[0] > 0) == moves
+        assert np.linalg.norm(motion.rotation) == pytest.approx(np.radians(60) if moves else 0.0)
+
+
+def test_stamps_that_stand_still_move_nothing():
+    p = np.array([0, 0, 1.0])
+    first, _ = point(Pointing(), pose(p, np.eye(3)), np.zeros(6), 1.0, PointingSettings())
+    _, motion = point(first, pose(p, turned(0, 5, 0)), np.zeros(6), 1.0, PointingSettings())
+    assert motion.counts == (0, 0, 0)
+
+
+# ---- which way ----
+
+CAMERA_AHEAD = {True: np.diag([-1.0, 1.0, -1.0]), False: np.eye(3)}  # R_cam_holder: right, down, ahead
+
+
+@pytest.mark.parametrize("facing", [True, False])
+def test_the_pointer_goes_where_the_holder_points(facing):
+    """A laser held ahead: its spot on a wall goes right, down; a wheel that is turned clockwise goes forward."""
+    to_cam = CAMERA_AHEAD[facing]
+    p, still = np.array([0, 0, 1.0]), pose(np.array([0, 0, 1.0]), np.eye(3), 0.0)
+    for axis, angle, expected in (("x", -5, (0, 1, 0)), ("y", 5, (1, 0, 0)), ("z", 5, (0, 0, 1))):
+        turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix()  # in the holder's frame
+        spot, top = turn @ (0, 0, 1), turn @ (0, -1, 0)
+        assert np.sign(np.round((spot[0], spot[1], top[0]), 6)).tolist() == list(expected)
+        counts, _ = follow([still, pose(p, to_cam @ turn @ to_cam.T, 0.0)], PointingSettings(facing=facing))
+        assert np.sign(counts[1]).tolist() == list(expected)
+        assert np.abs(counts[1]).max() == pytest.approx(1800 * np.radians(5), abs=1.0)
+
+
+@pytest.mark.parametrize("facing", [True, False])
+def test_shifts_go_where_the_holder_shifts(facing):
+    settings = PointingSettings(by="shift", facing=facing)
+    for way in np.eye(3):
+        p = np.array([0, 0, 1.0])
+        counts, _ = follow(
+            [pose(p, np.eye(3), 0.0), pose(p + CAMERA_AHEAD[facing] @ way * 0.05, np.eye(3), 0.0)], settings
+        )
+        assert counts[1] == pytest.approx(4800 * 0.05 * way, abs=1.0)
+
+
+@settings(deadline=None)
+@given(WAYS, st.booleans(), st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6))
+def test_the_rate_is_that_of_the_counts(by, facing, velocity):
+    """So that the pointer may be carried on with it."""
+    v, settings = np.array(velocity), PointingSettings(by=by, facing=facing, play=0.0, scale_z=0.3)
+    steps = [pose((0, 0, 1) + v[:3] * k * DT, Rotation.from_rotvec(v[3:] * k * DT).as_matrix(), 0.0) for k in range(20)]
+    counts, _ = follow(steps, settings)
+    assert counts.sum(axis=0) == pytest.approx(np.array(pointing_rate(v, settings)) * 19 * DT, abs=1.0)
+    _, motion = point(Pointing(), steps[0], v, 0.0, settings)
+    assert not motion.rate.any()
+    _, motion = point(follow(steps[:1], settings)[1], steps[1], v, DT, settings)
+    assert motion.rate == pytest.approx(v[3:])
+
+
+def test_fractions_survive_a_loss():
+    """Nothing moves at it, and half a count is not lost for ever."""
+    counts, after = follow([MISSING], PointingSettings(), Pointing(remainder=Remainder((0.4, 0.0, -0.4))))
+    assert not counts.any()
+    assert after.remainder.value == (0.4, 0.0, -0.4)

@@ -1,0 +1,311 @@
+"""`run --tracker wand` as a user meets it: on a small film with exact truth; commands in, text out."""
+
+import io
+import signal
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from spheremouse import cli
+from spheremouse.daemon.plan import Request, check_kinds, read_plan
+from spheremouse.errors import ConfigurationError
+from spheremouse.rig_file import save_camera
+from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.wand.axes import UPRIGHT
+from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand.colour import ColourSettings
+from spheremouse.wand_axes import NAMES
+from spheremouse.wand_file import save_wand
+from spheremouse.wand_recording import open_wand, write_wand
+
+WAND = ("run", "--tracker", "wand")
+
+
+@pytest.fixture
+def spheremouse(monkeypatch, capfd):
+    """Runs the program in this process: (*words) -> exit code, standard output, standard error."""
+    before = {s: signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+
+    def run(*words):
+        capfd.readouterr()
+        monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capfd.readouterr()
+        return end.value.code or 0, out, err
+
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def film(path, **options):
+    given = {"seed": 3, "fps": 20.0, "seconds": 2.0, "size": (480, 360), **options}
+    for _ in write_wand(path, prepare_wand(WandOptions("hand", **given))):
+        pass
+    return path
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory):
+    """A hand that moves at up to 0.4 m/s and 180 degrees/s."""
+    return film(tmp_path_factory.mktemp("wand") / "hand")
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    return film(tmp_path_factory.mktemp("wand") / "two", balls=2, seconds=1.0)
+
+
+@pytest.fixture(scope="module")
+def camera(hand):
+    path = hand.parent / "camera.yaml"
+    save_camera(path, open_wand(hand).camera)
+    return path
+
+
+def read(text):
+    """Columns of what was written, by name: numbers where they are."""
+    lines = text.splitlines()
+    assert lines[0].startswith(NAMES + " (")
+    names = NAMES.split()[1:]
+    rows = [line.split() for line in lines[1:]]
+    assert {len(row) for row in rows} <= {len(names)}
+    return {n: [r[k] for r in rows] if n == "state" else np.array([float(r[k]) for r in rows])
+            for k, n in enumerate(names)}  # fmt: skip
+
+
+def columns(table, names):
+    return np.stack([table[n] for n in names.split()], axis=1)
+
+
+def test_six_axes_are_those_of_the_truth(spheremouse, hand):
+    code, out, err = spheremouse(*WAND, "--source", f"dataset:{hand}", "--output", "text:-")
+    assert code == 0, err
+    assert err.splitlines()[0] == "ball: grzonka, 100 mm across, 8 discs"
+    assert err.splitlines()[1].endswith("tracking: grzonka is followed")
+    table, truth = read(out), open_wand(hand).truth
+    assert table["t"].tolist() == truth.stamp.tolist()
+    assert set(table["state"]) == {"tracking"}
+    # the same angles by other means: SciPy's, of a turn that begins with the upright ball
+    pitch, roll, yaw = Rotation.from_matrix(truth.rotation @ UPRIGHT.T).as_euler("XZY", degrees=True).T
+    error = columns(table, "yaw pitch roll") - np.stack([yaw, pitch, roll], axis=1)
+    error = (error + 180.0) % 360.0 - 180.0
+    sigma = columns(table, "syaw spitch sroll")
+    assert np.abs(error / sigma).max() < 6.0
+    assert np.sqrt(np.mean((error / sigma) ** 2)) < 2.0
+    assert np.abs(error).max() < 10.0
+    error, sigma = columns(table, "x y z") - truth.position, columns(table, "sx sy sz")
+    assert np.abs(error / sigma).max() < 6.0
+    assert np.abs(error).max() < 0.05
+    assert np.ptp(yaw) > 40.0  # it did turn
+
+
+@pytest.mark.parametrize("by", ["turn", "shift"])
+def test_the_pointer_is_the_integral_of_the_true_motion(spheremouse, hand, by):
+    words = ("--source", f"dataset:{hand}", "--output", "text:", "--set", f"wand.pointing.by={by}")
+    table, truth = read(spheremouse(*WAND, *words)[1]), open_wand(hand).truth
+    sums = np.cumsum(columns(table, "dx dy dz"), axis=0)
+    if by == "turn":
+        R = Rotation.from_matrix(truth.rotation)
+        way = np.vstack([np.zeros(3), np.cumsum((R[1:] * R[:-1].inv()).as_rotvec(), axis=0)])
+        true = 1800 * np.stack([way[:, 1], way[:, 0], -way[:, 2]], axis=1)  # the holder faces the camera
+        sigma = np.radians(2.0)
+    else:
+        true = 4800 * (truth.position - truth.position[0]) * (-1, 1, -1)
+        sigma = columns(table, "sx sy sz")
+    # at either end the pose is off by 3 sigma at most; play takes up 2
+    assert (np.abs(sums - true) <= 8.0 * (1800 if by == "turn" else 4800) * sigma + 1.0).all()
+    assert np.abs(true[:, 0]).max() > 200
+    assert np.corrcoef(sums[:, 0], true[:, 0])[0, 1] > 0.99
+
+
+def test_every_run_says_the_same(spheremouse, hand):
+    words = (*WAND, "--source", f"dataset:{hand}", "--output", "text:-", "--frames", 8)
+    first = spheremouse(*words)
+    assert len(first[1].splitlines()) == 9
+    assert spheremouse(*words)[1] == first[1]
+
+
+def test_axes_may_go_beside_the_pointer_and_the_configuration_may_say_all(spheremouse, hand, camera, tmp_path):
+    _, out, _ = spheremouse(*WAND, "--source", f"dataset:{hand}", "--output", "text:-", "--frames", 5)
+    log = tmp_path / "axes.txt"
+    words = ("--source", f"dataset:{hand}", "--axes", log, "--frames", 5)
+    assert spheremouse(*WAND, *words)[:2] == (0, "")  # the pointer goes nowhere, unless said otherwise
+    assert log.read_text() == out
+    save_wand(tmp_path / "ball.yaml", grzonka_ball())
+    file = tmp_path / "config.yaml"
+    file.write_text(
+        f"schema: 1\ntracker: wand\nsource: dataset:{hand}\noutput: null\ncamera_file: {camera}\n"
+        f"wand: {{balls: [ball.yaml], axes: {log}, pointing: {{by: shift}}}}\n".replace("output: null\n", "")
+    )
+    assert spheremouse("run", "--config", file, "--frames", 5)[0] == 0
+    poses = [line.split()[:13] for line in log.read_text().splitlines()[1:]]
+    assert poses == [line.split()[:13] for line in out.splitlines()[1:]]
+    file.write_text(file.read_text().replace("by: shift", "by: shove"))
+    code, _, err = spheremouse("run", "--config", file)
+    assert (code, f"{file}:5: wand.pointing.by: must be 'turn' or 'shift'" in err) == (2, True), err
+
+
+def test_a_video_with_a_camera_file_and_a_balls_file(spheremouse, hand, camera, tmp_path):
+    save_wand(tmp_path / "ball.yaml", grzonka_ball())
+    words = ("--source", f"video:{hand / 'video.mkv'}", "--camera", camera, "--ball", tmp_path / "ball.yaml")
+    code, out, err = spheremouse(*WAND, *words, "--output", "text:-", "--frames", 5)
+    assert code == 0, err
+    table, truth = read(out), open_wand(hand).truth
+    assert columns(table, "x y z") == pytest.approx(truth.position[:5], abs=0.03)
+
+
+def test_several_balls_and_which_of_them_points(spheremouse, two, tmp_path):
+    words = (*WAND, "--source", f"dataset:{two}", "--output", "text:-", "--set", "wand.points=2")
+    code, out, err = spheremouse(*words)
+    assert code == 0, err
+    table, truths = read(out), open_wand(two).truths
+    assert "tracking: grzonka 2 is followed" in err
+    followed = []
+    for k in range(2):
+        mine = np.flatnonzero(table["ball"] == k + 1)
+        off = [np.nanmedian(np.abs(columns(table, "x y z")[mine] - t.position), axis=0) for t in truths]
+        followed.append(int(np.argmin([np.linalg.norm(o) for o in off])))
+        assert off[followed[-1]].max() < 0.02
+        assert columns(table, "dx dy dz")[mine].any() == (k == 1)
+    assert sorted(followed) == [0, 1]  # balls that look alike are counted as they are found
+    save_wand(tmp_path / "one.yaml", grzonka_ball())
+    code, _, err = spheremouse(*WAND, "--source", f"dataset:{two}", "--output", "null", "--ball", tmp_path / "one.yaml")
+    assert code == 0
+    assert err.count("a second ball like grzonka is in view: declare it too, or take it away") == 1
+
+
+def test_held_to_its_stamps_it_tracks_the_same_ball(spheremouse, hand, tmp_path):
+    """Through the live loop: frames may be left out, their poses may not be others'."""
+    log = tmp_path / "axes.txt"
+    words = ("--source", f"dataset:{hand}", "--output", f"text:{log}", "--realtime")
+    code, _, err = spheremouse(*WAND, *words, "--set", "realtime=off")
+    assert code == 0, err
+    assert "from stamp to output" in err
+    table, truth = read(log.read_text()), open_wand(hand).truth
+    assert len(table["t"]) >= 2
+    k = [truth.stamp.tolist().index(t) for t in table["t"]]
+    assert columns(table, "x y z") == pytest.approx(truth.position[k], abs=0.05)
+
+
+def test_a_reader_that_goes_is_a_quiet_end(hand):
+    words = [*WAND, "--source", f"dataset:{hand}", "--output", "text:-"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "spheremouse", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline().startswith(NAMES)
+        process.stdout.close()
+        err = process.stderr.read()
+        assert process.wait() == 0, err
+    assert "Error" not in err
+
+
+def test_a_signal_ends_it_and_what_was_tracked_is_told(hand):
+    words = [*WAND, "--source", f"dataset:{hand}", "--realtime", "--output", "text:-"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "spheremouse", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        while not process.stdout.readline().endswith("tracking\n"):
+            assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert "tracking: grzonka is followed" in err.splitlines()
+    assert " counts x " in err.splitlines()[-1]
+
+
+# ---- what may be wrong ----
+
+
+def refused(result):
+    """The one line that an error is."""
+    code, _, err = result
+    lines = [line for line in err.splitlines() if line.startswith("spheremouse: ")]
+    assert (code, len(lines)) == (2, 1), err
+    return lines[0].removeprefix("spheremouse: ")
+
+
+def test_what_does_not_go_together_is_refused(spheremouse, hand, camera, tmp_path):
+    source = ("--source", f"dataset:{hand}")
+    video = ("--source", f"video:{hand / 'video.mkv'}", "--output", "null")
+    for words, reason in (
+        ((*source, "--output", "null", "--ball", "nix.yaml"), "nix.yaml: no such file; check the path"),
+        (video, f"video:{hand / 'video.mkv'}: says nothing of the camera; give its file with --camera FILE"),
+        ((*source, "--output", "text:-", "--axes", "-"), "--axes -: is the output already"),
+        (source, "no output: give --output"),
+        (("--source", "synthetic", "--output", "null"), "synthetic: simulates no wand; film one with"),
+        ((*source, "--output", "null", "--map", "m.yaml"), "--map: tracker wand keeps no map"),
+        ((*source, "--output", "null", "--overlay", "o.png"), "--overlay: does not go with --tracker wand"),
+        ((*source, "--output", "null", "--set", "wand.points=2"), "wand.points: is 2, but there is one ball"),
+        ((*source, "--output", "null", "--set", "wand.particles=3"), "--set wand.particles: must be at least 10"),
+        (("--source", f"dataset:{tmp_path}", "--output", "null"), f"{tmp_path / 'scene.json'}: missing"),
+    ):
+        assert refused(spheremouse(*WAND, *words)).startswith(reason)
+    words = ("run", *source, "--output", "null")
+    assert refused(spheremouse(*words)).endswith("this is a recording of a wand; use --tracker wand")
+    words = ("run", "--source", "synthetic", "--output", "null", "--axes", "-")
+    assert refused(spheremouse(*words)).startswith("--axes: goes with --tracker wand")
+    assert camera.exists()
+
+
+def test_balls_that_disagree_about_a_colour_are_refused(spheremouse, hand, tmp_path):
+    save_wand(tmp_path / "a.yaml", contrast_ball())
+    save_wand(tmp_path / "b.yaml", contrast_ball(), {"dark": ColourSettings(value_max=50.0)})
+    words = ("--source", f"dataset:{hand}", "--output", "null")
+    said = refused(spheremouse(*WAND, *words, "--ball", tmp_path / "a.yaml", "--ball", tmp_path / "b.yaml"))
+    assert said.startswith(f"{tmp_path / 'b.yaml'}: colours.dark: other bounds than in {tmp_path / 'a.yaml'}")
+
+
+def video(path, images):
+    height, width = images[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (width, height))
+    for image in images:
+        writer.write(image)
+    writer.release()
+    return f"video:{path}"
+
+
+def test_a_film_without_the_ball_ends_in_words(spheremouse, camera, tmp_path):
+    rng = np.random.default_rng(0)
+    room = rng.integers(60, 140, (360, 480, 3), dtype=np.uint8)
+    room[50:75, 50:400] = (30, 30, 190)  # a red shelf and a blue curtain
+    room[100:360, 420:] = (190, 60, 30)
+    words = (*WAND, "--camera", camera, "--output", "null", "--source")
+    said = refused(spheremouse(*words, video(tmp_path / "room.avi", [room] * 4)))
+    assert "no ball like grzonka in view: hold it into the picture" in said
+    assert said.endswith("(looked for in 4 frames)")
+    grey = np.repeat(room[:, :, :1], 3, axis=2)
+    said = refused(spheremouse(*words, video(tmp_path / "grey.avi", [grey] * 4)))
+    assert "(the frames are grey, or dark)" in said
+    said = refused(spheremouse(*words, video(tmp_path / "small.avi", [room[:240, :320]] * 4)))
+    assert said.startswith("frames are 320x240, but the camera is calibrated for 480x360; set the camera to that size")
+
+
+def test_a_running_daemon_does_not_become_another_program():
+    """`ctl reload` and `ctl set` go through this."""
+    before, after = (read_plan(Request(None, (f"tracker={t}",), "opencv:0", "null")) for t in ("so3", "wand"))
+    check_kinds(after)
+    for a, b in ((after, before), (before, after)):
+        with pytest.raises(ConfigurationError, match="stop this run and start again"):
+            check_kinds(a, b)
+
+
+def test_the_configuration_shows_and_writes_the_wands_settings(spheremouse, tmp_path):
+    code, out, _ = spheremouse("config", "show", "--set", "tracker=wand", "--set", "wand.pointing.by=shift")
+    assert code == 0
+    assert "tracker: wand  # default: so3" in out
+    assert "    by: shift  # default: turn" in out
+    file = tmp_path / "all.yaml"
+    assert spheremouse("config", "init", file)[0] == 0
+    assert spheremouse("config", "check", file)[0] == 0
+    text = io.StringIO(file.read_text())
+    assert "wand:\n" in text.readlines()

@@ -1,0 +1,57 @@
+"""Nothing is compiled while a wand is tracked: in a process of its own, for here other tests have compiled it all."""
+
+import subprocess
+import sys
+
+FILM = """
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.wand.track import WandSettings, build
+from spheremouse.wand.pointing import PointingSettings
+from spheremouse.wand.warm import warm_up
+from spheremouse.wand_session import Hand, track_wand
+
+
+def compiled():
+    return {
+        f"{f.__module__}.{f.__name__}": len(f.signatures)
+        for name, module in list(sys.modules.items())
+        if name.startswith("spheremouse") and ".simulate" not in name
+        for f in vars(module).values()
+        if hasattr(f, "py_func")
+    }
+
+
+film = prepare_wand(WandOptions("hand", seed=2, fps=15.0, seconds=2.4, size=(480, 360), balls=2))
+images = [s.frame for s in simulate_wand(film)]
+warm_up()
+before = compiled()
+
+
+def frames():
+    for k, frame in enumerate(images):
+        if 10 <= k < 22:  # the light goes out
+            frame = replace(frame, image=np.full_like(frame.image, 90))
+        yield frame
+
+
+for settings in (WandSettings(), WandSettings(proposal="motion"), WandSettings(region=False, outline=False)):
+    tracker = build(film.scene.camera, tuple(b.ball for b in film.scene.balls), settings)
+    hand = Hand(PointingSettings())
+    phases = set()
+    for epoch in track_wand(frames(), tracker):
+        hand.move(epoch)
+        phases |= {pose.phase for pose in epoch.poses}
+    assert settings.proposal == "motion" or len(phases) >= 2, phases
+late = {name: n for name, n in compiled().items() if n != before.get(name, 0)}
+assert before and not late, late
+"""
+
+
+def test_nothing_is_compiled_in_play():
+    made = subprocess.run([sys.executable, "-c", FILM], capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
