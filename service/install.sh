@@ -231,7 +231,7 @@ install() {
     local before
     before=$(in_use current)
     new= # from here on it stays
-    if ! switch "$name" || ! healthy; then
+    if ! switch "$name" || { [ -z "$before" ] && ! warm "$name"; } || ! healthy; then # warm: now there is its user
         say "$version does not come up"
         if [ -n "$before" ] && [ -d "$prefix/$before" ]; then
             ! systemd_runs || journalctl -u spheremouse -n 15 --no-pager -o cat | sed 's/^/    /' || true
@@ -243,7 +243,6 @@ install() {
     fi
     point "$bin/spheremouse" "$(program)"
     if [ -n "$before" ]; then point "$prefix/previous" "$before"; fi
-    [ -n "$before" ] || warm "$name" # now there is the service's user
     [ "$here" = "$(realpath "$prefix")" ] || cp "$here/install.sh" "$prefix/install.sh" # for --rollback and --uninstall
     local other
     for other in $(versions); do

@@ -43,7 +43,7 @@ def install(
     program = service.executable(place)
     deeds = list(service.install(place, program, _systemd_version()))
     files = sorted(place.configuration.glob("*.yaml")) if place.configuration.is_dir() else []
-    files += sorted(place.state.glob("*.yaml")) if place.state is not None and os.access(place.state, os.R_OK) else []
+    files += sorted(place.state.glob("*.yaml")) if os.access(place.state, os.R_OK) else []
     deeds += [
         service.Deed("convert", path, lambda p=path: migrate.migrate_file(p), words)
         for path in files
@@ -96,6 +96,8 @@ def uninstall(
     stays = service.left(place)
     if not user and place.root == _ROOT and not stays and _users_id() is not None:
         _run([["userdel", USER]])
+        if _groups_id() is not None:  # it has members, and so it stayed
+            _run([["groupdel", USER]])
     if stays:
         again = "" if user else f", and the user {USER}"
         typer.echo(f"stays{again}; --purge removes it, too:")
@@ -115,7 +117,7 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
         "edited": "edited by hand",
     }
     program = service.executable(place)
-    well = True
+    well = runs = True
     for name, path in place.files():
         state = service.state_of(path, service.rendered(name, program, _systemd_version()))
         well &= state in ("ok", "edited")
@@ -123,19 +125,22 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
     config = place.configuration / "config.yaml"
     well &= config.exists()
     typer.echo(f"{config}: {'there' if config.exists() else 'missing'}")
-    typer.echo(f"starts with the computer: {'yes' if place.link.is_symlink() else 'no'}")
+    typer.echo(f"starts {'at login' if user else 'with the computer'}: {'yes' if place.link.is_symlink() else 'no'}")
     if place.root == _ROOT:
         if not user:
             well &= _users_id() is not None
             typer.echo(f"user {USER}: {'there' if _users_id() is not None else 'missing'}")
         if _booted(place):
             shown = _output([*_systemctl(place), "is-active", UNIT]) or "unknown"
-            well &= shown == "active"
+            runs = shown == "active"
             typer.echo(f"service: {shown}")
         else:
             typer.echo("service: unknown, systemd does not run here")
     if not well:
         typer.echo(f"to mend it: {_again(place, 'install')}")
+    elif not runs:
+        _next(place, starts=False)
+    if not (well and runs):
         raise typer.Exit(1)
 
 
@@ -218,6 +223,15 @@ def _users_id() -> int | None:
         return None
 
 
+def _groups_id() -> int | None:
+    import grp
+
+    try:
+        return grp.getgrnam(USER).gr_gid
+    except KeyError:
+        return None
+
+
 def _output(command: list[str]) -> str:
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
@@ -251,14 +265,16 @@ def _by_hand(place: Place, commands: list[list[str]], dry_run: bool) -> None:
         typer.echo(f"  {sudo}{shlex.join(command)}")
 
 
-def _next(place: Place) -> None:
+def _next(place: Place, starts: bool = True) -> None:
+    """What is left to do; `starts` is whether it has been told to start."""
     rig = place.configuration / "rig.yaml"
+    log = f"journalctl {'--user ' if place.user else ''}-u {UNIT}"
     if not rig.exists():
         copy = "cp" if place.user else "sudo cp"
         typer.echo(f"next: calibrate (`spheremouse calibrate next`), then: {copy} CABINET/rig.yaml {rig}")
         typer.echo(f"name the camera in {place.configuration / 'config.yaml'}, then: {_start(place)}")
     else:
-        typer.echo(f"next: spheremouse ctl status; what it says: journalctl {'--user ' if place.user else ''}-u {UNIT}")
+        typer.echo(f"next: {'spheremouse ctl status' if starts else _start(place)}; what it says: {log}")
     if place.user and not os.access("/dev/uinput", os.W_OK):
         typer.echo(
             "for a mouse of this computer (uinput), your account needs rights that root must give: see docs/install.md"

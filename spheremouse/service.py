@@ -26,7 +26,10 @@ _MARK = "# Placed by `spheremouse service install`; do not edit (digest of what 
 _MARKED = re.compile(re.escape(_MARK.strip()).replace(r"\{\}", "([0-9a-f]{16})"))
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
-_MADE = ("spheremouse", "xorg.conf.d", "X11")  # folders that a system may have had no use for before
+# folders that a system or an account may have had no use for before
+_MADE = (
+    "spheremouse", "xorg.conf.d", "X11", "sysusers.d", "autostart", "default.target.wants", "user", "systemd",
+)  # fmt: skip
 
 State = Literal["missing", "ok", "older", "edited"]
 
@@ -54,13 +57,21 @@ class Place:
         return self.unit.parent / target / UNIT
 
     @property
-    def state(self) -> Path | None:
-        """Folder of map and recordings; a user's map is beside the rig."""
-        return None if self.user else self.at("/var/lib/spheremouse")
+    def changes(self) -> Path:
+        """Folder of what `systemctl edit` puts beside the unit."""
+        return self.unit.with_name(f"{UNIT}.d")
 
     @property
-    def cache(self) -> Path | None:
-        return None if self.user else self.at("/var/cache/spheremouse")
+    def state(self) -> Path:
+        """Folder of map and recordings; a user's map is beside the rig."""
+        users = self._users("XDG_STATE_HOME", ".local/state") / "spheremouse"
+        return users if self.user else self.at("/var/lib/spheremouse")
+
+    @property
+    def cache(self) -> Path:
+        """Folder of compiled code."""
+        users = self._users("XDG_CACHE_HOME", ".cache") / "spheremouse"
+        return users if self.user else self.at("/var/cache/spheremouse")
 
     def files(self) -> list[tuple[str, Path]]:
         """What is placed: name in the folder of this program's service files, and where it goes; the unit first."""
@@ -169,26 +180,26 @@ def uninstall(place: Place, purge: bool) -> Iterator[Deed]:
             yield Deed("remove", path, path.unlink)
         for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
             yield Deed("remove", backup, backup.unlink)
-    if place.cache is not None and place.cache.exists():
+    if place.cache.exists():
         yield Deed("remove", place.cache, partial(shutil.rmtree, place.cache), "compiled code")
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
         yield Deed("remove", config, config.unlink, "as it was placed")
-    for path in (place.configuration, place.state) if purge else ():
-        if path is not None and path.exists():
+    for path in (place.configuration, place.state, place.changes) if purge else ():
+        if path.exists():
             yield Deed("remove", path, partial(shutil.rmtree, path))
 
 
 def left(place: Place) -> list[Path]:
     """What an uninstallation leaves, since somebody may want it."""
-    found = [p for folder in (place.configuration, place.state) if folder is not None for p in _below(folder)]
+    found = [p for folder in (place.configuration, place.state, place.changes) for p in _below(folder)]
     return sorted([*found, *(p for _, path in place.files() for p in path.parent.glob(f"{path.name}.bak*"))])
 
 
 def tidy(place: Place) -> None:
     """Remove folders of ours that are empty; below a root of one's own all that are."""
     folders = (place.configuration, place.state, place.cache, place.link.parent, *(p.parent for _, p in place.files()))
-    for folder in (f for f in folders if f is not None):
+    for folder in folders:
         for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):
             if place.root == Path("/") and path.name not in _MADE:
                 break
@@ -222,7 +233,7 @@ def rendered(name: str, program: str, systemd: int | None) -> str:
 def configuration(place: Place) -> str:
     """The configuration to begin with."""
     own = place.configuration
-    learnt = own if place.state is None else place.state
+    learnt = own if place.user else place.state
     text = (folder() / "config.yaml").read_text(encoding="utf-8")
     for name, path in (("@RIG@", own / "rig.yaml"), ("@MAP@", learnt / "rig.map.yaml")):
         text = text.replace(name, place.inside(path))

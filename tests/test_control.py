@@ -1075,6 +1075,22 @@ def test_a_client_finds_the_daemon_that_answers(bare, monkeypatch):
         assert places.find_socket() == Path("/elsewhere")
 
 
+def test_a_socket_in_a_closed_folder_is_one_that_is_there(monkeypatch, tmp_path):
+    """Another user's: asking there is refused in words."""
+    closed = tmp_path / "closed" / "control.sock"
+    lstat = Path.lstat
+
+    def refuse(self):
+        if self == closed:
+            raise PermissionError(13, "Permission denied")
+        return lstat(self)
+
+    monkeypatch.delenv("SPHEREMOUSE_SOCKET", raising=False)
+    monkeypatch.setattr(places, "candidates", lambda: iter([tmp_path / "none", closed]))
+    monkeypatch.setattr(Path, "lstat", refuse)
+    assert places.find_socket() == closed
+
+
 # ---- the client ----
 
 

@@ -54,7 +54,7 @@ def home(tmp_path, monkeypatch):
     path = tmp_path / "home"
     path.mkdir()
     monkeypatch.setenv("HOME", str(path))
-    for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "SUDO_USER"):
+    for name in ("XDG_CONFIG_HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME", "XDG_RUNTIME_DIR", "SUDO_USER"):
         monkeypatch.delenv(name, raising=False)
     return path
 
@@ -67,7 +67,10 @@ def test_installing_places_every_file_and_a_second_time_changes_nothing(root):
     once = tree(root)
     assert {str(p.relative_to(root)) for _, p in Place(root).files()} < set(once)
     assert once["etc/systemd/system/multi-user.target.wants/spheremouse.service"] == f"/{UNIT}"
-    assert f"ExecStart={sys.prefix}/bin/spheremouse run --config /etc/spheremouse/config.yaml\n" in once[UNIT]
+    assert (
+        f"ExecStart={sys.prefix}/bin/spheremouse run --realtime --config /etc/spheremouse/config.yaml\n"
+        in (root / UNIT).read_text()
+    )
     assert "all files are in place" in call("install", root=root)
     assert tree(root) == once
 
@@ -95,6 +98,7 @@ def test_configuration_calibration_and_map_stay_unless_purged(root, purge):
     call("install", root=root)
     kept = {"etc/spheremouse/config.yaml": "schema: 1\n", "etc/spheremouse/rig.yaml": "rig"}
     kept["var/lib/spheremouse/rig.map.yaml"] = "map"
+    kept["etc/systemd/system/spheremouse.service.d/override.conf"] = "[Service]\n"  # of `systemctl edit`
     for name, text in kept.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
@@ -171,11 +175,42 @@ def test_a_users_own_service_goes_to_the_home_alone(root, home):
     below = root / home.relative_to("/")
     assert all(p.is_relative_to(below) or below.is_relative_to(p) for p in root.rglob("*"))
     unit = below / ".config/systemd/user/spheremouse.service"
-    assert "run --config %E/spheremouse/config.yaml" in unit.read_text()
+    assert "run --realtime --config %E/spheremouse/config.yaml" in unit.read_text()
     assert os.readlink(unit.parent / "default.target.wants" / unit.name) == f"{home}/.config/systemd/user/{unit.name}"
     assert f"rig: {home}/.config/spheremouse/rig.yaml\n" in (below / ".config/spheremouse/config.yaml").read_text()
     call("uninstall", "--user", root=root)
     assert tree(root) == {}
+
+
+def test_a_users_recordings_are_named_and_purged_and_what_was_compiled_goes(root, home):
+    below = root / home.relative_to("/")
+    call("install", "--user", root=root)
+    film, code = below / ".local/state/spheremouse/recordings/1/video.mkv", below / ".cache/spheremouse/x/y.nbc"
+    for path in (film, code):
+        path.parent.mkdir(parents=True)
+        path.write_text("")
+    assert str(film) in call("uninstall", "--user", root=root)
+    assert film.exists()
+    assert not code.exists()
+    call("uninstall", "--user", "--purge", root=root)
+    assert tree(root) == {}
+
+
+def test_what_is_left_to_do_is_said_where_all_is_placed_and_it_does_not_run(home, monkeypatch):
+    """Before the calibration to calibrate, then to start it; not to install what is there."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(home))
+    (home / "systemd").mkdir()  # systemd runs
+    monkeypatch.setattr("spheremouse.cli_service._output", lambda command: "inactive" if "is-active" in command else "")
+    monkeypatch.setattr("spheremouse.cli_service._run", lambda commands, quiet=False: True)
+    call("install", "--user")
+    rig = home / ".config/spheremouse/rig.yaml"
+    for expected, absent in (("calibrate", "journalctl"), ("systemctl --user start", "calibrate")):
+        result = CliRunner().invoke(app, ["status", "--user"])
+        assert result.exit_code == 1
+        assert expected in result.output
+        assert absent not in result.output
+        assert "service install" not in result.output
+        rig.write_text("")
 
 
 def test_status_tells_what_is_missing_edited_or_foreign(root):
@@ -249,6 +284,15 @@ def test_waiting_longer_from_try_to_try_is_left_out_where_systemd_does_not_know_
     assert re.search(r"^RestartSteps=\d+\nRestartMaxDelaySec=\d+$", unit(systemd=254), re.M)
 
 
+@pytest.mark.parametrize("name", ["systemd/spheremouse.service", "systemd/spheremouse-user.service"])
+def test_before_the_calibration_nothing_is_started_again_and_again(name):
+    """And what is started is the daemon whatever the source: without --realtime a recording's run is never ready."""
+    folder = re.search(r"--config (\S+)/config\.yaml$", unit(name), re.M)
+    assert folder is not None
+    assert f"\nAssertPathExists={folder[1]}/rig.yaml\n" in unit(name).partition("[Service]")[0]
+    assert re.search(r"^ExecStart=\S+ run --realtime ", unit(name), re.M)
+
+
 def test_the_kernel_knows_every_driver_of_the_device_list_before_the_service_starts():
     """A `char-` line whose name is not in /proc/devices then is skipped, and what is plugged in later stays closed."""
     modules = {"video4linux": "videodev", "ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
@@ -307,6 +351,28 @@ def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path, monkeypatch, user):
         pytest.skip(f"systemd-analyze verify does not work here: {said.strip()}")
     assert [line for line in said.splitlines() if "spheremouse" in line] == []
     assert code == 0
+
+
+def test_system_calls_of_the_daemon_are_allowed_and_mightier_ones_are_not():
+    """By systemd's own lists, line after line, as systemd.exec(5) has it."""
+    allowed: set[str] = set()
+    for first, words in re.findall(r"^SystemCallFilter=(~?)(.+)$", unit(), re.M):
+        for word in words.split():
+            allowed = allowed - calls(word) if first else allowed | calls(word)
+    socket_and_files = {"chown", "lchown", "fchownat", "fchmodat", "flock", "bind", "renameat2", "fsync"}
+    scheduling = {"sched_setscheduler", "setpriority", "mlockall", "madvise"}
+    assert socket_and_files | scheduling <= allowed
+    assert allowed.isdisjoint({"mount", "ptrace", "reboot", "bpf", "setuid", "init_module", "keyctl"})
+
+
+def calls(name):
+    """The system calls of a group of systemd's, and of the groups in it."""
+    if not name.startswith("@"):
+        return {name}
+    code, said = judged("systemd-analyze", "syscall-filter", "--no-pager", name)
+    assert code == 0, said
+    words = [line.strip() for line in said.splitlines()[1:]]
+    return set().union(*(calls(word) for word in words if word and not word.startswith("#")))
 
 
 def test_the_unit_is_closed(tmp_path):

@@ -39,7 +39,7 @@ Reply = Callable[[dict[str, Any]], None]
 Handle = Callable[[Request, Reply], None]
 
 # What a member of the group may not `set`: which files and devices the daemon opens, and what it does for whom.
-PLACES = ("source", "output", "rig", "camera_file", "map", "camera.controls", "control", "record", "metrics")
+PLACES = ("source", "output", "rig", "camera_file", "map", "camera.controls", "control", "record", "metrics", "wand")
 
 _LISTENER, _WAKE = -1, -2
 

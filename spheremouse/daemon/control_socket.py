@@ -84,7 +84,7 @@ def listen(path: Path, group: str | None) -> socket.socket:
         listener.setblocking(False)
         listener.bind(str(path))
         try:  # nobody can connect before it listens, so there is no moment in which too many may
-            if gid is not None:
+            if gid is not None and path.stat().st_gid != gid:
                 os.chown(path, -1, gid, follow_symlinks=False)
             path.chmod(0o600 if gid is None else 0o660)
             listener.listen(_BACKLOG)
@@ -94,7 +94,9 @@ def listen(path: Path, group: str | None) -> socket.socket:
     except OSError as e:
         listener.close()
         if isinstance(e, PermissionError) and group is not None:
-            raise ControlError(f"control.group {group}: the daemon's user is no member; make it one") from None
+            raise ControlError(
+                f"control.group {group}: the daemon's user may not give the socket to it; make it a member"
+            ) from None
         raise ControlError(f"{path}: no socket can be made here ({e.strerror or e}); set control.socket") from None
     return listener
 

@@ -46,7 +46,7 @@ class Notifier:
         text = " ".join(text.split())  # a line of its own would be an order of its own
         if text != self._status:
             self._status = text
-            self._send(f"STATUS={text}")
+            self._send(f"STATUS={text}".encode().decode("latin-1"))  # which sdnotify encodes as
 
     def patience(self, seconds: float) -> None:
         """The watchdog waits so long from now on, until `usual` is called: something long has been begun."""

@@ -43,7 +43,7 @@ def find_socket() -> Path:
     if given:
         return Path(given)
     places = list(candidates())
-    there = [p for p in places if p.exists()]
+    there = [p for p in places if _is_there(p)]
     return next((p for p in there if _answers(p)), (there or places)[0])
 
 
@@ -61,6 +61,17 @@ def candidates() -> Iterator[Path]:
 def _own_folder() -> Path:
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     return Path(runtime) / "spheremouse" if runtime else Path(tempfile.gettempdir()) / f"spheremouse-{_uid()}"
+
+
+def _is_there(path: Path) -> bool:
+    """Also where we may not look: asking there says so."""
+    try:
+        path.lstat()
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True
 
 
 def _is_ours(path: Path) -> bool:

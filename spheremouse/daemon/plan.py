@@ -73,7 +73,8 @@ def read_plan(request: Request) -> Plan:
         )
     if output is None:
         raise ConfigurationError(
-            "no output: give --output, for example uinput or text:-, or `output:` in --config FILE"
+            "no output: give --output, for example uinput or text:-, or `output:` in --config FILE "
+            '(in quotes, "null", where motion is to go nowhere)'
         )
     if request.map is not None and request.no_map:
         raise ConfigurationError("--map and --no-map: give one of the two")

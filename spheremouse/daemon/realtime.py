@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 PRIORITY = 5  # of SCHED_RR: above whatever is not real time, below what audio servers take
-_MADV_PAGEOUT = 21
+_MADV_DONTNEED = 4
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _SWITCH = 5e-4  # s; how long a thread of Python may keep the others waiting (5 ms by default, more than a report)
 
@@ -75,8 +75,8 @@ def _fold_up_code() -> int:
 def _give_back() -> None:
     """Pages of program libraries that only the start has needed, the compiler's above all: a third of the memory.
 
-    What is needed after all comes back from the page cache when it is touched. Pages that another process has in use
-    stay, and cost nothing.
+    What is needed after all comes back from the page cache when it is touched. Only views of a file in which nothing
+    was written: the others' pages would be lost. (MADV_PAGEOUT asks for the right to write to the file.)
     """
     gc.collect()
     libc = ctypes.CDLL(None, use_errno=True)
@@ -84,11 +84,24 @@ def _give_back() -> None:
         libc.malloc_trim(0)
     libc.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
     with contextlib.suppress(OSError, ValueError):
-        for line in Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines():
-            place, *_, name = line.split(maxsplit=5)
-            if ".so" in name:
-                first, last = (int(x, 16) for x in place.split("-"))
-                libc.madvise(first, last - first, _MADV_PAGEOUT)
+        for first, last in _untouched(Path("/proc/self/smaps").read_text(encoding="utf-8", errors="replace")):
+            libc.madvise(first, last - first, _MADV_DONTNEED)
+
+
+def _untouched(smaps: str) -> list[tuple[int, int]]:
+    """Where libraries are mapped read-only and unchanged, by what the kernel says of each mapping."""
+    found: list[tuple[int, int]] = []
+    candidate = None
+    for line in smaps.splitlines():
+        words = line.split(maxsplit=5)
+        if not words[0].endswith(":"):  # a new mapping: FIRST-LAST MODES ...
+            first, last = (int(x, 16) for x in words[0].split("-"))
+            candidate = (first, last) if len(words) == 6 and ".so" in words[5] and "w" not in words[1] else None
+        elif words[0] in ("Anonymous:", "Swap:") and words[1] != "0":
+            candidate = None
+        elif words[0] == "VmFlags:" and candidate is not None:  # the last line of each
+            found.append(candidate)
+    return found
 
 
 def _lock_memory() -> str:

@@ -356,6 +356,8 @@ class Daemon:
             self._over = True
             self._ring.wake()
             reply({})
+        elif self._starting and request.command in ("record", "snapshot", "reinit"):
+            reply(refused(f"{self._state}: {self._starting}"))
         else:
             self._ask(lambda: self._do(request, reply))
 
