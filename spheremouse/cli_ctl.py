@@ -1,6 +1,6 @@
 """`spheremouse ctl`: ask the running daemon how it is, and tell it what to do.
 
-Exit codes: 0 done, 1 the daemon refuses (its reason is on standard error), 2 wrong usage, 3 no daemon.
+Exit codes: 0 done, 1 the daemon refuses (its reason is on standard error), 2 wrong usage, 3 no daemon that answers.
 """
 
 import contextlib
@@ -68,7 +68,8 @@ def pause(as_json: _Json = False, socket: _Socket = None) -> None:
 @app.command()
 def resume(as_json: _Json = False, socket: _Socket = None) -> None:
     """Move the pointer again after a pause."""
-    _report(_ask(socket, "resume"), as_json, "resumed")
+    reply = _ask(socket, "resume")
+    _report(reply, as_json, f"resumed: {reply['state']}" if reply.get("state") else "resumed")
 
 
 @app.command()
@@ -152,14 +153,15 @@ def status_table(s: dict[str, Any]) -> Panel:
     rows = Table.grid(padding=(0, 2))
     rows.add_column(style="dim", min_width=8)
     rows.add_column(overflow="fold")
-    rows.add_row("state", Text.assemble(_state(s), f" for {_span(s.get('since_s'))}"))
+    also = ", and paused" if s.get("paused") and s.get("state") != "paused" else ""
+    rows.add_row("state", Text.assemble(_state(s), f" for {_span(s.get('since_s'))}{also}"))
     if s.get("reason"):
         rows.add_row("reason", _text(s["reason"]))
     rows.add_row("frames", _frames(s))
     rows.add_row("latency", _latency(s.get("latency_ms")))
     rows.add_row("discs", f"{_n(s, 'discs')} used, {_n(s, 'discs_seen')} seen, {_n(s, 'discs_known')} known")
     rows.add_row("pose", _pose(s.get("pose")))
-    rows.add_row("output", _output(s.get("output")))
+    rows.add_row("output", _output(s.get("output"), s.get("reason")))
     source = s.get("source") or {}
     rows.add_row("source", _text(source.get("description") or source.get("spec") or "-"))
     rows.add_row(
@@ -217,12 +219,14 @@ def _pose(pose: Any) -> str:
     return f"{_span(pose.get('age_s'))} old" + (f", within {max(known):.1f} mm (1 sigma)" if known else "")
 
 
-def _output(output: Any) -> Text:
+def _output(output: Any, reason: Any) -> Text:
     if not isinstance(output, dict):
         return Text("-")
-    text = _text(output.get("spec", "-"))
+    spec = str(output.get("spec", "-"))
+    text = _text(spec)
     if output.get("failed"):
-        text.append(f": {_plain(output['failed'])}", style="bold red")
+        said = "failed" if output["failed"] == reason else _plain(output["failed"]).removeprefix(f"{spec}: ")
+        text.append(f": {said}", style="bold red")
     else:
         text.append(f", {output.get('reports', 0)} reports")
     if any(output.get("unsent") or ()):
@@ -292,7 +296,8 @@ def _report(reply: dict[str, Any], as_json: bool, words: str, place: str | None 
         _print_json(reply)
         return
     where = reply.get(place) if place else None
-    typer.echo(_plain(reply.get("message") or (f"{where}: {words}" if where else words)))
+    told = reply.get("message") or reply.get("text")
+    typer.echo(_plain(told or (f"{where}: {words}" if where else words)))
 
 
 def _print_json(reply: dict[str, Any]) -> None:

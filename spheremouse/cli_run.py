@@ -114,8 +114,8 @@ def run(
     moves at a steady rate between frames, and `spheremouse ctl` asks and tells it. Other recordings are tracked frame
     by frame, as fast as it goes. What changes goes to standard error. Ctrl-C ends the run.
 
-    --tracker wand tracks a ball in a hand: it needs a camera file and no rig, moves the pointer as the ball turns, and
-    writes position and attitude as text. It cannot be asked by `spheremouse ctl`.
+    A ball in a hand is tracked with --tracker wand: it needs a camera file and no rig, moves the pointer as the ball
+    turns, and writes position and attitude as text. It cannot be asked by `spheremouse ctl`.
     """
     from spheremouse.daemon.cameras import is_camera
     from spheremouse.daemon.plan import Request, check_kinds, read_plan, without_map
@@ -201,7 +201,7 @@ def _serve(
 
     daemon = Daemon(request, plan, rig, opener(plan, given), opener, say=board.say, show=show, frames=frames)
     daemon.run(stopping)
-    if daemon.never_posed and not stopping.asked:
+    if daemon.never_posed and not (stopping.asked or daemon.told_to_stop):
         raise PoseError(daemon.never_posed)
 
 

@@ -103,7 +103,7 @@ class _Scene(SceneEntry):
     camera: CameraEntry
     ball: _Ball
     disc_radius: Positive
-    targets: list[_Target] = []
+    targets: tuple[_Target, ...] = ()
     target_radii: tuple[Positive, Positive, Positive] | None = None
     T_obj_cam: _Matrix4 | None = None
     truth_T_obj_cam: _Matrix4 | None = None  # noqa: N815

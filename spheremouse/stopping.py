@@ -5,6 +5,7 @@ so that what was measured is sent and no file is left half written.
 """
 
 import signal
+import time
 from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any, Self
@@ -12,6 +13,7 @@ from typing import Any, Self
 from spheremouse.frame import Frame
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SAME = 0.5  # s; `timeout` and shells signal the process and at once its group: one wish, not two
 
 
 class _Asked(BaseException):
@@ -24,6 +26,7 @@ class Stopping:
     def __init__(self) -> None:
         self.asked = False
         self._waiting = False
+        self._heard = 0.0  # s, when it was asked
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -52,9 +55,14 @@ class Stopping:
                 return
             yield frame
 
-    def _hear(self, _number: int, _frame: FrameType | None) -> None:
-        self.asked = True
-        self._restore()
+    def _hear(self, number: int, _frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if self.asked:
+            if now - self._heard > _SAME:
+                self._restore()
+                signal.raise_signal(number)
+            return
+        self.asked, self._heard = True, now
         if self._waiting:
             self._waiting = False
             raise _Asked

@@ -502,6 +502,20 @@ def test_a_signal_while_a_frame_is_awaited_ends_the_wait():
     assert signal.getsignal(signal.SIGTERM) == before
 
 
+def test_a_second_signal_is_a_second_wish_only_after_a_while(monkeypatch):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with Stopping() as stopping:
+            for _ in range(3):
+                os.kill(os.getpid(), signal.SIGINT)
+            assert stopping.asked
+            monkeypatch.setattr("spheremouse.stopping._SAME", -1.0)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 # ---- the demo, and what is shown ----
 
 

@@ -134,6 +134,36 @@ def test_a_status_that_knows_nothing_yet_is_shown_too():
     assert shown({})
 
 
+def test_why_the_output_failed_is_said_once():
+    failed = "/dev/uinput: permission denied"
+    text = shown({"state": "failed-output", "reason": failed, "output": {"spec": "uinput", "failed": failed}})
+    assert text.count("permission denied") == 1
+    assert "uinput: failed" in text
+    text = shown({"state": "lost", "reason": "hands", "output": {"spec": "uinput", "failed": "uinput: not there"}})
+    assert text.count("uinput") == 1
+
+
+def test_a_pause_is_seen_behind_a_worse_state():
+    assert "no-camera for 3.0 s, and paused" in shown({"state": "no-camera", "since_s": 3.0, "paused": True})
+    assert "and paused" not in shown({"state": "paused", "since_s": 3.0, "paused": True})
+    assert "and paused" not in shown({"state": "lost", "since_s": 3.0, "paused": False})
+
+
+@pytest.mark.parametrize(
+    ("words", "reply", "said"),
+    [
+        (["set", "motion.scale_x=2"], {"text": "configuration applied: tracker"}, "configuration applied: tracker"),
+        (["record", "--stop"], {"folder": "/r/a", "frames": 5, "text": "/r/a: 5 frames"}, "/r/a: 5 frames"),
+        (["pause"], {"state": "paused"}, "paused; go on with: spheremouse ctl resume"),
+        (["resume"], {"state": "lost"}, "resumed: lost"),
+        (["stop"], {}, "the daemon ends"),
+    ],
+)
+def test_the_daemons_own_words_come_first(ctl, path, words, reply, said):
+    with ControlServer(path, ControlSettings(), lambda _, answer: answer(dict(reply))):
+        assert ctl(*words) == (0, f"{said}\n", "")
+
+
 def test_a_recording_is_shown_while_it_runs():
     recording = {"folder": "/r/bug-1", "frames": 90, "seconds": 3.0, "bytes": 41_000_000, "dropped": 2}
     assert "/r/bug-1: 90 frames, 3.0 s, 41 MB, 2 dropped" in shown({"state": "tracking", "recording": recording})

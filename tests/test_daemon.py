@@ -24,7 +24,7 @@ from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon import run as run_module
 from spheremouse.daemon.client import Client
 from spheremouse.daemon.protocol import Request
-from spheremouse.errors import ControlError
+from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.rig_file import rig_text
 
 PATIENCE = 60.0  # s
@@ -117,13 +117,47 @@ def test_counts_are_the_integral_of_the_motion(playing):
     near(world)
     status = ask(world, "status")
     assert status["state"] == "tracking"
-    assert (status["skipped"], status["damaged"], status["unseen_s"], status["lost_count"]) == (0, 0, 0.0, 0)
+    assert (status["damaged"], status["unseen_s"], status["lost_count"]) == (0, 0.0, 0)
     assert status["output"] == {"spec": "sink:quiet", "failed": None, "reports": status["output"]["reports"],
                                 "unsent": [0, 0, 0], "ahead": [0, 0, 0]}  # fmt: skip
     world.until(lambda: set(ask(world, "status")["stages_ms"]) == {"wait", "decode", "detect", "filter"})
     assert status["discs"] >= 4
     assert status["pose"]["position_m"][2] == pytest.approx(2.35, abs=0.01)
     assert "off" in status["scheduling"]
+
+
+def test_a_compiler_is_not_waited_for(world, monkeypatch):
+    """It may take minutes; who asks is told so, and a stop is one."""
+    compiling, told = threading.Event(), threading.Event()
+
+    def compile_for_long(_):
+        told.set()
+        compiling.wait(PATIENCE)
+
+    monkeypatch.setattr(run_module, "make_ready", compile_for_long)
+    try:
+        world.start()
+        world.until(told.is_set)
+        for command in ("set", "reload", "reinit", "record", "snapshot"):
+            more = {"assignments": ["motion.scale_x=2"]} if command == "set" else {}
+            assert "the program is made ready" in refused(world, command, **more)
+        assert ask(world, "pause")["state"] == "starting"
+        ask(world, "stop")
+        world.join()
+    finally:
+        compiling.set()
+    assert world.counts.tolist() == [0, 0, 0]
+
+
+def test_an_error_while_it_is_made_ready_ends_it(world, monkeypatch):
+    def fail(_):
+        raise ConfigurationError("as if")
+
+    monkeypatch.setattr(run_module, "make_ready", fail)
+    world.start()
+    world.join()
+    assert isinstance(world.error, ConfigurationError)
+    world.error = None
 
 
 def test_it_ends_when_it_is_asked_to_and_the_map_is_there(playing):
@@ -335,7 +369,7 @@ def test_a_broken_file_is_refused_with_its_line_and_all_stays(playing):
     world.turn(20)
     assert np.abs(world.counts - before).max() > 20
     world.config.write_text(good)
-    world.until(lambda: ask(world, "reload")["text"].endswith("nothing has changed"))
+    world.until(lambda: ask(world, "reload")["message"].endswith("nothing has changed"))
 
 
 def test_a_change_on_disk_is_picked_up(playing):
@@ -412,7 +446,7 @@ def test_another_rig_is_taken_up_or_refused(playing):
     rig.write_text(good.replace("radius:", "raduis:"))
     assert "rig.yaml:" in refused(world, "reload")
     rig.write_text(rig_text(world.film.rig, {"note": "measured anew"}).replace("f:", "f:"))
-    world.until(lambda: ask(world, "reload")["text"])
+    world.until(lambda: ask(world, "reload")["message"])
     smaller = rig_text(world.film.rig).replace("radius: 0.6", "radius: 0.3", 1)
     assert smaller != good
     rig.write_text(smaller)  # its map, which is saved meanwhile, is of a ball of another size
@@ -453,7 +487,7 @@ def test_the_pose_is_estimated_anew_while_the_ball_turns_and_nothing_jumps(playi
     world = playing
     world.moves = 47
     age = ask(world, "status")["pose"]["age_s"]
-    text = ask(world, "reinit")["text"]
+    text = ask(world, "reinit")["message"]
     assert text.startswith("camera pose: targets")
     world.until(lambda: world.moves == 0)
     world.settle()
@@ -477,14 +511,14 @@ def test_with_hidden_targets_the_pose_stays_and_the_answer_says_why(playing):
     assert ask(world, "status")["pose"]["position_m"] == pose
     world.fault = ""
     world.settle()
-    assert ask(world, "reinit")["text"]  # and again, now that they are there
+    assert ask(world, "reinit")["message"]  # and again, now that they are there
 
 
 def test_hidden_targets_at_the_start_are_waited_for(world):
     world.fault = "hidden"
     world.start()
     world.until(lambda: said(world, "searching-targets: 0 of 4 targets"))
-    assert "being looked for" in ask(world, "reinit")["text"]
+    assert "being looked for" in ask(world, "reinit")["message"]
     world.fault = ""
     world.reach("tracking")
 
@@ -497,7 +531,7 @@ def test_an_error_of_ours_in_the_estimate_is_answered_and_does_not_stay(playing,
     assert "internal error (ZeroDivisionError: as if)" in refused(playing, "reinit")
     monkeypatch.undo()
     playing.settle()
-    assert ask(playing, "reinit")["text"]
+    assert ask(playing, "reinit")["message"]
 
 
 def test_a_camera_that_goes_ends_the_estimate(playing):
@@ -512,7 +546,7 @@ def test_a_camera_that_goes_ends_the_estimate(playing):
     world.missing, world.silent = "", False
     world.reach("tracking")
     world.settle()
-    assert ask(world, "reinit")["text"]
+    assert ask(world, "reinit")["message"]
 
 
 # ---- pause, pictures, recordings ----

@@ -39,12 +39,16 @@ from spheremouse.doctor.finding import Section, Verdict, ok, warning, wrong
 from spheremouse.doctor.footage import GRID, Footage, film
 from spheremouse.doctor.private import redactor
 from spheremouse.errors import SourceError
+from spheremouse.motion import Motion
+from spheremouse.output import text
 from spheremouse.recording import open_dataset
+from spheremouse.rig_file import load_rig, save_rig
 from spheremouse.rotation import exp
 from spheremouse.service import Place
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"
+STILL = Motion(0.0, (0, 0, 0), np.zeros(3), np.zeros(3))
 
 
 @pytest.fixture(autouse=True)
@@ -130,6 +134,7 @@ def test_one_thing_wrong_hides_nothing_else(tmp_path, far26):
     assert said.verdict is WRONG
     assert "gone.yaml" in said.text
     assert "no such file" in said.text
+    assert one(found, "configuration", "rig").verdict is UNCHECKED  # another than the one that is named
     assert one(found, "output", "output").verdict is WRONG
     assert "teleport" in one(found, "output", "output").text
     assert one(found, "picture", "targets").verdict is OK  # the recording brings a rig
@@ -143,6 +148,15 @@ def test_a_configuration_that_cannot_be_read_is_told_with_its_line_and_the_rest_
     found = examined(file=config, source=f"dataset:{far26}")
     assert f"{config}:3: discs.contrast" in one(found, "configuration", "configuration").text
     assert one(found, "picture", "discs").verdict is OK
+
+
+def test_each_problem_of_a_file_is_a_line_with_its_advice(tmp_path):
+    config = tmp_path / "config.yaml"
+    config.write_text("schema: 1\ndiscs:\n  contrast: much\n  contrst: 1\nrig: gone.yaml\n")
+    _, found = files.read(Request(config, source="null", output="null"), None)
+    assert [f.text.partition(": ")[0] for f in found] == [f"{config}:3", f"{config}:4"]
+    assert all(str(config) not in f.advice for f in found)
+    assert [f.verdict for f in found] == [WRONG, WRONG]
 
 
 def test_a_source_that_gives_nothing_leaves_the_other_subjects(tmp_path):
@@ -549,6 +563,13 @@ def test_outputs_are_told_without_being_opened(tmp_path, monkeypatch):
     assert outputs.check(f"text:{tmp_path}/log")[0].verdict is OK
     assert outputs.check(f"text:{tmp_path}/nowhere/log")[0].verdict is WRONG
     assert not (tmp_path / "log").exists()
+    (tmp_path / "log").write_text("a letter")
+    assert outputs.check(f"text:{tmp_path}/log")[0].verdict is WRONG
+    assert "no log of motions" in outputs.check(f"text:{tmp_path}/log")[0].text
+    with text.open(str(tmp_path / "motions")) as output:
+        output.send(STILL)
+    assert outputs.check(f"text:{tmp_path}/motions")[0].verdict is OK
+    assert outputs.check(f"text:{tmp_path}")[0].verdict is WRONG
     monkeypatch.setattr(outputs, "uinput", lambda: ok("uinput", "may be written"))
     taken, *others = outputs.check("auto")
     assert taken.text == "auto takes uinput"
@@ -578,8 +599,6 @@ def test_what_a_camera_does_by_itself_is_a_warning():
 
 
 def test_the_rig_and_its_age(tmp_path, far26):
-    from spheremouse.rig_file import load_rig, save_rig
-
     rig = open_dataset(far26).rig
     path = tmp_path / "rig.yaml"
     save_rig(path, rig, {"date": "2020-01-31"})
@@ -609,6 +628,55 @@ def test_without_a_word_the_daemons_or_the_services_configuration_is_looked_at(t
     other.write_text("schema: 1\n")
     assert files.usual(Request(), {"config": str(other)}).file == other
     assert files.usual(Request(source="null"), {"config": str(other)}).file is None
+
+
+def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path, monkeypatch):
+    """From whatever folder it was started, and whatever the service's configuration says."""
+    config = Place(tmp_path).configuration / "config.yaml"
+    config.parent.mkdir(parents=True)
+    config.write_text("schema: 1\n")
+    cabinet = tmp_path / "cabinet"
+    cabinet.mkdir()
+    monkeypatch.chdir(cabinet)
+    told = {
+        "pid": os.getpid(),
+        "config": None,
+        "rig": "rig.yaml",
+        "map": None,
+        **{k: STATUS[k] for k in ("source", "output")},
+    }
+    asked = files.usual(Request(), told)
+    assert (asked.file, asked.source, asked.output) == (None, "v4l2:/dev/video7", "uinput")
+    assert asked.no_map
+    if Path("/proc/self/cwd").exists():
+        assert asked.rig == cabinet.resolve() / "rig.yaml"
+    assert files.usual(Request(), {**told, "pid": 0}).rig == Path("rig.yaml")
+    assert files.usual(Request(), {**told, "rig": "/r.yaml", "map": "/m.yaml"}) == Request(
+        None, (), "v4l2:/dev/video7", "uinput", Path("/r.yaml"), None, Path("/m.yaml")
+    )
+
+
+def test_map_and_recordings_of_the_service_are_where_the_service_keeps_them(tmp_path, far26):
+    place = Place(tmp_path)
+    rig, config = place.configuration / "rig.yaml", place.configuration / "config.yaml"
+    config.parent.mkdir(parents=True)
+    save_rig(rig, open_dataset(far26).rig)
+    config.write_text("schema: 1\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\n")
+    assert map_read(config) == place.state / "rig.map.yaml"
+    config.write_text("schema: 1\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\nmap: mine.yaml\n")
+    assert map_read(config) == place.configuration / "mine.yaml"
+    own = config.with_name("own.yaml")
+    own.write_text("schema: 1\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\n")
+    assert map_read(own) == place.configuration / "rig.map.yaml"
+    assert f"in {place.state}/recordings" in computer.disk(RecordSettings(), place.state).text
+    assert str(place.state) not in computer.disk(RecordSettings(folder=str(tmp_path)), place.state).text
+
+
+def map_read(config):
+    plan, found = files.read(Request(config), None)
+    assert [f.verdict for f in found] == [OK]
+    assert plan is not None
+    return plan.map_path
 
 
 # ---- the daemon ----
@@ -641,6 +709,11 @@ def test_what_the_daemon_says_of_itself(change, name, verdict):
     found = running.check({**STATUS, **change})
     assert {f.name for f in found if f.verdict is not OK} == ({name} if name else set())
     assert all(f.verdict is verdict for f in found if f.name == name)
+
+
+def test_the_output_is_named_once():
+    told = running.check({"output": {"spec": "uinput", "failed": "uinput: not there; modprobe uinput"}})[-1]
+    assert (told.text, told.advice) == ("uinput: not there", "modprobe uinput")
 
 
 def test_a_status_without_keys_is_no_trouble():
@@ -750,6 +823,11 @@ def test_names_and_numbers_of_the_computer_are_taken_out(told, kept):
     assert clean(told) == kept
     assert clean(clean(told)) == kept
     assert clean({"a": [told, 3, None]}) == {"a": [kept, 3, None]}
+
+
+def test_who_called_sudo_is_taken_out_too(monkeypatch):
+    monkeypatch.setenv("SUDO_USER", "ada")
+    assert redactor("/root", None, "cabinet7", [])("/run/media/ada/rig.yaml") == "/run/media/USER/rig.yaml"
 
 
 def test_a_serial_number_is_found_in_a_lasting_name_that_nobody_told_of():

@@ -233,6 +233,26 @@ def test_what_is_not_wanted_is_counted(start):
     assert even(reporter, given)
 
 
+def test_at_rest_nothing_is_carried_on_and_an_output_of_frames_hears_nothing_of_it(start, tmp_path):
+    world = World()
+    reporter, given = start(world, PointerSettings(horizon=0.25, smooth=0.0))
+    now = time.monotonic()
+    given(0, 0, 0, taken=now - 0.01)
+    given(100, 0, 0, rate=(1000.0, 0.0, 0.0), taken=now)
+    reporter.rest(time.monotonic())
+    until(lambda: world.motions and not reporter._given)
+    sent = world.sum
+    time.sleep(0.3)
+    assert world.sum == sent
+    assert even(reporter, given)
+    path = tmp_path / "lines"
+    reporter, given = start(World(), EXACT, lambda: open_output(f"text:{path}"))
+    given(1, 2, 3)
+    reporter.rest(time.monotonic())
+    given(4, 5, 6)
+    until(lambda: path.exists() and path.read_text().count("\n") == 3)  # a header
+
+
 def test_a_pause_ends_what_was_under_way(start):
     world = World()
     reporter, given = start(world, PointerSettings(horizon=0.25, smooth=1.0))

@@ -95,7 +95,7 @@ class Archive:
                     settings,
                     described,
                     tracker=c,
-                    configuration=config.dump(c, type(c)()),
+                    configuration=config.dump(_of_the_tracker(c), type(c)()),
                 )
             except (SpheremouseError, OSError) as e:
                 reply(refused(str(e)))
@@ -143,7 +143,7 @@ class Archive:
                 return
             status = recorder.status()
             self._say(f"record: {status.ended}")
-            reply({"folder": str(path), "frames": status.frames, "text": status.ended})
+            reply({"folder": str(path), "frames": status.frames, "message": status.ended})
 
         self._background.begin(finish)
 
@@ -181,6 +181,16 @@ class Archive:
                     reply({"file": str(path)})
 
         self._background.begin(write)
+
+
+def _of_the_tracker(c: Configuration) -> Configuration:
+    """Without what belongs to this computer: its devices, files and doors. A replay brings its own."""
+    plain = type(c)()
+    return replace(
+        c,
+        source=None, output=None, rig=None, camera_file=None, map=None,
+        control=plain.control, record=plain.record, metrics=plain.metrics,
+    )  # fmt: skip
 
 
 def _nothing() -> None:

@@ -23,3 +23,28 @@ class Background:
         """Wait for all that has been begun."""
         for thread in self._threads:
             thread.join(_PATIENT)
+
+
+class Made:
+    """One thing made in a thread; an error of it comes out where it is waited for."""
+
+    def __init__(self, make: Callable[[], None]) -> None:
+        self._make = make
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="making", daemon=True)
+        self._thread.start()
+
+    def wait(self, seconds: float) -> bool:
+        """Is it made? Waits at most so long."""
+        self._thread.join(seconds)
+        if self._thread.is_alive():
+            return False
+        if self._error is not None:
+            raise self._error
+        return True
+
+    def _run(self) -> None:
+        try:
+            self._make()
+        except Exception as e:
+            self._error = e

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from spheremouse.daemon.capture import Streamed
@@ -36,10 +37,14 @@ def opener(plan: Plan, first: Source | None = None) -> Callable[[], Camera]:
 
 def refuse_if_taken(plan: Plan) -> None:
     """SourceError where another daemon has the camera: said at once, not waited for."""
+    with held(plan):
+        pass
+
+
+def held(plan: Plan) -> AbstractContextManager[None]:
+    """Holds the camera's node before it is opened. SourceError where another daemon has it."""
     node = node_of(plan)
-    if node is not None:
-        with claimed(node):
-            pass
+    return nullcontext() if node is None else claimed(node)
 
 
 def node_of(plan: Plan) -> Path | None:

@@ -15,7 +15,7 @@ from spheremouse.daemon.protocol import MAX_LINE
 from spheremouse.errors import ControlError
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
-_PATIENCE = {"status": 5.0}  # s; other commands may take the daemon a while
+_PATIENCE = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
 _CONNECT = 5.0  # s
 _LONGEST = 65.0  # s; the daemon itself says after 60 that there is no answer
 
@@ -69,7 +69,7 @@ class Client:
         """Events, `status` every `interval` s and `log`, until the daemon ends, which is a NoDaemonError."""
         self.ask("watch", interval=interval)
         while True:
-            yield self._receive(max(_LONGEST, 3.0 * interval))
+            yield self._receive(max(_PATIENCE["watch"], 3.0 * interval))
 
     def _exchange(self, message: dict[str, Any], patience: float) -> dict[str, Any]:
         line = json.dumps(message).encode() + b"\n"

@@ -239,7 +239,8 @@ class Recorder:
             self._free.put(buffer)
 
     def _disk_is_full(self) -> bool:
-        return shutil.disk_usage(self._folder.parent).free < 1e6 * self._settings.free_megabytes
+        least = max(1e6 * self._settings.free_megabytes, _BEHIND)  # a full disk takes no more, whatever is asked for
+        return shutil.disk_usage(self._folder.parent).free < least
 
     def _check_disk(self) -> None:
         if self._disk_is_full():

@@ -62,6 +62,7 @@ class _Given:
     tracking: bool
     wanted: bool  # not paused
     came: float  # s
+    frame: bool = True  # False: nothing but the end of what is predicted
 
 
 class Reporter:
@@ -107,6 +108,12 @@ class Reporter:
         if len(self._given) > QUEUED:
             with contextlib.suppress(IndexError):  # the thread was quicker
                 self._overflow = plus(self._overflow, self._given.popleft().motion.counts)
+        self._ring()
+
+    def rest(self, now: float) -> None:
+        """Carry nothing on: no frame will say whether it is true."""
+        still = Motion(now, _NONE, _NOTHING, _NOTHING)
+        self._given.append(_Given(still, (0.0, 0.0, 0.0), now, False, True, self._clock(), frame=False))
         self._ring()
 
     def pause(self, paused: bool) -> None:
@@ -192,6 +199,8 @@ class Reporter:
             self._forget()
         while self._given:
             given = self._given.popleft()
+            if not given.frame and self._per_frame:
+                continue
             now = self._clock()
             late = now - given.came > LATE and not self._per_frame
             if self._output is None or self._paused or late or not given.wanted:

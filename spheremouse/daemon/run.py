@@ -23,14 +23,15 @@ import numpy as np
 from spheremouse import __version__
 from spheremouse.daemon import realtime
 from spheremouse.daemon.archive import Archive
-from spheremouse.daemon.background import Background
+from spheremouse.daemon.background import Background, Made
+from spheremouse.daemon.cameras import held, is_camera
 from spheremouse.daemon.capture import PATIENCE, Capture
 from spheremouse.daemon.changes import AT_START, differences, latest, stages_of, stamps_of
 from spheremouse.daemon.control import ControlServer, Reply
 from spheremouse.daemon.metrics import serve as serve_metrics
 from spheremouse.daemon.notify import Notifier
 from spheremouse.daemon.places import socket_path
-from spheremouse.daemon.plan import Plan, check_kinds, read_plan
+from spheremouse.daemon.plan import Plan, check_kinds, read_plan, without_map
 from spheremouse.daemon.plan import Request as PlanRequest
 from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.daemon.recorder import recordings_folder, tidy
@@ -40,7 +41,6 @@ from spheremouse.daemon.states import Facts, State, judge, letters, news
 from spheremouse.daemon.worker import Step, Worker
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ControlError, SpheremouseError
-from spheremouse.motion import Motion
 from spheremouse.output import Output, open_output
 from spheremouse.pointer import Counts, minus, plus
 from spheremouse.rig import Rig
@@ -89,7 +89,7 @@ class Daemon:
         self._began = time.monotonic()
         self._stack = contextlib.ExitStack()
         self._todo: deque[Callable[[], None]] = deque()
-        self._over = False
+        self._over = self._told_to_stop = False
         self._paused = ""
         self._starting = "the program is being made ready"
         self._state, self._reason, self._since = State.STARTING, self._starting, self._began
@@ -122,8 +122,8 @@ class Daemon:
         try:
             with self._on_hang_up():
                 self._open_doors()
-                self._get_ready()
-                self._loop(stopping)
+                if self._get_ready(stopping):
+                    self._loop(stopping)
         finally:
             self._notifier.stopping()
             self._close()
@@ -132,6 +132,11 @@ class Daemon:
     def tracker(self) -> Tracker | None:
         """The tracker in use; None while the camera's pose is not known."""
         return self._worker.tracker
+
+    @property
+    def told_to_stop(self) -> bool:
+        """Whether it was `ctl stop` that ended it."""
+        return self._told_to_stop
 
     @property
     def never_posed(self) -> str:
@@ -143,8 +148,7 @@ class Daemon:
     def _loop(self, stopping: Stopping) -> None:
         while not (stopping.asked or self._over):
             arrival = self._ring.take(_TICK)
-            while self._todo:
-                self._act(self._todo.popleft())
+            self._act_on_all()
             now = time.monotonic()
             if arrival is not None:
                 self._last = now
@@ -164,6 +168,10 @@ class Daemon:
             self._judge(now)
             self._tend(now)
             self._over |= self._reporter.ended
+
+    def _act_on_all(self) -> None:
+        while self._todo:
+            self._act(self._todo.popleft())
 
     def _act(self, action: Callable[[], None]) -> None:
         """Something that was asked for. No error of it ends the run."""
@@ -210,7 +218,7 @@ class Daemon:
 
     def _interrupted(self, now: float) -> None:
         """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
-        self._reporter.give(Motion(now, (0, 0, 0), np.zeros(3), np.zeros(3)), (0.0, 0.0, 0.0), now, False)
+        self._reporter.rest(now)
         self._worker.interrupted(self._reason)
         self._archive.interrupted(self._reason)
 
@@ -294,11 +302,17 @@ class Daemon:
             self._listen()
             self.say("control: `spheremouse ctl` can ask this run now")
 
-    def _get_ready(self) -> None:
+    def _get_ready(self, stopping: Stopping) -> bool:
+        """Whether it came to that: a compiler is not waited for by who is asked to stop."""
         self._starting = "the program is made ready; after an installation it compiles for a minute or more"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
-        make_ready(self._plan.configuration)
+        with held(self._plan):  # whoever comes second hears so now
+            ready = Made(lambda: make_ready(self._plan.configuration))
+            while not ready.wait(_TICK):
+                self._act_on_all()
+                if stopping.asked or self._over:
+                    return False
         self._notifier.usual()
         self._starting = ""
         self._realtime = self._plan.configuration.realtime == "auto"
@@ -308,6 +322,7 @@ class Daemon:
         self._capture.start()
         self._claim(self._capture.native_id)
         self._last = time.monotonic()
+        return True
 
     def _claim(self, thread: int | None) -> None:
         if self._realtime:
@@ -353,10 +368,10 @@ class Daemon:
         if request.command == "status":
             reply(self.status())
         elif request.command == "stop":
-            self._over = True
+            self._over = self._told_to_stop = True
             self._ring.wake()
             reply({})
-        elif self._starting and request.command in ("record", "snapshot", "reinit"):
+        elif self._starting and request.command not in ("pause", "resume"):
             reply(refused(f"{self._state}: {self._starting}"))
         else:
             self._ask(lambda: self._do(request, reply))
@@ -415,7 +430,7 @@ class Daemon:
     def _told_pose(self, reply: Reply, error: str | None, text: str) -> None:
         if error is None:
             self.say(text)
-            reply({"text": text})
+            reply({"message": text})
         else:
             self.say(f"camera pose: {error}")
             reply(refused(error))
@@ -466,8 +481,9 @@ class Daemon:
         """Another plan from here on; what cannot be changed under way is said."""
         before, self._loading = self._plan, None
         self._go_on_loading()
-        if plan.rig is None and before.rig is None:
-            plan = replace(plan, map_path=before.map_path)
+        own_rig = self._given is not None and not is_camera(plan.source)
+        if own_rig and wanted.map is None and plan.configuration.map is None:
+            plan = without_map(plan)
         changed = differences(before, plan)
         try:
             rig = plan.device(self._given) if "rig" in changed else self._rig
@@ -503,7 +519,7 @@ class Daemon:
             text += f" ({', '.join(later)}: from the next start on)"
         if changed or not quiet:
             self.say(text)
-        reply({"changed": changed, "text": text})
+        reply({"changed": changed, "message": text})
 
     def _change_keeper(self) -> None:
         """What was learnt is saved before the map is read: it may be the same file."""
@@ -585,9 +601,9 @@ class Daemon:
             "uptime_s": now - self._began,
             "version": __version__,
             "pid": os.getpid(),
-            "config": None if self._request.file is None else str(self._request.file),
-            "rig": None if plan.rig_path is None else str(plan.rig_path),
-            "map": None if plan.map_path is None else str(plan.map_path),
+            "config": _whole(self._request.file),
+            "rig": _whole(plan.rig_path),
+            "map": _whole(plan.map_path),
             "recording": self._archive.status(),
             "memory_mb": _memory_mb(),
             "cpu_share": self._cpu_share,
@@ -617,6 +633,11 @@ class Daemon:
 
     def _known(self) -> DiscMap | None:
         return None if self._keeper is None else self._keeper.known
+
+
+def _whole(path: Path | None) -> str | None:
+    """For who asks from another folder."""
+    return None if path is None else str(path.absolute())
 
 
 def _ms(median: float, slow: float, most: float | None = None) -> dict[str, float]:

@@ -51,7 +51,7 @@ def examine(
     node = None if plan is None else node_of(plan)
     node = node if node is not None and node.exists() else None
     yield Section("service", tuple(_guarded("service", installed.check, node)))
-    yield Section("computer", tuple(_computer(plan, say)))
+    yield Section("computer", tuple(_computer(plan, files.service_state(usual), say)))
 
 
 def _with_plan(
@@ -89,7 +89,10 @@ def _with_plan(
     given = None if footage is None else footage.rig
     rig = plan.rig or given
     rig = with_camera(rig, plan.camera) if rig is not None and plan.camera is not None else rig
-    if rig is not None or not any(f.verdict is Verdict.WRONG for f in findings):
+    broken = any(f.verdict is Verdict.WRONG for f in findings)
+    if broken and plan.rig is None and given is not None:
+        findings.append(unchecked("rig", "the source's own is taken, since not all that is named can be read"))
+    elif rig is not None or not broken:
         findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, given)
     findings += _guarded("map", files.map_of, plan.map_path, rig)
     yield Section("configuration", tuple(findings))
@@ -158,14 +161,14 @@ def _is_theirs(plan: Plan, status: dict[str, Any] | None) -> bool:
     return here is not None and there is not None and here.resolve() == there.resolve()
 
 
-def _computer(plan: Plan | None, say: Say) -> list[Finding]:
+def _computer(plan: Plan | None, state: Path | None, say: Say) -> list[Finding]:
     from spheremouse.daemon.record_settings import RecordSettings
     from spheremouse.service import Place
 
     say("looking at the computer")
     settings = RecordSettings() if plan is None else plan.configuration.record
     return [
-        *_guarded("disk", computer.disk, settings),
+        *_guarded("disk", computer.disk, settings, state),
         *_guarded("memory", computer.memory),
         *_guarded("scheduling", computer.scheduling, Place().unit.exists()),
         *_guarded("load", computer.load),

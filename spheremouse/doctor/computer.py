@@ -15,16 +15,18 @@ _MEMORY = 400.0  # MB: the daemon's 200, and as much for the compiler at its fir
 _SYS_NICE = 23  # CAP_SYS_NICE
 
 
-def disk(settings: RecordSettings) -> Finding:
-    """Room for one recording beside what is to stay free."""
-    folder = recordings_folder(settings)
+def disk(settings: RecordSettings, state: Path | None = None) -> Finding:
+    """Room for one recording beside what is to stay free; `state` is the folder of a service, which writes as another
+    account than this one."""
+    of_service = state is not None and settings.folder is None
+    folder = state / "recordings" if state is not None and of_service else recordings_folder(settings)
     there = folder
-    while not there.exists():
+    while not os.path.exists(there):  # nor one that this account may not look into
         there = there.parent
     free, needed = shutil.disk_usage(there).free / 1e6, settings.megabytes + settings.free_megabytes
     text = f"{free / 1e3:.1f} GB free for recordings in {folder}"
     numbers: dict[str, Any] = {"free_mb": round(free), "needed_mb": round(needed)}
-    if not os.access(there, os.W_OK | os.X_OK):
+    if not of_service and not os.access(there, os.W_OK | os.X_OK):
         return warning("disk", f"{there} may not be written: no recordings", "set record.folder elsewhere", **numbers)
     if free < needed:
         return warning(

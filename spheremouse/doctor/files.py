@@ -10,9 +10,9 @@ from typing import Any
 from spheremouse import config
 from spheremouse.daemon.plan import Plan, Request, read_plan
 from spheremouse.daemon.settings import Configuration
-from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
+from spheremouse.doctor.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
-from spheremouse.map_file import age, check_fits, load_map
+from spheremouse.map_file import age, check_fits, load_map, map_path
 from spheremouse.rig import Rig
 from spheremouse.service import Place
 from spheremouse.yaml_file import read_document
@@ -21,12 +21,40 @@ _DAY = 86400.0  # s
 
 
 def usual(request: Request, status: dict[str, Any] | None) -> Request:
-    """The request, with the configuration of the daemon that runs, or of the service, where nothing is named."""
+    """The request; where nothing is named, what the daemon that runs was told, or the configuration of the service."""
     if request != Request():
         return request
-    told = None if status is None else status.get("config")
-    places = [*([Path(told)] if told else []), *(Place(user=u).configuration / "config.yaml" for u in (False, True))]
+    if status is not None:
+        return _of_daemon(status)
+    places = [Place(user=u).configuration / "config.yaml" for u in (False, True)]
     return replace(request, file=next((p for p in places if os.access(p, os.R_OK)), None))
+
+
+def service_state(request: Request) -> Path | None:
+    """Folder of map and recordings, where the configuration is that of the system's service."""
+    place = Place()
+    return place.state if request.file == place.configuration / "config.yaml" else None
+
+
+def _of_daemon(status: dict[str, Any]) -> Request:
+    """What a daemon was told, on its command line or in its configuration."""
+
+    def place(key: str) -> Path | None:
+        told = status.get(key)
+        if not told or Path(told).is_absolute():
+            return Path(told) if told else None
+        try:  # it was said in its folder, which need not be ours
+            return Path(os.readlink(f"/proc/{int(status['pid'])}/cwd")) / told
+        except (OSError, KeyError, ValueError):
+            return Path(told)
+
+    def spec(key: str) -> str | None:
+        return (status.get(key) or {}).get("spec")
+
+    kept = place("map")
+    return Request(
+        place("config"), (), spec("source"), spec("output"), place("rig"), None, kept, kept is None and "map" in status
+    )
 
 
 def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Finding]]:
@@ -41,13 +69,21 @@ def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Findin
             plan = read_plan(_completed(attempt, camera))
             break
         except ConfigurationError as e:
-            if str(e) not in said:
-                said.add(str(e))
-                findings.append(refused("configuration", e))
+            findings += [f for f in refusals("configuration", e) if f.text not in said]
+            said |= {f.text for f in findings}
     if not findings:
         where = "none: built-in parameters" if request.file is None else str(request.file)
         findings.append(ok("configuration", where))
-    return plan, findings
+    return None if plan is None else _as_the_service(plan, request), findings
+
+
+def _as_the_service(plan: Plan, request: Request) -> Plan:
+    """Beside the rig, where this account may write, the service may not: its map lies in a folder of its own."""
+    state = service_state(request)
+    usual_map = None if plan.rig_path is None else map_path(plan.rig_path)
+    if state is None or usual_map is None or plan.map_path != usual_map:
+        return plan
+    return replace(plan, map_path=state / usual_map.name)
 
 
 def _completed(request: Request, camera: str | None) -> Request:
@@ -96,7 +132,7 @@ def size(rig: Rig, width: int, height: int) -> Finding:
 def map_of(path: Path | None, rig: Rig | None) -> Finding:
     """The map of the discs, which is made while the ball is used."""
     if path is None:
-        return ok("map", "none is kept for this source")
+        return ok("map", "none is kept for this source" if rig is not None else "none is kept without a rig file")
     if not path.exists():
         return ok("map", f"{path}: not there yet; it is made as the ball turns")
     try:

@@ -58,3 +58,8 @@ def refused(name: str, error: Exception, **values: Any) -> Finding:
     """An error of ours, which says after its semicolon what to do."""
     text, _, advice = " ".join(str(error).split()).partition("; ")
     return Finding(name, Verdict.WRONG, text, advice, values)
+
+
+def refusals(name: str, error: Exception) -> list[Finding]:
+    """A line to each of the problems that an error of ours lists, as that of a file does."""
+    return [refused(name, type(error)(line)) for line in str(error).splitlines() if line.strip()]

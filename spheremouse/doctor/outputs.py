@@ -106,7 +106,19 @@ def _own_board() -> Finding:
 def _text(argument: str) -> Finding:
     if argument in ("", "-"):
         return ok("output", "text to standard output")
-    folder = Path(argument).parent
-    if not os.access(folder, os.W_OK | os.X_OK):
-        return wrong("output", f"{folder} may not be written", "name a file elsewhere")
+    from spheremouse.output.text import NAMES
+
+    path = Path(argument)
+    if path.is_file() and path.stat().st_size > 0 and not _begins_with(path, NAMES.encode()):
+        return wrong("output", f"{path} is there and is no log of motions", "choose another name or remove it")
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        return wrong("output", f"{argument} may not be written", "name a file elsewhere")
     return ok("output", f"text to {argument}")
+
+
+def _begins_with(path: Path, words: bytes) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(len(words)) == words
+    except OSError:
+        return False

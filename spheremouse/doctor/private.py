@@ -20,7 +20,7 @@ def redactor(
 ) -> Callable[[Any], Any]:
     """A function that takes such words out of texts, and of whatever holds texts; by default those of this computer."""
     home = os.path.expanduser("~") if home is None else home
-    user = _user() if user is None else user
+    users = _users() if user is None else [user]
     host = platform.node() if host is None else host
     numbers = sorted(set(_serials() if serials is None else serials), key=len, reverse=True)
 
@@ -31,7 +31,8 @@ def redactor(
         for number in numbers:
             words = words.replace(number, _short(number))
         words = _BY_ID.sub(lambda m: m[1] + _short(m[2]) + m[3], words)
-        for secret, stands in ((user, "USER"), (host, "HOST"), (host.partition(".")[0], "HOST")):
+        named = [(user, "USER") for user in users]
+        for secret, stands in (*named, (host, "HOST"), (host.partition(".")[0], "HOST")):
             if len(secret) > 1 and secret not in _NOBODY:
                 words = re.sub(rf"(?<![\w]){re.escape(secret)}(?![\w])", stands, words)
         return words
@@ -52,11 +53,13 @@ def _short(number: str) -> str:
     return number if number.endswith("…") else number[:_KEPT] + "…"
 
 
-def _user() -> str:
+def _users() -> list[str]:
+    """This account, and who became it by sudo."""
+    asked = os.environ.get("SUDO_USER", "")
     try:
-        return getpass.getuser()
+        return [getpass.getuser(), asked]
     except (OSError, KeyError, ImportError):
-        return ""
+        return [asked]
 
 
 def _serials() -> list[str]:

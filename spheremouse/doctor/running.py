@@ -30,8 +30,8 @@ def ask(socket: Path | None = None) -> tuple[dict[str, Any] | None, Finding]:
         return None, ok("daemon", "none runs: the camera is free")
     except ControlError as e:
         return None, unchecked("daemon", str(e).partition("; ")[0], str(e).partition("; ")[2])
-    hours = float(status.get("uptime_s") or 0.0) / 3600.0
-    text = f"process {status.get('pid')}, version {status.get('version')}, for {hours:.1f} h"
+    age = _span(float(status.get("uptime_s") or 0.0))
+    text = f"process {status.get('pid')}, version {status.get('version')}, for {age}"
     if status.get("version") != __version__:
         return status, warning(
             "daemon", f"{text}; this program is {__version__}", "start it anew to run what is installed"
@@ -91,7 +91,7 @@ def _discs(s: dict[str, Any]) -> Finding | None:
     text = f"{used} used, {seen} seen, {known} known"
     pose = s.get("pose")
     if pose:
-        text += f"; camera pose {float(pose['age_s']) / 3600.0:.1f} h old"
+        text += f"; camera pose {_span(float(pose['age_s']))} old"
     if s.get("state") == "tracking" and int(used) < _FEW:
         return warning("discs", text, "uncover and light the ball", used=used)
     return ok("discs", text, used=used)
@@ -102,6 +102,13 @@ def _output(s: dict[str, Any]) -> Finding | None:
     if not told:
         return None
     if told.get("failed"):
-        text, _, advice = str(told["failed"]).partition("; ")
-        return wrong("sending", f"{told.get('spec')}: {text}", advice)
+        spec = str(told.get("spec"))
+        text, _, advice = str(told["failed"]).removeprefix(f"{spec}: ").partition("; ")
+        return wrong("sending", f"{spec}: {text}", advice)
     return ok("sending", f"{told.get('spec')}: {told.get('reports')} reports sent")
+
+
+def _span(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.0f} h"

@@ -140,7 +140,10 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
         text += f", contrast {strength:.2f} (print has 0.8; {settings.contrast:g} is the least)"
     if count < _FEW:
         return warning(
-            "discs", f"{text}: with two nothing checks the attitude", "uncover the ball, or more discs", **numbers
+            "discs",
+            f"{text}: fewer than three, nothing checks the attitude",
+            "uncover the ball, or more discs",
+            **numbers,
         )
     return ok("discs", text, **numbers)
 
