@@ -1,0 +1,95 @@
+"""Near and far: a short film by all trackers, sums over films, sections of good, failed and missing results."""
+
+import json
+
+import numpy as np
+import pytest
+
+from spheremouse.experiments import near_far
+from spheremouse.experiments.experiment import Request, Table
+from spheremouse.experiments.report import write_report
+
+QUICK = Request(True, None)
+
+
+@pytest.fixture(scope="module")
+def film():
+    """Twelve frames."""
+    return json.loads(json.dumps(near_far.followed("far", 0, 0.4)))
+
+
+def report(discs, error, tracked=10):
+    axes = dict(zip("xyz", error, strict=True))
+    return {"frames": 10, "tracked": tracked, "mean_discs": discs, "attitude_rmse_deg": axes, "rate_rmse_deg_s": axes,
+            "detection": {"centre_rms_px": 0.03}}  # fmt: skip
+
+
+def made(discs, error, bound=(0.1, 0.1, 0.1)):
+    trackers = {name: report(discs, error) for name in near_far._VARIANTS}
+    return {"frames": 10, "trackers": trackers, "bound": {"attitude": list(bound), "rate": list(bound)}}
+
+
+def test_a_film_is_tracked_by_all_and_bounded(film):
+    assert film["frames"] == 12
+    for name in ("ekf1", "ekf2", "so3"):
+        found = film["trackers"][name]
+        assert found["tracked"] == 12
+        assert found["attitude_rmse_deg"]["combined"] < 0.1
+    assert film["trackers"]["ekf2, blobs"]["tracker"] == "ekf2"
+    for what in ("attitude", "rate"):
+        bound = np.array(film["bound"][what])
+        assert bound.shape == (3,)
+        assert np.all((bound > 1e-4) & (bound < 5.0))
+
+
+def test_the_bound_grows_with_the_noise_of_centres():
+    options = near_far.kit.options_of({"discs": 20, "seconds": 0.3})
+    film = near_far.kit.made(near_far.prepare(options))
+    one, two = (near_far._bound(film, sigma) for sigma in (0.05, 0.1))
+    assert np.all(np.array(two["attitude"]) > 1.3 * np.array(one["attitude"]))
+    assert np.all(np.array(two["attitude"]) < 2.1 * np.array(one["attitude"]))
+
+
+def test_films_are_summed_as_squares():
+    results = {"near-0": made(6.0, (3.0, 0.0, 1.0)), "near-1": made(8.0, (4.0, 0.0, 1.0)), "near-2": {"error": "x"}}
+    found = near_far._of_view(results, "near")
+    assert found["so3"]["discs"] == pytest.approx(7.0)
+    assert found["so3"]["rate"] == pytest.approx([np.sqrt(12.5), 0.0, 1.0])
+    assert found["bound"]["rate"] == pytest.approx([0.1, 0.1, 0.1])
+    assert near_far._of_view(results, "far") == {}
+
+
+def test_frames_that_were_not_tracked_are_counted():
+    film = made(6.0, (1.0, 1.0, 1.0))
+    film["trackers"]["ekf1"]["tracked"] = 4
+    film["trackers"]["ekf2"]["tracked"] = 0
+    found = near_far._of_view({"far-0": film}, "far")
+    assert found["ekf1"]["untracked"] == 6
+    assert "ekf2" not in found
+
+
+def test_a_section_has_the_table_and_says_what_failed(tmp_path):
+    near = made(6.0, (0.2, 0.2, 0.2))
+    near["trackers"]["ekf1"] = {"error": "no target found"}
+    results = {"near-0": near, "far-0": made(9.0, (0.1, 0.1, 0.1))}
+    section = near_far.section(QUICK, results)
+    page = write_report(tmp_path, {"near_far": (near_far.TITLE, section)}, "x")[0].read_text()
+    assert "+50%" in page
+    assert "is 2.00 (`ekf2`) and 2.00 (`so3`); in the thesis 2.65" in page  # of attitude
+    assert "near-0, ekf1: no target found" in page
+    assert "| near: discs | 7.4 | 6.0 | failed | 6.0 | 6.0 |" in page
+    assert (tmp_path / "experiments" / "near-far-dark.svg").stat().st_size > 5000
+
+
+def test_a_section_without_results_has_rows_that_say_so():
+    failed = {j.key: {"error": "too little memory"} for j in near_far.jobs(QUICK)}
+    for given in ({}, failed):
+        section = near_far.section(QUICK, given)
+        (table,) = [p for p in section.parts if isinstance(p, Table)]
+        assert all("failed" in row for row in table.rows)
+        assert ("too little memory" in str(section.parts)) == bool(given)
+
+
+def test_jobs_have_keys_of_their_own():
+    quick, whole = near_far.jobs(QUICK), near_far.jobs(Request(False, None))
+    assert len({j.key for j in whole}) == len(whole) > len(quick)
