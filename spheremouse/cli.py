@@ -26,6 +26,8 @@ _COMMANDS = {
     "evaluate": (
         "cli_evaluate", "evaluate", "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
     ),
+    "match": ("cli_match", "match", "Example: spheremouse match recording trackball.csv --out trackball.yaml"),
+    "log-mouse": ("cli_log_mouse", "log_mouse", "Example: spheremouse log-mouse --device Logitech --out trackball.csv"),
     "bench": ("cli_bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),
     "layout": ("cli_layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
     "doctor": ("cli_doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),

@@ -30,7 +30,8 @@ from spheremouse.rotation import exp, log
 from spheremouse.stopping import Stopping
 from spheremouse.timing import FrameTimes
 
-COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"], ["map"], ["map", "show"], ["map", "compare"])
+COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"], ["map"], ["map", "show"], ["map", "compare"],
+            ["match"], ["log-mouse"])  # fmt: skip
 QUICK = ("--set", "pose.frames=2")
 
 

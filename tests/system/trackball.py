@@ -1,0 +1,149 @@
+"""`spheremouse log-mouse` on a trackball that the kernel has, made with uinput. Run by tests/system/run."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+
+from spheremouse.errors import SourceError
+from spheremouse.mouse_log import Listener, choose, mice, read_log
+
+evdev = pytest.importorskip("evdev")
+e = evdev.ecodes
+
+REPORTS = int(os.environ.get("MOTIONS", "1000"))
+NAME = "Old Trackball"
+
+
+@contextmanager
+def trackball(name=NAME):
+    """A mouse of the kernel with a wheel."""
+    axes = {e.EV_KEY: [e.BTN_LEFT, e.BTN_RIGHT], e.EV_REL: [e.REL_X, e.REL_Y, e.REL_WHEEL]}
+    with evdev.UInput(axes, name=name) as device:
+        until(lambda: any(m.name == name and os.access(m.node, os.R_OK) for m in mice()))
+        yield device
+
+
+def until(what, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@contextmanager
+def logging(out, *words):
+    """The command in a process of its own, once it listens."""
+    command = [sys.executable, "-m", "spheremouse", "log-mouse", "--out", str(out), *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        said = process.stderr.readline()
+        assert said.startswith("listening to "), said + process.stderr.read()
+        until(lambda: any(p.suffix == ".new" for p in out.parent.iterdir()))
+        time.sleep(0.3)
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def move(device, x, y, wheel=0):
+    for code, value in ((e.REL_X, x), (e.REL_Y, y), (e.REL_WHEEL, wheel)):
+        if value:
+            device.write(e.EV_REL, code, value)
+    device.syn()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_every_report_is_in_the_log_by_the_monotonic_clock(tmp_path, number):
+    out = tmp_path / "log.csv"
+    rng = np.random.default_rng(4)
+    sent = rng.integers(-30, 31, (REPORTS, 3)) * [1, 1, 0]
+    sent[::50, 2] = 1
+    sent = sent[np.any(sent != 0, axis=1)]
+    times = np.zeros(len(sent))
+    with trackball() as device, logging(out, "--device", "old track") as process:
+        for k, (x, y, wheel) in enumerate(sent.tolist()):
+            move(device, x, y, wheel)
+            times[k] = time.monotonic()
+            time.sleep(0.002)
+        time.sleep(0.3)
+        process.send_signal(number)
+        said, complaints = process.communicate(timeout=30)
+        assert (process.returncode, complaints) == (0, "")
+    log = read_log(out)
+    np.testing.assert_array_equal(log.counts[1:-1], sent[:, :2])
+    np.testing.assert_array_equal(log.wheel[1:-1], sent[:, 2])
+    assert not log.lost.any()
+    late = times - log.stamp[1:-1]
+    print(f"{len(sent)} reports; stamped {1e3 * np.median(late):.3f} ms before the writer had done, median")
+    assert np.all(late > -1e-3)
+    assert np.median(late) < 0.05
+    assert log.stamp[0] < times[0]
+    assert log.stamp[-1] > times[-1]
+    assert said.startswith(f"{out}: {len(sent)} reports in ")
+    assert said.endswith(f"next: spheremouse match RECORDING {out}\n")
+    assert [p.name for p in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_unplugged_the_log_keeps_what_there_is(tmp_path):
+    out = tmp_path / "log.csv"
+    with trackball() as device, logging(out, "--device", NAME) as process:
+        for _ in range(20):
+            move(device, 3, -2)
+            time.sleep(0.002)
+        time.sleep(0.3)
+        device.close()
+        _, complaints = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert "is gone (No such device): the log ends there" in complaints
+    assert read_log(out).counts.sum(axis=0).tolist() == [60.0, -40.0]
+
+
+def test_the_desktop_still_gets_its_motion_unless_it_is_grabbed(tmp_path):
+    for words, moves in (([], 1), (["--grab"], 0)):
+        out = tmp_path / f"log{len(words)}.csv"
+        with trackball() as device, logging(out, *words, "--device", NAME, "--seconds", "3") as process:
+            other = evdev.InputDevice(str(choose(NAME, mice()).node))
+            move(device, 5, 0)
+            time.sleep(0.5)
+            events = []
+            with suppress(BlockingIOError):
+                events = [x for x in other.read() if x.type == e.EV_REL]
+            other.close()
+            assert len(events) == moves
+            process.communicate(timeout=30)
+        assert read_log(out).counts.sum(axis=0).tolist() == [5.0, 0.0]
+
+
+def test_two_mice_are_listed(tmp_path):
+    with trackball("Trackball A"), trackball("Trackball B"):
+        ended = subprocess.run(
+            [sys.executable, "-m", "spheremouse", "log-mouse", "--out", str(tmp_path / "log.csv")],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert ended.returncode == 2
+        assert "(Trackball A)" in ended.stderr
+        assert "(Trackball B)" in ended.stderr
+        assert "say which with --device" in ended.stderr
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_without_permission_it_says_what_to_do():
+    with trackball():
+        mouse = choose(NAME, mice())
+        os.chmod(mouse.node, 0o600)
+        pid = os.fork()
+        if pid == 0:
+            os.setgid(65534)
+            os.setuid(65534)
+            try:
+                Listener(mouse)
+            except SourceError as error:
+                os._exit(0 if "the group input (sudo usermod -aG input $USER)" in str(error) else 3)
+            os._exit(4)
+        assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0

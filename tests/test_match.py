@@ -1,0 +1,250 @@
+"""Matching a ball with a trackball's log: what was put in comes out, within the standard deviations that are stated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spheremouse.evaluate.lag import Turning, search, travel
+from spheremouse.evaluate.match import match, reproduced
+from spheremouse.evaluate.match_verdict import Kind, axes_of, judge, settings_of
+from spheremouse.motion import MotionSettings
+from spheremouse.rotation import exp, log
+from spheremouse.simulate.profile import Gestures, play, stroke
+from spheremouse.simulate.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
+from spheremouse.simulate.truth import Truth
+
+FPS, RADIUS = 30.0, 0.6
+BEGIN = 5000.0  # s, of the frames' clock
+
+
+class Shifted:
+    """A profile on the frames' clock."""
+
+    def __init__(self, profile):
+        self.profile = profile
+
+    def rate(self, t):
+        return self.profile.rate(t - BEGIN)
+
+
+def filmed(profile, seed=0, noise=7e-4, fps=FPS):
+    """What a tracker says of a motion: attitudes with noise, rad."""
+    t = BEGIN + np.arange(int(profile.seconds * fps)) / fps
+    errors = noise * np.random.default_rng([seed, 1]).standard_normal((len(t), 3))
+    R = exp(errors) @ profile.attitude(t - BEGIN)
+    return Turning(t[:-1], t[1:], log(R[1:] @ R[:-1].transpose(0, 2, 1)))
+
+
+def recorded(profile, trackball, seed=0, before=2.0, after=2.0):
+    return simulate_log(Shifted(profile).rate, BEGIN - before, BEGIN + profile.seconds + after, trackball, seed)
+
+
+def playing(seed, seconds=30.0):
+    return play(seconds, np.random.default_rng(seed))
+
+
+BELOW = trackball_matrix(480.0, 480.0)
+
+
+# ---- the simulated trackball ----
+
+
+def test_the_log_counts_what_the_ball_turned():
+    profile = playing(1)
+    trackball = Trackball(trackball_matrix(300.0, 700.0, 0.4, 0.2), lag=0.7, drift=1e-4)
+    seen = recorded(profile, trackball)
+    t = np.linspace(0.0, profile.seconds, 300_001)
+    w = profile.rate(t)
+    whole = trackball.matrix @ (0.5 * (w[1:] + w[:-1]) * np.diff(t)[:, None]).sum(axis=0)
+    np.testing.assert_allclose(seen.counts.sum(axis=0), whole, atol=1.1)
+    np.testing.assert_array_equal(seen.counts, np.rint(seen.counts))
+    steps = np.diff(seen.stamp[1:-1])
+    assert steps.min() > 1.0 / trackball.fastest
+    assert np.all(np.any(seen.counts[1:-1] != 0, axis=1))  # silent at rest
+    assert not np.any(seen.counts[[0, -1]])
+
+
+def test_the_same_seed_gives_the_same_log_and_another_one_another():
+    a, b, c = (recorded(playing(1, 5.0), Trackball(BELOW, dropouts=1.0), seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(a.stamp, b.stamp)
+    assert len(a) != len(c) or np.any(a.stamp != c.stamp)
+
+
+def test_without_grip_less_is_counted_and_with_plenty_the_same():
+    profile = Gestures((stroke(1.0, (0.0, 0.0, 1.0), 6.0, up=0.1, hold=0.5, down=0.1),), 3.0)
+    sums = [recorded(profile, Trackball(BELOW, grip=g)).counts[:, 0].sum() for g in (np.inf, 1e6, 5.0)]
+    assert sums[0] == sums[1] == pytest.approx(480.0 * 6.0 * 0.6, abs=1.0)
+    # 5 rad/s² for 0.65 s and back: a triangle of 2.1 rad in place of 3.6
+    assert sums[2] == pytest.approx(480.0 * 2.1, rel=0.1)
+
+
+def test_a_recordings_truth_gives_its_rates_between_the_frames():
+    profile = playing(3, 6.0)
+    t = np.arange(0.0, 6.0, 1.0 / 120.0)
+    rate = rate_of(Truth(t, profile.attitude(t), profile.rate(t)))
+    between = t[:-1] + 0.4 / 120.0
+    np.testing.assert_allclose(rate(between), profile.rate(between), atol=0.02)
+    np.testing.assert_array_equal(rate(np.array([-1.0, 9.0])), rate(t[[0, -1]]))
+
+
+# ---- the estimate ----
+
+
+@settings(max_examples=6, deadline=None, derandomize=True)
+@given(
+    scale=st.floats(60.0, 3000.0),
+    ratio=st.floats(0.5, 2.0),
+    turned=st.floats(-3.1, 3.1),
+    tilt=st.floats(-0.5, 0.5),
+    lag=st.floats(-100.0, 100.0),
+    drift=st.floats(-2e-4, 2e-4),
+    seed=st.integers(0, 1000),
+)
+def test_any_scale_axes_and_lag_come_back(scale, ratio, turned, tilt, lag, drift, seed):
+    trackball = Trackball(trackball_matrix(scale, -scale * ratio, turned, tilt), lag=lag, drift=drift, stamp_sigma=5e-4)
+    profile = playing(seed)
+    found = match(filmed(profile, seed), recorded(profile, trackball, seed))
+    assert np.all(np.abs(found.matrix - trackball.matrix) < 6.0 * found.sigma)
+    true_lag = lag + drift * (found.middle - (BEGIN - 2.0))
+    assert abs(found.lag - true_lag) < 6.0 * found.lag_sigma < 5e-3
+    assert abs(found.drift - drift) < 6.0 * found.drift_sigma
+
+
+def test_the_covariance_is_that_of_the_errors():
+    """Mahalanobis distances of eight numbers over seeds: 8 where the covariance is known, 1.2 times that estimated."""
+    distances, relative = [], []
+    for seed in range(16):
+        trackball = Trackball(trackball_matrix(500.0, -400.0, 0.3 * seed, 0.2), lag=0.031, stamp_sigma=5e-4)
+        profile = playing(seed + 50)
+        found = match(filmed(profile, seed), recorded(profile, trackball, seed))
+        error = np.concatenate([(found.matrix - trackball.matrix).ravel(), [found.lag - 0.031, found.drift]])
+        distances.append(error @ np.linalg.solve(found.covariance, error) / 8.0)
+        relative.append(found.sigma.max() / found.scale)
+    print(f"mean {np.mean(distances):.2f}, sigma of A up to {100 * max(relative):.2f} % of the scale")
+    assert 0.5 < np.mean(distances) < 2.0
+    assert max(relative) < 0.02
+
+
+def test_the_lag_is_found_far_below_the_interval_of_frames_and_reports():
+    for lag in (0.0, 0.0071, 0.0163):
+        profile = playing(7)
+        found = match(filmed(profile), recorded(profile, Trackball(BELOW, lag=lag)))
+        assert found.lag == pytest.approx(lag, abs=1e-3)
+        assert found.lag_sigma < 1e-3
+
+
+def test_lost_reports_and_lost_balls_do_not_spoil_the_scale():
+    profile = playing(9)
+    ball = filmed(profile)
+    kept = (np.arange(len(ball)) // 40) % 5 != 0  # not tracked a fifth of the time
+    ball = Turning(ball.begin[kept], ball.end[kept], ball.rotation[kept])
+    found = match(ball, recorded(profile, Trackball(BELOW, lag=0.02, dropouts=0.5)))
+    assert found.cut > 3
+    np.testing.assert_allclose(found.matrix, BELOW, atol=0.01 * 480.0)
+    assert judge(found).usable
+
+
+def test_reports_known_to_be_lost_are_left_out():
+    profile = playing(9)
+    seen = recorded(profile, Trackball(BELOW))
+    hole = (seen.stamp > BEGIN + 10.0) & (seen.stamp < BEGIN + 12.0)
+    lost = np.zeros(len(seen), dtype=bool)
+    lost[np.flatnonzero(hole)[-1] + 1] = True
+    marked = MouseLog(seen.stamp[~hole], seen.counts[~hole], seen.wheel[~hole], lost[~hole])
+    found = match(filmed(profile), marked)
+    assert found.seconds == pytest.approx(profile.seconds - 2.0, abs=0.4)
+    assert found.cut == 0
+
+
+def test_a_mouse_at_rest_between_reports_is_at_rest():
+    nothing = np.zeros(3)
+    counts = travel(MouseLog(np.array([0.0, 0.01, 1.0]), np.array([[0.0, 0], [4, 0], [8, 0]]), nothing, nothing > 0.0))
+    assert counts.at(np.array([0.01, 0.5, 0.98, 0.995, 1.0]))[:, 0].tolist() == pytest.approx([4, 4, 4, 8, 12])
+
+
+def test_pearson_and_rmse_are_those_of_the_rates():
+    profile = playing(11)
+    ball, seen = filmed(profile, noise=0.0), recorded(profile, Trackball(BELOW))
+    found = match(ball, seen)
+    assert min(found.r) > 0.99
+    r, rmse = reproduced(ball, seen, found, found.matrix)
+    assert r == pytest.approx(found.r_interval)
+    assert np.all(rmse < found.rmse)  # whole counts matter less over 0.1 s
+    half = replace(found, matrix=0.5 * found.matrix)
+    assert reproduced(ball, seen, found, half.matrix)[1] == pytest.approx(0.5 * 480.0 * found.rate[[2, 0]], rel=0.1)
+
+
+# ---- the verdict ----
+
+
+def test_swap_signs_and_turn_are_told_apart():
+    for turned, swapped, beyond in ((0.1, False, 0.1), (np.pi / 2 + 0.1, True, 0.1), (np.pi - 0.2, False, -0.2)):
+        profile = playing(13)
+        matrix = trackball_matrix(500.0, 400.0, turned)
+        found = match(filmed(profile), recorded(profile, Trackball(matrix)))
+        axes = axes_of(found)
+        assert axes.swapped == swapped
+        assert axes.turned == pytest.approx(beyond, abs=0.01)
+        assert axes.below == pytest.approx((0.0, -1.0, 0.0), abs=0.01)
+        assert judge(found).kind is Kind.AGREES
+
+
+@pytest.mark.parametrize("radius", [RADIUS, None])
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("sign", [(1, 1), (-1, 1), (1, -1)])
+def test_the_settings_move_the_pointer_as_the_trackball_did(radius, swap, sign):
+    profile = playing(17, 12.0)
+    matrix = np.diag(sign) @ np.diag([520.0, 300.0]) @ (BELOW / 480.0)[[1, 0] if swap else [0, 1]]
+    found = match(filmed(profile), recorded(profile, Trackball(matrix)))
+    before = MotionSettings(scale_z=2.0)
+    after = settings_of(found, radius, before)
+    np.testing.assert_allclose(after.matrix(radius)[:2], matrix, atol=5.0)
+    np.testing.assert_allclose(after.matrix(radius)[2], before.matrix(radius)[2], rtol=1e-4)
+
+
+def test_equal_scales_stay_one_scale():
+    profile = playing(17, 12.0)
+    after = settings_of(match(filmed(profile), recorded(profile, Trackball(BELOW))), RADIUS, MotionSettings())
+    assert (after.scale_x, after.scale_y, after.swap_xy) == (1.0, 1.0, False)
+    assert after.counts_per_mm == pytest.approx(0.8, rel=0.01)
+
+
+def test_a_log_of_another_play_matches_nowhere():
+    for seed in range(4):
+        other = match(filmed(playing(seed)), recorded(playing(seed + 100, 40.0), Trackball(BELOW)))
+        assert other is None or judge(other).kind is Kind.ANOTHER_TIME
+
+
+def test_an_axis_that_was_not_moved_is_named():
+    for axis, name in (((1.0, 0.0, 0.0), "Z"), ((0.0, 0.0, 1.0), "X")):
+        strokes = [
+            stroke(1.0 + 1.7 * k + 0.1 * (k % 3), axis, (2.0 + 0.2 * (k % 4)) * (-1) ** k, up=0.4, hold=0.2, down=0.5)
+            for k in range(16)
+        ]
+        profile = Gestures(tuple(strokes), 29.0)
+        verdict = judge(match(filmed(profile), recorded(profile, Trackball(BELOW))))
+        assert verdict.kind is Kind.TOO_LITTLE
+        assert f"too little motion about {name} to know the scale" in verdict.text
+        assert not verdict.usable
+
+
+def test_another_clock_and_its_drift_are_told():
+    profile = playing(19, 60.0)
+    trackball = Trackball(BELOW, lag=1.7e9, drift=4e-4)
+    verdict = judge(match(filmed(profile), recorded(profile, trackball)))
+    assert verdict.usable
+    assert any("clock is not that of the frames" in n and "ahead" in n for n in verdict.notes)
+    assert any("faster by 4" in n for n in verdict.notes)
+
+
+def test_nothing_in_common_is_no_match():
+    profile = playing(19, 5.0)
+    ball, seen = filmed(profile), recorded(profile, Trackball(BELOW))
+    assert match(ball.within(BEGIN, BEGIN + 2.0), seen) is None
+    assert match(ball, MouseLog(seen.stamp, 0.0 * seen.counts, seen.wheel, seen.lost)) is None
+    still = Turning(ball.begin, ball.end, 0.0 * ball.rotation)
+    assert match(still, seen) is None
+    assert search(ball, travel(seen)) is not None

@@ -1,0 +1,253 @@
+"""Logs of mice: the kernel's events in, lines out and back; which mouse is meant. Without a device."""
+
+import os
+import signal
+import sys
+from contextlib import suppress
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from spheremouse import cli, mouse_log
+from spheremouse.errors import DatasetError, SourceError
+from spheremouse.mouse_log import Assembler, Listener, LogFile, Mouse, MouseReport, choose, mice, read_log, write_log
+from spheremouse.simulate.trackball import MouseLog
+
+SYN, REL, KEY = 0, 2, 1
+X, Y, WHEEL = 0, 1, 8
+
+
+def fed(*events):
+    """Reports of events (stamp, kind, code, value)."""
+    assembler = Assembler()
+    return [r for event in events if (r := assembler.feed(*event)) is not None]
+
+
+def test_what_stands_between_two_syn_is_one_report():
+    events = [(1.0, REL, X, 3), (1.0, REL, Y, -2), (1.0, REL, WHEEL, 1), (1.0, SYN, 0, 0), (1.01, REL, X, 1)]
+    assert fed(*events, (1.01, SYN, 0, 0)) == [MouseReport(1.0, 3, -2, 1), MouseReport(1.01, 1, 0)]
+
+
+def test_buttons_and_other_axes_are_no_report():
+    assert fed((1.0, KEY, 0x110, 1), (1.0, SYN, 0, 0), (1.1, REL, 0x0B, 120), (1.1, SYN, 0, 0)) == []
+
+
+def test_after_the_kernel_dropped_events_the_rest_of_that_report_is_dropped_and_the_next_one_says_so():
+    events = [
+        (1.0, REL, X, 9),
+        (1.1, SYN, 3, 0),
+        (1.1, REL, X, 7),
+        (1.1, SYN, 0, 0),
+        (1.2, REL, X, 5),
+        (1.2, SYN, 0, 0),
+    ]
+    assert fed(*events, (1.3, REL, X, 4), (1.3, SYN, 0, 0)) == [
+        MouseReport(1.2, 5, 0, lost=True),
+        MouseReport(1.3, 4, 0),
+    ]
+
+
+reports = st.lists(
+    st.tuples(st.integers(0, 10**7), st.integers(-40000, 40000), st.integers(-9, 9), st.integers(-3, 3), st.booleans()),
+    max_size=30,
+)
+
+
+@settings(max_examples=12, deadline=None)
+@given(reports)
+def test_what_is_written_is_read(tmp_path_factory, rows):
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    table = np.array(sorted(rows), dtype=float).reshape(-1, 5)
+    made = MouseLog(table[:, 0] * 1e-3, table[:, 1:3], table[:, 3], table[:, 4] != 0.0)
+    write_log(path, made)
+    back = read_log(path)
+    for name in ("stamp", "counts", "wheel", "lost"):
+        np.testing.assert_allclose(getattr(back, name), getattr(made, name), rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "what"),
+    [
+        ("", 1, "empty; the first line is t,dx,dy,wheel,lost"),
+        ("# people\n\nt,dx\n1,2\n", 3, "no column dy"),
+        ("t,dx,dy\n1,2,3\n# so\n2,3\n", 4, "2 cells under 3 columns"),
+        ("t,dx,dy\n1,2,3\n0.5,1,1\n", 3, "t goes back, from 1.0 to 0.5 s"),
+        ("t,dx,dy\n1,2,x\n", 2, "dy: 'x' is not a number"),
+        ("t,dx,dy\n1,nan,3\n", 2, "dx: 'nan' is not a number"),
+        ("t,dx,dy\n1,1e300,3\n", 2, "dx: '1e300' is not a number"),
+        ("t,dx,dy\n1,2,3\n1e9,2,3\n", 3, "cut the log"),
+    ],
+)
+def test_a_log_that_is_none_says_which_line(tmp_path, text, line, what):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(DatasetError) as error:
+        read_log(path)
+    assert str(error.value).startswith(f"{path}:{line}: ")
+    assert what in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_columns_may_stand_in_any_order_and_others_beside_them(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("dy,device,t,dx\n3,a,1.5,2\n")
+    back = read_log(path)
+    assert (back.stamp[0], *back.counts[0], back.wheel[0], back.lost[0]) == (1.5, 2.0, 3.0, 0.0, False)
+
+
+def test_a_log_is_there_whole_whatever_ends_it_and_replaces_nothing(tmp_path):
+    path = tmp_path / "log.csv"
+    with suppress(KeyboardInterrupt), LogFile(path, "a\nmouse") as file:
+        file.add(MouseReport(1.0, 2, 3))
+        assert not path.exists()
+        raise KeyboardInterrupt
+    assert path.read_text().splitlines()[1:] == ["t,dx,dy,wheel,lost", "1.000000,2,3,0,0"]
+    with pytest.raises(DatasetError, match="exists already"), LogFile(path, "again"):
+        pass
+    with LogFile(path, "again", force=True):
+        pass
+    assert len(read_log(path)) == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["log.csv"]
+    with pytest.raises(DatasetError, match="cannot be written"), LogFile(tmp_path / "no" / "log.csv", "x"):
+        pass
+
+
+# ---- which mouse ----
+
+
+@pytest.fixture
+def sysfs(tmp_path):
+    """Two mice, a keyboard and a joystick, as the kernel lists them."""
+    for number, name, bits in ((10, "USB Trackball", "903"), (2, "Logitech Mouse", "1943"), (3, "Keyboard", "0")):
+        folder = tmp_path / f"event{number}" / "device"
+        (folder / "capabilities").mkdir(parents=True)
+        (folder / "name").write_text(name + "\n")
+        (folder / "capabilities" / "rel").write_text(bits + "\n")
+    (tmp_path / "event4").mkdir()  # gone meanwhile
+    return tmp_path
+
+
+def test_mice_are_what_has_relative_x_and_y_in_the_order_of_their_numbers(sysfs, tmp_path):
+    found = mice(sysfs, tmp_path / "dev")
+    assert [(m.node.name, m.name) for m in found] == [("event2", "Logitech Mouse"), ("event10", "USB Trackball")]
+
+
+def test_one_is_chosen_by_path_or_name_or_because_there_is_no_other(sysfs, tmp_path):
+    found = mice(sysfs, sysfs)
+    assert choose("track", found).name == "USB Trackball"
+    assert choose(str(sysfs / "event2"), found).name == "Logitech Mouse"
+    (tmp_path / "link").symlink_to(sysfs / "event10")
+    assert choose(str(tmp_path / "link"), found).name == "USB Trackball"
+    assert choose(None, found[:1]) is found[0]
+
+
+def test_what_cannot_be_chosen_is_listed(sysfs):
+    found = mice(sysfs, sysfs)
+    for wanted, what in ((None, "2 mice are there; say which"), ("x", "no mouse has that")):
+        with pytest.raises(SourceError, match=what) as error:
+            choose(wanted, found)
+        assert all(str(m) in str(error.value) for m in found)
+    with pytest.raises(SourceError, match="fits 2 mice"):
+        choose("l", found)
+    with pytest.raises(SourceError, match="no such device"):
+        choose("/nowhere/event9", found)
+    with pytest.raises(SourceError, match="plug it in"):
+        choose(None, [])
+
+
+def test_what_is_no_device_is_refused(tmp_path):
+    pytest.importorskip("evdev")
+    (tmp_path / "event1").write_text("")
+    with pytest.raises(SourceError, match="is it an event device"):
+        Listener(Mouse(tmp_path / "event1", "x"))
+
+
+# ---- listening ----
+
+
+class Pipe:
+    """Stands for a device of the kernel: what it reads was put into `batches`; None is an unplugged cable."""
+
+    def __init__(self, batches):
+        self.fd, self._write = os.pipe()
+        os.write(self._write, b"x")  # always something to read
+        self.batches, self.closed = list(batches), False
+
+    def read(self):
+        if not self.batches:
+            raise BlockingIOError
+        batch = self.batches.pop(0)
+        if batch is None:
+            raise OSError(19, "No such device")
+        return [Event(*event) for event in batch]
+
+    def close(self):
+        self.closed = True
+        os.close(self.fd)
+        os.close(self._write)
+
+
+class Event:
+    def __init__(self, stamp, kind, code, value):
+        self.sec, self.usec = int(stamp), round(1e6 * (stamp - int(stamp)))
+        self.type, self.code, self.value = kind, code, value
+
+
+@pytest.fixture
+def plugged(monkeypatch):
+    """Plugs a Pipe in place of the kernel's device; the clock stands at 100 s."""
+
+    def plug(*batches):
+        pipe = Pipe(batches)
+        monkeypatch.setattr(mouse_log, "_opened", lambda _: pipe)
+        monkeypatch.setattr(mouse_log, "_on_monotonic_clock", lambda *_: None)
+        monkeypatch.setattr(mouse_log.time, "monotonic", lambda: 100.0)
+        return pipe
+
+    return plug
+
+
+def moved(stamp, dx):
+    return [(stamp, REL, X, dx), (stamp, SYN, 0, 0)]
+
+
+def test_a_log_begins_and_ends_with_the_time_it_was_listened_and_leaves_out_what_lay_in_the_queue(plugged):
+    pipe = plugged(moved(99.0, 5), moved(100.5, 2), moved(100.6, 3))
+    seen = []
+    with Listener(Mouse("/x", "m")) as listener:
+        assert listener.listen(seen.append, lambda: not pipe.batches) is None
+    assert [(r.stamp, r.dx) for r in seen] == [(100.0, 0), (100.5, 2), (100.6, 3), (100.6, 0)]
+    assert pipe.closed
+
+
+def test_unplugged_it_ends_at_the_last_report(plugged):
+    plugged(moved(100.5, 2), None)
+    seen = []
+    with Listener(Mouse("/x", "m")) as listener:
+        assert listener.listen(seen.append, lambda: False) == "/x (m) is gone (No such device)"
+    assert [(r.stamp, r.dx) for r in seen] == [(100.0, 0), (100.5, 2), (100.5, 0)]
+
+
+def test_the_command_writes_the_log_and_says_what_is_next(plugged, monkeypatch, capsys, tmp_path):
+    plugged(*(moved(100.0 + 0.01 * k, 4) for k in range(1, 11)), None)
+    monkeypatch.setattr(mouse_log, "mice", lambda: [Mouse("/x", "Ball")])
+    monkeypatch.setattr(sys, "platform", "linux")
+    out = tmp_path / "log.csv"
+    monkeypatch.setattr(sys, "argv", ["spheremouse", "log-mouse", "--out", str(out)])
+    before = {s: signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    said, complaints = capsys.readouterr()
+    assert not end.value.code
+    assert said.splitlines() == [
+        f"{out}: 10 reports in 0.1 s, 40 counts in x and 0 in y",
+        f"next: spheremouse match RECORDING {out}",
+    ]
+    assert "/x (Ball) is gone (No such device): the log ends there" in complaints
+    stamps = read_log(out).stamp
+    assert all(b >= a for a, b in pairwise(stamps.tolist()))
