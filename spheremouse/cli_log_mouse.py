@@ -17,7 +17,7 @@ def log_mouse(
         str | None,
         typer.Option(
             metavar="PATH|NAME",
-            help="/dev/input/eventN, or part of the mouse's name.  [default: the only mouse that is there]",
+            help="Node (/dev/input/eventN), or part of the mouse's name.  [default: the only mouse that is there]",
         ),
     ] = None,
     seconds: Annotated[

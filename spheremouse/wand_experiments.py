@@ -78,28 +78,39 @@ def _particles(n: int, **more: Any) -> WandSettings:
     return WandSettings(particles=n, **more)
 
 
-def thesis_settings(n: int) -> WandSettings:
-    """A random walk with the thesis' standard deviations (Grzonka 2005, chapter 4), no peaks, no outline, no speed."""
+def thesis_motion(n: int, **more: Any) -> WandSettings:
+    """A random walk with the thesis' standard deviations (Grzonka 2005, chapter 4), no memory of the speed."""
     small = 0.005 * np.pi
-    return _particles(
-        n, proposal="motion", adaptive=False, outline=False, sigma_y=0.005, sigma_pitch=small, sigma_roll=small
-    )
+    return _particles(n, adaptive=False, sigma_y=0.005, sigma_pitch=small, sigma_roll=small, **more)
+
+
+def thesis_settings(n: int) -> WandSettings:
+    """All as in the thesis: its motion, its likelihood; no peaks, no outline."""
+    return thesis_motion(n, proposal="motion", likelihood="product", outline=False)
 
 
 def films(quick: bool) -> tuple[Film, ...]:
     """What is filmed; `quick`: fewer seeds and particles, some minutes."""
     seeds = tuple(range(1, 5 if quick else 21))
     few = tuple(range(1, 3 if quick else 7))
-    many = (50, 350, 5000) if quick else (50, 350, 5000, 50_000)
     ours = Variant("350, own start", _particles(350))
     drive = (
-        *(Variant(f"{n}, known start", _particles(n), known=True) for n in many),
+        *(Variant(f"{n}, known start", _particles(n), known=True) for n in (50, 350)),
         ours,
-        *(Variant(f"{n}, random walk alone", thesis_settings(n), known=True) for n in (50, 350)),
+        Variant("350, without the outline", _particles(350, outline=False), known=True),
+        Variant("350, the thesis' motion", thesis_motion(350), known=True),
+        Variant("350, drawn by the thesis' motion alone", thesis_motion(350, proposal="motion"), known=True),
+        *(Variant(f"{n}, all as in the thesis", thesis_settings(n), known=True) for n in (50, 350)),
+    )
+    many = (5000,) if quick else (5000, 50_000)
+    crowd = (
+        *(Variant(f"{n}, known start", _particles(n), known=True) for n in many),
+        *(Variant(f"{n}, all as in the thesis", thesis_settings(n), known=True) for n in many),
     )
     hand = WandOptions(motion="hand", blur=0.008)
     chosen = [
         Film("drive", "the thesis' drive, 0.8 Hz", WandOptions(), seeds, drive),
+        Film("drive-many", "the same, many particles", WandOptions(), few, crowd),
         Film("drive-hand", "a hand passes, 0.8 Hz", WandOptions(hand=80.0), few, (ours,)),
         Film("hand-held", "0.4 m/s, 180 °/s, 15 Hz", hand, seeds, (ours,)),
     ]

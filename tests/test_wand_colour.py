@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, fields, reduction, tone
+from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, fields, reduction, rim_shift, tone
 
 NAMES = ("blue", "red")
 
@@ -71,3 +71,20 @@ def test_large_balls_are_looked_at_reduced():
     half = fields(picture(), DEFAULT_COLOURS, NAMES, None, 2)
     assert half.binary.shape == (2, 48, 64)
     assert half.binary[1, 15, 15] == 255
+
+
+@pytest.mark.parametrize("saturation", [60.0, 95.0, 150.0])
+def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
+    """A disc drawn fine, its light averaged and blurred as a lens does, then made grey values: its area tells."""
+    fine, radius = 12, 14.0
+    at = (np.arange(48 * fine) + 0.5) / fine - 24.0
+    cover = (at[:, None] ** 2 + at[None] ** 2 < radius**2).astype(np.float32)
+    white, red = np.array([0.75, 0.77, 0.78]), np.array([0.014, 0.012, 0.51])
+    cover = cv2.GaussianBlur(cover, (0, 0), 0.45 * fine).reshape(48, fine, 48, fine).mean(axis=(1, 3))[..., None]
+    image = np.rint(255.0 * (cover * red + (1.0 - cover) * white) ** (1 / 2.2)).astype(np.uint8)
+    bounds = ColourSettings(hue_min=340.0, hue_max=14.0, saturation_min=saturation)
+    found = fields(image, {"red": bounds}, ("red",))
+    shift = np.sqrt(np.count_nonzero(found.binary[0]) / np.pi) - radius
+    assert found.rim[0] == rim_shift(bounds)
+    assert shift == pytest.approx(rim_shift(bounds), abs=0.1)
+    assert fields(image, {"red": bounds}, ("red",), None, 2).rim[0] == pytest.approx(0.5 * rim_shift(bounds))

@@ -9,7 +9,7 @@ from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
-from spheremouse.wand.likelihood import log_likelihood, model, published
+from spheremouse.wand.likelihood import SIGMA, expected_field, log_likelihood, model, published
 from spheremouse.wand.refine import refine
 
 BALL = grzonka_ball()
@@ -107,11 +107,50 @@ def test_the_outline_is_found_where_it_is(view):
     found = limb.measure(image, 0.97 * p, R, discs, BALL.radius, m.lens, 1)
     good = found[:, 4] > 0
     assert good.sum() >= 8
-    r = np.array(
-        [
-            np.hypot(*(found[k, :2] - project(p[None], InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0][0]))
-            for k in np.flatnonzero(good)
-        ]
-    )
-    true = m.lens[0] * BALL.radius / np.linalg.norm(p)
-    assert np.median(r) == pytest.approx(true, abs=0.5)
+    r = []
+    for k in np.flatnonzero(good):
+        u, v, *_ = limb.outline(p, BALL.radius, m.lens, k)
+        r.append((found[k, :2] - (u, v)) @ found[k, 2:4])
+    r = np.array(r)
+    edge = np.abs(r) < 1.0  # the others are of the room behind it
+    assert edge.mean() > 0.5
+    assert np.median(r[edge]) == pytest.approx(0.0, abs=0.15)
+    middle = project(p[None], InteriorOrientation(640, 480, *m.lens[:4], m.lens[4:]))[0][0]
+    out = (found[good, :2] - middle) / np.linalg.norm(found[good, :2] - middle, axis=1, keepdims=True)
+    assert np.all(np.sum(out * found[good, 2:4], axis=1) > 0.98)  # all normals point outward, on every side
+
+
+@pytest.mark.parametrize("turned", [0.0, 60.0, 90.0, 120.0, 180.0])
+def test_the_expected_field_ends_at_the_limb(turned):
+    """Against a sum over the picture: a disc's rim and the ball's limb as two straight edges, at an angle."""
+    facing, scale, sigma = 0.35, 26.0, 1.2
+    aside = np.sqrt(1.0 - facing**2)
+    # a rim whose outward normal in the picture makes the angle with that of the limb
+    c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+    outward = np.array([c * facing, s]) / np.hypot(c * facing, s)  # on the ball: radial, aside
+    along = -outward[1] * aside  # the tangent's part along the line of sight
+    e, g = expected_field(along, outward[0] * aside, facing, scale, 0.0, 3.0, 0.0, 0.0)
+    grid = np.arange(-8.0, 8.0, 0.05)
+    x, y = np.meshgrid(grid, grid)
+    weight = np.exp(-0.5 * (x**2 + y**2) / sigma**2)
+    ball = x < scale * (1.0 - aside)
+    disc = c * x + s * y < 0.0
+    assert e == pytest.approx(np.sum(weight * (ball & disc)) / np.sum(weight), abs=0.03)
+    moved = c * x + s * y < 0.3
+    assert g == pytest.approx((np.sum(weight * (ball & moved)) / np.sum(weight) - e) / 0.3, abs=0.06)
+
+
+def test_the_truth_s_residuals_are_as_wide_as_said(view):
+    """Twice as wide and the covariance were four times too large; half, and it were too small."""
+    seen, m, p, R, _ = view
+    from spheremouse.wand.refine import _residuals
+
+    n = len(m.points.table)
+    counts, r, g, e, field = (np.zeros(n) for _ in range(5))
+    _residuals(
+        p, R, m.points.table, m.points.colour, m.radius, m.lens, seen.weight, seen.place(), seen.rim, counts, r, g, e,
+        field,
+    )  # fmt: skip
+    rim = (counts > 0) & (m.points.colour >= 0) & (m.points.table[:, 6] == 0.0)
+    assert rim.sum() > 30
+    assert 0.5 * SIGMA < np.sqrt(np.mean(r[rim] ** 2)) < 1.4 * SIGMA

@@ -161,3 +161,40 @@ def test_a_known_command_replaces_the_last_velocity(hand):
     _, (pose,) = step(state, b.frame, tracker, command)
     assert pose.seen
     assert np.linalg.norm(log(pose.rotation @ b.rotation[0].T)) < np.deg2rad(8)
+
+
+def wrong(shots, poses):
+    """Frames, in a row at most, without a pose, or with one beside the ball or another side of it."""
+    longest = run = 0
+    for shot, (pose,) in zip(shots, poses, strict=True):
+        off = (
+            pose.position is None
+            or np.linalg.norm((pose.position - shot.position[0])[:2]) > 0.05
+            or np.linalg.norm(log(pose.rotation @ shot.rotation[0].T)) > np.deg2rad(45)
+        )
+        run = run + 1 if off else 0
+        longest = max(longest, run)
+    return longest, run
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_hand_that_passes_does_not_pull_the_ball_away(seed):
+    """In one colour of the ball only (Grzonka 2005, section 4.3); its arm hides the ball for a while with seed 2.
+
+    Whatever is said to be seen is the ball, and it is found again.
+    """
+    camera, balls, shots = film(replace(HAND, seed=seed, seconds=2.6, hand=1.0))
+    _, poses = follow(shots, build(camera, balls))
+    seen = [(shot, pose) for shot, pose in zip(shots, poses, strict=True) if pose[0].seen]
+    assert len(seen) > 25
+    assert seen[-1][0] is shots[-1]
+    assert wrong(*zip(*seen, strict=True)) == (0, 0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_card_in_both_colours_is_recovered_from_within_a_second(seed):
+    camera, balls, shots = film(replace(HAND, seed=seed, seconds=2.4, card=1.0))
+    _, poses = follow(shots, build(camera, balls))
+    longest, last = wrong(shots[3:], poses[3:])
+    assert longest <= 15
+    assert last == 0

@@ -6,6 +6,7 @@ looked at in a reduced picture, so that the work does not depend on its size.
 """
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -23,6 +24,9 @@ FIELD_SIGMA = 1.2  # px of the field: the kernel's 1.1 and half a pixel of thres
 _KERNEL = (5, 5)
 _BRIGHTEST = 250.0  # a pixel this bright is overexposed: bright enough whatever the mean of a bright picture asks
 _SAMPLE = 16  # every so many rows and columns tell the mean brightness, from thousands of pixels
+_GAMMA = 2.2  # of grey values
+_PRINT = 0.65  # light of a print's greatest channel over that of white paper: 0.58 to 0.7
+_EDGE = 0.55  # px, blur of an edge in a picture in focus: half a pixel of the lens, a pixel's own width
 _ACROSS = 64.0  # px, a ball's diameter beyond which the picture is reduced: its rims then outweigh the pixels' noise
 
 
@@ -38,8 +42,10 @@ class ColourSettings:
     value_max: float = param(1e4, "-", "greatest brightness after normalisation", ge=0)
 
 
-# Print on white: a pixel half disc, half white has about 0.4 of full saturation, so the bound lies there and the rim
-# stays where it is. Hues: red keeps clear of skin and wood (20 to 35°), blue of teal and purple.
+# Of print on white, light mixes before it becomes grey values: a pixel half disc, half white has 0.2 of full saturation
+# only, as pale things of a room have. The bound lies at 0.37, where three quarters are disc: the rim is selected a
+# third of a pixel too far inward, which `rim_shift` tells. Hues: red keeps clear of skin and wood (20 to 35°), blue of
+# teal and purple.
 DEFAULT_COLOURS: dict[str, ColourSettings] = {
     "red": ColourSettings(hue_min=340.0, hue_max=14.0, saturation_min=95.0, value_min=25.0),
     "blue": ColourSettings(hue_min=205.0, hue_max=262.0, saturation_min=95.0, value_min=25.0),
@@ -59,6 +65,7 @@ class Fields:
     factor: int
     share: Array  # (c,) part of the whole picture's pixels that have the colour
     colours: tuple[str, ...]
+    rim: Array  # (c,) px of the field that a rim between print and white is selected outward of where it is
 
     def place(self) -> Array:
         """(3,): left, top, factor, for compiled code."""
@@ -104,7 +111,8 @@ def fields(
     for one, to in zip(binary, weight, strict=True):
         cv2.GaussianBlur(one, _KERNEL, 0.0, dst=to, borderType=cv2.BORDER_REPLICATE)
     share = known.share if region else count / max(binary[0].size, 1)
-    return Fields(weight, binary, left, top, factor, share, names)
+    rim = np.array([rim_shift(colours[name]) for name in names]) / factor
+    return Fields(weight, binary, left, top, factor, share, names, rim)
 
 
 def _selected(
@@ -117,6 +125,20 @@ def _selected(
     count = np.zeros(len(names), dtype=np.int64)
     _select(image, bounds, binary, count)
     return binary, count
+
+
+def rim_shift(colour: ColourSettings) -> float:
+    """Pixels that a rim between print and white moves outward, where a bound on saturation selects it.
+
+    Light mixes before it becomes grey values: of a pixel with the part c of print, the least channel gives 1 - c of the
+    white's light, and the greatest that and c times the print's. Their ratio, to the power of 1 / 2.2, is 1 less the
+    saturation. So the bound tells the cover from which on pixels are selected, and the blur where that is.
+    """
+    if colour.saturation_min <= 0.0:
+        return 0.0
+    least = (1.0 - colour.saturation_min / 255.0) ** _GAMMA  # light of the least channel over that of the greatest
+    cover = (1.0 - least) / (1.0 - least + least * _PRINT)
+    return float(-_EDGE * NormalDist().inv_cdf(min(max(cover, 0.01), 0.99)))
 
 
 def reduction(diameter: float) -> int:

@@ -24,20 +24,29 @@ from spheremouse.rotation import Array, tangent_basis
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import FIELD_SIGMA, Fields
 
-SIGMA = 0.15  # of the field's range: half a pixel of a rim, for print, gloss and pixels of its own
+# Of the field's range. A rim goes through pixels anywhere: 0.29 px each, over the 4 px along it that the kernel takes
+# together 0.14, at a slope of a third per pixel 0.05; 0.04 more for print, gloss and motion
+SIGMA = 0.065
 OUTLIER = 0.08  # part of the points that a finger, a highlight or a stick hides
-RIM_OFFSET = 0.4  # px, standard deviation of the rims' common offset: bounds and lens blur
+RIM_OFFSET = 0.25  # px, standard deviation of the rims' common offset about that of `rim_shift`: paint, light, focus
 _RIM = 12  # points on a rim
 _BESIDE = 6  # points beside it
 _BESIDE_BY = 0.11  # rad: half the gap between the discs of one azimuth, and three pixels of a ball 50 px across
 _BARE = 80  # directions tried for bare points
 BEGINS, FULLY = 0.08, 0.25  # cosine of the angle of view where a point begins to count, and counts fully
 _ASKED = 0.3  # of the field's range: points expected above it tell how well a pose matches
-_TABLE = 1023
+_NEAR = 0.25  # of the field's range, three quarters of a pixel: a point so far off shows all the same
+_TABLE = 511
 _SHOWN, _FLOOR = 20.0, 0.02  # published: points of four discs in view; least weight of one, a product's zero undone
 _KERNEL_AREA = 2.0 * np.pi * FIELD_SIGMA**2  # px²
 _LEAST, _MOST = 0.003, 0.5  # part of a picture of one colour, as far as the ratio believes it
-_STEP = np.array([1e-3, 1e-3, 1e-3, 4e-3, 4e-3, 4e-3])  # for numeric derivatives: radii of the ball, and rad
+# In single precision, or the loops over points would be computed in double: numbers of the functions below
+_NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_PER_SIGMA, _HALF_SIGMA = np.float32(1.0 / FIELD_SIGMA), np.float32(0.5 * FIELD_SIGMA)
+_LEAST_ACROSS, _MOST_MOVED, _TINY, _FAR = np.float32(0.02), np.float32(0.8), np.float32(1e-6), np.float32(3.6)
+_CUBIC = (np.float32(0.7988), np.float32(0.03528), np.float32(0.10584))
+_TANH = tuple(np.float32(c) for c in (135135.0, 17325.0, 378.0, 62370.0, 3150.0, 28.0))
+_ARC = (np.float32(0.1350363), np.float32(0.0472763), np.float32(0.0119235))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,17 +109,21 @@ def model(ball: WandBall, camera: InteriorOrientation, names: tuple[str, ...] | 
     )
 
 
-def log_likelihood(position: Array, rotation: Array, model: Model, fields: Fields) -> tuple[Array, Array]:
-    """Of n poses, (n, 3) m and (n, 3, 3) R_cam_ball: log-likelihood ratio, (n,), and match, (n,).
+def log_likelihood(
+    position: Array, rotation: Array, model: Model, fields: Fields, sigma: float = SIGMA, matches: bool = True
+) -> tuple[Array, Array]:
+    """Of n poses, (n, 3) m and (n, 3, 3) R_cam_ball: log-likelihood ratio, (n,), and match, (n,) or (0,) if not asked.
+
+    `sigma`: of the field, more than `SIGMA` for poses that are only near.
 
     The match is the part of the coloured points in view that show their colour; points that show it and should not
     count against it.
     """
-    out, match = np.empty(len(position)), np.empty(len(position))
+    out, match = np.empty(len(position)), np.empty(len(position) if matches else 0)
     p = model.points
     _weigh(
         position, rotation, p.table, p.colour, model.radius, model.lens, fields.weight, fields.place(),
-        shares(fields), out, match,
+        shares(fields), fields.rim, sigma, out, match,
     )  # fmt: skip
     return out, match
 
@@ -156,102 +169,151 @@ def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _weigh(position, rotation, table, colour, radius, lens, weight, place, share, out, match):
-    """`log_likelihood` into out and match, (n,)."""
+def _weigh(position, rotation, table, colour, radius, lens, weight, place, share, rim, sigma, out, match):
+    """`log_likelihood` into out, (n,), and match, (n,) or (0,). All points of a pose in plain loops: they vectorise."""
     count, field_h, field_w = weight.shape
+    number = len(table)
     rg, gg = np.zeros(count), np.zeros(count)
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     straight = True
     for k in range(4, 9):
         straight = straight and lens[k] == 0.0
     left, top, f = place[0], place[1], place[2]
     agree = np.empty(_TABLE + 1)  # (1 - o) N(m - e) by |m - e|
     for i in range(_TABLE + 1):
-        agree[i] = (1.0 - OUTLIER) * np.exp(-0.5 * (i / _TABLE / SIGMA) ** 2)
+        agree[i] = (1.0 - OUTLIER) * np.exp(-0.5 * (i / _TABLE / sigma) ** 2)
+    bare = np.log(agree + OUTLIER)
     other = np.empty((count, _TABLE + 1))  # 1 / B(e)
     for k in range(count):
         for i in range(_TABLE + 1):
-            other[k, i] = 1.0 / ((1.0 - share[k]) * np.exp(-0.5 * (i / _TABLE / SIGMA) ** 2) + share[k])
-    variance = SIGMA * SIGMA
-    per_f, per_ramp = 1.0 / f, 1.0 / (FULLY - BEGINS)
+            other[k, i] = 1.0 / ((1.0 - share[k]) * np.exp(-0.5 * (i / _TABLE / sigma) ** 2) + share[k])
+    matched = len(match) > 0
+    variance = sigma * sigma
+    scale_x, shift_x = lens[0] / f, (lens[2] - left + 0.5) / f - 0.5
+    scale_y, shift_y = lens[1] / f, (lens[3] - top + 0.5) / f - 0.5
+    # columns: direction, tangent, way out of the disc, rim, far rim, curvature, offset
+    column = np.empty((13, number), dtype=np.float32)
+    disc = np.zeros(number, dtype=np.int64)
+    last = -1
+    for q in range(number):
+        for i in range(6):
+            column[i, q] = table[q, i]
+        column[6, q] = table[q, 4] * table[q, 2] - table[q, 5] * table[q, 1]
+        column[7, q] = table[q, 5] * table[q, 0] - table[q, 3] * table[q, 2]
+        column[8, q] = table[q, 3] * table[q, 1] - table[q, 4] * table[q, 0]
+        for i in range(3):
+            column[9 + i, q] = table[q, 6 + i]
+        column[12, q] = rim[max(colour[q], 0)]
+        last += table[q, 9] > 0.0
+        disc[q] = last
+    seen = np.empty((7, number), dtype=np.float32)  # facing, x, y, along, outward, px per rad, depth
+    kept = np.empty((8, number), dtype=np.float32)  # what the expected field takes
+    expected = np.empty((2, number), dtype=np.float32)
+    value = np.empty(number, dtype=np.float32)
+    part = np.empty(number, dtype=np.float32)
+    whole = np.empty(number, dtype=np.bool_)
+    index = np.empty(number + 1, dtype=np.int64)
+    first = np.flatnonzero(table[:, 9] > 0.0)
+    counts_of = np.empty(last + 1)
+    product = np.empty(last + 1)
     for n in range(len(position)):
-        x0, y0, z0 = position[n, 0], position[n, 1], position[n, 2]
-        r00, r01, r02 = rotation[n, 0, 0], rotation[n, 0, 1], rotation[n, 0, 2]
-        r10, r11, r12 = rotation[n, 1, 0], rotation[n, 1, 1], rotation[n, 1, 2]
-        r20, r21, r22 = rotation[n, 2, 0], rotation[n, 2, 1], rotation[n, 2, 2]
+        x0, y0, z0 = np.float32(position[n, 0]), np.float32(position[n, 1]), np.float32(position[n, 2])
+        r00, r01, r02 = np.float32(rotation[n, 0, 0]), np.float32(rotation[n, 0, 1]), np.float32(rotation[n, 0, 2])
+        r10, r11, r12 = np.float32(rotation[n, 1, 0]), np.float32(rotation[n, 1, 1]), np.float32(rotation[n, 1, 2])
+        r20, r21, r22 = np.float32(rotation[n, 2, 0]), np.float32(rotation[n, 2, 1]), np.float32(rotation[n, 2, 2])
         # the centre in the ball's own axes: what a point faces is then one product with its direction
         cx0 = r00 * x0 + r10 * y0 + r20 * z0
         cx1 = r01 * x0 + r11 * y0 + r21 * z0
         cx2 = r02 * x0 + r12 * y0 + r22 * z0
-        squared = x0 * x0 + y0 * y0 + z0 * z0 + radius * radius
-        total, product, hit, asked = 0.0, 1.0, 0.0, 0.0
-        disc_counts = 1.0
+        a = np.float32(radius)
+        squared = x0 * x0 + y0 * y0 + z0 * z0 - a * a
+        px_per_rad = np.float32(lens[0] * radius / f)
+        for q in range(number):
+            u0, u1, u2 = column[0, q], column[1, q], column[2, q]
+            towards = u0 * cx0 + u1 * cx1 + u2 * cx2 + a
+            per_length = np.float32(1.0) / np.sqrt(squared + (a + a) * towards)
+            depth = z0 + a * (r20 * u0 + r21 * u1 + r22 * u2)
+            per_z = np.float32(1.0) / depth
+            seen[0, q] = -towards * per_length
+            seen[1, q] = (x0 + a * (r00 * u0 + r01 * u1 + r02 * u2)) * per_z
+            seen[2, q] = (y0 + a * (r10 * u0 + r11 * u1 + r12 * u2)) * per_z
+            seen[3, q] = per_length * (column[3, q] * cx0 + column[4, q] * cx1 + column[5, q] * cx2)
+            seen[4, q] = per_length * (column[6, q] * cx0 + column[7, q] * cx1 + column[8, q] * cx2)
+            seen[5, q] = px_per_rad * per_length
+            seen[6, q] = depth
+        total, hit, asked = 0.0, 0.0, 0.0
         for k in range(count):
             rg[k] = 0.0
             gg[k] = 0.0
-        for q in range(len(table)):
-            u0, u1, u2 = table[q, 0], table[q, 1], table[q, 2]
-            towards = u0 * cx0 + u1 * cx1 + u2 * cx2 + radius
-            if table[q, 9] > 0.0:  # the first point of a disc: its centre
-                total += disc_counts * np.log(product)  # one logarithm for all points of the last disc
-                product = 1.0
-                per_length = 1.0 / np.sqrt(squared + 2.0 * radius * (towards - radius))
-                disc_counts = counted(-towards * per_length, fx * radius * per_length * per_f, table[q, 9])
-            if towards >= 0.0:
-                continue
-            per_length = 1.0 / np.sqrt(squared + 2.0 * radius * (towards - radius))
-            facing = -towards * per_length
-            if facing <= BEGINS:
-                continue
-            z = z0 + radius * (r20 * u0 + r21 * u1 + r22 * u2)
-            if z <= 0.0:
-                continue
-            per_z = 1.0 / z
-            xr = (x0 + radius * (r00 * u0 + r01 * u1 + r02 * u2)) * per_z
-            yr = (y0 + radius * (r10 * u0 + r11 * u1 + r12 * u2)) * per_z
+        for k in range(last + 1):
+            counts_of[k] = counted(seen[0, first[k]], seen[5, first[k]], table[first[k], 9])
+            product[k] = 1.0
+        facing_ones = 0
+        for q in range(number):  # without a branch, which would be guessed wrong
+            index[facing_ones] = q
+            facing_ones += (seen[0, q] > BEGINS) & (seen[6, q] > 0.0)
+        points = 0
+        for at in range(facing_ones):
+            q = index[at]
+            px, py = np.float64(seen[1, q]), np.float64(seen[2, q])
             if not straight:
-                xr, yr, _, _, _ = distorted(xr, yr, lens[4:])
-            px, py = (fx * xr + cx - left + 0.5) * per_f - 0.5, (fy * yr + cy - top + 0.5) * per_f - 0.5
+                px, py, _, _, _ = distorted(px, py, lens[4:])
+            px, py = scale_x * px + shift_x, scale_y * py + shift_y
             if not (px >= 0.0 and py >= 0.0 and px < field_w - 1 and py < field_h - 1):
                 continue
             j, i = np.int64(px), np.int64(py)
-            a, b = px - j, py - i
-            ramp = min((facing - BEGINS) * per_ramp, 1.0)
+            ramp = min((seen[0, q] - BEGINS) * (1.0 / (FULLY - BEGINS)), 1.0)
+            counts = ramp * counts_of[disc[q]]
             k = colour[q]
             if k < 0:
                 for one in range(count):
-                    m = between(weight[one], i, j, a, b)
+                    m = between(weight, one, i, j, px - j, py - i)
                     if m > 0.0:
-                        total += ramp * disc_counts * np.log(agree[np.int64(m * _TABLE + 0.5)] + OUTLIER)
+                        total += counts * bare[np.int64(m * _TABLE + 0.5)]
                         if m > 0.5:
-                            asked += ramp * disc_counts
+                            asked += counts
                 continue
-            m = between(weight[k], i, j, a, b)
-            along = per_length * (table[q, 3] * cx0 + table[q, 4] * cx1 + table[q, 5] * cx2)
-            scale = fx * radius * per_length * per_f
-            e, g = expected_field(along, facing, scale, table[q, 6], table[q, 7], table[q, 8])
+            value[points] = between(weight, k, i, j, px - j, py - i)
+            part[points] = counts
+            whole[points] = ramp == 1.0
+            index[points] = q
+            points += 1
+        for at in range(points):
+            q = index[at]
+            kept[0, at], kept[1, at], kept[2, at], kept[3, at] = seen[3, q], seen[4, q], seen[0, q], seen[5, q]
+            kept[4, at], kept[5, at], kept[6, at] = column[9, q], column[10, q], column[11, q]
+            kept[7, at] = column[12, q]
+        for q in range(points):
+            expected[0, q], expected[1, q] = expected_field(
+                kept[0, q], kept[1, q], kept[2, q], kept[3, q], kept[4, q], kept[5, q], kept[6, q], kept[7, q]
+            )
+        for q in range(points):
+            k, m, e, g = colour[index[q]], np.float64(value[q]), np.float64(expected[0, q]), np.float64(expected[1, q])
             r = m - e
-            near = agree[np.int64(abs(r) * _TABLE + 0.5)]
-            ratio = near * other[k, np.int64(e * _TABLE + 0.5)] + OUTLIER
-            if ramp == 1.0:
-                product *= ratio
+            near = agree[np.int64(min(abs(r), 1.0) * _TABLE + 0.5)]
+            ratio = near * other[k, np.int64(min(e, 1.0) * _TABLE + 0.5)] + OUTLIER
+            counts = np.float64(part[q])
+            if whole[q]:
+                product[disc[index[q]]] *= ratio
             else:
-                total += ramp * disc_counts * np.log(ratio)
-            counts = ramp * disc_counts
+                total += counts * np.log(ratio)
             sure = counts * near / (near + OUTLIER)  # the offset explains rims that are nearly right, not missing ones
             rg[k] += sure * r * g
             gg[k] += sure * g * g
+            if not matched:
+                continue
             if e > _ASKED:
                 asked += counts
-                hit += counts * (1.0 if abs(r) < 3.0 * SIGMA else min(m / e, 1.0))
+                hit += counts * (1.0 if abs(r) < _NEAR else min(m / e, 1.0))
             elif m > 0.5:
                 asked += counts
-        total += disc_counts * np.log(product)
+        for k in range(last + 1):  # one logarithm for all points of a disc
+            total += counts_of[k] * np.log(product[k])
         for k in range(count):
             information = 1.0 / RIM_OFFSET**2 + gg[k] / variance
             total += 0.5 * (rg[k] / variance) ** 2 / information - 0.5 * np.log(information * RIM_OFFSET**2)
         out[n] = total
-        match[n] = hit / asked if asked > 0.0 else 0.0
+        if matched:
+            match[n] = hit / asked if asked > 0.0 else 0.0
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -276,7 +338,7 @@ def _weigh_published(position, rotation, table, colour, radius, lens, weight, pl
             m = 0.0
             if px >= 0.0 and py >= 0.0 and px < field_w - 1 and py < field_h - 1:
                 j, i = np.int64(px), np.int64(py)
-                m = between(weight[colour[q]], i, j, px - j, py - i)
+                m = between(weight, colour[q], i, j, px - j, py - i)
             total += np.log(max(m, _FLOOR))
             shown += m
             number += 1
@@ -291,30 +353,40 @@ def counted(facing, scale, solid_angle):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def between(field, i, j, a, b):
-    """Bilinear between pixels, 0 to 1."""
-    high = (1.0 - a) * field[i, j] + a * field[i, j + 1]
-    low = (1.0 - a) * field[i + 1, j] + a * field[i + 1, j + 1]
+def between(fields, k, i, j, a, b):
+    """Bilinear between pixels of field k, 0 to 1."""
+    high = (1.0 - a) * fields[k, i, j] + a * fields[k, i, j + 1]
+    low = (1.0 - a) * fields[k, i + 1, j] + a * fields[k, i + 1, j + 1]
     return ((1.0 - b) * high + b * low) * (1.0 / 255.0)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def expected_field(along, facing, scale, inside, width, bend):
+def expected_field(along, outward, facing, scale, inside, width, bend, offset):
     """Field e that a point of a disc should have, and de / d(offset of the rim in px of the field).
 
-    `along` is the rim's tangent times the line of sight, `scale` px per rad seen from the front, `inside` the way to
-    the rim and `width` that to the far side, rad; `bend` is the curvature's 1 / tan(angle).
+    `along` is the rim's tangent times the line of sight, `outward` the same of the way out of the disc, `scale` px per
+    rad seen from the front, `inside` the way to the rim and `width` that to the far side, rad; `bend` is the
+    curvature's 1 / tan(angle), `offset` how far, px, bounds put the rim outward.
     """
-    per_root = 1.0 / np.sqrt(max(1.0 - along * along, 0.02))
-    across = scale * facing * per_root * (1.0 / FIELD_SIGMA)  # field sigmas per rad, across the projected rim
+    per_root = _ONE / np.sqrt(max(_ONE - along * along, _LEAST_ACROSS))
+    across = scale * facing * per_root * _PER_SIGMA  # field sigmas per rad, across the projected rim
     # a blurred rim of curvature k moves inward by k s² / 2
-    moved = min(0.5 * FIELD_SIGMA * facing * bend * per_root * per_root * per_root / scale, 0.8)
-    e, g = _normal(inside * across - moved)
-    far = width * across - moved
-    if far < 3.0:
-        beyond, slope = _normal(far)
-        e, g = max(e + beyond - 1.0, 0.0), g + slope
-    return e, g * (1.0 / FIELD_SIGMA)
+    moved = min(_HALF_SIGMA * facing * bend * per_root * per_root * per_root / scale, _MOST_MOVED)
+    moved -= offset * _PER_SIGMA
+    disc, g = _normal(inside * across - moved)
+    beyond, slope = _normal(width * across - moved)
+    disc, g = max(disc + beyond - _ONE, _NONE), g + slope
+    # the ball ends at its limb: two half planes, two Gaussian variables; exact where the point lies on both edges
+    aside = np.sqrt(max(_ONE - facing * facing, _TINY))
+    ball, _ = _normal(scale * (_ONE - aside) * _PER_SIGMA)
+    w = _turn(outward / aside * per_root)
+    both, slope = disc * ball, g * ball
+    same_way = min(disc, ball) if w > _NONE else max(disc + ball - _ONE, _NONE)
+    counts = disc < ball if w > _NONE else disc + ball > _ONE
+    share = abs(w)
+    e = (_ONE - share) * both + share * same_way
+    g = (_ONE - share) * slope + (share * g if counts else _NONE)
+    return e, g * _PER_SIGMA
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
@@ -323,9 +395,18 @@ def _normal(x):
 
     The logistic of a cubic (Bowling et al. 2009), its hyperbolic tangent as a continued fraction.
     """
-    x = min(max(x, -3.6), 3.6)
+    x = min(max(x, -_FAR), _FAR)
     xx = x * x
-    y = x * (0.7988 + 0.03528 * xx)
+    y = x * (_CUBIC[0] + _CUBIC[1] * xx)
     yy = y * y
-    t = y * (135135.0 + yy * (17325.0 + yy * (378.0 + yy))) / (135135.0 + yy * (62370.0 + yy * (3150.0 + 28.0 * yy)))
-    return 0.5 + 0.5 * t, 0.5 * (1.0 - t * t) * (0.7988 + 0.10584 * xx)
+    t = y * (_TANH[0] + yy * (_TANH[1] + yy * (_TANH[2] + yy)))
+    t /= _TANH[0] + yy * (_TANH[3] + yy * (_TANH[4] + _TANH[5] * yy))
+    return _HALF + _HALF * t, _HALF * (_ONE - t * t) * (_CUBIC[0] + _CUBIC[2] * xx)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _turn(cosine):
+    """2 / pi times the arc sine, to 5e-5 (Abramowitz, Stegun 1964, 4.4.45)."""
+    x = min(abs(cosine), _ONE)
+    rest = np.sqrt(_ONE - x) * (_ONE - x * (_ARC[0] - x * (_ARC[1] - x * _ARC[2])))
+    return _ONE - rest if cosine > _NONE else rest - _ONE

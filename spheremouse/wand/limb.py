@@ -13,17 +13,22 @@ from spheremouse.rotation import Array
 from spheremouse.wand.colour import Image
 
 DIRECTIONS = 24  # around the outline; every four pixels of a ball 50 px across
-SIGMA = 0.5  # px, of one place: shading, noise
-OFFSET = 0.3  # px, standard deviation common to all: lens blur, a rim that turns dark
+SIGMA = 0.2  # px, of one place: noise, pixels, shading that changes within the blur
+OFFSET = 0.15  # px, standard deviation common to all: a camera whose grey values have another power, a dark rim
 HIDDEN = 0.3  # part of the outline that hand, stick or robot covers or that does not show against what is behind
 REACH = 4.0  # px to either side that are searched
 FLAT = 1.0 / (2.0 * REACH) * np.sqrt(2.0 * np.pi) * SIGMA  # density of an edge anywhere, over that of the true edge
 _COS = np.cos(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS))
 _SIN = np.sin(2.0 * np.pi / DIRECTIONS * np.arange(DIRECTIONS))
 _STEP = 0.5  # px
+_BESIDE = 3  # samples to either side that tell the colours: beyond a blur of half a pixel, before shading changes much
 _SAMPLES = 25  # from -6 to 6 px
 _CONTRAST = 8.0  # grey values, least step: more than the noise of a mean of nine pixels
-_CLEAR = 0.06  # rad between outline and disc: a pixel and a half of a ball 50 px across
+_MOST_INSIDE = 6  # steps inside the outline that are looked at
+_GAMMA = 2.2  # of grey values
+_CARRIED = np.cos(
+    np.deg2rad(45.0)
+)  # around the lower pole stick, robot or fingers cover the ball, or their shadow does
 
 
 def measure(image: Image, position: Array, rotation: Array, discs: Array, radius: float, lens: Array, f: int) -> Array:
@@ -54,26 +59,54 @@ def outline(c, radius, lens, k):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
+def _clear(c, R, x, y, z, discs, radius, lens, f):
+    """Steps inside the outline's place c + (x, y, z) that no rim of a disc runs through, at most those looked at."""
+    distance = np.sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    scale = lens[0] * radius / distance / f  # steps per radius
+    first = -1
+    for depth in range(_MOST_INSIDE + 1):
+        # a place so many steps inside: turned towards the camera by the angle whose cosine falls by that
+        cosine = max(1.0 - depth / scale, 0.0)
+        sine = np.sqrt(1.0 - cosine * cosine) * radius / distance
+        nx, ny, nz = cosine * x - sine * c[0], cosine * y - sine * c[1], cosine * z - sine * c[2]
+        label = -1
+        for q in range(len(discs)):
+            d0 = R[0, 0] * discs[q, 0] + R[0, 1] * discs[q, 1] + R[0, 2] * discs[q, 2]
+            d1 = R[1, 0] * discs[q, 0] + R[1, 1] * discs[q, 1] + R[1, 2] * discs[q, 2]
+            d2 = R[2, 0] * discs[q, 0] + R[2, 1] * discs[q, 1] + R[2, 2] * discs[q, 2]
+            angle = np.arccos(min(max((nx * d0 + ny * d1 + nz * d2) / radius, -1.0), 1.0)) - discs[q, 3]
+            if abs(angle) < 1.0 / scale:  # a step to the side, too
+                return depth
+            if angle < 0.0:
+                label = q
+        if depth == 0:
+            first = label
+        elif label != first:
+            return depth
+    return _MOST_INSIDE
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _measure(image, c, R, discs, radius, lens, f, found):
     h, w, channels = image.shape
     line = np.empty((_SAMPLES, channels))
+    middle = (_SAMPLES - 1) // 2
     for k in range(DIRECTIONS):
         u, v, x, y, z = outline(c, radius, lens, k)
-        covered = False
-        for q in range(len(discs)):
-            nx = R[0, 0] * discs[q, 0] + R[0, 1] * discs[q, 1] + R[0, 2] * discs[q, 2]
-            ny = R[1, 0] * discs[q, 0] + R[1, 1] * discs[q, 1] + R[1, 2] * discs[q, 2]
-            nz = R[2, 0] * discs[q, 0] + R[2, 1] * discs[q, 1] + R[2, 2] * discs[q, 2]
-            covered = covered or (nx * x + ny * y + nz * z) / radius > np.cos(discs[q, 3] + _CLEAR)
+        if R[0, 2] * x + R[1, 2] * y + R[2, 2] * z < -_CARRIED * radius:
+            continue
+        first = max(middle - int(_clear(c, R, x, y, z, discs, radius, lens, f) / _STEP), 0) + _BESIDE
+        if first > middle - _BESIDE:
+            continue
         # outward: from the middle of the opposite points
-        u2, v2, _, _, _ = outline(c, radius, lens, k + DIRECTIONS // 2)
+        u2, v2, _, _, _ = outline(c, radius, lens, (k + DIRECTIONS // 2) % DIRECTIONS)
         length = np.sqrt((u - u2) ** 2 + (v - v2) ** 2)
         du, dv = (u - u2) / length, (v - v2) / length
-        reach = 0.5 * (_SAMPLES - 1) * _STEP * f + 1.0
-        if covered or not (reach < u < w - 1 - reach and reach < v < h - 1 - reach):
+        reach = middle * _STEP * f + 1.0
+        if not (reach < u < w - 1 - reach and reach < v < h - 1 - reach):
             continue
         for i in range(_SAMPLES):
-            s = (i - (_SAMPLES - 1) // 2) * _STEP * f
+            s = (i - middle) * _STEP * f
             pu, pv = u + s * du, v + s * dv
             j, a = int(pu), pu - int(pu)
             l, b = int(pv), pv - int(pv)
@@ -83,7 +116,7 @@ def _measure(image, c, R, discs, radius, lens, f, found):
                 )
         # the strongest step of a width of four samples within reach, each way of colour
         best, at = 0.0, -1
-        for i in range(4, _SAMPLES - 4):
+        for i in range(max(first, 4), _SAMPLES - 4):
             step = 0.0
             for m in range(channels):
                 step += (line[i + 2, m] - line[i - 2, m]) ** 2
@@ -91,24 +124,30 @@ def _measure(image, c, R, discs, radius, lens, f, found):
                 best, at = step, i
         if at < 0:
             continue
-        # half way from the colour inside to that outside
         size = 0.0
         for m in range(channels):
-            size += (line[at + 4, m] - line[at - 4, m]) ** 2
+            size += (line[at + _BESIDE, m] - line[at - _BESIDE, m]) ** 2
         if size < _CONTRAST * _CONTRAST:
             continue
+        # half way from the light inside to that outside: light mixes, its powers do not
+        for i in range(at - _BESIDE, at + _BESIDE + 1):
+            for m in range(channels):
+                line[i, m] = (max(line[i, m], 0.0) * (1.0 / 255.0)) ** _GAMMA
+        size = 0.0
+        for m in range(channels):
+            size += (line[at + _BESIDE, m] - line[at - _BESIDE, m]) ** 2
         before, place = 0.0, -1.0
-        for i in range(at - 4, at + 5):
+        for i in range(at - _BESIDE, at + _BESIDE + 1):
             part = 0.0
             for m in range(channels):
-                part += (line[i, m] - line[at - 4, m]) * (line[at + 4, m] - line[at - 4, m]) / size
-            if i > at - 4 and before < 0.5 <= part:
+                part += (line[i, m] - line[at - _BESIDE, m]) * (line[at + _BESIDE, m] - line[at - _BESIDE, m]) / size
+            if i > at - _BESIDE and before < 0.5 <= part:
                 place = i - 1 + (0.5 - before) / (part - before)
                 break
             before = part
         if place < 0.0:
             continue
-        s = (place - (_SAMPLES - 1) // 2) * _STEP * f
+        s = (place - middle) * _STEP * f
         found[k, 0], found[k, 1] = u + s * du, v + s * dv
         found[k, 2], found[k, 3], found[k, 4] = du, dv, 1.0
 

@@ -290,7 +290,6 @@ def _densities(
     none, same = np.zeros(6), np.eye(3)
     x = np.empty((k, 6))
     haar = np.empty(k)
-    terms = np.empty(m * k + k)
     for n in range(len(position)):
         p = 0.0
         for a in range(m):
@@ -299,7 +298,7 @@ def _densities(
         for b in range(k):
             _difference(to_c[n], to_R[n], none, same, peak_c[b], peak_R[b], spare, spare2, x[b])
             haar[b] = _log_haar(x[b])
-        most, best = -1e300, 0
+        most, best, q = -1e300, 0, 0.0
         for a in range(m + 1):
             for b in range(k):
                 at = a * k + b
@@ -310,12 +309,11 @@ def _densities(
                         for j in range(6):
                             e[i] -= gain[at, i, j] * by[j]
                 gap = _square(inverse[at], e)
-                terms[at] = np.log(max(share[n, at], 1e-300)) + inverse_log[at] - 0.5 * gap - haar[b]
-                if inverse_log[at] - 0.5 * gap > most:
-                    most, best = inverse_log[at] - 0.5 * gap, b
-        q = 0.0
-        for at in range(m * k + k):
-            q += np.exp(terms[at])
+                fit = inverse_log[at] - 0.5 * gap
+                if share[n, at] > 0.0:
+                    q += share[n, at] * np.exp(fit - haar[b])
+                if fit > most:
+                    most, best = fit, b
         q = (1.0 - blind) * q + blind * p
         ratio[n] = np.log(max(p + birth, 1e-300)) - np.log(max(q, 1e-300))
         nearest[n] = best

@@ -27,8 +27,8 @@ from spheremouse.wand.likelihood import (
     shares,
 )
 
-_SOFT = (0.6, 0.4, 0.25)  # of the field's range: residuals believed in the first rounds, far from the peak
-_ROUNDS = 7
+_SOFT = (0.6, 0.4, 0.25, 0.13)  # of the field's range: residuals believed in the first rounds, far from the peak
+_ROUNDS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +48,13 @@ def refine(position: Array, rotation: Array, model: Model, fields: Fields, edges
     points = model.points
     slope = _refine(
         p, R, points.table, points.colour, model.radius, model.lens, fields.weight, fields.place(), shares(fields),
-        edges, rounds, covariance,
+        fields.rim, edges, rounds, covariance,
     )  # fmt: skip
     return Peak(p, R, covariance, edges, slope)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _residuals(c, R, table, colour, radius, lens, weight, place, counts, r, g, e_of, m_of):
+def _residuals(c, R, table, colour, radius, lens, weight, place, rim, counts, r, g, e_of, m_of):
     """m - e of every point; `counts` 0 where it is turned away. Bare points: the greatest of all colours."""
     count, field_h, field_w = weight.shape
     f = place[2]
@@ -88,17 +88,18 @@ def _residuals(c, R, table, colour, radius, lens, weight, place, counts, r, g, e
         if colour[q] < 0:
             m = 0.0
             for k in range(count):
-                m = max(m, between(weight[k], i, j, px - j, py - i))
+                m = max(m, between(weight, k, i, j, px - j, py - i))
             m_of[q], e_of[q], r[q] = m, 0.0, m
             continue
-        m = between(weight[colour[q]], i, j, px - j, py - i)
+        m = between(weight, colour[q], i, j, px - j, py - i)
         tx = R[0, 0] * table[q, 3] + R[0, 1] * table[q, 4] + R[0, 2] * table[q, 5]
         ty = R[1, 0] * table[q, 3] + R[1, 1] * table[q, 4] + R[1, 2] * table[q, 5]
         tz = R[2, 0] * table[q, 3] + R[2, 1] * table[q, 4] + R[2, 2] * table[q, 5]
         along = (tx * x + ty * y + tz * z) * per_length
-        e, slope = expected_field(
-            along, facing, lens[0] * radius * per_length / f, table[q, 6], table[q, 7], table[q, 8]
-        )
+        # tangent x normal: the way out of the disc
+        outward = ((ty * nz - tz * ny) * x + (tz * nx - tx * nz) * y + (tx * ny - ty * nx) * z) * per_length
+        scale = lens[0] * radius * per_length / f
+        e, slope = expected_field(along, outward, facing, scale, table[q, 6], table[q, 7], table[q, 8], rim[colour[q]])
         m_of[q], e_of[q], r[q], g[q] = m, e, m - e, slope
 
 
@@ -112,7 +113,7 @@ def _outline_residuals(c, radius, lens, edges, r):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _refine(c, R, table, colour, radius, lens, weight, place, share, edges, rounds, covariance):
+def _refine(c, R, table, colour, radius, lens, weight, place, share, rim, edges, rounds, covariance):
     n, count, f = len(table), len(weight), place[2]
     size = 6 + count + 1
     counts, r, g, e, m = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -129,7 +130,7 @@ def _refine(c, R, table, colour, radius, lens, weight, place, share, edges, roun
     B = np.empty((3, 3))
     free = np.array([0.5 * radius, 0.5 * radius, 2.0 * radius, 0.3, 0.3, 0.3])
     for turn_of in range(rounds + 1):
-        _residuals(c, R, table, colour, radius, lens, weight, place, counts, r, g, e, m)
+        _residuals(c, R, table, colour, radius, lens, weight, place, rim, counts, r, g, e, m)
         _outline_residuals(c, radius, lens, edges, lr)
         distance = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2)
         half = 0.5 * f * distance / lens[0]  # m that are half a pixel
@@ -157,6 +158,7 @@ def _refine(c, R, table, colour, radius, lens, weight, place, share, edges, roun
                     lens,
                     weight,
                     place,
+                    rim,
                     seen[s],
                     side[s],
                     spare[0],
@@ -180,7 +182,7 @@ def _refine(c, R, table, colour, radius, lens, weight, place, share, edges, roun
             k = colour[q]
             width = SIGMA
             if soft:
-                width = _SOFT[min(turn_of, 2)]
+                width = _SOFT[min(turn_of, 3)]
             p = share[max(k, 0)]
             believed = (1.0 - OUTLIER) * np.exp(-0.5 * (r[q] / width) ** 2)
             believed /= (1.0 - p) * np.exp(-0.5 * (e[q] / width) ** 2) + p

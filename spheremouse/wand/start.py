@@ -23,6 +23,7 @@ _LEAST_AREA = 6  # px: smaller, a spot's centroid is a pixel's
 _FILLED = 0.3  # of its upright box that an ellipse fills: pi / 4, less where it lies across
 _SPOTS = 60  # the largest; more is no ball but a picture of one colour
 _NEIGHBOURS = 8  # of a spot that triples are made with: as many as a side of a ball shows
+_LEAST = 0.4  # of the discs in view, by area, that a pose must explain: a hand or a highlight may take more than half
 _KEPT = 48  # hypotheses handed on
 _SAME_TURN, _SAME_PLACE, _SAME_DEPTH = 0.35, 0.7, 8.0  # rad, radii across and along: hypotheses nearer are one
 
@@ -70,7 +71,7 @@ def hypotheses(
     names: tuple[str, ...],
     nearest: float,
     farthest: float,
-    least: float = 0.5,
+    least: float = _LEAST,
 ) -> Hypotheses:
     """Poses of a ball that explain spots, its centre between `nearest` and `farthest` m away.
 
@@ -385,9 +386,18 @@ def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels,
         expected = np.pi * (scale * angle[d]) ** 2 * z
         if z > 0.25:
             asked += expected
+        # a highlight or a finger leaves a part of a disc, whose centroid lies anywhere within its outline
+        length = max(np.sqrt((x - cx) ** 2 + (y - cy) ** 2), 1e-9)
+        ux, uy = (x - cx) / length, (y - cy) / length
+        inside = (scale * angle[d]) ** 2
         for i in range(count):
             s = near[i]
-            if colour[s] == colours[d] and (q[s, 0] - x) ** 2 + (q[s, 1] - y) ** 2 < within:
+            if colour[s] != colours[d]:
+                continue
+            dx, dy = q[s, 0] - x, q[s, 1] - y
+            across, aside = dx * ux + dy * uy, dy * ux - dx * uy
+            part = area[s] < expected and (across / max(z, 0.25)) ** 2 + aside**2 < inside
+            if part or dx * dx + dy * dy < within:
                 used |= 1 << i
                 if z > 0.25:
                     ratio = area[s] / expected

@@ -50,11 +50,16 @@ _WORSE = 15.0  # log-likelihood below the best at which a peak is none
 _LOOK_EVERY = 15  # frames at least between searches of the whole picture: a slow camera has no time for more
 _WIDER = 1.5  # covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
 _SURE = 0.8  # match of a pose that is believed at first sight: less is looked at twice, or is the mirror of the truth
+_STRONG, _LENIENT = 2.0, 0.15  # times the evidence asked for: a pose that has it may match so much less
 _COARSE = 36.0  # px across: in a picture so far reduced, a hypothesis is within reach of its peak
 _DOUBT = 0.85  # of that level: below, the picture is searched for a better pose before this one is believed
 _HIDDEN_LEVEL = 0.4  # of that level: below, and with a poor match, more than half is hidden or it is another thing
+_ELSEWHERE = 0.5  # of that level: what has less, elsewhere in the picture, is not the ball but a thing of its colours
+_REACHED = 36.0  # d² of six standard deviations of a motion: farther, a ball is elsewhere
+_REMEMBERED = 3.0  # s, the level of a ball that is lost: it may come back farther off, or half hidden
 _NEAR_PEAK = 0.5  # of that level: a predicted pose that has as much lies on the flank of the right peak
-_ROUNDS, _ROUNDS_NEAR = 7, 3  # of the refinement, from a hypothesis and from the flank of a peak
+_FLANK = 0.15  # of the field's range: poses half a pixel from a peak are told from others yet
+_ROUNDS, _ROUNDS_NEAR = 8, 3  # of the refinement, from a hypothesis and from the flank of a peak
 _STEEP = 0.5  # `Peak.slope` above which a pose is still on its way: half a standard deviation off
 _LEVEL_GAIN = 0.2  # the level follows the ball's turning within five frames
 _BLIND = 0.1  # part of the particles that know nothing of the peaks
@@ -75,6 +80,9 @@ class WandSettings:
     particles: int = param(350, "-", "particles; the thesis needs as many to keep the ball", ge=10)
     proposal: Literal["peaks", "motion"] = param(
         "peaks", "-", "particles are drawn towards the likelihood's peaks, or by motion alone as in the thesis"
+    )
+    likelihood: Literal["rims", "product"] = param(
+        "rims", "-", "by motion alone: ours, or the thesis' product of the blurred pictures at its five points a disc"
     )
     region: bool = param(True, "-", "look only at the region where the ball can be")
     outline: bool = param(True, "-", "the ball's outline as a further cue for the distance")
@@ -225,7 +233,9 @@ def step(
         poses.append(pose)
     if scene.whole is not None:
         complaint = _complaint(scene.whole)
-    missing = [p for p in poses if p.phase != WandPhase.TRACKING]
+    missing = [
+        t for t in (*state.tracks, *tracks) if t.phase != WandPhase.TRACKING
+    ]  # found at last: still worth a word
     if complaint and (missing or "%" in complaint):
         poses = [replace(p, event=complaint) if not p.event or p.phase != WandPhase.TRACKING else p for p in poses]
     around = scene.searched
@@ -352,7 +362,7 @@ def _climb(
     empty = _Found((), np.zeros(0), np.zeros(0), seen)
     if len(position) == 0:
         return empty
-    first, _ = log_likelihood(position, rotation, m, seen)
+    first, _ = log_likelihood(position, rotation, m, seen, _FLANK)
     starts: list[int] = []
     rounds = _ROUNDS
     if sure and first.max() > sure:
@@ -392,7 +402,10 @@ def _climb(
 
 def _settled(peak: Peak, m: Model, seen: Fields) -> Peak:
     """The peak, climbed to the end where a few rounds did not reach it."""
-    return peak if peak.slope < _STEEP else refine(peak.position, peak.rotation, m, seen, peak.edges, _ROUNDS)
+    for _ in range(2):
+        if peak.slope >= _STEEP:
+            peak = refine(peak.position, peak.rotation, m, seen, peak.edges, _ROUNDS)
+    return peak
 
 
 def _one(a: Peak, b: Peak, radius: float) -> bool:
@@ -400,10 +413,17 @@ def _one(a: Peak, b: Peak, radius: float) -> bool:
 
 
 def _good(found: _Found, settings: WandSettings, level: float = 0.0) -> bool:
-    """Is the best peak the ball? `level`: what its log-likelihood has been of late."""
-    if not found.peaks or found.log_likelihood[0] < settings.evidence or found.match[0] < settings.match:
+    """Is the best peak the ball? `level`: what its log-likelihood has been of late; 0 where it is not followed yet.
+
+    A highlight or a hand takes points away, but what is left of a ball says more than anything that happens to match.
+    """
+    if not found.peaks:
         return False
-    return bool(found.match[0] >= _SURE or found.log_likelihood[0] >= _HIDDEN_LEVEL * level)
+    value, match = float(found.log_likelihood[0]), float(found.match[0])
+    strong = value >= max(_STRONG * settings.evidence, _ELSEWHERE * level)
+    if value < settings.evidence or match < settings.match - (_LENIENT if strong else 0.0):
+        return False
+    return bool(strong or match >= _SURE or (level > 0.0 and value >= _HIDDEN_LEVEL * level))
 
 
 def _search(scene: _Scene, index: int, others: list[Array]) -> _Found:
@@ -476,19 +496,19 @@ def _follow(
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
     found = _climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
     if not _good(found, s, track.level) or found.match[0] < _SURE or found.log_likelihood[0] < _DOUBT * track.level:
-        near = _from_spots(scene, index, seen, 6, others)
+        near = _credible(_from_spots(scene, index, seen, 6, others), track, motions)
         found = _joined(found, near, ball.radius)
     event = ""
     if not _good(found, s, track.level) or look:
         far = _search(scene, index, others)
         event = _second(far, ball, s)
-        found = _joined(found, far, ball.radius)
+        found = _joined(found, _credible(far, track, motions), ball.radius)
     if not _good(found, s, track.level):
         return _unseen(track, stamp, dt, motions, scene, index, rng, found)
     peaks = _as_peaks(found)
     drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
     assert found.fields is not None
-    value, _ = log_likelihood(drawn.position, drawn.rotation, tracker.models[index], found.fields)
+    value, _ = log_likelihood(drawn.position, drawn.rotation, tracker.models[index], found.fields, matches=False)
     edges = np.array([k.edges for k in found.peaks])
     m = tracker.models[index]
     limb.weigh(drawn.position, nearest, edges, m.radius, m.lens, found.fields.factor, value)
@@ -511,6 +531,22 @@ def _follow(
         level=_level(track, found),
     )
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
+
+
+def _credible(found: _Found, track: Track, motions: Motions) -> _Found:
+    """Of peaks, those that the ball can have moved to, or that show as much of it as it did of late."""
+    assert track.pose is not None
+    p, R, covariance = track.pose
+    kept = []
+    for i, k in enumerate(found.peaks):
+        way = np.concatenate([k.position - p, log(k.rotation @ R.T)])
+        gaps = [
+            (way - d) @ np.linalg.solve(S + covariance, way - d)
+            for d, S in zip(motions.shift, motions.covariance, strict=True)
+        ]
+        if min(gaps) < _REACHED or found.log_likelihood[i] >= _ELSEWHERE * track.level:
+            kept.append(i)
+    return _Found(tuple(found.peaks[i] for i in kept), found.log_likelihood[kept], found.match[kept], found.fields)
 
 
 def _level(track: Track, found: _Found) -> float:
@@ -575,7 +611,7 @@ def _unseen(
     frames = track.unseen_frames + 1
     match = float(found.match[0]) if found.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
-        lost = Track(WandPhase.LOST, stamp=stamp, seen=track.seen)
+        lost = Track(WandPhase.LOST, stamp=stamp, seen=track.seen, level=track.level)
         return lost, WandPose(ball.name, None, None, None, WandPhase.LOST, _missing(ball, track.seen), match)
     quiet = replace(motions, shift=motions.shift[:1], covariance=motions.covariance[:1], probability=np.ones(1))
     particles = moved(track.particles, quiet, rng)
@@ -596,7 +632,8 @@ def _acquire(
     """Find the ball in the whole picture: particles are injected at the peaks."""
     tracker, s, ball = scene.tracker, scene.tracker.settings, scene.tracker.balls[index]
     found = _search(scene, index, others)
-    if not _good(found, s) or found.match[0] < _SURE:
+    least = _ELSEWHERE * track.level * np.exp(-(stamp - track.seen) / _REMEMBERED) if track.level else 0.0
+    if not _good(found, s) or found.log_likelihood[0] < least:
         phase = track.phase
         match = float(found.match[0]) if found.peaks else 0.0
         return replace(track, stamp=stamp), WandPose(
@@ -610,9 +647,9 @@ def _acquire(
     d = np.einsum("nij,nj->ni", root[which], rng.standard_normal((s.particles, 6)))
     position, rotation = peaks.position[which] + d[:, :3], exp(d[:, 3:]) @ peaks.rotation[which]
     m = tracker.models[index]
-    value, _ = log_likelihood(position, rotation, m, found.fields)
+    value, _ = log_likelihood(position, rotation, m, found.fields, matches=False)
     limb.weigh(position, which, np.array([k.edges for k in found.peaks]), m.radius, m.lens, found.fields.factor, value)
-    gaussian = np.array([-0.5 * x @ np.linalg.solve(peaks.covariance[k], x) for x, k in zip(d, which, strict=True)])
+    gaussian = -0.5 * np.einsum("ni,nij,nj->n", d, np.linalg.inv(peaks.covariance)[which], d)
     weight, _ = normalised(value - gaussian - found.log_likelihood[which])
     count = effective(weight)
     particles = Particles(position, rotation, weight)
@@ -627,11 +664,12 @@ def _acquire(
 def _by_motion(
     track: Track, stamp: float, motions: Motions, seen: Fields, scene: _Scene, index: int, rng: np.random.Generator
 ) -> tuple[Track, WandPose]:
-    """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh, resample."""
+    """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh either way, resample."""
     assert track.particles is not None
     ball = scene.tracker.balls[index]
     ahead = moved(track.particles, motions, rng)
-    value, match = published(ahead.position, ahead.rotation, scene.tracker.models[index], seen)
+    weigh = published if scene.tracker.settings.likelihood == "product" else log_likelihood
+    value, match = weigh(ahead.position, ahead.rotation, scene.tracker.models[index], seen)
     weight, _ = normalised(np.log(np.maximum(ahead.weight, 1e-300)) + value)
     count = effective(weight)
     particles = Particles(ahead.position, ahead.rotation, weight)
