@@ -35,7 +35,7 @@ _COMMANDS = {
     "ctl": ("cli_ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
     "service": ("cli_service", "app", "Example: sudo spheremouse service install"),
     "wand": ("cli_wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
-    "experiments": ("cli_experiments", "app", "Example: spheremouse experiments wand --quick --out out"),
+    "experiments": ("cli_experiments", "experiments", "Example: spheremouse experiments wand --quick --out out"),
     "config": ("cli_config", "app", "Example: spheremouse config init spheremouse.yaml"),
     "calibrate": ("calibrate.cli", "app", "Begin with: spheremouse calibrate next"),
     "firmware": ("cli_firmware", "app", "Example: spheremouse firmware check"),

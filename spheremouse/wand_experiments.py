@@ -4,17 +4,13 @@ A job is one film (options and seed) with several trackers that see the same fra
 data, so that it can be kept in a file and taken up again. Compared with Grzonka 2005, chapter 4.
 """
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import spheremouse
 from spheremouse.evaluate.wand import WandRun, errors, found_from, is_lost
 from spheremouse.rotation import Array
 from spheremouse.simulate.wand import WandFilm, WandOptions, WandTruth, prepare_wand, simulate_wand
@@ -58,20 +54,6 @@ class Job:
     def key(self) -> str:
         """Name of its result."""
         return f"{self.film.name}-{self.seed:02d}"
-
-    @property
-    def recipe(self) -> str:
-        """All that determines its result: another recipe, or another program, is another result."""
-        return f"{program()} {replace(self.film, seeds=())!r} {self.seed}"
-
-
-@cache
-def program() -> str:
-    """Fingerprint of the code that films and tracks."""
-    root = Path(spheremouse.__file__).parent
-    files = sorted([*root.glob("wand*.py"), *root.glob("wand/*.py"), *root.glob("simulate/wand*.py")])
-    files += [root / "evaluate" / "wand.py", root / "rotation.py", root / "camera.py"]
-    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:16]
 
 
 def _particles(n: int, **more: Any) -> WandSettings:
@@ -152,7 +134,6 @@ def work(job: Job) -> dict[str, Any]:
         for _, fed in followed:
             fed.feed(shot.frame)
     return {
-        "recipe": job.recipe,
         "variants": {
             variant.name: [_kept(fed.history.run(k), truths[k], balls[k].radius) for k in range(len(balls))]
             for variant, fed in followed

@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from spheremouse import cli_experiments, cli_wand, wand_experiments
+from spheremouse import cli_wand, wand_experiments
 from spheremouse.cli_evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
@@ -23,7 +23,6 @@ from spheremouse.wand_file import load_wand
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")
-app.add_typer(cli_experiments.app, name="experiments")
 app.command()(evaluate)
 
 
@@ -222,57 +221,6 @@ def test_the_issue_s_cases_are_all_there():
     assert every["hand-held"].options.motion == "hand"
     assert len({job.key for job in jobs(quick=False)}) == len(jobs(quick=False))
     assert {f.name for f in films(quick=True)} <= set(every)
-
-
-def test_a_recipe_tells_what_a_result_belongs_to():
-    job = Job(TINY, 1)
-    assert job.recipe == Job(TINY, 1).recipe != Job(TINY, 2).recipe
-    assert job.recipe != Job(replace(TINY, options=replace(TINY.options, noise=9.0)), 1).recipe
-    assert job.recipe == Job(replace(TINY, seeds=(1,)), 1).recipe  # more seeds do not undo what is done
-
-
-def test_experiments_run_resume_and_tell_of_failures(run, tmp_path, monkeypatch):
-    """In this process: a film that works, taken up again, and one that fails, which is a row that says so."""
-    broken = replace(TINY, name="broken", ball="nobody's", seeds=(1,))
-    made = []
-
-    def here(todo, cores):
-        for job in todo:
-            made.append(job.key)
-            yield job, cli_experiments._safely(job)
-
-    monkeypatch.setattr(wand_experiments, "films", lambda quick: (TINY, broken))
-    monkeypatch.setattr(cli_experiments, "_worked", here)
-    monkeypatch.setattr(cli_experiments, "measure_speeds", lambda: {})
-    code, said = run("experiments", "wand", "--out", tmp_path / "out")
-    assert code == 1  # one failed
-    assert 'broken, 30: seed 1: KeyError: "nobody\'s"' in said
-    assert made == ["tiny-01", "tiny-02", "broken-01"]
-    code, again = run("experiments", "wand", "--out", tmp_path / "out")
-    assert made[3:] == ["broken-01"]  # only what failed is done anew
-    assert again == said
-    figures = json.loads((tmp_path / "out" / "wand.json").read_text())
-    row = next(r for r in figures["rows"] if (r["film"], r["variant"]) == ("tiny", "20, known start"))
-    assert row["runs"] == 2
-    assert row["tracked"] > 0.0
-    text = (tmp_path / "out" / "wand.md").read_text()
-    assert "| broken: a short one | 30 | 0 | failed: see below |" in text
-    (tmp_path / "out" / "wand" / "tiny-01.json").write_text("{")  # cut short
-    run("experiments", "wand", "--out", tmp_path / "out")
-    assert made[4:] == ["tiny-01", "broken-01"]
-
-
-def test_processes_give_what_this_one_gives():
-    """Two processes, real ones."""
-    job = Job(replace(TINY, variants=TINY.variants[:1], seeds=(1,)), 1)
-    found = {j.key: r for j, r in cli_experiments._worked([job], 2)}["tiny-01"]
-    here = wand_experiments.work(job)
-    assert found["recipe"] == here["recipe"]
-    assert list(found["variants"]) == list(here["variants"])
-    for there, own in zip(found["variants"].values(), here["variants"].values(), strict=True):
-        # Sums in another order of memory round otherwise, and a resampling may fall the other way.
-        assert [(r["lost"], r["frames"]) for r in there] == [(r["lost"], r["frames"]) for r in own]
-        assert np.allclose([r["position"][-1] for r in there], [r["position"][-1] for r in own], atol=0.02)
 
 
 def test_results_put_together_are_the_metrics_of_the_runs(monkeypatch):

@@ -1,0 +1,251 @@
+"""How many discs on the ball: errors against their number, beside the least that is possible.
+
+Wittich 2017, section 4.7, table 20: 26, 50 and 74 discs (sets S1, S2, S3); here 6 to 100, on several layouts.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from spheremouse.evaluate.bound import Bound
+from spheremouse.evaluate.metrics import Run
+from spheremouse.experiments import sights
+from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit import TRACKERS, made, options_of, settings_of, tracked
+from spheremouse.experiments.plot import BOUND, THESIS
+from spheremouse.experiments.report import failures, value
+from spheremouse.simulate import prepare
+
+TITLE = "Number of discs (Wittich 2017, table 20)"
+
+COUNTS = (6, 10, 16, 26, 36, 50, 74, 100)
+LAYOUTS = (0, 1, 2)
+_KNOWN = 1.0  # rad/s, standard deviation of a rate of which something is known
+_FAR_OFF = 1.0  # °, an attitude that is lost
+NOISE = 0.05  # px, of the bound: about that of our centres, and the same for all balls
+STORED = {26: 4.9, 50: 8.9, 74: 14.5}
+ATTITUDE = {26: (0.100, 0.086, 0.122), 50: (0.070, 0.067, 0.083), 74: (0.040, 0.056, 0.080)}  # °
+RATE = {26: (0.595, 0.481, 0.773), 50: (0.551, 0.407, 0.624), 74: (0.456, 0.406, 0.561)}  # °/s
+
+
+def jobs(request: Request) -> list[Job]:
+    """One per ball."""
+    counts, layouts, frames = (tuple(STORED), (0,), 90) if request.quick else (COUNTS, LAYOUTS, 300)
+    return [
+        Job(_key(n, k), with_discs, {"discs": n, "layout": k, "frames": frames}, cost=(0.02 + 0.0003 * n) * frames)
+        for n in counts
+        for k in layouts
+    ]
+
+
+def with_discs(discs: int, layout: int, frames: int) -> Result:
+    """Every filter on one ball, and the bound."""
+    film = made(prepare(options_of({"discs": discs, "layout": layout, "seconds": frames / 30.0})))
+    radius = film.rig.ball.radius
+    seen = sights.look_at(film, settings_of(["tracker=ekf2"]))
+    runs: dict[str, Run] = {
+        name: sights.filtered(seen, settings_of([f"tracker={name}"]), film) for name in TRACKERS if name != "so3"
+    }
+    runs["so3"] = tracked(film, settings_of()).run
+    rows = {name: sights.errors(run, film.truth, radius) for name, run in runs.items()}
+    return {"rows": rows, "bound": sights.bound_rms(_where_known(sights.bound(film, NOISE)))}
+
+
+def _where_known(limit: Bound | None) -> Bound | None:
+    """The frames in which something is known of the rate: with few discs there may be none in view for a while."""
+    if limit is None:
+        return None
+    known = np.trace(limit.rate, axis1=1, axis2=2) < _KNOWN**2
+    known[0] = True  # the reference
+    return limit.take(np.flatnonzero(known)) if np.count_nonzero(known) > 1 else None
+
+
+def _key(discs: int, layout: int) -> str:
+    return f"{discs}-{layout}"
+
+
+# ---- for a reader ----
+
+
+def section(request: Request, results: Results) -> Section:
+    """Table 20, and errors against the number of discs."""
+    balls = _by_count(results)
+    parts: list[str | Table | Figure] = [
+        "The far camera, the thesis' motion, the camera's pose found from the film; balls with other numbers of discs. "
+        "Table 20 is compared with the first layout, in the axes of the device; for the figure, "
+        f"{max((len(b) for b in balls.values()), default=0)} layouts each, RMS of their errors.",
+        _table_20(results),
+    ]
+    both = _both(balls)
+    if both:
+        parts.append(both)
+    few = _too_few(balls)
+    if few:
+        parts.append(few)
+    if len(balls) > 1:
+        parts.append(_figure(balls))
+    if balls:
+        parts.append(_all_table(balls))
+    failed = failures(results)
+    if failed:
+        parts.append("Failed:\n\n" + "\n".join(failed))
+    return Section(tuple(parts), dict(results))
+
+
+def _by_count(results: Results) -> dict[int, list[Result]]:
+    """What is there, by the number of discs."""
+    found: dict[int, list[Result]] = {}
+    for key, result in results.items():
+        if "error" not in result:
+            found.setdefault(int(key.split("-")[0]), []).append(result)
+    return dict(sorted(found.items()))
+
+
+def _table_20(results: Results) -> Table:
+    rows = [_line("discs used per frame (thesis: stored)", STORED, results, ("mean_discs",), 1)]
+    for name, typed, key, unit in (
+        ("attitude RMSE", ATTITUDE, "attitude_rmse_deg", "°"),
+        ("rate RMSE", RATE, "rate_rmse_deg_s", "°/s"),
+    ):
+        for i, axis in enumerate("xyz"):
+            thesis = {n: values[i] for n, values in typed.items()}
+            rows.append(_line(f"{name} {axis}, {unit}", thesis, results, (key, axis), 3))
+    head = ("", *(f"{n}: {who}" for n in STORED for who in ("thesis", *(f"`{t}`" for t in TRACKERS))))
+    return Table(head, tuple(rows))
+
+
+def _line(name: str, thesis: dict[int, float], results: Results, path: tuple[str, ...], digits: int) -> tuple[str, ...]:
+    cells = [name]
+    for n in STORED:
+        result = results.get(_key(n, LAYOUTS[0]))
+        cells.append(f"{thesis[n]:.{digits}f}")
+        for who in TRACKERS:
+            row = result if result is None or "error" in result else result["rows"][who]
+            cells.append(value(row, *path, digits=digits))
+    return tuple(cells)
+
+
+def _rms(balls: list[Result], who: str, quantity: str) -> float | None:
+    """Of the combined errors over the layouts; None where one of them has none."""
+    if who == "bound":
+        parts = [ball["bound"][quantity] for ball in balls]
+        values = [None if part is None else part["combined"] for part in parts]
+    else:
+        key = {"attitude_deg": "attitude_rmse_deg", "rate_deg_s": "rate_rmse_deg_s"}[quantity]
+        values = [ball["rows"][who][key]["combined"] for ball in balls]
+    known = [v for v in values if v is not None]
+    return float(np.sqrt(np.mean(np.square(known)))) if known and len(known) == len(values) else None
+
+
+def _lost(balls: list[Result], who: str) -> int:
+    return sum(ball["rows"][who]["lost_episodes"] for ball in balls)
+
+
+def _both(balls: dict[int, list[Result]]) -> str:
+    """What more discs bring, there and here; empty where one of the two numbers is missing."""
+    few, many = min(STORED), max(STORED)
+    if few not in balls or many not in balls:
+        return ""
+    thesis = {q: _norm(t[few]) / _norm(t[many]) for q, t in (("attitude_deg", ATTITUDE), ("rate_deg_s", RATE))}
+    said = []
+    for quantity, word in (("attitude_deg", "attitude"), ("rate_deg_s", "rate")):
+        gains = [f"thesis {thesis[quantity]:.2f}"]
+        for who in (*TRACKERS, "bound"):
+            a, b = _rms(balls[few], who, quantity), _rms(balls[many], who, quantity)
+            if a and b:
+                gains.append(f"{'the bound' if who == 'bound' else f'`{who}`'} {a / b:.2f}")
+        said.append(f"{word}: {', '.join(gains)}")
+    noise = [b["rows"]["so3"]["detection"]["centre_rms_px"] for found in balls.values() for b in found]
+    known = [x for x in noise if x is not None]
+    centres = f" Centres are good to {min(known):.2f} to {max(known):.2f} px." if known else ""
+    share = {
+        n: 100.0 * np.mean([b["rows"]["so3"]["mean_discs"] / n for b in balls[n]])
+        for n in STORED
+        if n in balls and all(b["rows"]["so3"]["mean_discs"] for b in balls[n])
+    }
+    seen = f" {min(share.values()):.0f} to {max(share.values()):.0f} % of the discs are used" if share else ""
+    return (
+        f"From {few} to {many} discs the errors shrink by a factor of ({'; '.join(said)}); if each disc said something "
+        f"new, it would be √({many}/{few}) = {np.sqrt(many / few):.2f}. "
+        + (f"In each frame{seen} (thesis: 15 to 20 % stored)." if seen else "")
+        + centres
+    )
+
+
+def _too_few(balls: dict[int, list[Result]]) -> str:
+    """With how many discs the attitude is no longer known; empty where there is no such ball."""
+    said = []
+    for n, found in balls.items():
+        off = {who: _rms(found, who, "attitude_deg") for who in TRACKERS}
+        lost = [who for who, x in off.items() if x is None or x > _FAR_OFF]
+        used = [b["rows"]["so3"]["mean_discs"] or 0.0 for b in found]
+        if lost:
+            said.append(
+                f"{n} discs ({np.mean(used):.1f} of them used per frame): {', '.join(f'`{who}`' for who in lost)}"
+            )
+    if not said:
+        return ""
+    return (
+        f"Too few discs for an attitude better than {_FAR_OFF:g}°: {'; '.join(said)}. A single disc in view leaves the "
+        "turn about itself open, none leaves all."
+    )
+
+
+def _norm(values: tuple[float, ...]) -> float:
+    return float(np.linalg.norm(values))
+
+
+def _all_table(balls: dict[int, list[Result]]) -> Table:
+    rows = []
+    for n, found in balls.items():
+        used = [b["rows"]["so3"]["mean_discs"] for b in found if b["rows"]["so3"]["mean_discs"] is not None]
+        row = [str(n), str(len(found)), f"{np.mean(used):.1f}" if used else "–"]
+        for quantity, digits in (("attitude_deg", 3), ("rate_deg_s", 2)):
+            for who in (*TRACKERS, "bound"):
+                number = _rms(found, who, quantity)
+                row.append("–" if number is None else f"{number:.{digits}f}")
+        row.append(", ".join(str(_lost(found, who)) for who in TRACKERS))
+        rows.append(tuple(row))
+    names = (*(f"`{t}`" for t in TRACKERS), "bound")
+    head = (
+        *("discs", "balls", "used per frame"),
+        *(f"attitude, °: {n}" for n in names),
+        *(f"rate, °/s: {n}" for n in names),
+        "times lost: " + ", ".join(f"`{t}`" for t in TRACKERS),
+    )
+    return Table(head, tuple(rows), "Combined RMSE by the number of discs")
+
+
+def _figure(balls: dict[int, list[Result]]) -> Figure:
+    panels = (("attitude_deg", "attitude RMSE, °", ATTITUDE), ("rate_deg_s", "rate RMSE, °/s", RATE))
+
+    def draw(canvas: Any) -> None:
+        axes = canvas.subplots(1, 2)
+        handles: list[Any] = []
+        for ax, (quantity, label, typed) in zip(axes, panels, strict=True):
+            handles = []
+            for k, who in enumerate(TRACKERS):
+                x, y = _curve(balls, who, quantity)
+                handles += ax.plot(x, y, color=f"C{k}", marker="o", label=who)
+            x, y = _curve(balls, "bound", quantity)
+            handles += ax.plot(x, y, color="0.5", label="Cramér-Rao bound", **BOUND)
+            x, y = list(typed), [_norm(v) for v in typed.values()]
+            handles += ax.plot(x, y, color="C1", marker="s", markerfacecolor="none", label="thesis, EKF2", **THESIS)
+            ax.set(xscale="log", yscale="log", xlabel="discs on the ball", ylabel=label)
+            ax.set_xticks(list(balls), [str(n) for n in balls])
+            ax.minorticks_off()
+        canvas.legend(handles=handles, loc="outside upper center", ncols=5)
+
+    return Figure(
+        "count",
+        "Errors against the number of discs, and the least that is possible for a ball of constant velocity with the "
+        "true acceleration, for centres good to " + f"{NOISE:g} px per axis.",
+        draw,
+        (7.2, 3.5),
+    )
+
+
+def _curve(balls: dict[int, list[Result]], who: str, quantity: str) -> tuple[list[int], list[float]]:
+    points = [(n, _rms(found, who, quantity)) for n, found in balls.items()]
+    known = [(n, y) for n, y in points if y is not None]
+    return [n for n, _ in known], [y for _, y in known]

@@ -1,0 +1,131 @@
+"""A film that is looked at once and filtered any number of times: what a detector saw, in; a run and its errors, out.
+
+For the classic filters, whose detector looks at whole pictures: what they see does not depend on what they know.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from spheremouse.camera import Pose
+from spheremouse.detect.detections import Detections
+from spheremouse.evaluate.bound import Bound, posterior_bound
+from spheremouse.evaluate.metrics import (
+    Reference,
+    Run,
+    attitude_error,
+    correlation,
+    detection_quality,
+    lost_episodes,
+    mean_discs,
+    mean_nees,
+    per_axis,
+    surface_speeds,
+)
+from spheremouse.experiments.experiment import Result
+from spheremouse.experiments.kit import Film
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array
+from spheremouse.session import Epoch, History, initialise
+from spheremouse.simulate.truth import VISIBLE
+from spheremouse.track import Settings, advance, begin, build
+
+
+@dataclass(frozen=True, slots=True)
+class Sights:
+    """What is seen of a ball from a camera that stands."""
+
+    stamps: tuple[float, ...]  # s
+    detections: tuple[Detections, ...]  # by frame, of the whole picture
+    rig: Rig
+    pose: Pose
+
+
+def look_at(film: Film, settings: Settings) -> Sights:
+    """Every disc candidate of a film, and the camera's pose from its first frames. PoseError where there is none."""
+    start = initialise(iter(film.frames), film.rig, settings)
+    tracker = build(film.rig, start.pose, settings)
+    frames = list(start.frames)
+    seen = tuple(tracker.detector.detect(frame.image) for frame in frames)
+    return Sights(tuple(frame.stamp for frame in frames), seen, film.rig, start.pose)
+
+
+def with_sigma(sights: Sights, sigma: float) -> Sights:
+    """With the same standard deviation for all centres: sigma_b of Wittich 2017, px per axis."""
+    even = [
+        replace(d, covariance=np.broadcast_to(sigma**2 * np.eye(2), (len(d), 2, 2)).copy()) for d in sights.detections
+    ]
+    return replace(sights, detections=tuple(even))
+
+
+def filtered(sights: Sights, settings: Settings, film: Film) -> Run:
+    """The run of `ekf1` or `ekf2`, as `session.track` gives it."""
+    assert settings.tracker != "so3", "so3 looks where it expects discs"
+    tracker = build(sights.rig, sights.pose, settings)
+    state, history = begin(tracker, sights.stamps[0]), History()
+    last = len(film.frames) - len(sights.stamps)  # frames before the first view that showed the targets
+    for frame, seen in zip(film.frames[last:], sights.detections, strict=True):
+        state, motion = advance(state, frame.stamp, seen, tracker)
+        history.add(Epoch(frame, state, motion, {}))
+    return history.run()
+
+
+def errors(run: Run, truth: Reference, radius: float) -> Result:
+    """The part of `metrics.report` that experiments compare; same keys, None where nothing was tracked."""
+    kept, motion = run.tracked, truth.motion
+    assert motion is not None
+    attitude = rate = speed = true = None
+    if len(kept):
+        attitude = attitude_error(run.attitude[kept], motion.attitude[run.frame[kept]])
+        rate = run.rate[kept] - motion.rate[run.frame[kept]]
+        speed, true = surface_speeds(run, motion, radius)
+    P = run.covariance[kept]
+    detection = None if truth.discs is None else detection_quality(run, truth.discs)
+    return {
+        "frames": len(run.frame),
+        "tracked": len(kept),
+        "lost_episodes": lost_episodes(run.phase),
+        "attitude_rmse_deg": per_axis(None if attitude is None else np.rad2deg(attitude), "xyz"),
+        "rate_rmse_deg_s": per_axis(None if rate is None else np.rad2deg(rate), "xyz"),
+        "surface_speed_rmse_mm_s": per_axis(None if speed is None or true is None else speed - true, "xy"),
+        "surface_speed_r": correlation(speed, true),
+        "mean_discs": mean_discs(run),
+        "detection": detection,
+        "nees": {
+            "attitude": None if attitude is None else mean_nees(attitude[1:], P[1:, :3, :3]),
+            "rate": None if rate is None else mean_nees(rate, P[:, 3:, 3:]),
+        },
+    }
+
+
+def bound(film: Film, sigma: float) -> Bound | None:
+    """The posterior Cramer-Rao bound in every frame, with the discs wholly in view and `sigma` px of noise per axis."""
+    truth = film.truth
+    if truth.motion is None or truth.discs is None or truth.pose is None or truth.directions is None:
+        return None
+    sights = []
+    for k in range(len(film.frames)):
+        discs = truth.discs.of_frame(k)
+        sights.append(discs.disc[discs.state == VISIBLE])
+    n = len(film.frames)
+    motion = replace(
+        truth.motion, stamp=truth.motion.stamp[:n], attitude=truth.motion.attitude[:n], rate=truth.motion.rate[:n]
+    )
+    return posterior_bound(motion, sights, truth.directions, film.rig, truth.pose, sigma)
+
+
+def bound_rms(limit: Bound | None) -> Result:
+    """Degrees and degrees per second, combined and per axis, over all frames but the first, as `metrics.bound_ratio`.
+
+    In the first the attitude is the reference, and of the rate nothing is known.
+    """
+    if limit is None:
+        return {"attitude_deg": None, "rate_deg_s": None}
+    return {"attitude_deg": _rms(limit.attitude[1:]), "rate_deg_s": _rms(limit.rate[1:])}
+
+
+def _rms(covariance: Array) -> dict[str, float]:
+    mean = np.mean(np.diagonal(covariance, axis1=1, axis2=2), axis=0)
+    values: Iterable[float] = np.rad2deg(np.sqrt(mean)).tolist()
+    return {**dict(zip("xyz", values, strict=True)), "combined": float(np.rad2deg(np.sqrt(mean.sum())))}

@@ -1,0 +1,134 @@
+"""Experiments as a user runs them: whole, cut off and taken up again, with jobs that fail."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+
+import pytest
+import tiny_experiment
+import typer
+from typer.testing import CliRunner
+
+from spheremouse import cli_experiments
+from spheremouse.errors import SpheremouseError
+from spheremouse.experiments import NAMES
+from spheremouse.experiments import run as run_module
+from spheremouse.experiments.experiment import Job, Request
+from spheremouse.experiments.report import value
+from spheremouse.experiments.run import work_all
+
+app = typer.Typer()
+app.command()(cli_experiments.experiments)
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """The folder in which each job that is done leaves a file."""
+    folder = tmp_path / "made"
+    folder.mkdir()
+    monkeypatch.setenv("TINY_MADE", str(folder))
+    monkeypatch.setitem(sys.modules, "spheremouse.experiments.tiny", tiny_experiment)
+    monkeypatch.setattr(cli_experiments, "NAMES", ("tiny", "poses"))
+    return folder
+
+
+@pytest.fixture
+def run(made, tmp_path):
+    """(*words) -> exit code, what was printed; errors of ours as their text."""
+
+    def call(*words):
+        result = CliRunner().invoke(app, ["tiny", "--out", str(tmp_path / "out"), "--cores", "2", *map(str, words)])
+        if isinstance(result.exception, SpheremouseError):
+            return 2, str(result.exception)
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        return result.exit_code, result.output
+
+    return call
+
+
+def done(made):
+    return sorted(int(p.name.partition("-")[0]) for p in made.iterdir())
+
+
+def test_a_run_that_was_cut_off_goes_on_where_it_stopped(run, made, tmp_path):
+    code, said = run("--quick")
+    assert code == 0, said
+    assert done(made) == [0, 1, 2]
+    out = tmp_path / "out"
+    page = (out / "experiments.md").read_text()
+    assert "`spheremouse experiments tiny --quick --out DIR`" in page
+    assert "## Squares | and more" in page
+    assert "| square-2 | 4 | – |" in page
+    for kind in ("light", "dark"):
+        assert f"experiments/squares-{kind}.svg" in page
+        assert (out / "experiments" / f"squares-{kind}.svg").read_text().startswith("<?xml")
+    assert json.loads((out / "experiments.json").read_text()) == {"tiny": {"others": 3}}  # it ran when all had ended
+    jobs = out / "experiments" / "jobs" / "tiny"
+    (jobs / "square-1.json").write_text("{")  # cut short
+    (jobs / "square-2.json").unlink()
+    assert run("--quick") == (code, said)
+    assert done(made) == [0, 1, 1, 2, 2]
+    run("--quick", "--again")
+    assert len(done(made)) == 8
+
+
+def test_what_fails_is_a_row_and_is_tried_again(run, made, tmp_path):
+    code, said = run()
+    assert code == 1
+    assert "failed: tiny/square-3: ValueError: three is too many" in said
+    assert "| square-3 | failed | failed |" in (tmp_path / "out" / "experiments.md").read_text()
+    run()
+    assert done(made) == [0, 1, 2, 3, 3]
+
+
+def test_a_process_that_dies_is_said(tmp_path):
+    job = Job("gone", tiny_experiment.die)
+    assert "process ended" in work_all([job], tmp_path, 1)["gone"]["error"]
+
+
+def test_other_parameters_or_another_program_are_another_result(made, tmp_path, monkeypatch):
+    job = Job("a", tiny_experiment.square, {"n": 2, "made": str(made)})
+    for wanted in (job, job, replace(job, parameters={"n": 5, "made": str(made)})):
+        results = work_all([wanted], tmp_path, 1)
+    assert results["a"]["n"] == 5
+    assert done(made) == [2, 5]
+    monkeypatch.setattr(run_module, "program", lambda: "another")
+    work_all([replace(job, parameters={"n": 5, "made": str(made)})], tmp_path, 1)
+    assert done(made) == [2, 5, 5]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["posse"], "unknown experiment 'posse'; there are tiny, poses"),
+        (["--cores", "0"], "--cores: must be 1 or more, is 0"),
+        (["--datasets", "/nowhere"], "--datasets: /nowhere: no such folder"),
+        (["--out", "/dev/null/x"], "--out /dev/null/x: cannot be made a folder"),
+    ],
+)
+def test_slips_are_refused(run, words, expected):
+    code, said = run(*words)
+    assert code == 2
+    assert said.startswith(expected)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_experiment_has_jobs_with_keys_of_their_own(name):
+    module = cli_experiments.import_module(f"spheremouse.experiments.{name}")
+    assert module.TITLE
+    for quick in (True, False):
+        jobs = module.jobs(Request(quick, None))
+        keys = [job.key for job in jobs]
+        assert len(set(keys)) == len(keys)
+        assert all(re.fullmatch(r"[\w.+-]+", key) for key in keys), keys
+        assert all(json.loads(json.dumps(job.parameters)) == job.parameters for job in jobs)
+    assert len(module.jobs(Request(True, None))) <= len(jobs)
+
+
+def test_a_value_says_what_is_missing():
+    assert value({"a": {"b": 2.0}}, "a", "b", digits=1, factor=10) == "20.0"
+    assert value(None, "a") == "–"
+    assert value({"error": "as if"}, "a") == "failed"
+    assert value({"a": None}, "a", "b") == "–"

@@ -1,0 +1,48 @@
+"""An experiment that takes no time, with jobs that fail in every way; its functions are found by other processes."""
+
+import os
+import time
+from pathlib import Path
+
+from spheremouse.experiments.experiment import Figure, Job, Section, Table
+from spheremouse.experiments.report import failures, value
+
+TITLE = "Squares | and more"
+
+
+def square(n, made):
+    Path(made, f"{n}-{time.monotonic_ns()}").touch()
+    if n == 3:
+        raise ValueError("three\nis too many")
+    return {"n": n, "part": {"square": n * n}}
+
+
+def die():
+    os._exit(1)
+
+
+def alone(made):
+    return {"others": len(list(Path(made).iterdir()))}
+
+
+def jobs(request):
+    made = os.environ["TINY_MADE"]
+    most = 3 if request.quick else 4
+    return [
+        Job("alone", alone, {"made": made}, alone=True),
+        *(Job(f"square-{n}", square, {"n": n, "made": made}, cost=n) for n in range(most)),
+    ]
+
+
+def section(request, results):
+    squares = {k: r for k, r in results.items() if k.startswith("square")}
+
+    def draw(figure):
+        axes = figure.subplots()
+        axes.plot([r["n"] for r in squares.values() if "error" not in r])
+        axes.set_xlabel("job")
+
+    rows = tuple((k, value(r, "part", "square", digits=0), value(r, "none")) for k, r in squares.items())
+    failed = failures(results)
+    parts = ("Some words.", Table(("job", "square", "none"), rows), Figure("squares", "What came.", draw))
+    return Section((*parts, *failed), {"others": results["alone"].get("others")})
