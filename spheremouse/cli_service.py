@@ -82,6 +82,8 @@ def uninstall(
     live = place.root == _ROOT and _booted(place)
     if dry_run:
         _would(deeds)
+        if not deeds:
+            typer.echo("there is no service")
         return
     _allowed(place, deeds, "uninstall")
     if live and deeds:

@@ -147,6 +147,8 @@ class Worker:
             self.state, self._tracker = retuned(self.state, self._tracker, settings)
         elif self._tracker is not None:
             self._tracker = build(self.rig, self._tracker.pose, settings)
+        if settings.tracker != self.settings.tracker:
+            self.ball = "another filter begins"
         self.settings = settings
 
     def reinitialise(self, answer: Callable[[str | None, str], None]) -> None:
