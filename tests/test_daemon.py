@@ -311,6 +311,9 @@ def test_a_dark_picture_is_lost_and_found(playing):
     world.fault = "dark"
     world.reach("lost")
     assert "no disc" in ask(world, "status")["reason"]
+    heard = len(world.sent)
+    world.until(lambda: len(world.sent) > heard + 5)  # outputs want to know that we live, also while nothing moves
+    assert not any(any(m.counts) for m in world.sent[heard:])
     world.fault = ""
     world.reach("tracking")
     world.settle()

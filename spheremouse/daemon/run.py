@@ -186,7 +186,7 @@ class Daemon:
         """What a frame gave, to all that want it; the pointer first."""
         epoch = made.epoch
         # where the output has come back since this was judged, the next frame is the first one for it
-        self._reporter.give(epoch.motion, made.rate, taken, made.holds, self._state is State.TRACKING)
+        self._reporter.give(epoch.motion, made.rate, taken, made.holds, self._state is not State.FAILED_OUTPUT)
         self._given_out = plus(self._given_out, epoch.motion.counts)
         if self._keeper is not None:
             self._keeper.keep(epoch.state)
