@@ -9,14 +9,13 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.daemon import realtime
 from spheremouse.daemon.capture import PATIENCE, Capture
 from spheremouse.daemon.notify import Notifier
+from spheremouse.daemon.owned import Owned
 from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Arrival, Newest
 from spheremouse.daemon.settings import Configuration
@@ -62,7 +61,7 @@ class WandLive:
         self._ring = Newest()
         self._capture = Capture(open_camera, self._ring, say)
         self._state: WandState | None = None
-        self._buffer: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._own = Owned()
         self._trouble = ""  # why no frame can be used
         self._good = self._cured = self._last = 0.0  # s: a frame could be used, was mended by reopening, came at all
         self._interrupted = True
@@ -181,13 +180,3 @@ class WandLive:
         for line in lines:
             self._say(line)
             self._notifier.status(line)
-
-    def _own(self, frame: Frame) -> Frame:
-        """The frame as compiled code takes it: rows without gaps, in memory that may be written."""
-        image = frame.image
-        if image.flags.c_contiguous and image.flags.writeable:
-            return frame
-        if self._buffer.shape != image.shape:
-            self._buffer = np.empty(image.shape, np.uint8)
-        np.copyto(self._buffer, image)
-        return replace(frame, image=self._buffer)

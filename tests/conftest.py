@@ -1,11 +1,17 @@
 """Where the reference recordings are, and what to do without them."""
 
 import os
+import signal
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
+
+from spheremouse import cli
+
+_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, name)]
 
 threadpool_limits(1)  # as the command line does
 
@@ -22,6 +28,24 @@ def datasets_dir() -> Path:
 def far26() -> Path:
     """The reference recording far26, or a skip."""
     return datasets_dir() / "far26"
+
+
+@pytest.fixture
+def spheremouse(monkeypatch, capfd):
+    """Runs the program in this process: (*words) -> exit code, standard output, standard error."""
+    before = {s: signal.getsignal(s) for s in _SIGNALS}
+
+    def run(*words):
+        capfd.readouterr()
+        monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capfd.readouterr()
+        return end.value.code or 0, out, err
+
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def directions(n: int, seed: int, least: float = 0.2) -> np.ndarray:

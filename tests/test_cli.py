@@ -35,24 +35,6 @@ COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"], ["map
 QUICK = ("--set", "pose.frames=2")
 
 
-@pytest.fixture
-def spheremouse(monkeypatch, capfd):
-    """Runs the program in this process: (*words) -> exit code, standard output, standard error."""
-    before = {s: signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)}
-
-    def run(*words):
-        capfd.readouterr()
-        monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        out, err = capfd.readouterr()
-        return end.value.code or 0, out, err
-
-    yield run
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
 @pytest.fixture(scope="module")
 def roll(tmp_path_factory):
     """A dataset: one turn in 2 s, through phi = 90 degrees; made by the command."""

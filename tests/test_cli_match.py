@@ -2,13 +2,11 @@
 
 import json
 import shutil
-import signal
-import sys
 
 import numpy as np
 import pytest
 
-from spheremouse import cli, cli_match, config
+from spheremouse import cli_match, config
 from spheremouse.daemon.settings import Configuration
 from spheremouse.mouse_log import read_log, write_log
 from spheremouse.recording import open_dataset, write_simulation
@@ -43,10 +41,9 @@ def remembered():
     return {}
 
 
-@pytest.fixture
-def spheremouse(monkeypatch, capfd, remembered):
-    """Runs the program in this process: (*words) -> exit code, output, errors; a film is tracked once."""
-    before = {s: signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
+@pytest.fixture(autouse=True)
+def _tracked_once(monkeypatch, remembered):
+    """A film is tracked once for all tests."""
     really = cli_match._tracked
 
     def tracked(recording, plan, stamps):
@@ -56,18 +53,6 @@ def spheremouse(monkeypatch, capfd, remembered):
         return remembered[key]
 
     monkeypatch.setattr(cli_match, "_tracked", tracked)
-
-    def run(*words):
-        capfd.readouterr()
-        monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        out, err = capfd.readouterr()
-        return end.value.code or 0, out, err
-
-    yield run
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 def test_the_scale_is_found_and_written_as_a_configuration(spheremouse, film, log, tmp_path):

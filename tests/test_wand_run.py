@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from spheremouse import cli
 from spheremouse.daemon.plan import Request, check_kinds, read_plan
 from spheremouse.errors import ConfigurationError
 from spheremouse.rig_file import save_camera
@@ -23,24 +22,6 @@ from spheremouse.wand_file import save_wand
 from spheremouse.wand_recording import open_wand, write_wand
 
 WAND = ("run", "--tracker", "wand")
-
-
-@pytest.fixture
-def spheremouse(monkeypatch, capfd):
-    """Runs the program in this process: (*words) -> exit code, standard output, standard error."""
-    before = {s: signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
-
-    def run(*words):
-        capfd.readouterr()
-        monkeypatch.setattr(sys, "argv", ["spheremouse", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        out, err = capfd.readouterr()
-        return end.value.code or 0, out, err
-
-    yield run
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 def film(path, **options):

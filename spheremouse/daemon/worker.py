@@ -10,10 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from spheremouse.camera import Pose
+from spheremouse.daemon.owned import Owned
 from spheremouse.daemon.ring import Arrival
 from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.disc_map import DiscMap
@@ -73,7 +71,7 @@ class Worker:
         self._views: list[TargetDetections] = []
         self._first: Frame | None = None  # of the views
         self._anew: _Reinitialisation | None = None
-        self._buffer: NDArray[np.uint8] = np.zeros(0, np.uint8)
+        self._own = Owned()
         self._faults: deque[float] = deque(maxlen=_FAULTS)
         self.good = time.monotonic()  # when a frame last could be used
         self._detected = 0.0
@@ -168,16 +166,6 @@ class Worker:
         if self._tracker is None or (self._anew is not None and self._anew.hungry):
             return True
         return self.state is None or wants_colour(self.state, stamp)
-
-    def _own(self, frame: Frame) -> Frame:
-        """The frame as compiled code takes it: rows without gaps, in memory that may be written."""
-        image = frame.image
-        if image.flags.c_contiguous and image.flags.writeable:
-            return frame
-        if self._buffer.shape != image.shape:
-            self._buffer = np.empty(image.shape, np.uint8)
-        np.copyto(self._buffer, image)
-        return replace(frame, image=self._buffer)
 
     def _look_for_targets(self, frame: Frame) -> None:
         """One view more; the pose once there are enough, or why not."""

@@ -1,0 +1,25 @@
+"""Frames as compiled code takes them: rows without gaps, in memory that may be written."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.frame import Frame
+
+
+class Owned:
+    """Copies what a camera only lends, into a picture that is used again for the next one."""
+
+    def __init__(self) -> None:
+        self._image: NDArray[np.uint8] = np.zeros(0, np.uint8)
+
+    def __call__(self, frame: Frame) -> Frame:
+        """The frame itself where it is so already."""
+        image = frame.image
+        if image.flags.c_contiguous and image.flags.writeable:
+            return frame
+        if self._image.shape != image.shape:
+            self._image = np.empty(image.shape, np.uint8)
+        np.copyto(self._image, image)
+        return replace(frame, image=self._image)
