@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -81,6 +81,16 @@ def described(path: Path, content: Any, kind: type[Scene]) -> Scene:
         raise DatasetError(f"{path}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}{more}") from None
 
 
+def read_description(folder: Path, read: Callable[[Path], Scene]) -> Scene:
+    """What `read` makes of a dataset's scene.json; DatasetError where the folder or its pictures are missing."""
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
+    scene = read(folder / "scene.json")
+    if not in_video(folder) and not (folder / "frames").is_dir():
+        raise DatasetError(f"{folder}: neither video.mkv nor a folder frames/ is there")
+    return scene
+
+
 def read_table(path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = ()) -> Array:
     """Those columns of a csv file with a header, (n, len(columns)); only `optional` ones may be empty (nan)."""
     rows: list[list[float]] = []
@@ -136,6 +146,35 @@ def check_rows(path: Path, table: Array, frames: int) -> None:
 def is_rotation(R: Array) -> bool:
     """Is (3, 3) a rotation, to what tables are written with?"""
     return bool(np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0.0)
+
+
+def in_video(folder: Path) -> bool:
+    """Are the pictures of a dataset in a video, or in files?"""
+    return (folder / "video.mkv").is_file()
+
+
+def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterator[NDArray[np.uint8]]:
+    """A dataset's pictures in their order, (h, w, 3) blue, green, red, for `size` (w, h) px and so many `frames`.
+
+    A recording cut short gives what is there and then raises DatasetError.
+    """
+    source, images = folder / "frames", folder_images(folder)
+    if in_video(folder):
+        source = folder / "video.mkv"
+        images = video_images(source)
+    width, height = size
+    count = 0
+    for image in images:
+        h, w = image.shape[:2]
+        if (w, h) != size:
+            raise DatasetError(f"{source}: frame {count} is {w}x{h}, but scene.json says {width}x{height}")
+        yield image
+        count += 1
+        if count == frames:
+            return
+    if count == 0:
+        raise DatasetError(f"{source}: no frame in it can be read")
+    raise DatasetError(f"{source}: ends after {count} of {frames} frames")
 
 
 def picture_file(folder: Path, index: int) -> Path:

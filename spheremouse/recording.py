@@ -27,13 +27,14 @@ from spheremouse.dataset_format import (
     SceneEntry,
     check_rows,
     described,
-    folder_images,
+    in_video,
     is_rotation,
     picture_file,
+    read_description,
     read_json,
     read_picture,
     read_table,
-    video_images,
+    recorded_images,
 )
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
 from spheremouse.errors import ConfigurationError, DatasetError
@@ -113,11 +114,7 @@ class _Scene(SceneEntry):
 def open_dataset(path: Path | str) -> Recording:
     """Read and check the description of a dataset folder; DatasetError names the file at fault."""
     path = Path(path)
-    if not path.is_dir():
-        raise DatasetError(f"{path}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
-    scene = _read_scene(path / "scene.json")
-    if not (path / "video.mkv").is_file() and not (path / "frames").is_dir():
-        raise DatasetError(f"{path}: neither video.mkv nor a folder frames/ is there")
+    scene = read_description(path, _read_scene)
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
     discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
     stamps = _read_stamps(path / "stamps.csv", scene.frames) if (path / "stamps.csv").exists() else None
@@ -266,29 +263,14 @@ def read_frames(recording: Recording) -> Iterator[Frame]:
 
     A recording cut short gives what is there and then raises DatasetError.
     """
-    source = recording.path / "video.mkv"
-    in_video = source.is_file()
-    images = video_images(source) if in_video else folder_images(recording.path)
-    source = source if in_video else recording.path / "frames"
-    stamps = recording.stamps
-    size = (recording.rig.camera.height, recording.rig.camera.width)
-    count = 0
-    for image in images:
-        if image.shape[:2] != size:
-            raise DatasetError(
-                f"{source}: frame {count} is {image.shape[1]}x{image.shape[0]}, but scene.json says {size[1]}x{size[0]}"
-            )
+    camera, stamps, video = recording.rig.camera, recording.stamps, in_video(recording.path)
+    images = recorded_images(recording.path, (camera.width, camera.height), recording.frames)
+    for count, image in enumerate(images):
         if stamps is not None:
-            yield _as_recorded(recording.path, image, count, stamps, in_video)
+            yield _as_recorded(recording.path, image, count, stamps, video)
         else:
             stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
             yield Frame(image, stamp, count)
-        count += 1
-        if count == recording.frames:
-            return
-    if count == 0:
-        raise DatasetError(f"{source}: no frame in it can be read")
-    raise DatasetError(f"{source}: ends after {count} of {recording.frames} frames")
 
 
 def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Stamps, in_video: bool) -> Frame:

@@ -26,11 +26,11 @@ from spheremouse.dataset_format import (
     SceneEntry,
     check_rows,
     described,
-    folder_images,
     is_rotation,
+    read_description,
     read_json,
     read_table,
-    video_images,
+    recorded_images,
 )
 from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, write_scene
 from spheremouse.errors import DatasetError
@@ -113,11 +113,7 @@ def is_wand(path: Path | str) -> bool:
 def open_wand(path: Path | str) -> WandRecording:
     """Read and check the description of a wand dataset; DatasetError names the file at fault."""
     path = Path(path)
-    if not path.is_dir():
-        raise DatasetError(f"{path}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
-    scene = _read_scene(path / "scene.json")
-    if not (path / "video.mkv").is_file() and not (path / "frames").is_dir():
-        raise DatasetError(f"{path}: neither video.mkv nor a folder frames/ is there")
+    scene = read_description(path, _read_scene)
     c = scene.camera
     wands = [scene.wand] if scene.wands is None else scene.wands
     truth = path / "truth.csv"
@@ -187,24 +183,11 @@ def read_wand_frames(recording: WandRecording) -> Iterator[Frame]:
 
     A recording cut short gives what is there and then raises DatasetError.
     """
-    source = recording.path / "video.mkv"
-    images = video_images(source) if source.is_file() else folder_images(recording.path)
-    source = source if source.is_file() else recording.path / "frames"
-    size = (recording.camera.height, recording.camera.width)
-    count = 0
-    for image in images:
-        if image.shape[:2] != size:
-            raise DatasetError(
-                f"{source}: frame {count} is {image.shape[1]}x{image.shape[0]}, but scene.json says {size[1]}x{size[0]}"
-            )
+    camera = recording.camera
+    images = recorded_images(recording.path, (camera.width, camera.height), recording.frames)
+    for count, image in enumerate(images):
         stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
         yield Frame(image, stamp, count)
-        count += 1
-        if count == recording.frames:
-            return
-    if count == 0:
-        raise DatasetError(f"{source}: no frame in it can be read")
-    raise DatasetError(f"{source}: ends after {count} of {recording.frames} frames")
 
 
 # ---- writing ----
