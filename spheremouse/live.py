@@ -7,7 +7,7 @@ looking costs nothing to speak of.
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -56,18 +56,15 @@ class Tally:
         return f"{frames}; counts x {x:+d}, y {y:+d}, third {z:+d}; {median:.1f} ms per frame (99 %: {slow:.1f} ms)"
 
 
-class Board:
-    """Shows epochs; a context manager. `say` writes a line that stays."""
+class Screen:
+    """A picture that is drawn anew on a terminal, a line a second elsewhere; a context manager."""
 
-    def __init__(self, title: str, table: bool, tally: Tally, console: Console | None = None) -> None:
-        """`table` False: nothing but what is said. `tally` is read, not changed."""
+    def __init__(self, wanted: bool, console: Console | None = None) -> None:
+        """`wanted` False: nothing but what is said."""
         self.console = Console(file=sys.stderr, highlight=False) if console is None else console
-        self._title, self._tally = title, tally
-        self._wanted = table
-        self._live = Live(console=self.console, auto_refresh=False) if table and self.console.is_terminal else None
+        self._wanted = wanted
+        self._live = Live(console=self.console, auto_refresh=False) if wanted and self.console.is_terminal else None
         self._due = 0.0
-        self._last: Epoch | None = None
-        self._rates: deque[tuple[float, Array]] = deque(maxlen=5000)  # stamp s, rad/s
 
     def __enter__(self) -> Self:
         if self._live is not None:
@@ -78,13 +75,41 @@ class Board:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._live is not None:
-            if self._last is not None:
-                self._live.update(self._picture(self._last), refresh=True)
             self._live.__exit__(kind, error, trace)
 
     def say(self, text: str) -> None:
-        """One or more lines, as they are."""
+        """One or more lines, as they are; they stay."""
         self.console.print(Text(text), soft_wrap=True)
+
+    def refresh(self, picture: Callable[[], RenderableType], line: Callable[[], str]) -> None:
+        """Draw one of the two, when it is time."""
+        now = time.perf_counter()
+        if not self._wanted or now < self._due:
+            return
+        if self._live is not None:
+            self._due = now + _REFRESH
+            self._live.update(picture(), refresh=True)
+        else:
+            self._due = now + _LINE_EVERY
+            self.say(line())
+
+
+class Board(Screen):
+    """Shows epochs."""
+
+    def __init__(self, title: str, table: bool, tally: Tally, console: Console | None = None) -> None:
+        """`table` False: nothing but what is said. `tally` is read, not changed."""
+        super().__init__(table, console)
+        self._title, self._tally = title, tally
+        self._last: Epoch | None = None
+        self._rates: deque[tuple[float, Array]] = deque(maxlen=5000)  # stamp s, rad/s
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None and self._last is not None:
+            self._live.update(self._picture(self._last), refresh=True)
+        super().__exit__(kind, error, trace)
 
     def show(self, epoch: Epoch) -> None:
         """The newest epoch; drawn when it is time."""
@@ -93,15 +118,7 @@ class Board:
         self._rates.append((stamp, epoch.state.filter.rate))
         while self._rates[0][0] < stamp - _HISTORY:
             self._rates.popleft()
-        now = time.perf_counter()
-        if not self._wanted or now < self._due:
-            return
-        if self._live is not None:
-            self._due = now + _REFRESH
-            self._live.update(self._picture(epoch), refresh=True)
-        else:
-            self._due = now + _LINE_EVERY
-            self.say(as_line(epoch, self._tally))
+        self.refresh(lambda: self._picture(epoch), lambda: as_line(epoch, self._tally))
 
     def _picture(self, epoch: Epoch) -> RenderableType:
         return as_table(epoch, self._tally, list(self._rates), self._title)

@@ -1,58 +1,29 @@
 """What a run of the wand looks like while it goes: a line per ball on a terminal, a line a second elsewhere."""
 
-import sys
-import time
-from types import TracebackType
-from typing import Self
-
 import numpy as np
 from rich.console import Console
-from rich.live import Live
 from rich.text import Text
 
-from spheremouse.live import Tally
+from spheremouse.live import Screen, Tally
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.track import WandPose
 
-_REFRESH, _LINE_EVERY = 0.1, 1.0  # s
 
-
-class WandBoard:
-    """Shows poses; a context manager. `say` writes a line that stays."""
+class WandBoard(Screen):
+    """Shows poses."""
 
     def __init__(self, wanted: bool, tally: Tally, console: Console | None = None) -> None:
         """`wanted` False: nothing but what is said. `tally` is read, not changed."""
-        self.console = Console(file=sys.stderr, highlight=False) if console is None else console
-        self._wanted, self._tally = wanted, tally
-        self._live = Live(console=self.console, auto_refresh=False) if wanted and self.console.is_terminal else None
-        self._due = 0.0
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.__exit__(kind, error, trace)
-
-    def say(self, text: str) -> None:
-        """One or more lines, as they are."""
-        self.console.print(Text(text), soft_wrap=True)
+        super().__init__(wanted, console)
+        self._tally = tally
 
     def show(self, stamp: float, poses: tuple[WandPose, ...]) -> None:
         """The newest poses; drawn when it is time."""
-        now = time.perf_counter()
-        if not self._wanted or now < self._due:
-            return
-        text = "\n".join(as_line(stamp, pose, self._tally) for pose in poses)
-        self._due = now + (_LINE_EVERY if self._live is None else _REFRESH)
-        if self._live is None:
-            self.say(text)
-        else:
-            self._live.update(Text(text), refresh=True)
+
+        def text() -> str:
+            return "\n".join(as_line(stamp, pose, self._tally) for pose in poses)
+
+        self.refresh(lambda: Text(text()), text)
 
 
 def as_line(stamp: float, pose: WandPose, tally: Tally) -> str:
