@@ -296,7 +296,7 @@ def _report(reply: dict[str, Any], as_json: bool, words: str, place: str | None 
         _print_json(reply)
         return
     where = reply.get(place) if place else None
-    told = reply.get("message") or reply.get("text")
+    told = reply.get("message")
     typer.echo(_plain(told or (f"{where}: {words}" if where else words)))
 
 

@@ -152,8 +152,8 @@ def test_a_pause_is_seen_behind_a_worse_state():
 @pytest.mark.parametrize(
     ("words", "reply", "said"),
     [
-        (["set", "motion.scale_x=2"], {"text": "configuration applied: tracker"}, "configuration applied: tracker"),
-        (["record", "--stop"], {"folder": "/r/a", "frames": 5, "text": "/r/a: 5 frames"}, "/r/a: 5 frames"),
+        (["set", "motion.scale_x=2"], {"message": "configuration applied: tracker"}, "configuration applied: tracker"),
+        (["record", "--stop"], {"folder": "/r/a", "frames": 5, "message": "/r/a: 5 frames"}, "/r/a: 5 frames"),
         (["pause"], {"state": "paused"}, "paused; go on with: spheremouse ctl resume"),
         (["resume"], {"state": "lost"}, "resumed: lost"),
         (["stop"], {}, "the daemon ends"),

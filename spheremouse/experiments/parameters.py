@@ -397,23 +397,29 @@ def _said_of_s1(result: Result) -> str:
     )
 
 
-def _figure_s1(result: Result) -> Figure:
-    panels = (
-        ("attitude", "attitude_deg", "attitude RMSE, °", ATTITUDE),
-        ("rate", "rate_deg_s", "rate RMSE, °/s", RATE),
-    )
+_PANELS = {
+    "attitude": ("attitude_deg", "attitude RMSE, °", ATTITUDE),
+    "rate": ("rate_deg_s", "rate RMSE, °/s", RATE),
+}
 
+
+def _draw_errors(canvas: Any, result: Result, cells: str, ratio: bool = True) -> Any:
+    """Errors of attitude and rate side by side, ours and the thesis', with the bound; their axes."""
+    axes = canvas.subplots(1, 2)
+    for ax, (name, (limit, label, thesis)) in zip(axes, _PANELS.items(), strict=True):
+        _draw_cells(ax, _numbers(result[cells], *_PATHS[name]), _typed(thesis), ratio=ratio)
+        ax.set(yscale="log", ylabel=label)
+        bound = result["bound"][limit]
+        if bound is not None:
+            _level(ax, bound["combined"], "Cramér-Rao bound", BOUND)
+    _legend(canvas, axes[0])
+    return axes
+
+
+def _figure_s1(result: Result) -> Figure:
     def draw(canvas: Any) -> None:
-        axes = canvas.subplots(1, 2)
-        for ax, (name, limit, label, thesis) in zip(axes, panels, strict=True):
-            _draw_cells(ax, _numbers(result["cells"], *_PATHS[name]), _typed(thesis))
-            ax.set(yscale="log", ylabel=label)
-            so3 = result["so3"][_PATHS[name][0]]["combined"]
-            _level(ax, so3, "so3", {"linestyle": "-.", "linewidth": 1.2})
-            bound = result["bound"][limit]
-            if bound is not None:
-                _level(ax, bound["combined"], "Cramér-Rao bound", BOUND)
-        _legend(canvas, axes[0])
+        for ax, name in zip(_draw_errors(canvas, result, "cells"), _PANELS, strict=True):
+            _level(ax, result["so3"][_PATHS[name][0]]["combined"], "so3", {"linestyle": "-.", "linewidth": 1.2})
 
     caption = (
         "`ekf2` on our S1 (dots) and in the thesis (squares): errors against σ_w/σ_b. Ours lie along one curve. The "
@@ -424,20 +430,8 @@ def _figure_s1(result: Result) -> Figure:
 
 
 def _figure_exact(film: str, result: Result) -> Figure:
-    panels = (
-        ("attitude", "attitude_deg", "attitude RMSE, °", ATTITUDE),
-        ("rate", "rate_deg_s", "rate RMSE, °/s", RATE),
-    )
-
     def draw(canvas: Any) -> None:
-        axes = canvas.subplots(1, 2)
-        for ax, (name, limit, label, thesis) in zip(axes, panels, strict=True):
-            _draw_cells(ax, _numbers(result["exact"], *_PATHS[name]), _typed(thesis), ratio=False)
-            ax.set(yscale="log", ylabel=label)
-            bound = result["bound"][limit]
-            if bound is not None:
-                _level(ax, bound["combined"], "Cramér-Rao bound", BOUND)
-        _legend(canvas, axes[0])
+        _draw_errors(canvas, result, "exact", ratio=False)
 
     return Figure(
         "parameters-exact",
