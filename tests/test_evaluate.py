@@ -10,6 +10,7 @@ import pytest
 import typer
 from conftest import directions as ball_directions
 from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from scipy.stats import pearsonr
 from typer.testing import CliRunner
@@ -18,7 +19,8 @@ from spheremouse import cli_evaluate, plot
 from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
-from spheremouse.evaluate.bound import Bound, posterior_bound
+from spheremouse.evaluate.bound import Bound, manoeuvre, posterior_bound
+from spheremouse.evaluate.centres import Sight
 from spheremouse.evaluate.metrics import (
     Reference,
     Run,
@@ -362,15 +364,20 @@ def test_identified_is_the_first_frame_whose_attitude_is_absolute():
 # ---- the bound ----
 
 
-def batch_covariance(truth, seen, directions, sigma):
+def batch_covariance(truth, sights, directions):
     """Covariances of the last attitude and rate by one adjustment of everything at once.
 
-    Unknown: first rate, an acceleration per interval (prior: its RMS), two coordinates per disc. Jacobians by central
-    differences through the motion itself and OpenCV's projection.
+    Unknown: first rate, an acceleration per interval (prior: covariance falls geometrically with the distance), two
+    coordinates per disc. Jacobians by central differences through the motion itself and OpenCV's projection.
     """
     n, m = len(truth), len(directions)
     dt = np.diff(truth.stamp)
-    acceleration = np.sqrt(np.mean((np.diff(truth.rate, axis=0) / dt[:, None]) ** 2, axis=0))
+    acceleration = np.diff(truth.rate, axis=0) / dt[:, None]
+    prior = np.zeros((n - 1, 3, n - 1, 3))
+    for axis, a in enumerate(acceleration.T):
+        lasting = np.clip(np.mean(a[1:] * a[:-1]) / np.mean(a**2), 0.0, 1.0)
+        apart = np.abs(np.subtract.outer(np.arange(n - 1), np.arange(n - 1)))
+        prior[:, axis, :, axis] = np.mean(a**2) * lasting**apart
     turn = [
         Rotation.from_matrix(b @ a.T).as_rotvec() for a, b in zip(truth.attitude[:-1], truth.attitude[1:], strict=True)
     ]
@@ -391,8 +398,8 @@ def batch_covariance(truth, seen, directions, sigma):
         d = directions + np.einsum("mij,mj->mi", basis, x[3 * n :].reshape(m, 2))
         d = d / np.linalg.norm(d, axis=1, keepdims=True)
         uv = []
-        for R, k in zip(path, seen, strict=True):
-            points = 0.6 * R.apply(d[k])
+        for R, sight in zip(path, sights, strict=True):
+            points = 0.6 * R.apply(d[sight.disc])
             uv.append(
                 cv2.projectPoints(points, cv2.Rodrigues(T_cam)[0], -T_cam @ POSE.position, CAMERA.matrix, None)[0]
             )
@@ -406,28 +413,49 @@ def batch_covariance(truth, seen, directions, sigma):
         steps = 1e-5 * np.eye(3 * n + 2 * m)
         return np.array([(f(s) - f(-s)) / 2e-5 for s in steps]).T
 
-    J = jacobian(pixels)
-    information = J.T @ J / sigma**2
-    information[range(3, 3 * n), range(3, 3 * n)] += np.tile(acceleration**-2.0, n - 1)
+    J = jacobian(pixels) / np.repeat(np.concatenate([s.sigma for s in sights]), 2)[:, None]
+    information = J.T @ J
+    size = 3 * (n - 1)
+    information[3 : 3 * n, 3 : 3 * n] += np.linalg.inv(prior.reshape(size, size))
     A = jacobian(last)
     covariance = A @ np.linalg.solve(information, A.T)
     return covariance[:3, :3], covariance[3:, 3:]
 
 
-def test_bound_equals_an_adjustment_of_all_frames_at_once():
-    """Discs come into view, go, and come back; the step between frames is not constant."""
+@pytest.mark.parametrize("lasting", [False, True])
+def test_bound_equals_an_adjustment_of_all_frames_at_once(lasting):
+    """Discs come into view, go, and come back, with noises of their own; the step between frames is not constant."""
     rng = np.random.default_rng(6)
     n = 7
     truth = random_motion(n, seed=7)
     truth = replace(truth, stamp=np.cumsum(rng.uniform(0.02, 0.08, n)))
+    if lasting:
+        truth = replace(truth, rate=np.cumsum(np.cumsum(truth.rate, axis=0), axis=0))
+        assert manoeuvre(truth).lasting.min() > 0.2
     near = Rotation.from_rotvec(rng.uniform(-0.6, 0.6, (5, 3))).apply([0.0, 0.0, 1.0])
     directions = near @ truth.attitude[3]
     seen = [np.array(s) for s in ([0, 1, 2], [0, 1, 2], [1, 2, 3], [1, 3, 4], [3, 4], [0, 3, 4], [0, 1, 2, 3, 4])]
-    bound = posterior_bound(truth, seen, directions, RIG, POSE, 0.08)
-    attitude, rate = batch_covariance(truth, seen, directions, 0.08)
+    sights = [Sight(s, rng.uniform(0.02, 0.2, len(s))) for s in seen]
+    bound = posterior_bound(truth, sights, directions, RIG, POSE)
+    attitude, rate = batch_covariance(truth, sights, directions)
     assert_allclose(bound.attitude[-1], attitude, rtol=2e-4, atol=2e-4 * attitude.max())
     assert_allclose(bound.rate[-1], rate, rtol=2e-4, atol=2e-4 * rate.max())
     assert_allclose(bound.attitude[0], 0.0)
+
+
+def test_manoeuvre_of_known_processes():
+    """A rate made of Gauss-Markov accelerations has their strength and lasting; one that alternates is white."""
+    rng = np.random.default_rng(1)
+    n, dt, lasting = 200_000, 0.02, np.array([0.0, 0.6, 0.95])
+    noise = rng.normal(size=(n, 3)) * np.sqrt(1.0 - lasting**2)
+    a = np.stack([lfilter([1.0], [1.0, -r], noise[:, i]) for i, r in enumerate(lasting)], axis=1) * [1.0, 2.0, 3.0]
+    stamp = dt * np.arange(n + 1)
+    rate = np.concatenate([np.zeros((1, 3)), np.cumsum(a * dt, axis=0)])
+    found = manoeuvre(Truth(stamp, np.tile(np.eye(3), (n + 1, 1, 1)), rate))
+    assert_allclose(found.sigma, [1.0, 2.0, 3.0], rtol=0.05)
+    assert_allclose(found.lasting, lasting, atol=0.01)
+    to_and_fro = Truth(stamp[:9], np.tile(np.eye(3), (9, 1, 1)), np.arange(9)[:, None] % 2 * np.ones(3))
+    assert_allclose(manoeuvre(to_and_fro).lasting, 0.0)
 
 
 def test_bound_ratio_leaves_out_the_first_frame():

@@ -27,7 +27,7 @@ def shown():
     errors = {"t": t, "error": [[0.0, 0.0, 0.0], [0.03, 0.0, 0.04], [0.0, 0.01, 0.0]]}
     picture = _encoded(np.full((210, 280, 3), 90, np.uint8))
     return {
-        "series": {"ekf2": errors, "so3": {"t": [], "error": []}},
+        "series": {"ekf2": errors, "so3": errors},
         "truth": {"t": t, "angles": [[x, -x, 2.0 * x] for x in t]},
         "bound": [0.0, 0.01, 0.012],
         "picture": {"frame": 1, "before": picture, "after": picture, "used": [[20.0, 30.0]]},
@@ -60,7 +60,7 @@ def test_noise_makes_centres_and_rates_worse_and_the_picture_shows_it():
     before, after = (_decoded(there["picture"][name]).astype(float) for name in ("before", "after"))
     assert before.shape == (210, 280)
     assert np.median(after - before) == pytest.approx(50.0, abs=8.0)
-    assert len(there["truth"]["t"]) == len(there["bound"]) == 40
+    assert len(there["truth"]["t"]) == len(there["bound"]) == len(there["series"]["so3"]["t"]) == 40
     for u, v in there["picture"]["used"]:
         assert before[round(v), round(u)] < 80.0  # a disc is there
 

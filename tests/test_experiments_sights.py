@@ -40,15 +40,3 @@ def test_sigma_is_that_of_all_centres_and_changes_no_centre(seen):
     for new, old in zip(even.detections, seen.detections, strict=True):
         assert_allclose(new.covariance, np.tile(0.25 * np.eye(2), (len(old), 1, 1)))
         assert_array_equal(new.centre, old.centre)
-
-
-def test_the_bound_is_that_of_the_report_and_grows_with_the_noise(film):
-    report = tracked(film, settings_of(["tracker=ekf2"])).report
-    limit = sights.bound_rms(sights.bound(film, report["detection"]["centre_rms_px"]))
-    attitude = report["attitude_rmse_deg"]["combined"] * np.sqrt(len(film.frames) / (len(film.frames) - 1))
-    assert report["tracked"] == len(film.frames)
-    assert limit["attitude_deg"]["combined"] == pytest.approx(attitude / report["bound_ratio"]["attitude"], rel=1e-6)
-    assert limit["rate_deg_s"]["combined"] ** 2 == pytest.approx(sum(limit["rate_deg_s"][a] ** 2 for a in "xyz"))
-    worse = sights.bound_rms(sights.bound(film, 1.0))
-    assert worse["rate_deg_s"]["combined"] > limit["rate_deg_s"]["combined"]
-    assert sights.bound_rms(None) == {"attitude_deg": None, "rate_deg_s": None}

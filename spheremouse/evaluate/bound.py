@@ -1,22 +1,25 @@
-"""Posterior Cramer-Rao bound: how well any filter can know attitude and rate from the discs that were in view.
+"""Posterior Cramer-Rao bound: how well any filter can know attitude and rate from the discs that were measured.
 
 The recursion of Tichavsky, Muravchik, Nehorai 1998 ("Posterior Cramer-Rao bounds for discrete-time nonlinear
-filtering") along the true trajectory: constant angular velocity with white angular acceleration as strong as the true
-one, discs at unknown places, the ball's attitude in the first frame being the reference. A filter with a better model
-of how a ball is moved may go below it.
+filtering") along the true trajectory: the angular acceleration is a first-order Gauss-Markov process (Singer 1970,
+"Estimating optimal tracking filter performance for manned maneuvering targets") as strong and as lasting as the true
+one, the discs are at unknown places, the ball's attitude in the first frame is the reference.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.camera import Pose, project
+from spheremouse.evaluate.centres import Sight
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp, hat, left_jacobian, log, tangent_basis
 from spheremouse.simulate.truth import Truth
 
 _UNKNOWN = 100.0  # rad/s, standard deviation of a rate of which nothing is known
+_FREE = 9  # unknowns that are not a disc's
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,46 +34,63 @@ class Bound:
         return Bound(self.attitude[index], self.rate[index])
 
 
-def posterior_bound(
-    motion: Truth, seen: list[NDArray[np.intp]], directions: Array, rig: Rig, pose: Pose, sigma: float
-) -> Bound:
-    """The bound for n frames of true motion, in which the discs `seen` (indices into `directions`) are measured.
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """Angular acceleration as a first-order Gauss-Markov process, constant between two frames."""
 
-    `directions` (m, 3) unit vectors in `ball`, `pose` the true one, `sigma` px the noise of a centre per axis. The
-    state is (rotation error, rate, two tangent coordinates of each disc seen so far). The recursion is carried in
-    covariance form, (F J^-1 F^T + Q)^-1 + H^T R^-1 H by Woodbury's identity, since the first attitude is known exactly
-    and has no finite information. A disc's first sight enters as the limit of an infinite prior.
+    sigma: Array  # (3,) rad/s², obj
+    lasting: Array  # (3,) 0..1, correlation between one frame and the next
+
+
+def manoeuvre(motion: Truth) -> Manoeuvre:
+    """That of a true motion of n >= 2 frames, from its rates; one that turns about in every frame is white."""
+    a = np.diff(motion.rate, axis=0) / np.diff(motion.stamp)[:, None]
+    power = np.mean(a**2, axis=0)
+    next_to = np.mean(a[1:] * a[:-1], axis=0) if len(a) > 1 else np.zeros(3)
+    lasting = np.clip(np.divide(next_to, power, out=np.zeros(3), where=power > 0.0), 0.0, 1.0)
+    return Manoeuvre(np.sqrt(power), lasting)
+
+
+def posterior_bound(motion: Truth, sights: Sequence[Sight], directions: Array, rig: Rig, pose: Pose) -> Bound:
+    """The bound for n frames of true motion and of what was measured in each of them.
+
+    `directions` (m, 3) unit vectors in `ball`, `pose` the true one. The state is (rotation error, rate, acceleration,
+    two tangent coordinates of each disc seen so far). The recursion is carried in covariance form,
+    (F J^-1 F^T + Q)^-1 + H^T R^-1 H by Woodbury's identity, since the first attitude is known exactly and has no
+    finite information. A disc's first sight enters as the limit of an infinite prior.
     """
-    acceleration = np.sqrt(np.mean((np.diff(motion.rate, axis=0) / np.diff(motion.stamp)[:, None]) ** 2, axis=0))
+    model = manoeuvre(motion)
     basis = tangent_basis(directions)
     place = np.full(len(directions), -1)  # of a disc's coordinates in the state
-    P = np.diag([0.0] * 3 + [_UNKNOWN**2] * 3)
+    P = np.diag(np.concatenate([np.zeros(3), np.full(3, _UNKNOWN**2), model.sigma**2]))
     attitude, rate = np.empty((len(motion), 3, 3)), np.empty((len(motion), 3, 3))
     for k in range(len(motion)):
         if k:
-            P = _predicted(P, motion, k, acceleration)
-        discs = seen[k]
+            P = _predicted(P, motion, k, model)
+        discs, sigma = sights[k].disc, sights[k].sigma
         on_attitude, on_disc = _jacobians(motion.attitude[k], directions[discs], basis[discs], rig, pose)
         known = place[discs] >= 0
-        P = _measured(P, on_attitude[known], on_disc[known], place[discs[known]], sigma)
+        P = _measured(P, on_attitude[known], on_disc[known], place[discs[known]], sigma[known])
         place[discs[~known]] = len(P) + 2 * np.arange(np.count_nonzero(~known))
-        P = _augmented(P, on_attitude[~known], on_disc[~known], sigma)
+        P = _augmented(P, on_attitude[~known], on_disc[~known], sigma[~known])
         attitude[k], rate[k] = P[:3, :3], P[3:6, 3:6]
     return Bound(attitude, rate)
 
 
-def _predicted(P: Array, motion: Truth, k: int, acceleration: Array) -> Array:
-    """Covariance before frame k: F P F^T + G diag(acceleration²) G^T, the acceleration constant between two frames."""
+def _predicted(P: Array, motion: Truth, k: int, model: Manoeuvre) -> Array:
+    """Covariance before frame k: F P F^T + Q."""
     dt = motion.stamp[k] - motion.stamp[k - 1]
     turn = log(motion.attitude[k] @ motion.attitude[k - 1].T)
-    F = np.eye(6)
+    F = np.eye(_FREE)
     F[:3, :3] = exp(turn)
-    F[:3, 3:] = left_jacobian(turn) * dt
-    G = np.concatenate([0.5 * dt * F[:3, 3:], dt * np.eye(3)])
+    F[:3, 3:6] = left_jacobian(turn) * dt
+    F[:3, 6:] = 0.5 * dt * F[:3, 3:6]
+    F[3:6, 6:] = dt * np.eye(3)
+    F[6:, 6:] = np.diag(model.lasting)
     P = P.copy()
-    P[:6] = F @ P[:6]
-    P[:, :6] = P[:, :6] @ F.T
-    P[:6, :6] += (G * acceleration**2) @ G.T
+    P[:_FREE] = F @ P[:_FREE]
+    P[:, :_FREE] = P[:, :_FREE] @ F.T
+    P[6:_FREE, 6:_FREE] += np.diag(model.sigma**2 * (1.0 - model.lasting**2))
     return P
 
 
@@ -82,8 +102,8 @@ def _jacobians(R: Array, directions: Array, basis: Array, rig: Rig, pose: Pose) 
     return -duv @ hat(arm), rig.ball.radius * duv @ R @ basis
 
 
-def _measured(P: Array, on_attitude: Array, on_disc: Array, place: NDArray[np.intp], sigma: float) -> Array:
-    """Covariance after discs already in the state were measured."""
+def _measured(P: Array, on_attitude: Array, on_disc: Array, place: NDArray[np.intp], sigma: Array) -> Array:
+    """Covariance after discs already in the state were measured, (k,) px per axis."""
     k = len(place)
     H = np.zeros((k, 2, len(P)))
     H[:, :, :3] = on_attitude
@@ -91,11 +111,11 @@ def _measured(P: Array, on_attitude: Array, on_disc: Array, place: NDArray[np.in
         H[i, :, place[i] : place[i] + 2] = on_disc[i]
     H = H.reshape(2 * k, len(P))
     HP = H @ P
-    P = P - HP.T @ np.linalg.solve(HP @ H.T + sigma**2 * np.eye(2 * k), HP)
+    P = P - HP.T @ np.linalg.solve(HP @ H.T + np.diag(np.repeat(sigma**2, 2)), HP)
     return 0.5 * (P + P.T)
 
 
-def _augmented(P: Array, on_attitude: Array, on_disc: Array, sigma: float) -> Array:
+def _augmented(P: Array, on_attitude: Array, on_disc: Array, sigma: Array) -> Array:
     """Covariance with discs seen for the first time: their places follow from the attitude and what was measured."""
     k, n = len(on_disc), len(P)
     inverse = np.linalg.inv(on_disc)
@@ -108,5 +128,5 @@ def _augmented(P: Array, on_attitude: Array, on_disc: Array, sigma: float) -> Ar
     out[n:, n:] = G @ P @ G.T
     for i in range(k):
         at = slice(n + 2 * i, n + 2 * i + 2)
-        out[at, at] += sigma**2 * inverse[i] @ inverse[i].T
+        out[at, at] += sigma[i] ** 2 * inverse[i] @ inverse[i].T
     return out

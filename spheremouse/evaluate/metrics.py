@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from spheremouse.associate import assign
 from spheremouse.camera import Pose
 from spheremouse.evaluate.bound import Bound, posterior_bound
+from spheremouse.evaluate.centres import MATCH, distances, measured
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, log
 from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.track import Phase
 
-# px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a
-# strut cuts the disc, while the next thing dark is at least a disc's radius away (7 px, thesis' cameras).
-MATCH = 3.0
 MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across
 _RANK = 1e-9  # eigenvalues below this part of the largest are none
 
@@ -77,9 +75,7 @@ def report(
         speed, true_speed = surface_speeds(run, motion, rig.ball.radius)
         slip = speed - true_speed
     detection = None if reference.discs is None else detection_quality(run, reference.discs)
-    bound = None
-    if detection is not None and detection["centre_rms_px"]:
-        bound = _bound(run, reference, rig, detection["centre_rms_px"])
+    bound = run_bound(run, reference, rig)
     attitude_rmse = per_axis(None if attitude is None else np.rad2deg(attitude), "xyz")
     rate_rmse = per_axis(None if rate is None else np.rad2deg(rate), "xyz")
     P = run.covariance[kept]
@@ -244,12 +240,12 @@ def detection_quality(run: Run, truth: DiscTruth) -> dict[str, float | None]:
         discs = truth.of_frame(int(frame))
         asked = (discs.state == VISIBLE) & (discs.area >= MIN_AREA)
         centre, area = discs.centre[asked], discs.area[asked]
-        i, j = assign(_distance(centre, detected), MATCH)
+        i, j = assign(distances(centre, detected), MATCH)
         wanted, found = wanted + len(centre), found + len(i)
         offsets.append(detected[j] - centre[i])
         areas.append(area[i])
         wanted_areas.append(area)
-        near = _distance(used, discs.centre[discs.state != HIDDEN]).min(axis=1, initial=np.inf) <= MATCH
+        near = distances(used, discs.centre[discs.state != HIDDEN]).min(axis=1, initial=np.inf) <= MATCH
         points, false = points + len(used), false + int(np.count_nonzero(~near))
     offset, area, wanted_area = np.concatenate(offsets), np.concatenate(areas), np.concatenate(wanted_areas)
     large = offset[area >= 60.0]
@@ -261,10 +257,6 @@ def detection_quality(run: Run, truth: DiscTruth) -> dict[str, float | None]:
         "recall_15": np.count_nonzero(area >= 15.0) / asked_15 if asked_15 else None,
         "centre_rms_60_px": _number(np.sqrt(np.mean(large**2))) if len(large) else None,
     }
-
-
-def _distance(a: Array, b: Array) -> Array:
-    return np.linalg.norm(a[:, None] - b[None], axis=2)
 
 
 def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:
@@ -295,9 +287,7 @@ def frame_times(seconds: dict[str, Array]) -> dict[str, float | None]:
 def bound_ratio(attitude: Array | None, rate: Array | None, bound: Bound | None) -> dict[str, float | None]:
     """RMS error over the posterior Cramer-Rao bound, combined over axes; 1 is as good as the pixels allow.
 
-    Over the tracked frames but the first: there the attitude is known by definition and of the rate nothing. The bound
-    rests on one noise for all discs, the centre_rms_px of the same run, and on the wholly visible discs alone: a
-    tracker that gives weight to the better centres, or that takes partly hidden discs along, can go below 1.
+    Over the tracked frames but the first: there the attitude is known by definition and of the rate nothing.
     """
     if attitude is None or rate is None or bound is None:
         return {"attitude": None, "rate": None}
@@ -311,21 +301,22 @@ def _ratio(error: Array, covariance: Array) -> float | None:
     return _number(np.sqrt(np.mean(np.sum(error**2, axis=1)) / np.mean(limit)))
 
 
-def _bound(run: Run, reference: Reference, rig: Rig, sigma: float) -> Bound | None:
-    """The bound at the tracked frames; None where the recording does not say all it takes."""
+def run_bound(run: Run, reference: Reference, rig: Rig) -> Bound | None:
+    """The bound at the tracked frames, for the discs that this run detected and centres as good as its own.
+
+    None where the recording does not say all it takes.
+    """
     motion, discs, pose = reference.motion, reference.discs, reference.pose
     kept = run.tracked
     if motion is None or discs is None or pose is None or reference.directions is None or len(kept) < 3:
         return None
-    frames = run.frame[kept[0] : kept[-1] + 1]
     if np.any(discs.disc >= len(reference.directions)):
         return None
-    sights = []
-    for frame in frames:
-        seen = discs.of_frame(int(frame))
-        sights.append(seen.disc[seen.state == VISIBLE])
+    span = slice(int(kept[0]), int(kept[-1]) + 1)
+    frames = run.frame[span]
+    sights = measured(frames.tolist(), run.detected[span], discs)
     at = Truth(motion.stamp[frames], motion.attitude[frames], motion.rate[frames])
-    return posterior_bound(at, sights, reference.directions, rig, pose, sigma).take(kept - kept[0])
+    return posterior_bound(at, sights, reference.directions, rig, pose).take(kept - kept[0])
 
 
 def _number(x: Any) -> float | None:

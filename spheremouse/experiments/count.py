@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from spheremouse.evaluate.bound import Bound
-from spheremouse.evaluate.metrics import Run
+from spheremouse.evaluate.metrics import Run, run_bound
 from spheremouse.experiments import sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import TRACKERS, made, options_of, settings_of, tracked
+from spheremouse.experiments.kit import TRACKERS, bound_rms, made, options_of, settings_of, tracked
 from spheremouse.experiments.plot import BOUND, THESIS
 from spheremouse.experiments.report import failures, value
 from spheremouse.simulate import prepare
@@ -22,7 +22,6 @@ COUNTS = (6, 10, 16, 26, 36, 50, 74, 100)
 LAYOUTS = (0, 1, 2)
 _KNOWN = 1.0  # rad/s, standard deviation of a rate of which something is known
 _FAR_OFF = 1.0  # °, an attitude that is lost
-NOISE = 0.05  # px, of the bound: about that of our centres, and the same for all balls
 STORED = {26: 4.9, 50: 8.9, 74: 14.5}
 ATTITUDE = {26: (0.100, 0.086, 0.122), 50: (0.070, 0.067, 0.083), 74: (0.040, 0.056, 0.080)}  # °
 RATE = {26: (0.595, 0.481, 0.773), 50: (0.551, 0.407, 0.624), 74: (0.456, 0.406, 0.561)}  # °/s
@@ -48,7 +47,7 @@ def with_discs(discs: int, layout: int, frames: int) -> Result:
     }
     runs["so3"] = tracked(film, settings_of()).run
     rows = {name: sights.errors(run, film.truth, radius) for name, run in runs.items()}
-    return {"rows": rows, "bound": sights.bound_rms(_where_known(sights.bound(film, NOISE)))}
+    return {"rows": rows, "bound": bound_rms(_where_known(run_bound(runs["so3"], film.truth, film.rig)))}
 
 
 def _where_known(limit: Bound | None) -> Bound | None:
@@ -128,8 +127,7 @@ def _line(name: str, thesis: dict[int, float], results: Results, path: tuple[str
 def _rms(balls: list[Result], who: str, quantity: str) -> float | None:
     """Of the combined errors over the layouts; None where one of them has none."""
     if who == "bound":
-        parts = [ball["bound"][quantity] for ball in balls]
-        values = [None if part is None else part["combined"] for part in parts]
+        values = [None if ball["bound"] is None else ball["bound"][quantity]["combined"] for ball in balls]
     else:
         key = {"attitude_deg": "attitude_rmse_deg", "rate_deg_s": "rate_rmse_deg_s"}[quantity]
         values = [ball["rows"][who][key]["combined"] for ball in balls]
@@ -238,8 +236,7 @@ def _figure(balls: dict[int, list[Result]]) -> Figure:
 
     return Figure(
         "count",
-        "Errors against the number of discs, and the least that is possible for a ball of constant velocity with the "
-        "true acceleration, for centres good to " + f"{NOISE:g} px per axis.",
+        "Errors against the number of discs, and the least that is possible with the centres that `so3` measured.",
         draw,
         (7.2, 3.5),
     )

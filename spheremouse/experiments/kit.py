@@ -10,7 +10,8 @@ import numpy as np
 from spheremouse import config
 from spheremouse.camera import Pose
 from spheremouse.errors import PoseError
-from spheremouse.evaluate.metrics import Reference, Run, report
+from spheremouse.evaluate.bound import Bound
+from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
 from spheremouse.experiments.experiment import Result
 from spheremouse.frame import Frame
 from spheremouse.recording import open_dataset, read_frames
@@ -107,12 +108,29 @@ def tracked(
     return Tracked(run, found, said)
 
 
+def bound(film: Film, tracked: Tracked) -> Result | None:
+    """RMS of the posterior Cramer-Rao bound for what a run measured, {"attitude_deg", "rate_deg_s"} per axis.
+
+    As `metrics.bound_ratio`, over all frames but the first.
+    """
+    return bound_rms(run_bound(tracked.run, film.truth, film.rig))
+
+
+def bound_rms(limit: Bound | None) -> Result | None:
+    """Degrees and degrees per second, combined and per axis, over all frames but the first."""
+    if limit is None:
+        return None
+    least = {"attitude_deg": limit.attitude, "rate_deg_s": limit.rate}
+    return {k: per_axis(np.degrees(np.sqrt(np.diagonal(P[1:], axis1=1, axis2=2))), "xyz") for k, P in least.items()}
+
+
 def compared(film: Film, variants: dict[str, Settings], **how: Any) -> Result:
-    """`tracked` of each variant; a pose that is not found is a row that says so."""
+    """`tracked` of each variant, with its `bound`; a pose that is not found is a row that says so."""
     results: Result = {}
     for name, settings in variants.items():
         try:
-            results[name] = tracked(film, settings, **how).report
+            done = tracked(film, settings, **how)
+            results[name] = {**done.report, "bound": bound(film, done)}
         except PoseError as e:
             results[name] = {"error": str(e)}
     return results

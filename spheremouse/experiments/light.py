@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 from spheremouse.errors import PoseError
-from spheremouse.evaluate.metrics import Run, attitude_error
+from spheremouse.evaluate.metrics import Run, attitude_error, run_bound
 from spheremouse.experiments import sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import TRACKERS, Film, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit import TRACKERS, Film, bound_rms, made, options_of, settings_of, taken, tracked
 from spheremouse.experiments.plot import BOUND, THESIS
 from spheremouse.experiments.report import failures, value
 from spheremouse.rotation import Array, to_euler
@@ -73,9 +73,8 @@ def _row(film: Film, level: int, sigmas: list[int]) -> Result:
             cells[str(sigma)] = {"error": str(e)}
             continue
         rows = {name: sights.errors(run, film.truth, film.rig.ball.radius) for name, run in runs.items()}
-        noise = rows["so3"]["detection"]["centre_rms_px"]
-        limit = sights.bound(worse, noise) if noise else None
-        cells[str(sigma)] = {"rows": rows, "bound": sights.bound_rms(limit)}
+        limit = run_bound(runs["so3"], film.truth, film.rig)
+        cells[str(sigma)] = {"rows": rows, "bound": bound_rms(limit)}
         if (level, sigma) == WORST:
             series = {name: _error_over_time(runs[name], film) for name in ("ekf2", "so3")}
             claimed = None if limit is None else np.rad2deg(np.sqrt(np.trace(limit.attitude, axis1=1, axis2=2)))
@@ -279,7 +278,7 @@ def _figure_rates(results: Results, films: list[tuple[str, str]]) -> Figure:
     return Figure(
         "light-rates",
         "Rate errors under noise: medians over the brightnesses l = -50 to +50, and the range of all of them. "
-        "The bound takes one noise for all discs of a film, the slivers at the limb included; `so3` weighs each disc.",
+        "The bound is for the centres that `so3` measured.",
         draw,
         (7.2, 3.5),
     )
@@ -335,9 +334,9 @@ def _figure_attitude(shown: Result) -> Figure:
                 for i, axis in enumerate("xyz"):
                     ax.plot(s["t"], np.array(s["error"])[:, i], color=f"C{i}", linewidth=0.9, linestyle="-", label=axis)
             if shown["bound"] is not None:
-                for sign in (1.0, -1.0):
-                    limit = sign * np.array(shown["bound"]) / np.sqrt(3.0)
-                    ax.plot(truth["t"], limit, color="0.5", label="± Cramér-Rao bound" if sign > 0.0 else None, **BOUND)
+                limit = np.array(shown["bound"]) / np.sqrt(3.0)
+                ax.plot(series["so3"]["t"], limit, color="0.5", label="± Cramér-Rao bound", **BOUND)
+                ax.plot(series["so3"]["t"], -limit, color="0.5", **BOUND)
             ax.set_ylabel(f"{name}: error, °")
         for ax in axes[2:]:
             ax.sharey(axes[1])

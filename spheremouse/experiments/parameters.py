@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 from spheremouse.evaluate.metrics import Run
 from spheremouse.experiments import r1, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import Film, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit import Film, bound, made, options_of, settings_of, taken, tracked
 from spheremouse.experiments.plot import BOUND, THESIS
 from spheremouse.experiments.report import failures, value
 from spheremouse.simulate import prepare
@@ -102,10 +102,10 @@ def _grid(film: Film, judge: Any) -> Result:
         for w in (*SIGMA_W, _BEYOND):
             settings = settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"])
             cells[_key(w, b)] = judge(sights.filtered(noisy, settings, film))
-    so3 = judge(tracked(film, settings_of()).run)
+    best = tracked(film, settings_of())
+    so3 = judge(best.run)
     noise = so3["detection"]["centre_rms_px"]
-    limit = sights.bound_rms(sights.bound(film, noise) if noise else None)
-    return {"cells": cells, "so3": so3, "bound": limit, "centre_rms_px": noise}
+    return {"cells": cells, "so3": so3, "bound": bound(film, best), "centre_rms_px": noise}
 
 
 def _exact(film: Film, judge: Any) -> Result:
@@ -409,9 +409,8 @@ def _draw_errors(canvas: Any, result: Result, cells: str, ratio: bool = True) ->
     for ax, (name, (limit, label, thesis)) in zip(axes, _PANELS.items(), strict=True):
         _draw_cells(ax, _numbers(result[cells], *_PATHS[name]), _typed(thesis), ratio=ratio)
         ax.set(yscale="log", ylabel=label)
-        bound = result["bound"][limit]
-        if bound is not None:
-            _level(ax, bound["combined"], "Cramér-Rao bound", BOUND)
+        if result["bound"] is not None:
+            _level(ax, result["bound"][limit]["combined"], "Cramér-Rao bound", BOUND)
     _legend(canvas, axes[0])
     return axes
 
@@ -423,8 +422,7 @@ def _figure_s1(result: Result) -> Figure:
 
     caption = (
         "`ekf2` on our S1 (dots) and in the thesis (squares): errors against σ_w/σ_b. Ours lie along one curve. The "
-        "bound is for a constant velocity with the true acceleration; `so3`, which knows more of how a ball is moved, "
-        "goes below it."
+        "bound is for the centres that `so3` measured."
     )
     return Figure("parameters-s1", caption, draw, (7.2, 3.7))
 

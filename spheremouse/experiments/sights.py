@@ -3,7 +3,6 @@
 For the classic filters, whose detector looks at whole pictures: what they see does not depend on what they know.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from spheremouse.camera import Pose
 from spheremouse.detect.detections import Detections
 from spheremouse.evaluate.bound import Bound, posterior_bound
+from spheremouse.evaluate.centres import Sight
 from spheremouse.evaluate.metrics import (
     Reference,
     Run,
@@ -26,7 +26,6 @@ from spheremouse.evaluate.metrics import (
 from spheremouse.experiments.experiment import Result
 from spheremouse.experiments.kit import Film
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.session import Epoch, History, initialise
 from spheremouse.simulate.truth import VISIBLE
 from spheremouse.track import Settings, advance, begin, build
@@ -100,32 +99,16 @@ def errors(run: Run, truth: Reference, radius: float) -> Result:
 
 
 def bound(film: Film, sigma: float) -> Bound | None:
-    """The posterior Cramer-Rao bound in every frame, with the discs wholly in view and `sigma` px of noise per axis."""
     truth = film.truth
     if truth.motion is None or truth.discs is None or truth.pose is None or truth.directions is None:
         return None
-    sights = []
+    views = []
     for k in range(len(film.frames)):
         discs = truth.discs.of_frame(k)
-        sights.append(discs.disc[discs.state == VISIBLE])
+        seen = discs.disc[discs.state == VISIBLE]
+        views.append(Sight(seen, np.full(len(seen), sigma)))
     n = len(film.frames)
     motion = replace(
         truth.motion, stamp=truth.motion.stamp[:n], attitude=truth.motion.attitude[:n], rate=truth.motion.rate[:n]
     )
-    return posterior_bound(motion, sights, truth.directions, film.rig, truth.pose, sigma)
-
-
-def bound_rms(limit: Bound | None) -> Result:
-    """Degrees and degrees per second, combined and per axis, over all frames but the first, as `metrics.bound_ratio`.
-
-    In the first the attitude is the reference, and of the rate nothing is known.
-    """
-    if limit is None:
-        return {"attitude_deg": None, "rate_deg_s": None}
-    return {"attitude_deg": _rms(limit.attitude[1:]), "rate_deg_s": _rms(limit.rate[1:])}
-
-
-def _rms(covariance: Array) -> dict[str, float]:
-    mean = np.mean(np.diagonal(covariance, axis1=1, axis2=2), axis=0)
-    values: Iterable[float] = np.rad2deg(np.sqrt(mean)).tolist()
-    return {**dict(zip("xyz", values, strict=True)), "combined": float(np.rad2deg(np.sqrt(mean.sum())))}
+    return posterior_bound(motion, views, truth.directions, film.rig, truth.pose)

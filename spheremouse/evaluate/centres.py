@@ -1,0 +1,74 @@
+"""Which disc a detection is, and how well centres of its size were measured in a run."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.associate import assign
+from spheremouse.rotation import Array
+from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
+
+# px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a
+# strut cuts the disc, while the next thing dark is at least a disc's radius away (7 px, thesis' cameras).
+MATCH = 3.0
+_FINEST = 1e-4  # px: no picture shows a centre better, and a noise of 0 has no information matrix
+_LEAST = 20  # centres of a size class: their RMS is good to a tenth and a half
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """Discs measured in a frame."""
+
+    disc: NDArray[np.intp]  # (k,) index of the disc
+    sigma: Array  # (k,) px, standard deviation of its centre per axis
+
+
+def distances(a: Array, b: Array) -> Array:
+    """px, (n, m), between points (n, 2) and (m, 2)."""
+    return np.linalg.norm(a[:, None] - b[None], axis=2)
+
+
+def measured(frames: Iterable[int], detected: Iterable[Array], truth: DiscTruth) -> list[Sight]:
+    """What was detected of the true discs in each frame, with the noise that such centres have in these frames.
+
+    `detected` (k, 2) px by frame. The noise of a class is the RMS of its errors, systematic ones included: classes are
+    whole discs by octaves of their area, and those that something cuts.
+    """
+    rows: list[DiscTruth] = []
+    errors = [np.zeros((0, 2))]
+    for frame, points in zip(frames, detected, strict=True):
+        discs = truth.of_frame(frame)
+        shown = np.flatnonzero((discs.state != HIDDEN) & np.isfinite(discs.centre).all(axis=1))
+        i, j = assign(distances(discs.centre[shown], points), MATCH)
+        found = shown[i]
+        rows.append(DiscTruth(*(getattr(discs, name)[found] for name in DiscTruth.__slots__)))
+        errors.append(points[j] - discs.centre[found])
+    area = np.concatenate([np.where(r.state == VISIBLE, r.area, np.nan) for r in rows]) if rows else np.zeros(0)
+    sigma = _by_class(area, np.mean(np.concatenate(errors) ** 2, axis=1))
+    ends = np.cumsum([0, *(len(r) for r in rows)])
+    return [Sight(r.disc, sigma[a:b]) for r, a, b in zip(rows, ends[:-1], ends[1:], strict=True)]
+
+
+def _by_class(area: Array, square: Array) -> Array:
+    """Root of the mean of `square` over centres of the same class; areas (n,) px², nan is the class of its own.
+
+    A class with too few goes with the next larger one, at the end with the next smaller.
+    """
+    octave = np.where(np.isfinite(area), np.floor(np.log2(np.maximum(area, 1.0))), np.inf)
+    groups: list[NDArray[np.bool_]] = []
+    few = np.zeros(len(area), dtype=bool)
+    for value in np.unique(octave):
+        few |= octave == value
+        if np.count_nonzero(few) >= _LEAST:
+            groups.append(few)
+            few = np.zeros(len(area), dtype=bool)
+    if groups:
+        groups[-1] |= few
+    elif len(area):
+        groups = [few]
+    sigma = np.zeros(len(area))
+    for group in groups:
+        sigma[group] = max(float(np.sqrt(np.mean(square[group]))), _FINEST)
+    return sigma

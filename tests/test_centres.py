@@ -1,0 +1,63 @@
+"""Noise of the centres of a run, by size, against noise that was put on them."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from spheremouse.evaluate.centres import measured
+from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
+
+
+def sky(frames, areas, states):
+    """Discs 30 px apart in a row, the same in all frames."""
+    k = len(areas)
+    centre = np.stack([30.0 * np.arange(1, k + 1), np.full(k, 50.0)], axis=1)
+    return DiscTruth(
+        np.repeat(np.arange(frames), k),
+        np.tile(np.arange(k), frames),
+        np.tile(centre, (frames, 1)),
+        np.tile(centre, (frames, 1)),
+        np.tile(np.array(areas, dtype=float), frames),
+        np.tile(states, frames),
+    )
+
+
+def test_each_size_has_the_noise_that_was_put_on_it():
+    rng = np.random.default_rng(2)
+    true = np.array([0.3, 0.1, 0.02, 0.5])
+    truth = sky(800, [20.0, 80.0, 300.0, 300.0], [VISIBLE, VISIBLE, VISIBLE, PARTLY_HIDDEN])
+    detected = [truth.of_frame(f).centre + rng.normal(size=(4, 2)) * true[:, None] for f in range(800)]
+    sights = measured(range(800), detected, truth)
+    assert len(sights) == 800
+    assert_allclose(np.concatenate([s.sigma for s in sights]).reshape(800, 4), np.tile(true, (800, 1)), rtol=0.06)
+
+
+def test_hidden_discs_and_detections_of_nothing_are_no_sights():
+    truth = sky(2, [100.0, 100.0, 100.0], [VISIBLE, HIDDEN, VISIBLE])
+    first, last = truth.of_frame(0), truth.of_frame(1)
+    sights = measured([0, 1], [first.centre, last.centre[1:] + 2.0], truth)
+    assert_array_equal(sights[0].disc, [0, 2])
+    assert_array_equal(sights[1].disc, [2])  # the other lies on a hidden one
+    assert len(measured([0], [np.zeros((0, 2))], truth)[0].disc) == 0
+
+
+def test_a_rare_size_borrows_from_its_neighbour():
+    """Of one centre no noise can be told."""
+    rng = np.random.default_rng(3)
+    truth = sky(50, [20.0, 100.0], [VISIBLE, VISIBLE])
+    detected = []
+    for f in range(50):
+        points = truth.of_frame(f).centre + 0.1 * rng.normal(size=(2, 2))
+        detected.append(points if f == 0 else points[1:])
+    sigma = [s.sigma for s in measured(range(50), detected, truth)]
+    assert sigma[0][0] == sigma[0][1] == pytest.approx(0.1, rel=0.2)
+
+
+def test_perfect_centres_still_have_a_noise():
+    truth = sky(3, [100.0], [VISIBLE])
+    sights = measured(range(3), [truth.of_frame(f).centre for f in range(3)], truth)
+    assert all(0.0 < s.sigma[0] < 1e-3 for s in sights)
+
+
+def test_no_frames_no_sights():
+    assert measured([], [], sky(1, [100.0], [VISIBLE])) == []
