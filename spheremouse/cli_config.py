@@ -19,14 +19,6 @@ def root() -> type[Any]:
     return Configuration
 
 
-def settings_of(file: Path | None, assignments: list[str] | None, cls: type[Any]) -> Any:
-    """Settings in force: the defaults, then the file, then each KEY=VALUE in order."""
-    settings = cls() if file is None else config.load(file, cls)
-    for assignment in assignments or []:
-        settings = config.override(settings, assignment)
-    return settings
-
-
 @app.command()
 def show(
     file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="Configuration file.")] = None,
@@ -34,7 +26,7 @@ def show(
 ) -> None:
     """Print the configuration in force; what differs from the default is marked."""
     try:
-        settings = settings_of(file, assignments, root())
+        settings = config.in_force(file, assignments or (), root())
     except SpheremouseError as e:
         _fail(e)
     typer.echo(config.dump(settings, root()()), nl=False)

@@ -25,6 +25,9 @@ def doctor(
     camera: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Interior orientation in place of the rig's.")
     ] = None,
+    tracker: Annotated[
+        str | None, typer.Option(metavar="so3|ekf1|ekf2|wand", help="As of run; wand looks for balls in a hand.")
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="As JSON for a bug report: without names, home folder, serial numbers.")
     ] = False,
@@ -42,7 +45,7 @@ def doctor(
     from spheremouse.doctor.private import redactor
     from spheremouse.doctor.report import data, show, summary
 
-    request = Request(config, (), source, output, rig, camera)
+    request = Request(config, () if tracker is None else (f"tracker={tracker}",), source, output, rig, camera)
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
     with _waiting(quiet=as_json) as say:

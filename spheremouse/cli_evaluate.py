@@ -13,6 +13,7 @@ from rich.table import Table
 from spheremouse import config
 from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.cli_evaluate_wand import WandEvaluation, evaluate_wands, wand_table
+from spheremouse.daemon.settings import Configuration
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
@@ -39,7 +40,10 @@ def evaluate(
         str, typer.Option(metavar="own|known", help="Camera pose: found from the images, or the true one.")
     ] = "own",
     assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
-    config_file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="Configuration file.")] = None,
+    config_file: Annotated[
+        Path | None,
+        typer.Option("--config", metavar="FILE", help="Configuration file; its source, output and files do not count."),
+    ] = None,
     rig_file: Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="In place of the dataset's.")] = None,
     camera_file: Annotated[Path | None, typer.Option("--camera", metavar="FILE", help="Interior orientation.")] = None,
     map_file: Annotated[
@@ -53,8 +57,9 @@ def evaluate(
     ] = None,
     noise: Annotated[float, typer.Option(metavar="S", help="Add normal noise, grey values.")] = 0.0,
     brightness: Annotated[float, typer.Option(metavar="L", help="Add a constant, grey values.")] = 0.0,
-    wand_file: Annotated[
-        Path | None, typer.Option("--wand", metavar="FILE", help="Wand: the ball, in place of the dataset's.")
+    balls: Annotated[
+        list[Path] | None,
+        typer.Option("--ball", metavar="FILE", help="Wand: the ball, in place of the dataset's; may be repeated."),
     ] = None,
     runs: Annotated[int, typer.Option("--runs", metavar="N", help="Wand: runs with seeds 1 to N.")] = 1,
 ) -> None:
@@ -64,7 +69,9 @@ def evaluate(
     if tracker == "wand" or (tracker is None and all(is_wand(path) for path in datasets)):
         others = {"--detector": detector, "--rig": rig_file, "--map": map_file, "--plot": plot_file}
         others |= {"--noise": noise or None, "--brightness": brightness or None}
-        asked = WandEvaluation(datasets, assignments or [], config_file, wand_file, camera_file, pose == "known", runs)
+        asked = WandEvaluation(
+            datasets, assignments or [], config_file, balls or [], camera_file, pose == "known", runs
+        )
         _evaluate_wands(asked, pose, others, json_file, out, err)
         return
     try:
@@ -146,12 +153,12 @@ def _evaluate_wands(
 
 def _settings(file: Path | None, assignments: list[str] | None, tracker: str | None, detector: str | None) -> Settings:
     """The defaults, then the file, then each KEY=VALUE, then the options with a name of their own."""
-    settings = Settings() if file is None else config.load(file, Settings)
-    for assignment in assignments or []:
-        settings = config.override(settings, assignment)
+    settings: Settings = config.in_force(file, assignments or (), Configuration)
     for key, value in (("tracker", tracker), ("detector", detector)):
         if value is not None:
             settings = config.override(settings, f"{key}={value}", label="--")
+    if settings.tracker == "wand":
+        raise ConfigurationError("tracker: wand is for balls in a hand; --tracker so3 is for one in its frame")
     return settings
 
 

@@ -3,6 +3,7 @@
 The command line is that of `cli_evaluate`, which hands over here.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from rich.table import Table
 
 from spheremouse import config
 from spheremouse.camera import InteriorOrientation
+from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.wand import WandRun, wand_report
 from spheremouse.progress import progress_bar
@@ -19,7 +21,7 @@ from spheremouse.rig_file import load_camera
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandSettings, build
-from spheremouse.wand_file import load_wand
+from spheremouse.wand_plan import read_balls
 from spheremouse.wand_recording import WandRecording, open_wand, read_wand_frames
 from spheremouse.wand_session import Known, WandHistory, track_wand
 
@@ -31,7 +33,7 @@ class WandEvaluation:
     datasets: list[Path]
     assignments: list[str]
     config_file: Path | None = None
-    wand_file: Path | None = None
+    ball_files: Sequence[Path] = ()
     camera_file: Path | None = None
     known_pose: bool = False
     runs: int = 1
@@ -41,11 +43,9 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
     """Reports of the datasets, and whether one of them failed, which `say` tells."""
     if asked.runs < 1:
         raise ConfigurationError(f"--runs: must be 1 or more, is {asked.runs}")
-    settings = WandSettings() if asked.config_file is None else config.load(asked.config_file, WandSettings)
-    for assignment in asked.assignments:
-        settings = config.override(settings, assignment)
+    settings = config.in_force(asked.config_file, asked.assignments, Configuration).wand
     camera = None if asked.camera_file is None else load_camera(asked.camera_file)
-    wand = None if asked.wand_file is None else load_wand(asked.wand_file)
+    given, colours = read_balls(asked.ball_files)
     recordings = [open_wand(path) for path in asked.datasets]
     for recording in recordings:
         if asked.known_pose and recording.truth is None:
@@ -54,8 +54,7 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
     failed = False
     for recording in recordings:
         try:
-            balls = recording.balls if wand is None else (wand.ball,)
-            colours = None if wand is None else wand.colours
+            balls = given or recording.balls
             runs = [
                 _run(recording, balls, settings, colours, camera, seed, asked.known_pose, say)
                 for seed in range(1, asked.runs + 1)
@@ -86,7 +85,7 @@ def _run(
     recording: WandRecording,
     balls: tuple[WandBall, ...],
     settings: WandSettings,
-    colours: dict[str, ColourSettings] | None,
+    colours: dict[str, ColourSettings],
     camera: InteriorOrientation | None,
     seed: int,
     known_pose: bool,

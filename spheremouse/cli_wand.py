@@ -53,7 +53,7 @@ def simulate(
     ] = "0,0,0,0,0",
     distance: Annotated[float, typer.Option(metavar="M", help="From the camera to a hand.")] = _DEFAULT.distance,
     wand: Annotated[
-        Path | None, typer.Option("--wand", metavar="FILE", help="Another ball than Grzonka's: a wand file.")
+        Path | None, typer.Option("--ball", metavar="FILE", help="Another ball than Grzonka's: a wand file.")
     ] = None,
     balls: Annotated[int, typer.Option(metavar="N", help="Balls in view, 1 to 3.")] = _DEFAULT.balls,
     light: Annotated[Light, typer.Option(help="outdoor: sun, with glare on the ball.")] = _DEFAULT.light,
@@ -122,14 +122,14 @@ def colours(
         Path, typer.Argument(metavar="PICTURE", show_default=False, help="With the ball in it; or a wand's dataset.")
     ],
     wand: Annotated[
-        Path | None, typer.Option("--wand", metavar="FILE", help="The ball's wand file.  [default: Grzonka's ball]")
+        Path | None, typer.Option("--ball", metavar="FILE", help="The ball's wand file.  [default: Grzonka's ball]")
     ] = None,
     at: Annotated[
         str | None,
         typer.Option(metavar="U,V,RADIUS", help="Where the ball is, px.  [default: it is looked for]"),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Show what the bounds of --wand select; pick no others.")
+        bool, typer.Option("--check", help="Show what the bounds of --ball select; pick no others.")
     ] = False,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the ball with its bounds.  [default: print them]")

@@ -10,7 +10,7 @@ import functools
 import textwrap
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -44,6 +44,14 @@ def load(path: Path, root: type[S]) -> S:
 def loads(document: Document, root: type[S]) -> S:
     """Settings of a document already read."""
     return _applied(without_schema(document), root())
+
+
+def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
+    """Settings as asked for: the defaults, then the file, then each KEY=VALUE in order."""
+    settings = root() if file is None else load(file, root)
+    for assignment in assignments:
+        settings = override(settings, assignment)
+    return settings
 
 
 def override(settings: S, assignment: str, *, label: str = "--set ") -> S:

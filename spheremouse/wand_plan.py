@@ -1,6 +1,6 @@
 """What a run of the wand is to do: balls, camera and source, checked and read, besides the plan that all runs have."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -48,7 +48,7 @@ def wand_tracker(plan: Plan, request: Request, files: list[Path], given: Given |
     settings = plan.configuration.wand
     camera = _camera(plan, given)
     named = files or [path for name in settings.balls if (path := beside(request.file, name)) is not None]
-    balls, colours = _balls(named)
+    balls, colours = read_balls(named)
     balls = balls or (() if given is None else given.balls) or (grzonka_ball(),)
     if settings.points > len(balls):
         many = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
@@ -97,7 +97,7 @@ def _camera(plan: Plan, given: Given | None) -> InteriorOrientation:
     )
 
 
-def _balls(files: list[Path]) -> tuple[tuple[WandBall, ...], dict[str, ColourSettings]]:
+def read_balls(files: Iterable[Path]) -> tuple[tuple[WandBall, ...], dict[str, ColourSettings]]:
     """Balls of wand files, and the bounds of their colours, which must be the same in all of them."""
     balls: list[WandBall] = []
     colours: dict[str, ColourSettings] = {}

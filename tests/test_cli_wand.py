@@ -90,9 +90,9 @@ def test_a_film_is_made_and_evaluated(run, tmp_path):
     [
         (("--runs", "0"), "--runs: must be 1 or more, is 0"),
         (("--detector", "blobs"), "--detector: does not go with --tracker wand; leave it out"),
-        (("--set", "partikles=3"), "unknown"),
+        (("--set", "wand.partikles=3"), "--set wand.partikles: unknown key; did you mean wand.particles"),
         (("--pose", "maybe"), "--pose: must be own or known"),
-        (("--wand", "none.yaml"), "none.yaml: no such file"),
+        (("--ball", "none.yaml"), "none.yaml: no such file"),
     ],
 )
 def test_evaluate_refuses_what_does_not_go_with_a_wand(run, tmp_path, words, said):
@@ -162,7 +162,7 @@ def test_the_command_writes_bounds_and_picture(run, picture, tmp_path):
     code, said = run("wand", "colours", picture)
     assert code == 2
     assert "hand.colours.png: there already; name another file, or replace it with --force" in said
-    code, said = run("wand", "colours", picture, "--check", "--wand", out, "--force")
+    code, said = run("wand", "colours", picture, "--check", "--ball", out, "--force")
     assert code == 0
     assert "selects" in said
 

@@ -530,6 +530,16 @@ def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_
     assert json.loads(done.stdout)["identified_from_frame"] is None  # another ball
 
 
+def test_the_whole_configuration_file_of_a_run_is_taken(filmed, tmp_path):
+    """What names source, output and files is no parameter of the tracker, and does no harm."""
+    file = tmp_path / "spheremouse.yaml"
+    text = "schema: 1\nsource: v4l2:0\nrig: none.yaml\npointer: {rate: 500}\ntracker: ekf2\n"
+    file.write_text(text, encoding="utf-8")
+    done = run_command(filmed, "--config", file, "--json", "-")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["tracker"] == "ekf2"
+
+
 def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
     (tmp_path / "bare").mkdir()
     for name in filmed.iterdir():
@@ -555,6 +565,7 @@ def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
         (("--noise", "-1"), "--noise"),
         (("--set", "so3.nothing=1"), "so3.nothing"),
         (("--config", "missing.yaml"), "missing.yaml"),
+        (("--set", "tracker=wand"), "tracker: wand is for balls in a hand"),
         (("--rig", "missing.yaml"), "missing.yaml"),
         (("--camera", "missing.yaml"), "missing.yaml"),
         (("--json", "nowhere/out.json"), "--json"),

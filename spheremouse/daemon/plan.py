@@ -57,9 +57,7 @@ class Plan:
 
 def read_plan(request: Request) -> Plan:
     """Read everything that a request names. Raises ConfigurationError, with file and line where there is one."""
-    c = Configuration() if request.file is None else config.load(request.file, Configuration)
-    for assignment in request.assignments:
-        c = config.override(c, assignment)
+    c = config.in_force(request.file, request.assignments, Configuration)
     for change in request.changes:
         c = config.override(c, change, label="")
     if c.record.folder is not None:

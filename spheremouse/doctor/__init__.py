@@ -14,13 +14,27 @@ from spheremouse.daemon.cameras import node_of
 from spheremouse.daemon.plan import Plan, Request, without_map
 from spheremouse.detect.cap import ball_mask
 from spheremouse.detect.fit import noise_of
-from spheremouse.doctor import computer, controls, files, installed, light, nodes, outputs, program, running, timing
+from spheremouse.doctor import (
+    computer,
+    controls,
+    files,
+    installed,
+    light,
+    nodes,
+    outputs,
+    program,
+    running,
+    timing,
+    wand,
+)
 from spheremouse.doctor import sight as sights
 from spheremouse.doctor.finding import Finding, Section, Verdict, ok, refused, unchecked, wrong
 from spheremouse.doctor.footage import Footage, film
 from spheremouse.errors import SpheremouseError
 from spheremouse.rig import Rig
 from spheremouse.rig_file import with_camera
+from spheremouse.wand.track import WandTracker
+from spheremouse.wand_plan import open_given
 
 _NO_CAMERA = "v4l2:"  # source of a plan where none is named and none is there
 SECONDS = 2.0  # of film: sixty frames tell a rate to 2 % and flicker to a percent
@@ -47,7 +61,7 @@ def examine(
         yield Section("configuration", tuple(findings))
     else:
         named = bool(usual.output or plan.configuration.output)
-        yield from _with_plan(plan, named, findings, there, status, seconds, say)
+        yield from _with_plan(plan, usual, named, findings, there, status, seconds, say)
     node = None if plan is None else node_of(plan)
     node = node if node is not None and node.exists() else None
     yield Section("service", tuple(_guarded("service", installed.check, node)))
@@ -56,6 +70,7 @@ def examine(
 
 def _with_plan(
     plan: Plan,
+    request: Request,
     named: bool,
     findings: list[Finding],
     there: list[nodes.Node],
@@ -68,6 +83,8 @@ def _with_plan(
     camera = [*_guarded("cameras", nodes.present, there, node, live)]
     camera += _guarded("camera access", nodes.permitted, node) if node is not None and node.exists() else []
     footage: Footage | None = None
+    of_wand, brought = plan.configuration.tracker == "wand", None
+    rig: Rig | None = None
     if _is_theirs(plan, status):
         camera.append(
             unchecked(
@@ -79,11 +96,41 @@ def _with_plan(
     elif not any(f.verdict is Verdict.WRONG for f in camera):
         say(f"filming {seconds:g} s with {plan.source}")
         try:
-            footage = film(plan, seconds, node)
+            brought = open_given(plan.source, realtime=False) if of_wand and not live else None
+            footage = film(plan, seconds, node, None if brought is None else brought.source)
         except SpheremouseError as e:
             camera.append(refused("film", e))
         except Exception as e:
             camera.append(_ours("film", e))
+    tracker: WandTracker | None = None
+    if of_wand:
+        findings += _guarded("camera file", wand.camera_file, plan, brought)
+        if findings[-1].verdict is Verdict.OK:
+            tracker, found = _pair(lambda: wand.tracker_of(plan, request, brought), "ball")
+            findings.append(found)
+    else:
+        plan, rig = _with_rig(plan, footage, findings)
+    yield Section("configuration", tuple(findings))
+    if footage is not None:
+        camera.append(ok("source", footage.description))
+        camera += _guarded("rate", timing.rate, footage) + _guarded("stamps", timing.stamps, footage)
+        if footage.controls is not None:
+            camera += _guarded("exposure", controls.check, footage.controls)
+    yield Section("camera", tuple(camera))
+    if footage is not None:
+        say("looking for the ball" if of_wand else "looking for targets and discs")
+        if not of_wand:
+            yield Section("picture", tuple(_picture(plan, footage, rig)))
+        elif tracker is not None:
+            yield Section("picture", tuple(_guarded("sight", wand.sight, footage.views, tracker)))
+    none = unchecked(
+        "output", "none is named, and a recording needs none", "give --output KIND:ARG to have it looked at"
+    )
+    yield Section("output", tuple(_guarded("output", outputs.check, plan.output) if named or live else [none]))
+
+
+def _with_rig(plan: Plan, footage: Footage | None, findings: list[Finding]) -> tuple[Plan, Rig | None]:
+    """The device and its map, with what is to be said of them added to `findings`."""
     if footage is not None and footage.rig is not None and plan.map_path is not None and plan.rig_path is None:
         plan = without_map(plan)
     given = None if footage is None else footage.rig
@@ -95,20 +142,7 @@ def _with_plan(
     elif rig is not None or not broken:
         findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, given)
     findings += _guarded("map", files.map_of, plan.map_path, rig)
-    yield Section("configuration", tuple(findings))
-    if footage is not None:
-        camera.append(ok("source", footage.description))
-        camera += _guarded("rate", timing.rate, footage) + _guarded("stamps", timing.stamps, footage)
-        if footage.controls is not None:
-            camera += _guarded("exposure", controls.check, footage.controls)
-    yield Section("camera", tuple(camera))
-    if footage is not None:
-        say("looking for targets and discs")
-        yield Section("picture", tuple(_picture(plan, footage, rig)))
-    none = unchecked(
-        "output", "none is named, and a recording needs none", "give --output KIND:ARG to have it looked at"
-    )
-    yield Section("output", tuple(_guarded("output", outputs.check, plan.output) if named or live else [none]))
+    return plan, rig
 
 
 def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]:

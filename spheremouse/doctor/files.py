@@ -88,9 +88,7 @@ def _as_the_service(plan: Plan, request: Request) -> Plan:
 
 def _completed(request: Request, camera: str | None) -> Request:
     """With a source and an output, which a plan wants."""
-    c = Configuration() if request.file is None else config.load(request.file, Configuration)
-    for assignment in request.assignments:
-        c = config.override(c, assignment)
+    c = config.in_force(request.file, request.assignments, Configuration)
     return replace(
         request, source=request.source or c.source or camera or "v4l2:", output=request.output or c.output or "auto"
     )

@@ -17,7 +17,7 @@ from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
 from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
-from spheremouse.source import open_source
+from spheremouse.source import Source, open_source
 
 GRID = (24, 16)  # rows and columns: fine enough for the bands of a rolling shutter, which are three or four
 SETTLING = 0.4  # s after a camera's first frame that are left out: it finds its exposure
@@ -52,11 +52,11 @@ class Footage:
         return width, height
 
 
-def film(plan: Plan, seconds: float, node: Path | None) -> Footage:
-    """Two seconds or so. SourceError where nothing comes."""
+def film(plan: Plan, seconds: float, node: Path | None, source: Source | None = None) -> Footage:
+    """Two seconds or so, of a source that is open already where one is given. SourceError where nothing comes."""
     camera = plan.source.partition(":")[0] == "v4l2"
     with contextlib.nullcontext() if node is None else claimed(node):
-        return _of_camera(plan, seconds, node) if camera else _of_source(plan, seconds, node)
+        return _of_camera(plan, seconds, node) if camera else _of_source(plan, seconds, node, source)
 
 
 class _Reel:
@@ -127,8 +127,8 @@ def _of_camera(plan: Plan, seconds: float, node: Path | None) -> Footage:
         )  # fmt: skip
 
 
-def _of_source(plan: Plan, seconds: float, node: Path | None) -> Footage:
-    source = open_source(plan.source)
+def _of_source(plan: Plan, seconds: float, node: Path | None, source: Source | None) -> Footage:
+    source = source or open_source(plan.source)
     with contextlib.ExitStack() as stack:
         frames = iter(stack.enter_context(source))
         reel = _Reel(source.fps, seconds)

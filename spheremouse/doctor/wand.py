@@ -1,0 +1,83 @@
+"""A hand-held ball: the files of camera and balls, and whether the balls are seen."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from spheremouse.daemon.plan import Plan, Request
+from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
+from spheremouse.errors import ConfigurationError
+from spheremouse.frame import Frame
+from spheremouse.wand.track import WandPhase, WandPose, WandTracker, begin, step
+from spheremouse.wand_plan import Given, wand_tracker
+
+_SURE = 0.5  # of the pictures: a ball that somebody holds before the camera is in view in most
+
+
+def tracker_of(plan: Plan, request: Request, given: Given | None) -> tuple[WandTracker | None, Finding]:
+    """The tracker that a run would have; `given` is what a recording brings."""
+    try:
+        tracker = wand_tracker(plan, request, [], given)
+    except ConfigurationError as e:
+        return None, refused("ball", e)
+    told = (f"{b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in tracker.balls)
+    return tracker, ok("ball", "; ".join(told), balls=len(tracker.balls))
+
+
+def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
+    """Is each ball found in the pictures, nothing known beforehand? Where, and how surely?"""
+    there, size = (tracker.camera.width, tracker.camera.height), views[0].image.shape[1::-1]
+    if size != there:
+        yield wrong(
+            "size",
+            f"pictures of {size[0]}x{size[1]}, but the camera was calibrated at {there[0]}x{there[1]}",
+            f"set camera.size: [{there[0]}, {there[1]}], or calibrate at this size",
+        )
+        return
+    yield ok("size", f"{size[0]}x{size[1]}, as calibrated")
+    if any(v.image.ndim == 2 for v in views):
+        yield unchecked("sight", "the pictures are grey", "choose a format with colour: YUYV or MJPG")
+        return
+    state, seen = begin(tracker, seed=1), list[tuple[WandPose, ...]]()
+    for view in views:
+        state, poses = step(state, view, tracker)
+        seen.append(poses)
+    for k in range(len(tracker.balls)):
+        yield _found([poses[k] for poses in seen])
+
+
+def _found(poses: list[WandPose]) -> Finding:
+    good = [p for p in poses if p.phase is WandPhase.TRACKING]
+    share, name = len(good) / len(poses), poses[0].name
+    events = [p.event for p in poses if p.event]
+    numbers: dict[str, Any] = {"pictures": len(poses), "found": len(good)}
+    if not good:
+        why, _, advice = (events[-1] if events else f"{name} is not seen").partition("; ")
+        return wrong("sight", why, advice or "hold it before the camera; `spheremouse wand colours` picks its colours")
+    last = good[-1]
+    assert last.position is not None, "a ball that is tracked has a pose"
+    assert last.covariance is not None, "and its covariance"
+    away = float(np.linalg.norm(last.position))
+    sigma = float(np.sqrt(np.trace(last.covariance[:3, :3])))
+    text = (
+        f"{name}: found in {len(good)} of {len(poses)} pictures, last {away:.2f} m away, known to {1e3 * sigma:.0f} mm"
+    )
+    numbers |= {"distance_m": round(away, 3), "sigma_mm": round(1e3 * sigma, 1)}
+    if share < _SURE:
+        return warning("sight", text, "more light, or other bounds: spheremouse wand colours PICTURE", **numbers)
+    return ok("sight", text, **numbers)
+
+
+def camera_file(plan: Plan, given: Given | None) -> Finding:
+    """Where the camera's interior orientation comes from."""
+    path = plan.camera_path or plan.rig_path
+    if path is not None:
+        return ok("camera file", str(path))
+    if given is not None and given.camera is not None:
+        return ok("camera file", "the source brings its own")
+    return unchecked(
+        "camera file",
+        "none is named",
+        "give --camera FILE, or `camera_file:`; `spheremouse calibrate camera` makes one",
+    )

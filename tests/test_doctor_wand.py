@@ -1,0 +1,88 @@
+"""`spheremouse doctor` for a ball in a hand: its files, and whether it is seen, on films with it and without it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spheremouse import doctor, service
+from spheremouse.daemon.plan import Request
+from spheremouse.doctor import files
+from spheremouse.doctor.finding import Verdict
+from spheremouse.doctor.wand import sight
+from spheremouse.frame import Frame
+from spheremouse.service import Place
+from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.wand.ball import grzonka_ball
+from spheremouse.wand.track import build
+from spheremouse.wand_recording import open_wand, read_wand_frames, write_wand
+
+
+@pytest.fixture(scope="module")
+def hand(tmp_path_factory):
+    """A second of a ball in a hand."""
+    path = tmp_path_factory.mktemp("wand") / "hand"
+    for _ in write_wand(path, prepare_wand(WandOptions("hand", seed=1, fps=15.0, seconds=1.0, size=(640, 480)))):
+        pass
+    return path
+
+
+@pytest.fixture(autouse=True)
+def nobody_home(monkeypatch, tmp_path):
+    """No daemon and no service of this computer."""
+    monkeypatch.setenv("SPHEREMOUSE_SOCKET", str(tmp_path / "nobody"))
+    monkeypatch.setattr(files, "Place", lambda user=False: Place(tmp_path, user))
+    monkeypatch.setattr(doctor.installed, "Place", lambda root, user=False: Place(tmp_path, user))
+    assert service.Place is Place
+
+
+def examined(request):
+    return {f.name: f for s in doctor.examine(request, seconds=1.0) for f in s.findings}
+
+
+def test_a_ball_that_is_in_view_is_found_and_its_distance_told(hand):
+    found = examined(Request(None, ("tracker=wand",), f"dataset:{hand}"))
+    assert found["camera file"].text == "the source brings its own"
+    assert found["ball"].text == "grzonka, 100 mm across, 8 discs"
+    assert found["sight"].verdict is Verdict.OK
+    away = np.linalg.norm(open_wand(hand).truth.position[-1])
+    assert found["sight"].values["distance_m"] == pytest.approx(away, abs=0.03)
+    assert not {"targets", "rig", "map", "discs"} & set(found)
+
+
+def test_a_camera_without_a_file_and_a_ball_file_that_is_missing_are_lines(hand, tmp_path):
+    found = examined(Request(None, ("tracker=wand",)))
+    assert found["camera file"].verdict is Verdict.UNCHECKED
+    assert "give --camera FILE" in found["camera file"].advice
+    file = tmp_path / "config.yaml"
+    file.write_text("schema: 1\ntracker: wand\nwand: {balls: [mine.yaml]}\n")
+    found = examined(Request(file, (), f"dataset:{hand}"))
+    assert found["ball"].verdict is Verdict.WRONG
+    assert "mine.yaml: no such file" in found["ball"].text
+    assert "sight" not in found
+
+
+def test_what_is_not_seen_is_said_with_what_to_do(hand):
+    recording = open_wand(hand)
+    tracker = build(recording.camera, (grzonka_ball(),))
+    grey = np.full((480, 640, 3), 128, np.uint8)
+    empty = [Frame(grey, 0.1 * k, k) for k in range(4)]
+    (size, seen) = sight(tuple(empty), tracker)
+    assert size.verdict is Verdict.OK
+    assert seen.verdict is Verdict.WRONG
+    assert "match nothing" in seen.text
+    assert "wand colours" in seen.text + seen.advice
+    (size,) = sight(tuple(replace(f, image=grey[:, :320]) for f in empty), tracker)
+    assert size.text == "pictures of 320x480, but the camera was calibrated at 640x480"
+    _, seen = sight(tuple(replace(f, image=grey[:, :, 0]) for f in empty), tracker)
+    assert (seen.verdict, seen.text) == (Verdict.UNCHECKED, "the pictures are grey")
+
+
+def test_a_ball_that_is_seldom_seen_is_a_warning(hand):
+    recording = open_wand(hand)
+    frames = list(read_wand_frames(recording))[:4]
+    dark = [replace(f, image=np.full_like(f.image, 90)) for f in frames]
+    views = tuple(replace(f, sequence=k, stamp=0.2 * k) for k, f in enumerate([*dark, *dark, *frames]))
+    _, seen = sight(views, build(recording.camera, recording.balls))
+    assert seen.verdict is Verdict.WARNING
+    assert 0 < seen.values["found"] <= 4
