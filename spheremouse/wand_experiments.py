@@ -73,7 +73,7 @@ def thesis_settings(n: int) -> WandSettings:
 
 def films(quick: bool) -> tuple[Film, ...]:
     """What is filmed; `quick`: fewer seeds and particles, some minutes."""
-    seeds = tuple(range(1, 5 if quick else 21))
+    seeds = tuple(range(1, 4 if quick else 21))
     few = tuple(range(1, 3 if quick else 7))
     ours = Variant("350, own start", _particles(350))
     drive = (
@@ -94,7 +94,7 @@ def films(quick: bool) -> tuple[Film, ...]:
         Film("drive", "the thesis' drive, 0.8 Hz", WandOptions(), seeds, drive),
         Film("drive-many", "the same, many particles", WandOptions(), few, crowd),
         Film("drive-hand", "a hand passes, 0.8 Hz", WandOptions(hand=80.0), few, (ours,)),
-        Film("hand-held", "0.4 m/s, 180 °/s, 15 Hz", hand, seeds, (ours,)),
+        Film("hand-held", "0.4 m/s, 180 °/s, 15 Hz", hand, few if quick else seeds, (ours,)),
     ]
     if quick:
         return tuple(chosen)
@@ -171,7 +171,7 @@ def _kept(run: WandRun, truth: WandTruth, radius: float) -> dict[str, Any]:
     }
 
 
-def _runs(kept: Sequence[dict[str, Any]]) -> tuple[list[WandRun], list[WandTruth]]:
+def restored(kept: Sequence[dict[str, Any]]) -> tuple[list[WandRun], list[WandTruth]]:
     """The tracked frames of results."""
     runs, truths = [], []
     for result in kept:
@@ -268,7 +268,7 @@ def rows(quick: bool, results: dict[str, dict[str, Any]]) -> list[Row]:
         for variant in film.variants:
             kept = [k for r in of_film.values() if "error" not in r for k in r["variants"][variant.name]]
             total = sum(k["frames"] for k in kept)
-            runs, truths = _runs(kept)
+            runs, truths = restored(kept)
             found.append(
                 Row(
                     film,

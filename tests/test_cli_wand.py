@@ -227,7 +227,7 @@ def test_results_put_together_are_the_metrics_of_the_runs(monkeypatch):
     monkeypatch.setattr(wand_experiments, "films", lambda quick: (TINY,))
     results = {Job(TINY, seed).key: wand_experiments.work(Job(TINY, seed)) for seed in (1, 2)}
     row = rows(True, json.loads(json.dumps(results)))[0]
-    runs, truths = wand_experiments._runs([results[k]["variants"]["20, known start"][0] for k in results])
+    runs, truths = wand_experiments.restored([results[k]["variants"]["20, known start"][0] for k in results])
     assert row.figures == errors(runs, truths)
     assert (row.runs, row.lost) == (2, sum(results[k]["variants"]["20, known start"][0]["lost"] for k in results))
 
