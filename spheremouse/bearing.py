@@ -55,13 +55,14 @@ class Shift:
 
 def shift_of(
     points: SpherePoints, delay: Array, discs: Array, variance: Array, attitude: Array, rate: Array, radius: float,
-    reach: float,
+    reach: float, place: Array,
 ) -> Shift | None:  # fmt: skip
     """The shift of the centre that makes known discs appear at `points`; None where fewer than four are seen.
 
     `discs` (m, 3) unit vectors in ball with variances (m,) rad² per axis; `delay` (n,) s of the points, `attitude`
     R_obj_ball (3, 3), `rate` (3,) rad/s; a point and a disc that are nearest to each other within `reach` rad are one.
-    With three discs any shift fits.
+    `place` (3, 3) m² is the covariance of the centre as the camera's pose and the ball's place leave it open: a shift
+    that they explain is not certain. With three discs any shift fits.
     """
     if len(points) < 4 or len(discs) < 4:
         return None
@@ -77,6 +78,7 @@ def shift_of(
         rate,
         radius,
         np.cos(reach),
+        place,
         shift,
     )
     return Shift(pairs, shift, certainty, before, after) if pairs >= 4 and np.isfinite(certainty) else None
@@ -124,7 +126,7 @@ def _paired(seen, expected, least):
 
 
 @njit(cache=True, error_model="numpy")
-def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius, least, shift):
+def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius, least, place, shift):
     """Pairs, certainty and chi-squares per degree of freedom; the shift, m, into `shift`. See `shift_of`."""
     expected = np.empty_like(discs)
     for j in range(len(discs)):
@@ -171,7 +173,7 @@ def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius,
         shift[a] = radius * x[3 + a]
     for k in range(6):
         explained_after += right[k] * x[k]
-    worth = np.linalg.solve(Q[3:, 3:].copy(), x[3:].copy())
+    worth = np.linalg.solve(Q[3:, 3:] + place / radius**2, x[3:].copy())
     certainty = np.sqrt(max(worth[0] * x[3] + worth[1] * x[4] + worth[2] * x[5], 0.0))
     before = max(total - explained_before, 0.0) / (2 * pairs - 3)
     return pairs, certainty, before, max(total - explained_after, 0.0) / (2 * pairs - 6)

@@ -177,21 +177,32 @@ def _candidates(used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> list
     xy, _ = unproject(np.array([s.centre for s in used]), rig.camera)
     if not np.all(np.isfinite(xy)) or _in_a_line(points):
         return []
-    if len(used) == 3:
-        _, rvecs, tvecs = cv2.solveP3P(points, xy[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
-    else:
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        flat = spread[2] < 1e-3 * spread[1]
-        method = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
-        _, rvecs, tvecs, _ = cv2.solvePnPGeneric(points, xy[:, None], np.eye(3), None, flags=method)
     found = []
-    for rvec, tvec in zip(rvecs, tvecs, strict=True):
-        R = exp(np.asarray(rvec, dtype=float).ravel()).T
-        start = Pose(R, -R @ np.asarray(tvec, dtype=float).ravel())
+    for start in _starts(points, xy):
         adjusted = _adjust(start, used, which, rig)
         if adjusted is not None and _possible(adjusted.pose, rig, which):
             found.append(adjusted)
     return found
+
+
+def _starts(points: Array, xy: Array) -> list[Pose]:
+    """Poses in closed form from points (n, 3) m, n >= 3, and what is seen of them, (n, 2) on the plane z = 1."""
+    frame, origin = np.eye(3), np.zeros(3)
+    if len(points) == 3:
+        _, rvecs, tvecs = cv2.solveP3P(points, xy[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_P3P)
+    else:
+        local, method = points, cv2.SOLVEPNP_SQPNP
+        middle = points.mean(axis=0)
+        _, spread, axes = np.linalg.svd(points - middle)
+        if spread[2] < 1e-3 * spread[1]:  # a plane; off z = 0 OpenCV 5 mirrors the pose for every other order of points
+            frame, origin, method = axes * np.sign(np.linalg.det(axes)), middle, cv2.SOLVEPNP_IPPE
+            local = (points - origin) @ frame.T * (1.0, 1.0, 0.0)
+        _, rvecs, tvecs, _ = cv2.solvePnPGeneric(local, xy[:, None], np.eye(3), None, flags=method)
+    starts = []
+    for rvec, tvec in zip(rvecs, tvecs, strict=True):
+        R = (exp(np.asarray(rvec, dtype=float).ravel()) @ frame).T
+        starts.append(Pose(R, origin - R @ np.asarray(tvec, dtype=float).ravel()))
+    return starts
 
 
 def _adjust(pose: Pose, used: list[Sighting], which: NDArray[np.intp], rig: Rig) -> Resection | None:

@@ -36,7 +36,7 @@ from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
 from spheremouse.resect import PoseSettings, gather, predict_targets, resect
-from spheremouse.rig import Rig, considered_covariance
+from spheremouse.rig import Rig, centre_covariance, considered_covariance
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 from spheremouse.watch import Watch, WatchSettings
@@ -658,6 +658,7 @@ def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Sh
         filter_state.rate,
         tracker.rig.ball.radius,
         2.0 * tracker.filter.disc_angle,
+        centre_covariance(tracker.pose, tracker.rig.ball),
     )
 
 

@@ -1,6 +1,7 @@
 """The camera's pose from targets: exact projections, Monte-Carlo scatter, eccentricity, ambiguity, refusals."""
 
 from dataclasses import replace
+from itertools import permutations
 
 import cv2
 import numpy as np
@@ -112,6 +113,17 @@ def test_exact_sightings_give_the_exact_pose(view, n):
     assert np.abs(found.residual).max() < 5e-3
     assert found.codes == CODES[:n]
     assert_allclose(predict_targets(found.pose, rig), seen_centroids(rig, pose), atol=0.01)
+
+
+@views
+def test_the_order_of_the_targets_does_not_matter(view):
+    """Whichever way round they are listed; the plane they lie in is not z = 0."""
+    camera, pose = VIEWS[view]
+    found = []
+    for order in permutations(range(4)):
+        rig = rig_of(camera, CORNERS[list(order)])
+        found.append(resect(sightings(seen_centroids(rig, pose)), rig, BLACK).pose)
+    assert_allclose([p.position for p in found], np.tile(pose.position, (24, 1)), atol=1e-4)
 
 
 @views
