@@ -88,3 +88,43 @@ def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
     assert found.rim[0] == rim_shift(bounds)
     assert shift == pytest.approx(rim_shift(bounds), abs=0.1)
     assert fields(image, {"red": bounds}, ("red",), None, 2).rim[0] == pytest.approx(0.5 * rim_shift(bounds))
+
+
+def glaring(strength, across=20):
+    """A white ball's patch with a red disc, 24 px across, and the sun's image at its rim: linear light, developed."""
+    v, u = np.mgrid[0:96, 0:128]
+    disc = (u - 64.0) ** 2 + (v - 48.0) ** 2 < 12.0**2
+    light = np.where(disc[..., None], np.array([0.02, 0.02, 0.5]), 0.62)
+    lobe = strength * np.exp(-0.5 * ((u - 64.0) ** 2 + (v - 40.0) ** 2) / (across / 4.0) ** 2)
+    return np.rint(255.0 * np.clip(light + lobe[..., None], 0.0, 1.0) ** (1 / 2.2)).astype(np.uint8), disc
+
+
+@pytest.mark.parametrize("strength", [1.5, 3.0, 6.0])
+def test_print_that_glare_makes_pale_is_said_to_be_unknown(strength):
+    """Of the disc's pixels that have lost their colour, all but a few are; of the white far from it, none."""
+    image, disc = glaring(strength)
+    found = fields(image, DEFAULT_COLOURS, NAMES)
+    pale = disc & (found.binary[1] == 0)
+    inner = pale & (cv2.erode(disc.astype(np.uint8), np.ones((5, 5))) > 0)  # its rim is mixed light anyway
+    assert inner.sum() > 40
+    assert np.mean(found.glare[0][inner] > 127) > 0.9
+    assert not found.glare[0][:, :30].any()
+    assert not found.glare[0][80:].any()
+    sure = disc & (found.weight[1] == 255)
+    assert not found.glare[0][sure].any()  # what shows its colour speaks for itself
+
+
+def test_without_overexposed_pixels_nothing_is_unknown():
+    image, _ = glaring(0.0)
+    assert len(fields(image, DEFAULT_COLOURS, NAMES).glare) == 0
+
+
+def test_a_white_wall_or_a_lit_disc_is_no_glare():
+    """Larger than the sun's image on a ball can be; or a colour that is looked for."""
+    image = np.full((96, 128, 3), 90, dtype=np.uint8)
+    image[20:80, 30:110] = 255
+    assert len(fields(image, DEFAULT_COLOURS, NAMES).glare) == 0
+    image[:] = 90
+    image[40:52, 40:52] = 255
+    assert fields(image, DEFAULT_COLOURS, NAMES).glare[0][46, 46] == 255
+    assert len(fields(image, DEFAULT_COLOURS, ("light",)).glare) == 0

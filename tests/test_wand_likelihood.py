@@ -1,5 +1,7 @@
 """The likelihood: greatest at the truth, hiding does not pay, curvature that the refinement tells; the outline."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -148,9 +150,50 @@ def test_the_truth_s_residuals_are_as_wide_as_said(view):
     n = len(m.points.table)
     counts, r, g, e, field = (np.zeros(n) for _ in range(5))
     _residuals(
-        p, R, m.points.table, m.points.colour, m.radius, m.lens, seen.weight, seen.place(), seen.rim, counts, r, g, e,
-        field,
+        p, R, m.points.table, m.points.colour, m.radius, m.lens, seen.weight, seen.glare, seen.place(), seen.rim,
+        counts, r, g, e, field,
     )  # fmt: skip
     rim = (counts > 0) & (m.points.colour >= 0) & (m.points.table[:, 6] == 0.0)
     assert rim.sum() > 30
     assert 0.5 * SIGMA < np.sqrt(np.mean(r[rim] ** 2)) < 1.4 * SIGMA
+
+
+def test_glare_counts_neither_for_nor_against(view):
+    """All in glare: every pose is worth nothing. A disc in glare: worth what the others are, its colour gone or not."""
+    seen, m, p, R, _ = view
+    everywhere = np.full((1, *seen.weight.shape[1:]), 255, dtype=np.uint8)
+    turned = exp(np.array([0.4, 1.1, -0.3])) @ R
+    poses = np.array([p, p]), np.array([R, turned])
+    value, match = log_likelihood(*poses, m, replace(seen, glare=everywhere))
+    np.testing.assert_allclose(value, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(match, 0.0)
+
+    facing = [d for d in BALL.discs if (R @ d.direction)[2] < -0.5]
+    centre = p + BALL.radius * R @ facing[0].direction
+    u, v = np.array(m.lens[:2]) * centre[:2] / centre[2] + m.lens[2:4]
+    rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]
+    spot = (columns - u) ** 2 + (rows - v) ** 2 < (1.4 * facing[0].angle * BALL.radius * m.lens[0] / p[2]) ** 2
+    gone = replace(seen, weight=np.where(spot, 0, seen.weight).astype(np.uint8))
+    veiled = replace(gone, glare=(255 * spot[None]).astype(np.uint8))
+    whole, _ = log_likelihood(*poses, m, seen)
+    without, _ = log_likelihood(*poses, m, gone)
+    with_glare, match = log_likelihood(*poses, m, veiled)
+    assert without[0] + 20.0 < with_glare[0] < whole[0] - 5.0
+    assert match[0] > 0.9
+    as_before, _ = log_likelihood(*poses, m, replace(seen, glare=veiled.glare))
+    assert as_before[0] == pytest.approx(with_glare[0], abs=1e-6)
+    assert with_glare[0] > with_glare[1] + 20.0
+
+
+def test_the_refinement_climbs_to_the_same_place_through_glare(view):
+    """A disc half washed out: taken for its colour's end, the peak would lie elsewhere."""
+    seen, m, p, R, _ = view
+    u, v = np.array(m.lens[:2]) * p[:2] / p[2] + m.lens[2:4]
+    rows, columns = np.mgrid[: seen.weight.shape[1], : seen.weight.shape[2]]
+    spot = (columns - u) ** 2 + (rows - v) ** 2 < (0.35 * BALL.radius * m.lens[0] / p[2]) ** 2
+    gone = np.where(spot, 0, seen.weight).astype(np.uint8)
+    veiled = replace(seen, weight=gone, glare=(255 * spot[None]).astype(np.uint8))
+    start = p + np.array([0.002, -0.002, 0.03]), exp(np.array([0.08, -0.06, 0.05])) @ R
+    peak = refine(*start, m, veiled, NONE)
+    assert np.linalg.norm(log(peak.rotation @ R.T)) < np.deg2rad(3.0)
+    assert np.all(np.abs(peak.position - p) < [0.002, 0.002, 0.05])

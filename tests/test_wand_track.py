@@ -138,6 +138,24 @@ def test_two_balls_are_followed_and_a_second_one_that_is_not_declared_is_said():
     assert state.waited >= 0
 
 
+def test_what_looks_like_a_second_ball_for_two_pictures_is_not_worth_a_word():
+    """Here it is even one, and goes: what clutter shows for a moment is not said, what stays is."""
+    camera, balls, shots = film(replace(HAND, balls=2, distance=0.9, seconds=0.5))
+    tracker = build(camera, balls[:1])
+    _, poses = follow(shots, tracker)
+    assert any("second ball" in p.event for (p,) in poses)
+    state, first = follow(shots[:2], tracker)
+    kept = np.argmin([np.linalg.norm(first[-1][0].position - p) for p in shots[1].position])
+    gone = []
+    for shot in shots[2:]:
+        image = shot.frame.image.copy()
+        u = int(camera.fx * shot.position[1 - kept][0] / shot.position[1 - kept][2] + camera.cx)
+        image[:, max(u - 45, 0) : u + 45] = 120
+        gone.append(replace(shot, frame=replace(shot.frame, image=image)))
+    _, later = follow(gone, tracker, state)
+    assert not any("second ball" in p.event for (p,) in first + later)
+
+
 def test_spots_give_the_pose_without_any_other_knowledge(hand):
     camera, balls, shots = hand
     near = 0

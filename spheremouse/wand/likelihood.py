@@ -11,6 +11,7 @@ is turned away: hiding points does not pay, which the product over visible point
 does showing them: each counts by the part of the picture it stands for, in areas of the Gaussian kernel, within which
 pixels repeat each other, so that the sum is one over the picture, however many points crowd near the limb.
 The rim's offset, common to a colour (a bound on saturation moves every rim outward), is marginalised.
+Glare hides colours: with a part v of glare at a point, its field is anything from m to m + v, and it counts 1 - v.
 """
 
 from dataclasses import dataclass
@@ -122,8 +123,8 @@ def log_likelihood(
     out, match = np.empty(len(position)), np.empty(len(position) if matches else 0)
     p = model.points
     _weigh(
-        position, rotation, p.table, p.colour, model.radius, model.lens, fields.weight, fields.place(),
-        shares(fields), fields.rim, sigma, out, match,
+        position, rotation, p.table, p.colour, model.radius, model.lens, fields.weight, fields.glare,
+        fields.place(), shares(fields), fields.rim, sigma, out, match,
     )  # fmt: skip
     return out, match
 
@@ -169,7 +170,7 @@ def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _weigh(position, rotation, table, colour, radius, lens, weight, place, share, rim, sigma, out, match):
+def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place, share, rim, sigma, out, match):
     """`log_likelihood` into out, (n,), and match, (n,) or (0,). All points of a pose in plain loops: they vectorise."""
     count, field_h, field_w = weight.shape
     number = len(table)
@@ -186,7 +187,7 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, place, share
     for k in range(count):
         for i in range(_TABLE + 1):
             other[k, i] = 1.0 / ((1.0 - share[k]) * np.exp(-0.5 * (i / _TABLE / sigma) ** 2) + share[k])
-    matched = len(match) > 0
+    matched, hides = len(match) > 0, len(glare) > 0
     variance = sigma * sigma
     scale_x, shift_x = lens[0] / f, (lens[2] - left + 0.5) / f - 0.5
     scale_y, shift_y = lens[1] / f, (lens[3] - top + 0.5) / f - 0.5
@@ -210,6 +211,7 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, place, share
     expected = np.empty((2, number), dtype=np.float32)
     value = np.empty(number, dtype=np.float32)
     part = np.empty(number, dtype=np.float32)
+    veil = np.zeros(number, dtype=np.float32)
     whole = np.empty(number, dtype=np.bool_)
     index = np.empty(number + 1, dtype=np.int64)
     first = np.flatnonzero(table[:, 9] > 0.0)
@@ -262,7 +264,8 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, place, share
                 continue
             j, i = np.int64(px), np.int64(py)
             ramp = min((seen[0, q] - BEGINS) * (1.0 / (FULLY - BEGINS)), 1.0)
-            counts = ramp * counts_of[disc[q]]
+            hidden = between(glare, 0, i, j, px - j, py - i) if hides else 0.0
+            counts = ramp * counts_of[disc[q]] * (1.0 - hidden)
             k = colour[q]
             if k < 0:
                 for one in range(count):
@@ -274,7 +277,8 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, place, share
                 continue
             value[points] = between(weight, k, i, j, px - j, py - i)
             part[points] = counts
-            whole[points] = ramp == 1.0
+            veil[points] = hidden
+            whole[points] = ramp == 1.0 and hidden == 0.0
             index[points] = q
             points += 1
         for at in range(points):
@@ -289,6 +293,9 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, place, share
         for q in range(points):
             k, m, e, g = colour[index[q]], np.float64(value[q]), np.float64(expected[0, q]), np.float64(expected[1, q])
             r = m - e
+            if veil[q] > 0.0 and r < 0.0:
+                r = min(r + veil[q], 0.0)
+                g = g if r < 0.0 else 0.0
             near = agree[np.int64(min(abs(r), 1.0) * _TABLE + 0.5)]
             ratio = near * other[k, np.int64(min(e, 1.0) * _TABLE + 0.5)] + OUTLIER
             counts = np.float64(part[q])

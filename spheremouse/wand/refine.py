@@ -47,15 +47,18 @@ def refine(position: Array, rotation: Array, model: Model, fields: Fields, edges
     p, R, covariance = position.copy(), rotation.copy(), np.empty((6, 6))
     points = model.points
     slope = _refine(
-        p, R, points.table, points.colour, model.radius, model.lens, fields.weight, fields.place(), shares(fields),
-        fields.rim, edges, rounds, covariance,
+        p, R, points.table, points.colour, model.radius, model.lens, fields.weight, fields.glare,
+        fields.place(), shares(fields), fields.rim, edges, rounds, covariance,
     )  # fmt: skip
     return Peak(p, R, covariance, edges, slope)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _residuals(c, R, table, colour, radius, lens, weight, place, rim, counts, r, g, e_of, m_of):
-    """m - e of every point; `counts` 0 where it is turned away. Bare points: the greatest of all colours."""
+def _residuals(c, R, table, colour, radius, lens, weight, glare, place, rim, counts, r, g, e_of, m_of):
+    """m - e of every point, 0 where glare may make up for it; `counts` 0 where it is turned away.
+
+    Bare points: the greatest of all colours.
+    """
     count, field_h, field_w = weight.shape
     f = place[2]
     disc_counts = 1.0
@@ -84,7 +87,8 @@ def _residuals(c, R, table, colour, radius, lens, weight, place, rim, counts, r,
         if not (px >= 0.0 and py >= 0.0 and px < field_w - 1 and py < field_h - 1):
             continue
         j, i = np.int64(px), np.int64(py)
-        counts[q] = disc_counts * min((facing - BEGINS) / (FULLY - BEGINS), 1.0)
+        hidden = between(glare, 0, i, j, px - j, py - i) if len(glare) > 0 else 0.0
+        counts[q] = disc_counts * min((facing - BEGINS) / (FULLY - BEGINS), 1.0) * (1.0 - hidden)
         if colour[q] < 0:
             m = 0.0
             for k in range(count):
@@ -101,6 +105,9 @@ def _residuals(c, R, table, colour, radius, lens, weight, place, rim, counts, r,
         scale = lens[0] * radius * per_length / f
         e, slope = expected_field(along, outward, facing, scale, table[q, 6], table[q, 7], table[q, 8], rim[colour[q]])
         m_of[q], e_of[q], r[q], g[q] = m, e, m - e, slope
+        if hidden > 0.0 and m < e:
+            r[q] = min(m + hidden - e, 0.0)
+            g[q] = slope if r[q] < 0.0 else 0.0
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -113,7 +120,7 @@ def _outline_residuals(c, radius, lens, edges, r):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _refine(c, R, table, colour, radius, lens, weight, place, share, rim, edges, rounds, covariance):
+def _refine(c, R, table, colour, radius, lens, weight, glare, place, share, rim, edges, rounds, covariance):
     n, count, f = len(table), len(weight), place[2]
     size = 6 + count + 1
     counts, r, g, e, m = np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -130,7 +137,7 @@ def _refine(c, R, table, colour, radius, lens, weight, place, share, rim, edges,
     B = np.empty((3, 3))
     free = np.array([0.5 * radius, 0.5 * radius, 2.0 * radius, 0.3, 0.3, 0.3])
     for turn_of in range(rounds + 1):
-        _residuals(c, R, table, colour, radius, lens, weight, place, rim, counts, r, g, e, m)
+        _residuals(c, R, table, colour, radius, lens, weight, glare, place, rim, counts, r, g, e, m)
         _outline_residuals(c, radius, lens, edges, lr)
         distance = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2)
         half = 0.5 * f * distance / lens[0]  # m that are half a pixel
@@ -157,6 +164,7 @@ def _refine(c, R, table, colour, radius, lens, weight, place, share, rim, edges,
                     radius,
                     lens,
                     weight,
+                    glare,
                     place,
                     rim,
                     seen[s],

@@ -7,24 +7,28 @@ discs of their colours in every possible way; a pose that shows discs where ther
 is no disc, falls back. Hypotheses of any attitude result, not of yaw only: a hand turns the ball as it likes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, unproject
+from spheremouse.camera import InteriorOrientation, project, unproject
 from spheremouse.rotation import Array
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import Fields
+from spheremouse.wand.colour import Fields, Image
+from spheremouse.wand.likelihood import BEGINS, FULLY, Model
 
 _LEAST_AREA = 6  # px: smaller, a spot's centroid is a pixel's
 _FILLED = 0.3  # of its upright box that an ellipse fills: pi / 4, less where it lies across
 _SPOTS = 60  # the largest; more is no ball but a picture of one colour
 _NEIGHBOURS = 8  # of a spot that triples are made with: as many as a side of a ball shows
+_PALE = 0.37  # of full saturation: print has more, whatever white has in the light of a lamp or of the sky has less
+_GLARE = 8  # places of glare, the largest: a ball shows as many as there are suns
 _LEAST = 0.4  # of the discs in view, by area, that a pose must explain: a hand or a highlight may take more than half
 _KEPT = 48  # hypotheses handed on
+EFFORT = 300_000  # assignments tried per picture, some ms: a ball with eight discs before fifty spots needs fewer
 _SAME_TURN, _SAME_PLACE, _SAME_DEPTH = 0.35, 0.7, 8.0  # rad, radii across and along: hypotheses nearer are one
 
 
@@ -35,6 +39,7 @@ class Spots:
     centre: Array  # (n, 2) px
     area: Array  # (n,) px²
     colour: NDArray[np.int64]  # (n,) index of the colour
+    glare: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (m, 3) u, v px, area px²: pale places
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +49,7 @@ class Hypotheses:
     position: Array  # (n, 3) m, cam
     rotation: Array  # (n, 3, 3) R_cam_ball
     score: Array  # (n,) discs in view that have a spot, times their part of all in view by area
+    following: int = 0  # index of the spot to begin with next time: there was no time for all; 0: there was
 
 
 def spots(fields: Fields) -> Spots:
@@ -61,7 +67,19 @@ def spots(fields: Fields) -> Spots:
             rows.append((u + fields.left, v + fields.top, area[i] * f * f, c))
     rows.sort(key=lambda row: -row[2])
     table = np.array(rows[:_SPOTS], dtype=float).reshape(-1, 4)
-    return Spots(table[:, :2], table[:, 2], table[:, 3].astype(np.int64))
+    return Spots(table[:, :2], table[:, 2], table[:, 3].astype(np.int64), _glare_spots(fields))
+
+
+def _glare_spots(fields: Fields) -> Array:
+    """The largest places that glare makes pale, (m, 3): u, v px, area px²."""
+    if len(fields.glare) == 0:
+        return np.zeros((0, 3))
+    f = fields.factor
+    n, _, stats, centre = cv2.connectedComponentsWithStats((fields.glare[0] > 127).astype(np.uint8), connectivity=8)
+    area = stats[1:n, cv2.CC_STAT_AREA].astype(float)
+    place = (centre[1:n] + 0.5) * f - 0.5 + [fields.left, fields.top]
+    largest = np.argsort(-area, kind="stable")[:_GLARE]
+    return np.column_stack([place, area * f * f])[largest]
 
 
 def hypotheses(
@@ -72,10 +90,13 @@ def hypotheses(
     nearest: float,
     farthest: float,
     least: float = _LEAST,
+    first: int = 0,
+    effort: int = EFFORT,
 ) -> Hypotheses:
     """Poses of a ball that explain spots, its centre between `nearest` and `farthest` m away.
 
-    `names` are the colours of the fields the spots come from.
+    `names` are the colours of the fields the spots come from. No more assignments are tried than `effort`, beginning
+    with those of spot `first`: where there are more, the next picture's turn is at `following`.
     """
     none = Hypotheses(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
     if len(seen.area) < 2:
@@ -88,16 +109,59 @@ def hypotheses(
     direction = np.array([d.direction for d in ball.discs])
     angle = np.array([d.angle for d in ball.discs])
     colours = np.array([names.index(d.colour) for d in ball.discs])
+    glare, _ = unproject(seen.glare[:, :2], camera)
+    radius = np.sqrt(seen.glare[:, 2] / (np.pi * camera.fx * camera.fy))
+    glare = np.column_stack([glare, radius])[np.isfinite(glare[:, 0])]
     found = np.empty((_KEPT, 13))
     limits = np.array([ball.radius / farthest, ball.radius / nearest])
-    n = _search(
-        xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, least, found
-    )
+    begin = first % len(xy)
+    n, following = _search(
+        xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, least, glare,
+        begin, effort, found,
+    )  # fmt: skip
     found = found[np.argsort(-found[:n, 0], kind="stable")]
     position = found[:, 1:4] * ball.radius
     rotation = found[:, 4:].reshape(-1, 3, 3)
     chosen = distinct(position, rotation, ball.radius)
-    return Hypotheses(position[chosen], rotation[chosen], found[chosen, 0])
+    return Hypotheses(position[chosen], rotation[chosen], found[chosen, 0], following)
+
+
+def convincing(
+    image: Image, position: Array, rotation: Array, ball: WandBall, model: Model, camera: InteriorOrientation,
+    fields: Fields,
+) -> tuple[int, float]:  # fmt: skip
+    """What speaks for a pose that nothing led to: discs that show, and the part of the bare ball that looks like it.
+
+    Two spots of any place and size are explained by some pose: six numbers, six unknowns. The third tells. Between its
+    discs a ball is white, paler than any print and evenly bright but for its shadow, or black; rooms are not.
+    """
+    u = model.points.table[:, :3] @ rotation.T
+    x = position + ball.radius * u
+    facing = -np.einsum("ni,ni->n", u, x) / np.linalg.norm(x, axis=1)
+    uv, _ = project(x, camera)
+    inner = model.points.table[:, 6] > 0.0  # of a disc: its centre, which comes first, and four points
+    shows = np.zeros(len(u), dtype=bool)
+    place = np.rint((uv - [fields.left, fields.top] + 0.5) / fields.factor - 0.5)
+    h, w = fields.binary.shape[1:]
+    good = (facing > BEGINS) & np.all((place >= 0) & (place < [w, h]), axis=1)  # nan is not
+    column, row = place[good].astype(int).T
+    colour = model.points.colour[good]
+    shows[good] = (colour >= 0) & (fields.binary[colour, row, column] > 0)
+    disc = np.cumsum(model.points.table[:, 9] > 0.0)
+    number = len(np.unique(disc[shows & inner]))
+    pixel = np.rint(uv)
+    good = (facing > FULLY) & np.all((pixel >= 0) & (pixel < [camera.width, camera.height]), axis=1)
+    bare, print_ = good & (model.points.colour < 0), good & shows & inner
+    if not bare.any():
+        return number, 0.0
+    bgr = image[pixel[bare, 1].astype(int), pixel[bare, 0].astype(int)].astype(float)
+    high = bgr.max(axis=1)
+    if ball.body == "white":
+        like = (high - bgr.min(axis=1) <= _PALE * high) & (high >= 0.5 * np.quantile(high, 0.8))
+    else:
+        lit = image[pixel[print_, 1].astype(int), pixel[print_, 0].astype(int)].max(axis=1, initial=0)
+        like = high <= 0.5 * (np.median(lit) if len(lit) else 0.0)
+    return number, float(np.mean(like))
 
 
 def distinct(position: Array, rotation: Array, radius: float) -> list[int]:
@@ -130,8 +194,11 @@ def _same(p, R, q, S, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def _search(xy, area, colour, direction, angle, colours, limits, pixels, least, found):
-    """Hypotheses into `found`: score, centre in radii of the ball, rotation. Gives their number."""
+def _search(xy, area, colour, direction, angle, colours, limits, pixels, least, glare, begin, effort, found):
+    """Hypotheses into `found`: score, centre in radii of the ball, rotation. Gives their number.
+
+    And the spot at which the effort was spent, or 0.
+    """
     n, m = len(xy), len(direction)
     kept = 0
     near = np.empty(n, dtype=np.int64)
@@ -139,7 +206,11 @@ def _search(xy, area, colour, direction, angle, colours, limits, pixels, least, 
     R = np.empty((3, 3))
     E = np.empty((3, 3))
     q = np.empty((n, 2))
+    pale = np.empty((len(glare), 3))
     pairs = np.empty((m, m))
+    by_colour = np.zeros(max(np.max(colours), np.max(colour)) + 1, dtype=np.int64)
+    for i in range(m):
+        by_colour[colours[i]] += 1
     for i in range(m):
         for j in range(m):
             pairs[i, j] = (
@@ -147,7 +218,11 @@ def _search(xy, area, colour, direction, angle, colours, limits, pixels, least, 
                 + direction[i, 1] * direction[j, 1]
                 + direction[i, 2] * direction[j, 2]
             )
-    for s0 in range(n):
+    spent = 0
+    for at in range(n):
+        s0 = (begin + at) % n
+        if spent >= effort:
+            return kept, s0
         # a tangent plane at this spot's ray, in which the picture is a small, undistorted plan
         x, y = xy[s0, 0], xy[s0, 1]
         length = np.sqrt(x * x + y * y + 1.0)
@@ -157,10 +232,11 @@ def _search(xy, area, colour, direction, angle, colours, limits, pixels, least, 
         E[0, 1] = E[1, 2] * E[2, 0] - E[2, 2] * E[1, 0]
         E[1, 1] = E[2, 2] * E[0, 0] - E[0, 2] * E[2, 0]
         E[2, 1] = E[0, 2] * E[1, 0] - E[1, 2] * E[0, 0]
+        for s in range(len(glare)):
+            depth = _plan(glare[s, 0], glare[s, 1], E, pale[s])
+            pale[s, 2] = glare[s, 2] if depth > 0.0 else 0.0
         for s in range(n):
-            depth = E[0, 2] * xy[s, 0] + E[1, 2] * xy[s, 1] + E[2, 2]
-            q[s, 0] = (E[0, 0] * xy[s, 0] + E[1, 0] * xy[s, 1] + E[2, 0]) / depth
-            q[s, 1] = (E[0, 1] * xy[s, 0] + E[1, 1] * xy[s, 1] + E[2, 1]) / depth
+            depth = _plan(xy[s, 0], xy[s, 1], E, q[s])
             gap[s] = q[s, 0] ** 2 + q[s, 1] ** 2
             if depth <= 0.0:
                 gap[s] = 1e9
@@ -169,25 +245,37 @@ def _search(xy, area, colour, direction, angle, colours, limits, pixels, least, 
         for i1 in range(1, count):
             s1 = near[i1]
             if s1 > s0 and gap[s1] < 4.0 * limits[1] ** 2:
+                spent += by_colour[colour[s0]] * by_colour[colour[s1]]
                 kept = _assign_two(
-                    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, E, R, near,
-                    count, found, kept,
+                    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R,
+                    near, count, found, kept,
                 )  # fmt: skip
             for i2 in range(i1 + 1, count):
                 s2 = near[i2]
                 if gap[s2] > 4.0 * limits[1] ** 2 or (s1 < s0 and s2 < s0):
                     continue
+                spent += by_colour[colour[s0]] * by_colour[colour[s1]] * by_colour[colour[s2]]
                 kept = _assign(
-                    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, E, R,
+                    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R,
                     near, count, found, kept,
                 )  # fmt: skip
-    return kept
+    return kept, 0
+
+
+@njit(cache=True, error_model="numpy")
+def _plan(x, y, E, q):
+    """A ray's place in the tangent plane E, into q, (2,) or longer; gives its depth."""
+    depth = E[0, 2] * x + E[1, 2] * y + E[2, 2]
+    q[0] = (E[0, 0] * x + E[1, 0] * y + E[2, 0]) / depth
+    q[1] = (E[0, 1] * x + E[1, 1] * y + E[2, 1]) / depth
+    return depth
 
 
 @njit(cache=True, error_model="numpy")
 def _assign(
-    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, E, R, near, count, found, kept
-):
+    s0, s1, s2, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R, near, count,
+    found, kept,
+):  # fmt: skip
     m = len(direction)
     d00, d01 = q[s1, 0] - q[s0, 0], q[s1, 1] - q[s0, 1]
     d10, d11 = q[s2, 0] - q[s0, 0], q[s2, 1] - q[s0, 1]
@@ -274,16 +362,17 @@ def _assign(
                         R[1, 0] * direction[a, 0] + R[1, 1] * direction[a, 1] + R[1, 2] * direction[a, 2]
                     )
                     kept = _keep(
-                        cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, least, near, count,
-                        found, kept,
+                        cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, least, pale, near,
+                        count, found, kept,
                     )  # fmt: skip
     return kept
 
 
 @njit(cache=True, error_model="numpy")
 def _assign_two(
-    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, E, R, near, count, found, kept
-):
+    s0, s1, q, area, colour, direction, angle, colours, pairs, limits, pixels, least, pale, E, R, near, count, found,
+    kept,
+):  # fmt: skip
     """Two spots with their areas: how far a disc is turned away shows in its area."""
     m = len(direction)
     dx, dy = q[s1, 0] - q[s0, 0], q[s1, 1] - q[s0, 1]
@@ -325,7 +414,7 @@ def _assign_two(
                 R[:] = outer @ inner.T
                 kept = _keep(
                     q[s0, 0] - scale * ax, q[s0, 1] - scale * ay, scale, R, E, q, area, colour, direction, angle,
-                    colours, pixels, least, near, count, found, kept,
+                    colours, pixels, least, pale, near, count, found, kept,
                 )  # fmt: skip
     return kept
 
@@ -347,9 +436,11 @@ def _frame(ax, ay, az, bx, by, bz, F):
 
 
 @njit(cache=True, error_model="numpy")
-def _keep(cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, least, near, count, found, kept):
+def _keep(
+    cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixels, least, pale, near, count, found, kept
+):
     """Put a pose into `found` if it explains enough, in place of the worst where it is full. Gives the number kept."""
-    score, number = _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, near, count)
+    score, number = _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, pale, near, count)
     if score < least:
         return kept
     score *= number  # two discs agree by chance, five do not
@@ -369,10 +460,10 @@ def _keep(cx, cy, scale, R, E, q, area, colour, direction, angle, colours, pixel
 
 
 @njit(cache=True, error_model="numpy")
-def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, near, count):
+def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels, pale, near, count):
     """Part of the discs in view, by area, that have a spot of their colour and size where they should be; their number.
 
-    A spot on the ball that is no disc counts against it.
+    A spot on the ball that is no disc counts against it. What glare hides of a disc is not asked for.
     """
     have, asked, number = 0.0, 0.0, 0
     used = 0  # bits of the spots that are a disc
@@ -384,8 +475,13 @@ def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels,
         x = cx + scale * (R[0, 0] * direction[d, 0] + R[0, 1] * direction[d, 1] + R[0, 2] * direction[d, 2])
         y = cy + scale * (R[1, 0] * direction[d, 0] + R[1, 1] * direction[d, 1] + R[1, 2] * direction[d, 2])
         expected = np.pi * (scale * angle[d]) ** 2 * z
+        shown = expected
+        for g in range(len(pale)):
+            gap = np.sqrt((pale[g, 0] - x) ** 2 + (pale[g, 1] - y) ** 2)
+            shown -= _overlap(np.sqrt(expected / np.pi), pale[g, 2], gap)
+        shown = max(shown, 0.0)
         if z > 0.25:
-            asked += expected
+            asked += shown
         # a highlight or a finger leaves a part of a disc, whose centroid lies anywhere within its outline
         length = max(np.sqrt((x - cx) ** 2 + (y - cy) ** 2), 1e-9)
         ux, uy = (x - cx) / length, (y - cy) / length
@@ -400,8 +496,8 @@ def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels,
             if part or dx * dx + dy * dy < within:
                 used |= 1 << i
                 if z > 0.25:
-                    ratio = area[s] / expected
-                    have += expected * min(ratio, 1.0 / ratio)
+                    # glare's reach is not known to the pixel: any area from what it leaves to the whole disc will do
+                    have += shown * min(area[s] / max(shown, 1e-12), expected / area[s], 1.0)
                     number += 1
                 break
     for i in range(count):
@@ -409,3 +505,15 @@ def _score(cx, cy, scale, R, q, area, colour, direction, angle, colours, pixels,
         if not used & (1 << i) and (q[s, 0] - cx) ** 2 + (q[s, 1] - cy) ** 2 < (0.9 * scale) ** 2:
             asked += area[s]
     return (have / asked if asked > 0.0 else 0.0), number
+
+
+@njit(cache=True, error_model="numpy")
+def _overlap(a, b, gap):
+    """Area that two circles of radii a and b share, their centres `gap` apart."""
+    if gap >= a + b:
+        return 0.0
+    if gap <= abs(a - b):
+        return np.pi * min(a, b) ** 2
+    u = (gap * gap + a * a - b * b) / (2.0 * gap)
+    v = gap - u
+    return a * a * np.arccos(u / a) - u * np.sqrt(a * a - u * u) + b * b * np.arccos(v / b) - v * np.sqrt(b * b - v * v)

@@ -27,6 +27,7 @@ from spheremouse.wand.colour import (
     reduction,
     tone,
 )
+from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import Model, log_likelihood, model, published
 from spheremouse.wand.particles import (
     Motions,
@@ -42,7 +43,7 @@ from spheremouse.wand.particles import (
     steadied,
 )
 from spheremouse.wand.refine import Peak, refine
-from spheremouse.wand.start import hypotheses, same, spots
+from spheremouse.wand.start import convincing, hypotheses, same, spots
 
 _THESIS_DT = 1.25  # s between the frames to which the thesis' standard deviations belong (0.8 per second)
 _MOST_PEAKS = 3  # of the likelihood followed at a time: a pose, its mirror, a second ball
@@ -67,6 +68,8 @@ _BIRTH = 1e-3  # probability per frame that the ball is somewhere else altogethe
 _REDRAW = 0.5  # of the particles that count, below which they are resampled
 _PREDICTED = 48  # predicted particles that are tried for a peak
 _SECOND = "a second ball like"
+_SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
+_DISCS = 3  # that show of a pose nothing led to: any two spots are explained by some pose
 _NOTHING, _TOO_MUCH = 2e-6, 0.25  # part of the picture of one colour that no ball makes
 _MIXTURE = np.array([0.45, 0.45, 0.1])  # rest, go on, free
 _STAYS = 0.8  # part of a motion's probability that lives on to the next frame
@@ -81,8 +84,10 @@ class WandSettings:
     proposal: Literal["peaks", "motion"] = param(
         "peaks", "-", "particles are drawn towards the likelihood's peaks, or by motion alone as in the thesis"
     )
-    likelihood: Literal["rims", "product"] = param(
-        "rims", "-", "by motion alone: ours, or the thesis' product of the blurred pictures at its five points a disc"
+    likelihood: Literal["rims", "product", "edges"] = param(
+        "rims",
+        "-",
+        "by motion alone: ours; the thesis' product of the blurred pictures at its five points a disc; edges",
     )
     region: bool = param(True, "-", "look only at the region where the ball can be")
     outline: bool = param(True, "-", "the ball's outline as a further cue for the distance")
@@ -161,6 +166,8 @@ class Track:
     seen: float = -np.inf  # s
     unseen_frames: int = 0
     level: float = 0.0  # log-likelihood ratio that this ball's pose has had of late
+    turn: int = 0  # spot with which the next search begins, where a picture has too many for one
+    second: tuple[int, Array] | None = None  # pictures in a row with another ball like it, and where, (3,) m
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,6 +341,32 @@ class _Found:
     log_likelihood: Array  # (k,)
     match: Array  # (k,)
     fields: Fields | None
+    turn: int = 0  # spot with which the next search begins
+
+
+def _part(found: _Found, kept: list[int]) -> _Found:
+    """Some of its peaks."""
+    return replace(
+        found,
+        peaks=tuple(found.peaks[i] for i in kept),
+        log_likelihood=found.log_likelihood[kept],
+        match=found.match[kept],
+    )
+
+
+def _convincing(found: _Found, scene: _Scene, index: int) -> _Found:
+    """Those of its peaks that would be a ball if nothing led to them."""
+    tracker, kept = scene.tracker, []
+    if found.fields is None:
+        return found
+    for i, k in enumerate(found.peaks):
+        discs, bare = convincing(
+            scene.image, k.position, k.rotation, tracker.balls[index], tracker.models[index], tracker.camera,
+            found.fields,
+        )  # fmt: skip
+        if discs >= _DISCS and bare >= tracker.settings.match:
+            kept.append(i)
+    return _part(found, kept)
 
 
 def _weighed(peaks: list[Peak], index: int, tracker: WandTracker, seen: Fields) -> tuple[Array, Array]:
@@ -373,7 +406,11 @@ def _climb(
         ):
             starts.append(i)
     none = np.zeros((limb.DIRECTIONS, 5))
-    peaks = [_settled(refine(position[i], rotation[i], m, seen, none, rounds), m, seen) for i in starts]
+    peaks = [refine(position[i], rotation[i], m, seen, none, rounds) for i in starts]
+    if len(peaks) > _MOST_PEAKS:  # only those that come to something are climbed to the end
+        value, _ = _weighed(peaks, index, tracker, seen)
+        peaks = [peaks[i] for i in np.argsort(-value, kind="stable")[: 2 * _MOST_PEAKS] if value[i] > 0.0]
+    peaks = [_settled(k, m, seen) for k in peaks]
     s = tracker.settings
     peaks = [
         k
@@ -426,20 +463,20 @@ def _good(found: _Found, settings: WandSettings, level: float = 0.0) -> bool:
     return bool(strong or match >= _SURE or (level > 0.0 and value >= _HIDDEN_LEVEL * level))
 
 
-def _search(scene: _Scene, index: int, others: list[Array]) -> _Found:
-    """Peaks in the whole picture."""
+def _search(scene: _Scene, index: int, others: list[Array], turn: int) -> _Found:
+    """Peaks in the whole picture, from spot `turn` on."""
     scene.searched = True
-    return _from_spots(scene, index, scene.all(), 12, others)
+    return _from_spots(scene, index, scene.all(), 12, others, turn)
 
 
-def _from_spots(scene: _Scene, index: int, seen: Fields, most: int, others: list[Array]) -> _Found:
+def _from_spots(scene: _Scene, index: int, seen: Fields, most: int, others: list[Array], turn: int = 0) -> _Found:
     """Peaks from the spots of a region.
 
     A hypothesis is as exact as the ball is near round and far away, some hundredths of its diameter. So near balls are
     looked for in reduced pictures first.
     """
     tracker, ball, s = scene.tracker, scene.tracker.balls[index], scene.tracker.settings
-    guess = hypotheses(spots(seen), ball, tracker.camera, tracker.names, s.nearest, s.farthest)
+    guess = hypotheses(spots(seen), ball, tracker.camera, tracker.names, s.nearest, s.farthest, first=turn)
     across = 2.0 * tracker.camera.fx * ball.radius / np.maximum(guess.position[:, 2], ball.radius)
     coarse = np.maximum(np.rint(across / _COARSE), seen.factor).astype(int)
     position, rotation = [], []
@@ -450,11 +487,12 @@ def _from_spots(scene: _Scene, index: int, seen: Fields, most: int, others: list
             rotation.append(guess.rotation[group])
             continue
         reduced = scene.part(_whole_region(seen), int(factor))
-        found = _climb(guess.position[group], guess.rotation[group], most, index, scene, reduced, others, False)
+        part = int(np.ceil(most * np.mean(group)))
+        found = _climb(guess.position[group], guess.rotation[group], part, index, scene, reduced, others, False)
         position.append(np.array([k.position for k in found.peaks]).reshape(-1, 3))
         rotation.append(np.array([k.rotation for k in found.peaks]).reshape(-1, 3, 3))
     if not position:
-        return _Found((), np.zeros(0), np.zeros(0), seen)
+        return _Found((), np.zeros(0), np.zeros(0), seen, guess.following)
     p, R = np.concatenate(position), np.concatenate(rotation)
     found = _climb(p, R, most, index, scene, seen, others)
     if found.peaks:
@@ -463,7 +501,7 @@ def _from_spots(scene: _Scene, index: int, seen: Fields, most: int, others: list
             p = np.array([k.position for k in found.peaks])
             R = np.array([k.rotation for k in found.peaks])
             found = _climb(p, R, _MOST_PEAKS, index, scene, scene.part(_whole_region(seen), factor), others)
-    return found
+    return replace(found, turn=guess.following)
 
 
 def _whole_region(seen: Fields) -> Region:
@@ -496,15 +534,18 @@ def _follow(
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
     found = _climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
     if not _good(found, s, track.level) or found.match[0] < _SURE or found.log_likelihood[0] < _DOUBT * track.level:
-        near = _credible(_from_spots(scene, index, seen, 6, others), track, motions)
+        near = _credible(_from_spots(scene, index, seen, 6, others), track, motions, scene, index)
         found = _joined(found, near, ball.radius)
     event = ""
-    if not _good(found, s, track.level) or look:
-        far = _search(scene, index, others)
-        event = _second(far, ball, s)
-        found = _joined(found, _credible(far, track, motions), ball.radius)
+    if not _good(found, s, track.level) or look or _doubtful(track):
+        far = _search(scene, index, others, track.turn)
+        track = replace(track, turn=far.turn)
+        found = _joined(found, _credible(far, track, motions, scene, index), ball.radius)
+        first = found.peaks[0].position if _good(found, s, track.level) else None
+        track, event = _second(track, far, first, dt, scene, index)
     if not _good(found, s, track.level):
         return _unseen(track, stamp, dt, motions, scene, index, rng, found)
+    assert track.particles is not None
     peaks = _as_peaks(found)
     drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
     assert found.fields is not None
@@ -533,20 +574,23 @@ def _follow(
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
 
 
-def _credible(found: _Found, track: Track, motions: Motions) -> _Found:
-    """Of peaks, those that the ball can have moved to, or that show as much of it as it did of late."""
+def _credible(found: _Found, track: Track, motions: Motions, scene: _Scene, index: int) -> _Found:
+    """Of peaks, those that the ball can have moved to, or that are a ball and show as much of it as it did of late."""
     assert track.pose is not None
     p, R, covariance = track.pose
-    kept = []
+    reached, elsewhere = [], []
     for i, k in enumerate(found.peaks):
         way = np.concatenate([k.position - p, log(k.rotation @ R.T)])
         gaps = [
             (way - d) @ np.linalg.solve(S + covariance, way - d)
             for d, S in zip(motions.shift, motions.covariance, strict=True)
         ]
-        if min(gaps) < _REACHED or found.log_likelihood[i] >= _ELSEWHERE * track.level:
-            kept.append(i)
-    return _Found(tuple(found.peaks[i] for i in kept), found.log_likelihood[kept], found.match[kept], found.fields)
+        if min(gaps) < _REACHED:
+            reached.append(i)
+        elif found.log_likelihood[i] >= _ELSEWHERE * track.level:
+            elsewhere.append(i)
+    balls = _convincing(_part(found, elsewhere), scene, index).peaks
+    return _part(found, [i for i, k in enumerate(found.peaks) if i in reached or any(k is b for b in balls)])
 
 
 def _level(track: Track, found: _Found) -> float:
@@ -587,18 +631,34 @@ def _joined(a: _Found, b: _Found, radius: float) -> _Found:
     return best
 
 
-def _second(found: _Found, ball: WandBall, settings: WandSettings) -> str:
-    """Words for a second ball like this one."""
-    for k, v, m in zip(found.peaks[1:], found.log_likelihood[1:], found.match[1:], strict=True):
-        first = found.peaks[0].position
+def _doubtful(track: Track) -> bool:
+    """Has a second ball been seen, but not often enough to say so?"""
+    return track.second is not None and track.second[0] < _SIGHTINGS
+
+
+def _second(
+    track: Track, found: _Found, first: Array | None, dt: float, scene: _Scene, index: int
+) -> tuple[Track, str]:
+    """The track with what a search of the whole picture says of a second ball like it, and words where it is there.
+
+    `first` is where the ball is. A second one lies beside it in the picture, shows half as much, and is a ball wherever
+    it is looked for, `_SIGHTINGS` times in a row, no farther from where it was than it can have moved in `dt` s.
+    """
+    s, ball = scene.tracker.settings, scene.tracker.balls[index]
+    if first is None or not found.peaks:
+        return replace(track, second=None), ""
+    least = max(s.evidence, 0.5 * found.log_likelihood[0])
+    good = [i for i in range(len(found.peaks)) if found.log_likelihood[i] >= least and found.match[i] >= _SURE]
+    for k in _convincing(_part(found, good), scene, index).peaks:
         apart = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
-        if (
-            v >= max(settings.evidence, 0.5 * found.log_likelihood[0])
-            and m >= _SURE
-            and apart > 1.5 * ball.radius / first[2]
-        ):
-            return f"{_SECOND} {ball.name} is in view: declare it too, or take it away"
-    return ""
+        if apart < ball.radius / k.position[2] + ball.radius / first[2]:
+            continue
+        times, before = track.second or (0, k.position)
+        moved_by = np.linalg.norm(k.position[:2] / k.position[2] - before[:2] / before[2]) * k.position[2]
+        times = min(times + 1, _SIGHTINGS) if moved_by < ball.radius + s.fastest * dt else 1
+        words = f"{_SECOND} {ball.name} is in view: declare it too, or take it away" if times == _SIGHTINGS else ""
+        return replace(track, second=(times, k.position)), words
+    return replace(track, second=None), ""
 
 
 def _unseen(
@@ -631,7 +691,9 @@ def _acquire(
 ) -> tuple[Track, WandPose]:
     """Find the ball in the whole picture: particles are injected at the peaks."""
     tracker, s, ball = scene.tracker, scene.tracker.settings, scene.tracker.balls[index]
-    found = _search(scene, index, others)
+    found = _search(scene, index, others, track.turn)
+    track = replace(track, turn=found.turn)
+    found = _convincing(found, scene, index)
     least = _ELSEWHERE * track.level * np.exp(-(stamp - track.seen) / _REMEMBERED) if track.level else 0.0
     if not _good(found, s) or found.log_likelihood[0] < least:
         phase = track.phase
@@ -657,19 +719,24 @@ def _acquire(
     pose = p, R, steadied(sample, count, found.peaks[0].covariance)
     level = float(found.log_likelihood[0])
     after = Track(WandPhase.TRACKING, _some(particles, s.particles, rng), pose, stamp=stamp, seen=stamp, level=level)
-    event = _second(found, ball, s)
+    after, event = _second(after, found, found.peaks[0].position, 0.0, scene, index)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
 
 
 def _by_motion(
     track: Track, stamp: float, motions: Motions, seen: Fields, scene: _Scene, index: int, rng: np.random.Generator
 ) -> tuple[Track, WandPose]:
-    """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh either way, resample."""
+    """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh one way or another, resample."""
     assert track.particles is not None
     ball = scene.tracker.balls[index]
     ahead = moved(track.particles, motions, rng)
-    weigh = published if scene.tracker.settings.likelihood == "product" else log_likelihood
-    value, match = weigh(ahead.position, ahead.rotation, scene.tracker.models[index], seen)
+    m, likelihood = scene.tracker.models[index], scene.tracker.settings.likelihood
+    if likelihood == "edges":
+        away, place = distances(scene.image, _whole_region(seen), seen.factor)
+        value, match = on_edges(ahead.position, ahead.rotation, m, away, place)
+    else:
+        weigh = published if likelihood == "product" else log_likelihood
+        value, match = weigh(ahead.position, ahead.rotation, m, seen)
     weight, _ = normalised(np.log(np.maximum(ahead.weight, 1e-300)) + value)
     count = effective(weight)
     particles = Particles(ahead.position, ahead.rotation, weight)

@@ -32,6 +32,7 @@ def warm_up() -> None:
         (grzonka_ball(), 0.8, WandSettings()),
         (grzonka_ball(), 0.25, WandSettings()),
         (grzonka_ball(), 0.8, WandSettings(proposal="motion")),
+        (grzonka_ball(), 0.8, WandSettings(proposal="motion", likelihood="edges")),
         (contrast_ball(), 0.8, WandSettings(region=False)),
     ):
         _watch(ball, depth, settings)
@@ -65,6 +66,7 @@ def _picture(ball: WandBall | None, depth: float, turned: float) -> NDArray[np.u
     hit = inside > 0.0
     surface = ray[hit] * (along[hit] - np.sqrt(inside[hit]))[:, None] - centre
     image[rows[hit], columns[hit]] = _colours(ball, surface @ R / ball.radius)
+    image[int(v) - 3 : int(v) + 2, int(u) - 3 : int(u) + 2] = 255  # glare
     return image
 
 

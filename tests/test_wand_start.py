@@ -1,0 +1,102 @@
+"""The start: what is no ball is not taken for one, what glare leaves of one is; a search in turns misses nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spheremouse.camera import InteriorOrientation
+from spheremouse.frame import Frame
+from spheremouse.rotation import log
+from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand_render import WandRenderer
+from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand.colour import DEFAULT_COLOURS, fields
+from spheremouse.wand.likelihood import model
+from spheremouse.wand.start import convincing, hypotheses, spots
+from spheremouse.wand.track import WandPhase, begin, build, step
+
+CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 320.0, 240.0)
+PICTURES = 50
+
+
+def squares(seed, coloured):
+    """Noise about grey, a red and a blue square of 40 px anywhere."""
+    rng = np.random.default_rng([seed, 7])
+    noise = (
+        rng.normal(128.0, 2.0, (480, 640, 3)) if coloured else np.repeat(rng.normal(128.0, 40.0, (480, 640, 1)), 3, 2)
+    )
+    image = np.clip(noise, 0, 255).astype(np.uint8)
+    for colour in ((30, 30, 200), (200, 60, 30)):
+        x, y = rng.integers(20, 580), rng.integers(20, 420)
+        image[y : y + 40, x : x + 40] = colour
+    return image
+
+
+@pytest.mark.parametrize("coloured", [True, False])
+def test_squares_in_noise_are_no_ball(coloured):
+    """None of 50: a rate below 6 %, with 95 % confidence. Two spots are explained by some pose, whatever they are."""
+    tracker = build(CAMERA, (grzonka_ball(),))
+    found = []
+    for k in range(PICTURES):
+        _, (pose,) = step(begin(tracker), Frame(squares(k, coloured), 0.0, 0), tracker)
+        found.append(pose.phase != WandPhase.SEARCHING)
+    assert sum(found) == 0
+
+
+@pytest.mark.parametrize("seed", [3, 4, 10])
+def test_books_and_a_mug_are_no_ball(seed):
+    """Rooms in which red and blue things stand as discs on a ball do; between them it is not white."""
+    film = prepare_wand(WandOptions(motion="hand", size=(640, 480), seed=seed, seconds=0.1))
+    rng = np.random.default_rng(seed)
+    tracker = build(film.scene.camera, (grzonka_ball(),))
+    state, renderer = begin(tracker), WandRenderer(replace(film.scene, balls=()))
+    for k in range(3):
+        state, (pose,) = step(state, Frame(renderer.picture(k / 30.0, rng), k / 30.0, k), tracker)
+        assert pose.phase == WandPhase.SEARCHING
+
+
+@pytest.mark.parametrize(("seed", "begins"), [(6, 0.0), (8, 90.0)])
+def test_a_ball_in_glare_is_found_at_once(seed, begins):
+    """The sun's image lies on its largest disc, of which a crescent is left."""
+    film = prepare_wand(WandOptions(light="outdoor", seed=seed, begin=begins, seconds=1.3))
+    (shot,) = simulate_wand(film)
+    tracker = build(film.scene.camera, (grzonka_ball(),))
+    _, (pose,) = step(begin(tracker), shot.frame, tracker)
+    assert pose.phase == WandPhase.TRACKING
+    assert np.linalg.norm(log(pose.rotation @ shot.rotation[0].T)) < np.deg2rad(8)
+    assert np.linalg.norm((pose.position - shot.position[0])[:2]) < 0.01
+
+
+def test_a_true_pose_convinces_and_another_place_does_not():
+    film = prepare_wand(WandOptions(motion="hand", seed=2, seconds=0.1, size=(640, 480)))
+    (shot,) = simulate_wand(film)
+    ball, camera, image = grzonka_ball(), film.scene.camera, shot.frame.image
+    seen = fields(image, DEFAULT_COLOURS, ball.colours)
+    p, R = shot.position[0], shot.rotation[0]
+    discs, bare = convincing(image, p, R, ball, model(ball, camera), camera, seen)
+    assert discs >= 3
+    assert bare > 0.8
+    discs, _ = convincing(image, p + np.array([0.2, 0.0, 0.0]), R, ball, model(ball, camera), camera, seen)
+    assert discs < 3
+    # a red pixel everywhere: all discs of that colour show, but the ball is nowhere bare
+    red = np.full_like(image, (30, 30, 200))
+    _, bare = convincing(red, p, R, ball, model(ball, camera), camera, fields(red, DEFAULT_COLOURS, ball.colours))
+    assert bare == 0.0
+
+
+def test_a_search_in_turns_finds_what_a_whole_one_finds():
+    film = prepare_wand(WandOptions(motion="hand", seed=3, seconds=0.1, size=(640, 480), focal=700.0), contrast_ball())
+    (shot,) = simulate_wand(film)
+    ball, camera = contrast_ball(), film.scene.camera
+    seen = spots(fields(shot.frame.image, DEFAULT_COLOURS, ball.colours))
+    whole = hypotheses(seen, ball, camera, ball.colours, 0.2, 8.0, effort=10**12)
+    assert whole.following == 0
+    best, turns, first = 0.0, 0, 0
+    while turns < 100:
+        part = hypotheses(seen, ball, camera, ball.colours, 0.2, 8.0, first=first, effort=100_000)
+        best, turns, first = max(best, float(part.score[0]) if len(part.score) else 0.0), turns + 1, part.following
+        if first == 0 or turns * 100_000 > 60 * 28 * 17**3:
+            break
+    assert turns > 3
+    assert best == pytest.approx(float(whole.score[0]), rel=1e-9)
