@@ -1,0 +1,521 @@
+"""What is on the ball and before it: sizes of discs, their places, hands on them; errors beside the least possible.
+
+Wittich 2017, chapter 5, leaves the size of the discs open. 26 discs before the far camera; each film has other places
+of the discs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from spheremouse import layout
+from spheremouse.errors import PoseError
+from spheremouse.experiments import kit, sights
+from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.report import failures, value
+from spheremouse.rotation import Array, exp
+from spheremouse.simulate import HandVisit, Simulation, prepare
+from spheremouse.simulate.profile import Gesture, Gestures
+from spheremouse.simulate.scene import spread_directions
+from spheremouse.simulate.truth import VISIBLE
+
+TITLE = "Discs: their size, their places, hands on the ball (Wittich 2017, chapter 5)"
+
+DISCS = 26
+_RADIUS = 0.6  # m, of the ball
+_NOISE = 3.0  # grey values
+_FAR_OFF = 1.0  # °, an attitude that is lost
+_NEARLY = 1.25  # times the least error is as good
+_VIEW_ANGLE = np.radians(70.0)  # as `spheremouse layout`
+_SURE, _MISSING, _TRIALS = np.radians(0.1), 0.2, 200  # of recognising attitudes, as docs/layout has it
+_LAYOUT_SEEDS = 2  # their films are longer, and the seeds differ little
+_SETTLE = 1.0  # s, before hands come: the camera's pose is found by then
+
+SIZES = (4, 6, 8, 10, 14, 20, 30)  # mm, radius
+LAYOUTS = {
+    "designed": "by `spheremouse layout`",
+    "spread": "irregular, pushed apart",
+    "even": "evenly spread (golden spiral)",
+    "rows": "in rows",
+    "random": "random",
+    "cluster": "clustered on one side",
+}
+HANDS = {  # right or left, and how large
+    "none": (),
+    "one": ((True, 1.0),),
+    "two": ((True, 1.0), (False, 1.0)),
+    "two large": ((True, 1.5), (False, 1.5)),
+    "two very large": ((True, 2.2), (False, 2.2)),
+}
+_QUANTITIES = (
+    ("attitude_deg", "attitude_rmse_deg", "attitude", "°", 4),
+    ("rate_deg_s", "rate_rmse_deg_s", "rate", "°/s", 3),
+)
+_LINES = (*kit.TRACKERS, "bound")
+
+
+def jobs(request: Request) -> list[Job]:
+    """A film each: a size, a layout or hands, and places of the discs."""
+    if request.quick:
+        sizes, layouts, hands, seeds, frames = (6, 20), ("random",), ("two",), 1, 36
+    else:
+        sizes, layouts, hands, seeds, frames = SIZES, tuple(LAYOUTS), tuple(HANDS), 3, 120
+    work = []
+    for seed in range(seeds):
+        common = {"seed": seed, "frames": frames}
+        cost = 2.0 + 0.04 * frames
+        work += [Job(f"size-{mm}-{seed}", of_size, {"millimetres": mm, **common}, cost) for mm in sizes]
+        work += [Job(f"hands-{k}-{seed}".replace(" ", "_"), with_hands, {"kind": k, **common}, cost) for k in hands]
+        longer = {"seed": seed, "frames": frames if request.quick else 180}
+        if seed < _LAYOUT_SEEDS:
+            work += [Job(f"layout-{k}-{seed}", laid_out, {"kind": k, **longer}, 1.5 * cost + 1.0) for k in layouts]
+    return work
+
+
+# ---- films ----
+
+
+def of_size(millimetres: float, seed: int, frames: int) -> Result:
+    """Discs of a radius, in the same places for all."""
+    simulation = _simulated(seed, frames, _irregular(max(SIZES), seed))
+    return _followed(replace(simulation, scene=replace(simulation.scene, disc_radius=1e-3 * millimetres)))
+
+
+def laid_out(kind: str, seed: int, frames: int) -> Result:
+    """Discs in their places; the ball is turned once about the horizontal axis, so that all sides come by."""
+    simulation = _simulated(seed, frames, directions_of(kind, seed))
+    seconds = frames / simulation.fps
+    once = Gestures((Gesture(0.0, seconds, (1.0, 0.0, 0.0), 2.0 * np.pi, 0.3),), seconds)
+    result = _followed(replace(simulation, profile=once))
+    directions = simulation.scene.disc_directions
+    judged = layout.judge(directions, _VIEW_ANGLE)
+    trials = layout.recognised(directions, _VIEW_ANGLE, _SURE, _MISSING, _TRIALS, np.random.default_rng([seed, 8]))
+    named = {"in_view": judged.in_view, "contradictions": judged.separability}
+    return {**result, **named, "recognised": trials.found, "mistaken": trials.wrong}
+
+
+def with_hands(kind: str, seed: int, frames: int) -> Result:
+    """Hands that come after a second and stay."""
+    simulation = _simulated(seed, frames, _irregular(20.0, seed))
+    end = 2.0 + frames / simulation.fps
+    start = min(_SETTLE, 0.25 * frames / simulation.fps)
+    visits = tuple(HandVisit(start, end, right, size) for right, size in HANDS[kind])
+    return _followed(replace(simulation, options=replace(simulation.options, hands=visits)), start + 0.5)
+
+
+def _simulated(seed: int, frames: int, directions: Array) -> Simulation:
+    simulation = prepare(kit.options_of({"discs": DISCS, "seed": seed, "noise": _NOISE, "seconds": frames / 30.0}))
+    return replace(simulation, scene=replace(simulation.scene, disc_directions=directions))
+
+
+def _followed(simulation: Simulation, since: float = 0.0) -> Result:
+    """All filters on a film with the pose found from it, the bound, the share of near discs in view from `since` on."""
+    film = kit.made(simulation)
+    assert film.truth.discs is not None, "a film made here knows its discs"
+    stamps = np.array([frame.stamp for frame in film.frames])
+    state = film.truth.discs.state[stamps[film.truth.discs.frame] >= since]
+    common = {"frames": len(film.frames), "in_view_share": float(np.mean(state == VISIBLE)), **_pixels(simulation)}
+    try:
+        seen = sights.look_at(film, kit.settings_of(["tracker=ekf2"]))
+    except PoseError as e:
+        return {**common, "rows": {}, "bound": None, "unfound": str(e)}
+    rows, radius = {}, film.rig.ball.radius
+    for name in kit.TRACKERS[:2]:
+        run = sights.filtered(seen, kit.settings_of([f"tracker={name}"]), film)
+        rows[name] = sights.errors(run, film.truth, radius)
+    tracked = kit.tracked(film, kit.settings_of(), rig=replace(film.rig, pose=seen.pose))
+    rows["so3"] = sights.errors(tracked.run, film.truth, radius)
+    return {**common, "rows": rows, "bound": kit.bound(film, tracked)}
+
+
+def _pixels(simulation: Simulation) -> Result:
+    """Diameter of a disc in the middle of the ball."""
+    scene = simulation.scene
+    gap = float(np.linalg.norm(scene.pose.position)) - scene.ball_radius
+    return {"diameter_px": 2.0 * scene.disc_radius * scene.camera.fx / gap}
+
+
+# ---- places of discs ----
+
+
+def directions_of(kind: str, seed: int) -> Array:
+    """Unit vectors, (26, 3), of a layout; each seed has other places."""
+    rng = np.random.default_rng([seed, 9])
+    if kind == "designed":
+        *_, last = layout.search(DISCS, float(_VIEW_ANGLE), 0.1, seed, 60)
+        return last.directions
+    if kind == "spread":
+        return _irregular(20.0, seed)
+    if kind == "even":
+        return layout.evenly_spread(DISCS) @ exp(rng.normal(size=3)).T
+    if kind == "rows":
+        return in_rows() @ exp(rng.normal(size=3)).T
+    if kind == "random":
+        return scattered(rng, -1.0)
+    return scattered(rng, float(np.cos(np.radians(75.0))))
+
+
+def _irregular(millimetres: float, seed: int) -> Array:
+    """As `spheremouse simulate` puts discs of a radius."""
+    return spread_directions(DISCS, 3.0 * 1e-3 * millimetres / _RADIUS, np.random.default_rng([seed, 10]))
+
+
+def in_rows() -> Array:
+    """Five parallels, each with its discs evenly spaced from the same meridian on: (26, 3)."""
+    found = []
+    for latitude, n in ((-60, 3), (-30, 6), (0, 8), (30, 6), (60, 3)):
+        a, turn = np.radians(latitude), 2.0 * np.pi * np.arange(n) / n
+        found.append(np.stack([np.cos(a) * np.cos(turn), np.full(n, np.sin(a)), np.cos(a) * np.sin(turn)], axis=1))
+    return np.concatenate(found)
+
+
+def scattered(rng: np.random.Generator, least: float) -> Array:
+    """Random places, (26, 3), whose cosine with Z is above `least`, none nearer to another than three disc radii."""
+    apart, found = np.cos(0.1), np.zeros((0, 3))
+    while len(found) < DISCS:
+        v = rng.standard_normal(3)
+        v /= np.linalg.norm(v)
+        if v[2] > least and np.all(found @ v < apart):
+            found = np.concatenate([found, v[None]])
+    return found
+
+
+# ---- for a reader ----
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Films that differ in the places of discs alone."""
+
+    name: str
+    x: float  # of the figure
+    films: list[Result]
+
+    def values(self, who: str, quantity: str, key: str) -> list[float]:
+        """Combined errors, of the films that have one."""
+        if who == "bound":
+            parts = [None if f["bound"] is None else f["bound"][quantity]["combined"] for f in self.films]
+        else:
+            parts = [f["rows"][who][key]["combined"] if who in f["rows"] else None for f in self.films]
+        return [p for p in parts if p is not None]
+
+    def median(self, who: str, quantity: str, key: str) -> float | None:
+        """None where no film has a value."""
+        known = self.values(who, quantity, key)
+        return float(np.median(known)) if known else None
+
+    def lost(self, who: str) -> int:
+        """Films in which the ball was lost, or the attitude got away, or nothing was tracked."""
+        return sum(_lost(f["rows"].get(who)) for f in self.films)
+
+    def mean(self, name: str) -> float:
+        """Of what is the same for all filters."""
+        return float(np.mean([f[name] for f in self.films]))
+
+
+def _lost(row: Result | None) -> bool:
+    if row is None or row["tracked"] == 0 or row["lost_episodes"] > 0:
+        return True
+    off = row["attitude_rmse_deg"]["combined"]
+    return off is None or off > _FAR_OFF or row["tracked"] < 0.9 * row["frames"]
+
+
+def _cases(results: Results, kind: str, names: Any, x: Callable[[str, list[Result]], float]) -> list[Case]:
+    found = []
+    for name in names:
+        start = f"{kind}-{name}-".replace(" ", "_")
+        films = [r for k, r in results.items() if k.startswith(start) and "error" not in r]
+        if films:
+            found.append(Case(str(name), x(str(name), films), films))
+    return found
+
+
+def section(request: Request, results: Results) -> Section:
+    """Sizes, layouts, hands: each with a figure, a table and what to do."""
+    sizes = _cases(results, "size", SIZES, lambda name, _: float(name))
+    layouts = _cases(results, "layout", LAYOUTS, lambda name, _: float(list(LAYOUTS).index(name)))
+    hands = _cases(
+        results, "hands", HANDS, lambda _, films: 100.0 * float(np.mean([f["in_view_share"] for f in films]))
+    )
+    seeds = max((len(c.films) for c in (*sizes, *layouts, *hands)), default=0)
+    parts: list[str | Table | Figure] = [
+        f"{DISCS} discs before the far camera (640x480), noise of {_NOISE:g} grey values, the camera's pose found from "
+        f"each film; medians over up to {seeds} films with other places of the discs. A film counts as lost where the "
+        f"tracker lost the ball, the attitude was off by more than {_FAR_OFF:g}° (RMS), or less than nine tenths were "
+        "tracked. "
+        "The bound is that of what `so3` measured."
+    ]
+    if sizes:
+        parts += ["### Size", _said_of_sizes(sizes), _figure_sizes(sizes), _table("radius, mm", sizes, _size_columns())]
+    if layouts:
+        parts += ["### Places", _said_of_layouts(layouts), _figure_layouts(layouts)]
+        parts.append(_table("places", layouts, _layout_columns(), {k: f"{k}: {v}" for k, v in LAYOUTS.items()}))
+    if hands:
+        parts += ["### Hands on the ball", _said_of_hands(hands)]
+        if len(hands) > 1:
+            parts.append(_figure_hands(hands))
+        parts.append(_table("hands", hands, _hand_columns()))
+    unfound = [f"- {k}: {r['unfound']}" for k, r in results.items() if "unfound" in r]
+    failed = failures(results) + unfound
+    if failed:
+        parts.append("Failed:\n\n" + "\n".join(failed))
+    return Section(tuple(p for p in parts if p), dict(results))
+
+
+Column = tuple[str, Callable[[Case], str]]
+
+
+def _size_columns() -> list[Column]:
+    return [
+        ("diameter, px", lambda c: f"{c.mean('diameter_px'):.1f}"),
+        ("near discs wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"),
+        ("discs used", _used),
+        ("centre RMS, px", lambda c: value({"x": _centre(c)}, "x", digits=3)),
+    ]
+
+
+def _layout_columns() -> list[Column]:
+    return [
+        ("discs in view, least", lambda c: f"{c.mean('in_view'):.1f}"),
+        ("contradictions, worst view", lambda c: f"{c.mean('contradictions'):.1f}"),
+        ("recognised", lambda c: f"{100.0 * c.mean('recognised'):.1f} %"),
+        ("mistaken", lambda c: f"{100.0 * c.mean('mistaken'):.1f} %"),
+        ("discs used", _used),
+    ]
+
+
+def _hand_columns() -> list[Column]:
+    return [("near discs wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"), ("discs used", _used)]
+
+
+def _used(case: Case) -> str:
+    used = [f["rows"]["so3"]["mean_discs"] for f in case.films if "so3" in f["rows"]]
+    known = [u for u in used if u is not None]
+    return f"{np.mean(known):.1f}" if known else "–"
+
+
+def _centre(case: Case) -> float | None:
+    """px per axis, of the centres that `so3` measured."""
+    found = [(f["rows"]["so3"]["detection"] or {}).get("centre_rms_px") for f in case.films if "so3" in f["rows"]]
+    known = [x for x in found if x is not None]
+    return float(np.median(known)) if known else None
+
+
+def _table(first: str, cases: list[Case], columns: list[Column], names: dict[str, str] | None = None) -> Table:
+    rows = []
+    for case in cases:
+        cells = [case.name if names is None else names[case.name], *(write(case) for _, write in columns)]
+        for quantity, key, _, _, digits in _QUANTITIES:
+            for who in _LINES:
+                cells.append(value({"x": case.median(who, quantity, key)}, "x", digits=digits))
+        cells += [f"{case.lost(who)} of {len(case.films)}" for who in kit.TRACKERS]
+        rows.append(tuple(cells))
+    named = [f"`{who}`" for who in kit.TRACKERS] + ["bound"]
+    head = (
+        first,
+        *(name for name, _ in columns),
+        *(f"{word}, {unit}: {who}" for _, _, word, unit, _ in _QUANTITIES for who in named),
+        *(f"lost: `{who}`" for who in kit.TRACKERS),
+    )
+    return Table(head, tuple(rows))
+
+
+def _held(cases: list[Case], who: str = "so3") -> dict[str, float]:
+    """Attitude errors of the cases in which no film was lost."""
+    held = {}
+    for case in cases:
+        off = case.median(who, *_QUANTITIES[0][:2])
+        if off is not None and case.lost(who) == 0:
+            held[case.name] = off
+    return held
+
+
+def _said_of_sizes(cases: list[Case]) -> str:
+    held = _held(cases)
+    if not held:
+        return "With no size the ball was held in all films."
+    by_name = {c.name: c for c in cases}
+    best = min(held, key=lambda name: held[name])
+    near = [name for name, off in held.items() if off <= _NEARLY * held[best]]
+    smallest = min(held, key=float)
+    said = [
+        f"`so3` holds the ball in all films from a radius of {smallest} mm "
+        f"({by_name[smallest].mean('diameter_px'):.1f} px across in the middle of the ball) on; its attitude is best "
+        f"with {best} mm ({held[best]:.4f}°)."
+    ]
+    for who in kit.TRACKERS[:2]:
+        theirs = _held(cases, who)
+        said.append(f"`{who}` needs {min(theirs, key=float)} mm." if theirs else f"`{who}` loses some film with each.")
+    largest = max(held, key=float)
+    before, after = _centre(by_name[best]), _centre(by_name[largest])
+    if held[largest] > _NEARLY * held[best] and before and after:
+        said.append(
+            f"With {largest} mm it is worse again ({held[largest]:.4f}°): the centres that are measured are off by "
+            f"{after:.3f} px in place of {before:.3f} px, and "
+            f"{100.0 * by_name[largest].mean('in_view_share'):.0f} % of the near discs are wholly in view in place of "
+            f"{100.0 * by_name[best].mean('in_view_share'):.0f} %."
+        )
+    advised = min(near, key=float)
+    said.append(
+        f"Advice: a radius of {advised} mm, {by_name[advised].mean('diameter_px'):.1f} px across, is within "
+        f"{100.0 * (_NEARLY - 1.0):.0f} % of the best; for another camera or distance, keep the pixels."
+    )
+    return " ".join(said)
+
+
+def _said_of_layouts(cases: list[Case]) -> str:
+    held = _held(cases)
+    lost = [f"{c.name} ({c.lost('so3')} of {len(c.films)})" for c in cases if c.lost("so3")]
+    unsure = [f"{c.name} ({100.0 * c.mean('recognised'):.1f} %)" for c in cases if c.mean("recognised") < 0.99]
+    said = ["The ball is turned once about the horizontal axis, so that all its sides pass."]
+    if held:
+        best, worst = min(held, key=lambda n: held[n]), max(held, key=lambda n: held[n])
+        said.append(
+            f"Of the layouts with which `so3` never loses it, the attitude is best with *{best}* ({held[best]:.4f}°) "
+            f"and worst with *{worst}* ({held[worst]:.4f}°)."
+        )
+    said.append(f"It is lost with: {', '.join(lost)}." if lost else "`so3` loses it with none.")
+    if unsure:
+        said.append(
+            f"One picture does not tell the attitude every time ({100.0 * _MISSING:.0f} % of the discs hidden, "
+            f"directions good to {np.degrees(_SURE):g}°) with: {', '.join(unsure)}."
+        )
+    advised = [c.name for c in cases if c.name in held and c.mean("recognised") >= 0.99]
+    if advised:
+        said.append(
+            f"Advice: spread the discs over the whole ball, and irregularly: of those tried, *{'*, *'.join(advised)}* "
+            "are never lost and are recognised from one picture."
+        )
+    return " ".join(said)
+
+
+def _said_of_hands(cases: list[Case]) -> str:
+    held = _held(cases)
+    plain = held.get("none")
+    said = []
+    for case in cases:
+        if case.name == "none":
+            continue
+        share = f"{case.name} ({100.0 * case.mean('in_view_share'):.0f} % of the near discs wholly in view)"
+        if case.name not in held:
+            said.append(f"{share}: lost in {case.lost('so3')} of {len(case.films)} films")
+        elif plain:
+            said.append(f"{share}: {held[case.name] / plain:.1f} times the error without")
+        else:
+            said.append(f"{share}: {held[case.name]:.4f}°")
+    text = f"Hands come after {_SETTLE:g} s and stay. Attitude of `so3`: {'; '.join(said)}." if said else ""
+    borne = [c for c in cases if c.name in held]
+    if not borne:
+        return text
+    least = min(borne, key=lambda c: c.mean("in_view_share"))
+    return (
+        f"{text} Advice: put camera and controls so that, while somebody plays, "
+        f"{100.0 * least.mean('in_view_share'):.0f} % of the near discs or more stay wholly in view "
+        f"({_used(least)} used in a frame): down to there no film is lost."
+    )
+
+
+# ---- figures ----
+
+
+def _figure_sizes(cases: list[Case]) -> Figure:
+    def draw(canvas: Any) -> None:
+        for ax in _panels(canvas, cases, "radius of a disc, mm", log=True):
+            ax.set_xticks([c.x for c in cases], [c.name for c in cases])
+            ax.minorticks_off()
+
+    return Figure(
+        "discs-size",
+        "Errors against the size of the discs (medians; bars: span over films). Hollow: lost in some of the films. "
+        "Crosses at the top: nothing tracked. Dotted: the Cramér-Rao bound.",
+        draw,
+        (7.2, 3.5),
+    )
+
+
+def _figure_layouts(cases: list[Case]) -> Figure:
+    def draw(canvas: Any) -> None:
+        axes = canvas.subplots(1, 2, sharey=True)
+        for ax, (quantity, key, word, unit, _) in zip(axes, _QUANTITIES, strict=True):
+            for row, case in enumerate(reversed(cases)):
+                for k, who in enumerate(kit.TRACKERS):
+                    y, x = row + 0.18 * (1 - k), case.median(who, quantity, key)
+                    if x is not None:
+                        face = {"markerfacecolor": "none"} if case.lost(who) else {}
+                        ax.plot([x], [y], color=f"C{k}", marker="osD"[k], linestyle="", markersize=5, **face)
+                least = case.median("bound", quantity, key)
+                if least is not None:
+                    ax.plot([least, least], [row - 0.35, row + 0.35], color="0.5", **BOUND)
+            ax.set(xscale="log", xlabel=f"{word} RMSE, {unit}", ylim=(-0.6, len(cases) - 0.4))
+            _plain_numbers(ax.xaxis, (1.0,))
+            ax.grid(visible=False, axis="y")
+        axes[0].set_yticks(range(len(cases)), [c.name for c in reversed(cases)])
+        canvas.legend(handles=_handles(("o", "s", "D")), loc="outside upper center", ncols=4)
+
+    return Figure(
+        "discs-layout",
+        "Errors by the places of the discs while the ball is turned once (medians). Hollow: lost in some of the films. "
+        "Dotted: the Cramér-Rao bound, which knows how steady this turn is.",
+        draw,
+        (7.2, 3.4),
+    )
+
+
+def _figure_hands(cases: list[Case]) -> Figure:
+    def draw(canvas: Any) -> None:
+        for ax in _panels(canvas, cases, "near discs wholly in view, %", log=False):
+            ax.invert_xaxis()
+
+    return Figure(
+        "discs-hands",
+        "Errors while hands are on the ball, from none (left) to two very large ones (medians; bars: span over films). "
+        "Hollow: lost in some of the films. Dotted: the Cramér-Rao bound.",
+        draw,
+        (7.2, 3.5),
+    )
+
+
+def _panels(canvas: Any, cases: list[Case], label: str, log: bool) -> Any:
+    """Attitude and rate over x, a line per filter, and the bound."""
+    axes = canvas.subplots(1, 2)
+    for ax, (quantity, key, word, unit, _) in zip(axes, _QUANTITIES, strict=True):
+        for k, who in enumerate(_LINES):
+            known = [(c, c.values(who, quantity, key)) for c in cases]
+            known = [(c, v) for c, v in known if v]
+            x, y = [c.x for c, _ in known], [float(np.median(v)) for _, v in known]
+            if who == "bound":
+                ax.plot(x, y, color="0.5", **BOUND)
+                continue
+            ax.plot(x, y, color=f"C{k}", linestyle="-")
+            for (case, values), middle in zip(known, y, strict=True):
+                ax.plot([case.x] * 2, [min(values), max(values)], color=f"C{k}", linestyle="-", linewidth=0.8)
+                face = {"markerfacecolor": "none"} if case.lost(who) else {}
+                ax.plot([case.x], [middle], color=f"C{k}", marker="osD"[k], linestyle="", **face)
+            nothing = [c.x for c in cases if not c.values(who, quantity, key)]
+            high = [0.98 - 0.05 * k] * len(nothing)
+            ax.plot(nothing, high, color=f"C{k}", marker="x", linestyle="", transform=ax.get_xaxis_transform())
+        ax.set(xscale="log" if log else "linear", yscale="log", xlabel=label, ylabel=f"{word} RMSE, {unit}")
+        _plain_numbers(ax.yaxis)
+    canvas.legend(handles=_handles(("o", "s", "D")), loc="outside upper center", ncols=4)
+    return axes
+
+
+def _plain_numbers(axis: Any, within: tuple[float, ...] = (1.0, 3.0)) -> None:
+    """0.01 and not 10^-2, at some places of each decade."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=within))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _handles(marks: tuple[str, ...]) -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    lines = [
+        Line2D([], [], color=f"C{k}", linestyle="-", marker=marks[k], label=who) for k, who in enumerate(kit.TRACKERS)
+    ]
+    return [*lines, Line2D([], [], color="0.5", label="Cramér-Rao bound", **BOUND)]
