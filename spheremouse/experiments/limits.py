@@ -1,0 +1,1030 @@
+"""Where tracking ends: how fast, how suddenly, behind how large a cover, and how long until it goes on afterwards.
+
+Most of it without pictures: `World` says which discs a camera would see, and where. What a detector adds, smeared discs
+and discs that a cover cuts, is filmed. A trial goes on from the state of the tracker at its start, so that each begins
+alike.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.camera import project, unproject
+from spheremouse.detect.detections import Detections
+from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit import TRACKERS, settings_of
+from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.report import failures
+from spheremouse.frame import Frame
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array, exp, tangent_basis
+from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene
+from spheremouse.simulate.profile import Profile, rest, still, thesis
+from spheremouse.simulate.shapes import Sphere, look
+from spheremouse.track import Phase, Tracker, TrackState, advance, begin, build, step
+
+TITLE = "Limits: rate, acceleration, covers, and finding the ball again"
+
+NEW = "so3, new ball"  # so3 before a ball that it has not seen from all sides
+WHO = (*TRACKERS, NEW)
+RATES = (15.0, 30.0, 60.0, 120.0, 240.0)  # Hz
+ACCELERATIONS = (4.0, 16.0, 64.0, 256.0)  # rad/s²
+DISCS = 50  # as the thesis' set S2: with fewer the published filters lose the ball by gaps between discs, not by speed
+PUSH = 3.0  # rad/s, to which the ball is sped up where the acceleration is sought
+WRONG = 3.0  # °, by which what was turned within HOLD may be off
+HOLD = 0.4  # s, for which a rate has to be followed
+FASTEST = 25.0  # rad/s, the highest that is tried
+SLOWEST, FINE = 0.1, 1.07  # rad/s, the lowest; where bisection ends
+HARDEST = 2000.0  # rad/s², the highest acceleration that is tried
+
+NOISE = 3.0  # grey values
+EXPOSURE = 0.004  # s: as long as a camera of 240 Hz can
+EXPOSURES = (0.0, 0.002, EXPOSURE, 0.008, 0.016)  # s
+_WHOLE = 8.0  # rad/s, up to which all of the way is filmed
+LADDER = tuple(float(2.0 ** (0.5 * k)) for k in range(10))  # rad/s, that are filmed
+_FILMED, _BLIND = 0.1, 0.05  # s of a filmed trial; at its end discs must have held the attitude as late as that
+
+_RIM = 12  # points of a disc's rim that are looked at
+_LEAST = 12.0  # px², of a disc that is seen
+_FLOOR, _SMALL = 0.03, 2.0  # px and px³: a centre is off by 0.03 px, and by 2 px³ over its area, as the detector says
+
+
+# ---- what is seen ----
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """A ball before a camera: which discs are seen, without pictures."""
+
+    scene: Scene
+    rig: Rig  # with the camera's pose
+    ball: NDArray[np.bool_]  # (h, w) pixels that show the ball
+    points: Array = field(repr=False)  # (n, 1 + _RIM, 3) unit vectors, ball: middle and rim of each disc
+
+    def see(self, attitude: Array, rng: np.random.Generator, cover: NDArray[np.bool_] | None = None) -> Detections:
+        """What a detector would find with the ball at (3, 3): discs wholly in view, not behind `cover` (h, w)."""
+        scene, camera, eye = self.scene, self.scene.camera, self.scene.pose.position
+        horizon = np.arccos(scene.ball_radius / np.linalg.norm(eye)) - scene.disc_angle
+        near = scene.disc_directions @ (attitude.T @ eye) > np.cos(horizon) * np.linalg.norm(eye)
+        points = self.points[near] @ attitude.T
+        uv, _ = project(scene.pose.to_cam(scene.ball_radius * points.reshape(-1, 3)), camera)
+        uv = uv.reshape(-1, _RIM + 1, 2)
+        u, v = np.rint(uv[:, 1:]).astype(int).transpose(2, 0, 1)
+        free = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        u, v = np.clip(u, 0, camera.width - 1), np.clip(v, 0, camera.height - 1)
+        free &= self.ball[v, u] if cover is None else self.ball[v, u] & ~cover[v, u]
+        a = uv[:, 1:] - uv[:, :1]
+        b = np.roll(a, -1, axis=1)
+        area = 0.5 * np.abs(np.sum(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], axis=1))
+        keep = free.all(axis=1) & (area >= _LEAST)
+        sigma = np.hypot(_FLOOR, _SMALL / area[keep])
+        centre = uv[keep, 0] + sigma[:, None] * rng.standard_normal((len(sigma), 2))
+        return Detections(centre, sigma[:, None, None] ** 2 * np.eye(2), area[keep])
+
+
+def world(discs: int, layout: int, exposure: float = 0.0) -> World:
+    """The far camera's."""
+    scene = default_scene(discs, "far", layout, exposure_s=exposure)
+    camera, pose = scene.camera, scene.pose
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+    xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)
+    ball = Sphere(np.zeros(3), scene.ball_radius, scene.ball_colour)
+    tiles = xy.reshape(camera.height // 16, 16, camera.width // 16, 16, 2).swapaxes(1, 2)  # rays that meet the same
+    first, _ = look([ball, *scene.surroundings], pose.position, pose.rotation).cast(tiles.reshape(-1, 256, 2))
+    shown = (first == 0).reshape(camera.height // 16, camera.width // 16, 16, 16).swapaxes(1, 2).reshape(u.shape)
+    phase = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
+    middle = scene.disc_directions[:, None]
+    around = np.stack([np.cos(phase), np.sin(phase)], axis=1) @ np.swapaxes(tangent_basis(scene.disc_directions), 1, 2)
+    rim = np.cos(scene.disc_angle) * middle + np.sin(scene.disc_angle) * around
+    points = np.concatenate([middle, rim], axis=1)
+    return World(scene, replace(scene.rig(), pose=pose), shown, points)
+
+
+@dataclass(frozen=True, slots=True)
+class SpedUp:
+    """From rest at an even acceleration, then at an even rate, about one axis."""
+
+    axis: Array  # (3,) unit vector, obj
+    acceleration: float  # rad/s²
+    most: float  # rad/s
+    seconds: float = 1e9
+
+    def attitude(self, t: Array) -> Array:
+        """R_obj_ball at times (n,) s, (n, 3, 3)."""
+        early = np.minimum(t, self.most / self.acceleration)
+        angle = 0.5 * self.acceleration * early**2 + self.most * (t - early)
+        return exp(np.asarray(angle)[:, None] * self.axis)
+
+    def rate(self, t: Array) -> Array:
+        """w_obj at times (n,) s, (n, 3) rad/s."""
+        return np.minimum(self.acceleration * np.asarray(t), self.most)[:, None] * self.axis
+
+
+# ---- a tracker before it ----
+
+
+def _tracker(who: str, world: World) -> Tracker:
+    return build(world.rig, world.scene.pose, settings_of([f"tracker={who.split(',', maxsplit=1)[0]}"]))
+
+
+def _started(who: str, tracker: Tracker, world: World) -> TrackState:
+    """After a second of rest; `so3` was shown the ball from all sides before, which is of no use to the others."""
+    return known_ball(tracker, world) if who == "so3" else _looked_at(tracker, world, still(1.0))
+
+
+def known_ball(tracker: Tracker, world: World) -> TrackState:
+    """After the ball was shown from all sides and lies again as at first, for a second."""
+    return _looked_at(tracker, world, rest(1.0))
+
+
+def _looked_at(tracker: Tracker, world: World, motion: Profile) -> TrackState:
+    rng, state = np.random.default_rng(1), begin(tracker, 0.0)
+    stamps = np.arange(0.0, motion.seconds, 1.0 / 60.0)
+    for t, R in zip(stamps, motion.attitude(stamps), strict=True):
+        state, _ = advance(state, float(t), world.see(R, rng), tracker)
+    return state
+
+
+def _error(state: TrackState, attitude: Array) -> Array:
+    """Rotation (3, 3) from the true attitude to the one told."""
+    return state.filter.attitude @ attitude.T
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A ball that is followed: the last frame, and by how much those of the last HOLD were off."""
+
+    state: TrackState
+    time: Array  # (n,) s
+    error: Array  # (n, 3, 3)
+
+    def then(self, state: TrackState, attitude: Array) -> "Course | None":
+        """One frame later; None where the ball is lost, or what it turned within the last HOLD is wrong."""
+        now, error = state.filter.stamp, _error(state, attitude)
+        recent = self.time >= now - HOLD
+        cosine = 0.5 * (np.sum(self.error[recent] * error, axis=(1, 2)) - 1.0)
+        if state.phase is not Phase.TRACKING or np.any(cosine < np.cos(np.radians(WRONG))):
+            return None
+        return Course(state, np.append(self.time[recent], now), np.concatenate([self.error[recent], error[None]]))
+
+
+def _begun(state: TrackState) -> Course:
+    return Course(state, np.array([state.filter.stamp]), _error(state, np.eye(3))[None])
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A tracker before a ball that lies still at first, and is looked at `fps` times per second."""
+
+    tracker: Tracker
+    world: World
+    start: TrackState
+    axis: Array  # (3,) unit vector, obj
+    fps: float
+    seed: int
+
+    def course(self, before: Course, motion: Profile, t: Array) -> list[Course]:
+        """What comes of `before` at times t (n,) s after the start; ends early where the ball is lost."""
+        rng, attitudes = np.random.default_rng([self.seed, len(t)]), motion.attitude(t)
+        made: list[Course] = []
+        for s, R in zip(t, attitudes, strict=True):
+            state = _shown(before.state, self.start.filter.stamp + float(s), self.world.see(R, rng), self.tracker)
+            after = before.then(state, R)
+            if after is None:
+                break
+            made.append(after)
+            before = after
+        return made
+
+    def times(self, end: float) -> Array:
+        """Frames up to `end`, s after the ball begins to move, which is not when a frame is taken."""
+        phase = 0.1 + 0.8 * np.random.default_rng(self.seed).random()
+        count = int(np.floor(end * self.fps - phase)) + 1
+        return (np.arange(count, dtype=float) + phase) / self.fps
+
+    def sped_up(self, acceleration: float, most: float) -> list[Course]:
+        """The start and all frames in which a ball that is sped up evenly to `most` rad/s is followed."""
+        begun = _begun(self.start)
+        return [begun, *self.course(begun, SpedUp(self.axis, acceleration, most), self.times(most / acceleration))]
+
+    def fastest(self, acceleration: float) -> float:
+        """The highest rate, rad/s, at which a ball sped up evenly to it is followed for HOLD; 0: none."""
+        courses = self.sped_up(acceleration, FASTEST)
+
+        def holds(rate: float) -> bool:
+            end = rate / acceleration
+            done = len(self.times(end))
+            t = self.times(end + HOLD)[done:]
+            motion = SpedUp(self.axis, acceleration, rate)
+            return done < len(courses) and len(self.course(courses[done], motion, t)) == len(t)
+
+        ramp = self.times(FASTEST / acceleration)
+        high = FASTEST if len(courses) > len(ramp) else acceleration * float(ramp[len(courses) - 1])
+        return _bisected(holds, SLOWEST, high)
+
+    def hardest(self, rate: float) -> float:
+        """The highest even acceleration, rad/s², to `rate` rad/s at which it is followed until HOLD later; 0: none."""
+
+        def holds(acceleration: float) -> bool:
+            t = self.times(rate / acceleration + HOLD)
+            return len(self.course(_begun(self.start), SpedUp(self.axis, acceleration, rate), t)) == len(t)
+
+        return _bisected(holds, 1.0, HARDEST)
+
+
+def _bisected(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """Where what holds below ends; `high` where it holds everywhere, 0 where nowhere."""
+    if holds(high):
+        return high
+    if high <= low or not holds(low):
+        return 0.0
+    while high > FINE * low:
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def _axis(seed: int, across: bool = False) -> Array:
+    """At random; or `across` the camera's view, where discs move fastest in pictures."""
+    v = np.random.default_rng([seed, 3]).standard_normal(3) * (1.0, 1.0, 0.0 if across else 1.0)
+    return np.asarray(v / np.sqrt(v @ v), dtype=float)
+
+
+def jobs(request: Request) -> list[Job]:
+    """A camera's rate, an exposure, a ball, at a time."""
+    quick = request.quick
+    kinds = list(FILMED if quick else COVERS)
+    rates, seeds, films = ((15.0, 30.0), 1, 1) if quick else (RATES, 3, 2)
+    found = [
+        Job(f"speed-{fps:g}-{seed}", speeds, {"fps": fps, "seed": seed}, cost=2.0 + 0.07 * fps)
+        for fps in rates
+        for seed in range(seeds)
+    ]
+    filmed_at = [(30.0, EXPOSURE)] if quick else [(60.0, e) for e in EXPOSURES] + [(30.0, EXPOSURE), (120.0, EXPOSURE)]
+    found += [
+        Job(
+            f"film-{fps:g}-{1e3 * e:g}-{seed}",
+            filmed,
+            {"fps": fps, "exposure": e, "seed": seed},
+            cost=4.0 + fps * (0.05 + 15.0 * e),
+        )
+        for fps, e in filmed_at
+        for seed in range(films if fps == 60.0 and e < EXPOSURES[-1] else 1)
+    ]
+    found += [
+        Job(f"cover-{n}-{k}", covered, {"discs": n, "layout": k, "pictures": False, "kinds": kinds}, cost=4.0)
+        for n in ((DISCS,) if quick else COUNTS)
+        for k in range(films)
+    ]
+    found += [
+        Job(f"again-{fps:g}-{seed}", found_again, {"fps": fps, "seed": seed, "pictures": False}, cost=1.0 + 0.024 * fps)
+        for fps in rates
+        for seed in range(seeds)
+    ]
+    if not quick:
+        found.append(
+            Job(
+                f"cover-{DISCS}-0-filmed",
+                covered,
+                {"discs": DISCS, "layout": 0, "pictures": True, "kinds": list(FILMED)},
+                cost=20.0,
+            )
+        )
+        found.append(Job("again-30-0-filmed", found_again, {"fps": 30.0, "seed": 0, "pictures": True}, cost=12.0))
+    return found
+
+
+# ---- how fast, how suddenly ----
+
+
+def speeds(fps: float, seed: int) -> Result:
+    """Highest rates by acceleration (rad/s) and the highest acceleration to PUSH (rad/s²), of every tracker."""
+    there = world(DISCS, seed)
+    found: Result = {}
+    for who in WHO:
+        tracker = _tracker(who, there)
+        trial = Trial(tracker, there, _started(who, tracker, there), _axis(seed), fps, seed)
+        found[who] = {
+            "rate": [trial.fastest(a) for a in ACCELERATIONS],
+            "acceleration": trial.hardest(PUSH),
+        }
+    return found
+
+
+def filmed(fps: float, exposure: float, seed: int) -> Result:
+    """The highest rate of LADDER, rad/s, that is followed in pictures exposed for `exposure` s; 0: none.
+
+    The ball is brought there gently without pictures, about an axis across the view; then all see the same ones. With
+    sharp pictures also the rate at which each is lost when all of the way there is filmed, and without pictures.
+    """
+    there, axis = world(DISCS, seed, exposure), _axis(seed, across=True)
+    trials = {}
+    for who in TRACKERS:
+        tracker = _tracker(who, there)
+        trials[who] = Trial(tracker, there, _started(who, tracker, there), axis, fps, seed)
+    courses = {who: trial.sped_up(ACCELERATIONS[0], LADDER[-1]) for who, trial in trials.items()}
+    found: Result = _climbed(trials, courses, _Eye(there, True, seed))
+    if exposure == 0.0:
+        both = [_lost_at(trials, _Eye(there, pictures, seed)) for pictures in (True, False)]
+        found["sharp"] = {who: [rates[who] for rates in both] for who in trials}
+    return found
+
+
+def _lost_at(trials: dict[str, Trial], eye: "_Eye") -> dict[str, float]:
+    """The rate, rad/s, up to which each follows a ball that is sped up gently from rest, to _WHOLE at most."""
+    one = next(iter(trials.values()))
+    motion = SpedUp(one.axis, ACCELERATIONS[0], _WHOLE)
+    going, found = {who: _begun(trial.start) for who, trial in trials.items()}, dict.fromkeys(trials, 0.0)
+    for s in one.times(_WHOLE / ACCELERATIONS[0]):
+        view, R = eye.at(motion, float(s)), motion.attitude(np.array([s]))[0]
+        for who, course in list(going.items()):
+            trial = trials[who]
+            after = course.then(_shown(course.state, trial.start.filter.stamp + float(s), view(None), trial.tracker), R)
+            if after is None:
+                del going[who]
+            else:
+                going[who], found[who] = after, float(ACCELERATIONS[0] * s)
+    return found
+
+
+def _climbed(trials: dict[str, Trial], courses: dict[str, list[Course]], eye: "_Eye") -> Result:
+    """The highest rate of LADDER, rad/s, that each follows for a while; `courses` lead there."""
+    found, going, gentle, one = dict.fromkeys(trials, 0.0), list(trials), ACCELERATIONS[0], next(iter(trials.values()))
+    for rate in LADDER:
+        motion, end = SpedUp(one.axis, gentle, rate), rate / gentle
+        done = len(one.times(end))
+        t = one.times(end + max(_FILMED, 5.0 / one.fps))[done:]
+        going = [who for who in going if done < len(courses[who])]
+        if not going:
+            break
+        views, attitudes = [eye.at(motion, float(s)) for s in t], motion.attitude(t)
+        going = [who for who in going if _follows(trials[who], courses[who][done], t, attitudes, views)]
+        found.update(dict.fromkeys(going, rate))
+    return found
+
+
+def _follows(trial: Trial, course: Course, t: Array, attitudes: Array, pictures: "Sequence[_View]") -> bool:
+    """Right to the end, and not because it is blind and the ball goes on as it did."""
+    now: Course | None = course
+    for s, R, view in zip(t, attitudes, pictures, strict=True):
+        assert now is not None, "the loop ends where it is lost"
+        now = now.then(_shown(now.state, trial.start.filter.stamp + float(s), view(None), trial.tracker), R)
+        if now is None:
+            return False
+    return now is not None and now.state.filter.stamp - now.state.held <= max(_BLIND, 1.0 / trial.fps)
+
+
+# ---- pictures or none ----
+
+Sight = Detections | NDArray[np.uint8]  # what a detector found, or a picture
+Cover = NDArray[np.bool_]  # (h, w) pixels in which something is before the ball
+_View = Callable[[Cover | None], Sight]  # of one moment, with a cover or without
+_SHEET = np.uint8(110)  # grey value of a cover
+
+
+@dataclass(slots=True)
+class _Eye:
+    """What is seen of a world, with pictures or without."""
+
+    world: World
+    pictures: bool
+    seed: int
+    _rng: np.random.Generator = field(init=False)
+    _renderer: Renderer | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng([self.seed, 4])
+        self._renderer = Renderer(self.world.scene, RenderOptions(noise=NOISE)) if self.pictures else None
+
+    def at(self, motion: Profile, t: float) -> _View:
+        """At a time of a motion, s."""
+        if self._renderer is None:
+            R = motion.attitude(np.array([t]))[0]
+            return lambda cover: self.world.see(R, self._rng, cover)
+        image = self._renderer.frame(motion, t, 0, self._rng).frame.image
+        return lambda cover: image if cover is None else np.where(cover[..., None], _SHEET, image)
+
+
+def _shown(state: TrackState, stamp: float, sight: Sight, tracker: Tracker) -> TrackState:
+    """The next state."""
+    if isinstance(sight, Detections):
+        return advance(state, stamp, sight, tracker)[0]
+    return step(state, Frame(sight, stamp, 0), tracker)[0]
+
+
+# ---- covers ----
+
+COVERS = ("from the left", "from the right", "from above", "from below", "closing in", "from the middle")
+FILMED = COVERS[::2]  # and in a quick run
+COUNTS = (16, 26, DISCS, 74)
+_FPS, _BEFORE, _GROWS = 30.0, 1.0, 8.0  # Hz; s until the cover comes; s from nothing to all
+
+
+def growing(world: World, kind: str) -> Array:
+    """Of each pixel of the ball the share of the visible ball that is hidden before it is, (h, w); 2 elsewhere."""
+    v, u = np.nonzero(world.ball)
+    middle = project(world.scene.pose.to_cam(np.zeros((1, 3))), world.scene.camera)[0][0]
+    away = np.hypot(u - middle[0], v - middle[1])
+    # the far camera stands turned by 90 degrees: what is above is where obj's y is
+    up = world.scene.pose.rotation.T @ np.array([0.0, 1.0, 0.0])
+    right = world.scene.pose.rotation.T @ np.array([1.0, 0.0, 0.0])
+    place = {"from the left": u * right[0] + v * right[1], "from below": u * up[0] + v * up[1], "from the middle": away}
+    place |= {"from the right": -place["from the left"], "from above": -place["from below"], "closing in": -away}
+    order = np.full(world.ball.shape, 2.0)
+    order[v, u] = np.argsort(np.argsort(place[kind], kind="stable"), kind="stable") / len(u)
+    return order
+
+
+def covered(discs: int, layout: int, pictures: bool, kinds: Sequence[str]) -> Result:
+    """Share of the visible ball that was hidden when discs last held the attitude, by cover and tracker."""
+    there, motion = world(discs, layout), thesis()
+    eye = _Eye(there, pictures, layout)
+    trackers = {who: _tracker(who, there) for who in TRACKERS}
+    started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
+    orders = {kind: growing(there, kind) for kind in kinds}
+    going: dict[tuple[str, str], Course] = {(kind, who): _begun(started[who]) for kind in kinds for who in TRACKERS}
+    found: Result = {kind: dict.fromkeys(TRACKERS, 0.0) for kind in kinds}
+    for t in np.arange(1.0, motion.seconds * _FPS) / _FPS:
+        share = float(np.clip((t - _BEFORE) / _GROWS, 0.0, 1.0))
+        view, R = eye.at(motion, float(t)), motion.attitude(np.array([t]))[0]
+        for kind in kinds:
+            sight = view(orders[kind] < share)
+            for who in [w for k, w in going if k == kind]:
+                course = going.pop((kind, who))
+                stamp = started[who].filter.stamp + float(t)
+                after = course.then(_shown(course.state, stamp, sight, trackers[who]), R)
+                if after is not None:
+                    going[kind, who] = after
+                    if after.state.held == stamp:
+                        found[kind][who] = share
+        if not going:
+            break
+    return found
+
+
+# ---- found again ----
+
+COVERED = 1.0  # s, for which nothing is seen
+_AT, _AFTER = 2.0, 2.5  # s: when the cover comes, and how long is waited afterwards
+_TURNING, _GENTLY = 2.0, 2.0  # rad/s, and rad/s² up to it
+_ATTITUDE, _RATE, _STAYS = 1.0, 0.1, 0.2  # °, rad/s: right again; s, for which it has to stay so
+
+
+def found_again(fps: float, seed: int, pictures: bool) -> Result:
+    """By tracker: frames and ms from when the cover goes until attitude and rate are right again, None: never."""
+    there, motion = world(DISCS, seed), SpedUp(_axis(seed), _GENTLY, _TURNING)
+    eye = _Eye(there, pictures, seed)
+    trackers = {who: _tracker(who, there) for who in WHO}
+    started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
+    states, end = dict(started), _AT + COVERED
+    t = np.arange(1.0, (end + _AFTER) * fps + 0.5) / fps
+    off: dict[str, list[tuple[Array, float, bool]]] = {who: [] for who in WHO}
+    attitudes, rates = motion.attitude(t), motion.rate(t)
+    for s, R, w in zip(t, attitudes, rates, strict=True):
+        sight = eye.at(motion, float(s))(there.ball if _AT <= s < end else None)
+        for who in WHO:
+            state = _shown(states[who], started[who].filter.stamp + float(s), sight, trackers[who])
+            states[who] = state
+            rate = float(np.linalg.norm(state.filter.rate - w))
+            off[who].append((_error(state, R), rate, state.phase is Phase.TRACKING))
+    return {who: _waited(t, off[who], end) for who in WHO}
+
+
+def _waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Result:
+    errors, rate, tracking = (np.array([o[k] for o in off]) for k in range(3))
+    before, after = int(np.searchsorted(t, _AT)) - 1, int(np.searchsorted(t, end))
+    cosine = 0.5 * (np.sum(errors * errors[before], axis=(1, 2)) - 1.0)
+    right = {"attitude": cosine > np.cos(np.radians(_ATTITUDE)), "rate": rate < _RATE}
+    if not tracking[before] or not right["rate"][before]:
+        return {"error": "lost before the cover came"}
+    frames = round(_STAYS / (t[1] - t[0])) + 1
+    result: Result = {}
+    for what, close in right.items():
+        good = close & tracking
+        k = next((k for k in range(after, len(t) - frames) if good[k : k + frames].all()), None)
+        result[what] = None if k is None else {"frames": k - after + 1, "ms": 1e3 * float(t[k] - end)}
+    return result
+
+
+# ---- for a reader ----
+
+_LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "v", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "D", "--")}
+_FLICK = float(np.radians(400.0))  # rad/s, about the fastest that hands turn the ball
+_STOP = 100.0  # rad/s², of a stop by hand (`so3.levels`)
+_ALL = 0.99  # of what was tried
+
+
+def section(request: Request, results: Results) -> Section:
+    """Maps of what is followed, hidden, found again."""
+    good = {k: r for k, r in results.items() if "error" not in r}
+    fast, films, covers, again = (_grouped(good, name) for name in ("speed", "film", "cover", "again"))
+    parts: list[str | Table | Figure] = [_about()]
+    if fast:
+        parts += [_speed_figure(fast), _speed_table(fast), _map_figure(fast)]
+    if films:
+        parts += [
+            _film_about(films),
+            *([_film_figure(films)] if len({e for _, e in films}) > 1 else []),
+            _film_table(films),
+        ]
+    if covers:
+        parts += [_cover_about(good), _cover_figure(covers), _cover_table(covers, good)]
+    if again:
+        parts += [_again_about(good), _again_figure(again), _again_table(again)]
+    advice = _advice(fast, films, covers, again)
+    parts += [advice] if advice else []
+    failed = failures(results)
+    if failed:
+        parts.append("Failed:\n\n" + "\n".join(failed))
+    return Section(tuple(parts), dict(results))
+
+
+def _grouped(good: Results, name: str) -> dict[tuple[float, ...], list[Result]]:
+    """Results of a kind by all numbers of their keys but the last; those of pictures that check others are left out."""
+    found: dict[tuple[float, ...], list[Result]] = {}
+    for key, result in good.items():
+        kind, *numbers = key.split("-")
+        if kind == name and numbers[-1] != "filmed":
+            found.setdefault(tuple(float(n) for n in numbers[:-1]), []).append(result)
+    return dict(sorted(found.items()))
+
+
+def _degrees(rate: float) -> float:
+    return float(np.degrees(rate))
+
+
+def _about() -> str:
+    return (
+        f"A ball of {DISCS} discs before the far camera is sped up evenly from rest about an axis drawn at random. "
+        "It is "
+        f"followed as long as it is not lost and what it turned within the last {HOLD:g} s is right to {WRONG:g}°; "
+        "limits "
+        f"are found by bisection, up to {_degrees(FASTEST):.0f} °/s and {HARDEST:g} rad/s². `so3` has seen the ball "
+        "from all "
+        "sides, or it is new to it; the published filters remember no disc that is out of view. Rates and "
+        "accelerations "
+        "are sought without pictures, with discs where a camera would see them and centres as noisy as the detector "
+        "says: "
+        "while pictures are sharp the detector, which then looks at all of them, is not what limits. Figures show "
+        "medians "
+        "and spans over balls and axes."
+    )
+
+
+def _speed_table(fast: dict[tuple[float, ...], list[Result]]) -> Table:
+    rows = []
+    for (fps,), results in fast.items():
+        rates = [_degrees(_middle(results, who, 0)) for who in WHO]
+        pushes = [_middle(results, who, None) for who in WHO]
+        rows.append(
+            (
+                f"{fps:g}",
+                *(_limit(r, _degrees(FASTEST)) for r in rates),
+                *(_limit(a, HARDEST) for a in pushes),
+            )
+        )
+    head = (
+        "Hz",
+        *(f"rate, °/s: {who}" for who in WHO),
+        *(f"acceleration, rad/s²: {who}" for who in WHO),
+    )
+    title = (
+        f"Highest rate reached at {ACCELERATIONS[0]:g} rad/s², and highest acceleration to {_degrees(PUSH):.0f} °/s "
+        "(medians)"
+    )
+    return Table(head, tuple(rows), title)
+
+
+def _limit(value: float, most: float) -> str:
+    if value <= 0.0:
+        return "none"
+    return f"all, to {most:.0f}" if value > _ALL * most else f"{value:.0f}" if value >= 10.0 else f"{value:.1f}"
+
+
+def _of(results: list[Result], who: str, k: int | None) -> list[float]:
+    """Rates at the k-th acceleration, or (None) accelerations."""
+    return [r[who]["acceleration"] if k is None else r[who]["rate"][k] for r in results]
+
+
+def _middle(results: list[Result], who: str, k: int | None) -> float:
+    return float(np.median(_of(results, who, k)))
+
+
+def _speed_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
+    rates = [fps for (fps,) in fast]
+
+    def draw(canvas: Any) -> None:
+        for ax, (k, unit, label, least, most) in zip(
+            canvas.subplots(1, 2),
+            (
+                (0, _degrees(1.0), f"highest rate at {ACCELERATIONS[0]:g} rad/s², °/s", 20.0, _degrees(FASTEST)),
+                (None, 1.0, f"highest acceleration to {_degrees(PUSH):.0f} °/s, rad/s²", 1.0, HARDEST),
+            ),
+            strict=True,
+        ):
+            ends = []
+            for who, (colour, mark, dash) in _LOOK.items():
+                spans = [[max(unit * v, least) for v in _of(results, who, k)] for results in fast.values()]
+                middle = [float(np.median(v)) for v in spans]
+                ax.plot(rates, middle, color=colour, marker=mark, linestyle=dash)
+                ax.fill_between(rates, [min(v) for v in spans], [max(v) for v in spans], color=colour, alpha=0.15, lw=0)
+                ends.append((middle[-1], who, colour))
+            ax.axhline(most, color="0.5", **BOUND)
+            ax.text(rates[0], 1.1 * most, "all that was tried", color="0.5", fontsize=7.5, va="bottom")
+            ax.set(yscale="log", ylim=(least, 2.0 * most), title=label)
+            plain(ax.yaxis)
+            rate_axis(ax, rates)
+            label_lines(ax, rates[-1], ends)
+
+    caption = (
+        "How fast and how suddenly a ball may turn and still be followed, against the frame rate, without motion "
+        "blur. At "
+        "the lower edge: none."
+    )
+    return Figure("limits-speed", caption, draw, (7.2, 3.2))
+
+
+def _map_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
+    def draw(canvas: Any) -> None:
+        axes = np.atleast_1d(canvas.subplots(1, len(fast), sharey=True))
+        for ax, ((fps,), results) in zip(axes, fast.items(), strict=True):
+            for who, (colour, mark, dash) in _LOOK.items():
+                reached = [max(_degrees(_middle(results, who, k)), 20.0) for k in range(len(ACCELERATIONS))]
+                ax.plot(ACCELERATIONS, reached, color=colour, marker=mark, linestyle=dash)
+                ax.fill_between(ACCELERATIONS, 20.0, reached, color=colour, alpha=0.06, lw=0)
+            ax.axvline(_STOP, color="0.5", **BOUND)
+            ax.axhline(_degrees(_FLICK), color="0.5", **BOUND)
+            ax.set(xscale="log", yscale="log", ylim=(20.0, 1.5 * _degrees(FASTEST)), title=f"{fps:g} Hz")
+            ax.set_xticks(ACCELERATIONS, [f"{a:g}" for a in ACCELERATIONS])
+            ax.minorticks_off()
+            plain(ax.yaxis)
+        axes[0].set_ylabel("rate reached, °/s")
+        axes[len(axes) // 2].set_xlabel("acceleration, rad/s²")
+        _legend(canvas, WHO)
+
+    caption = (
+        "Below a line a ball is followed: what rate it may be sped up to at what acceleration, by frame rate "
+        "(medians). "
+        f"Dotted: a flick of {_degrees(_FLICK):.0f} °/s, and the {_STOP:g} rad/s² of a stop by hand."
+    )
+    return Figure("limits-map", caption, draw, (7.2, 2.9))
+
+
+def _film_about(films: dict[tuple[float, ...], list[Result]]) -> str:
+    return (
+        "With motion blur the detector limits, so that this is filmed: the ball is brought to a rate without "
+        "pictures, about "
+        "an axis across the view, where discs move fastest, and "
+        f"then filmed at it for {_FILMED:g} s, noise of {NOISE:g} grey values, at rates a factor of √2 apart. It is "
+        "followed "
+        "when it is right to the end and discs have held its attitude to the last."
+        " What is lost on the way is lost." + _sharp(films)
+    )
+
+
+def _sharp(films: dict[tuple[float, ...], list[Result]]) -> str:
+    """Sharp pictures against none."""
+    pairs = [(who, *r["sharp"][who]) for results in films.values() for r in results if "sharp" in r for who in TRACKERS]
+    if not pairs:
+        return ""
+    most = 0.99 * _WHOLE
+    kept = [who for who in TRACKERS if all(min(a, b) > most for w, a, b in pairs if w == who)]
+    said = [
+        f"`{who}` at {_degrees(a):.0f} °/s (without pictures {_degrees(b):.0f})"
+        for who, a, b in pairs
+        if who not in kept
+    ]
+    text = f" Where sharp pictures are taken all the way from rest, lost are {', '.join(said)}" if said else ""
+    ends = f"up to {_degrees(_WHOLE):.0f} °/s, the end of it, not: {', '.join(f'`{who}`' for who in kept)}"
+    return f"{text}; {ends}." if text and kept else f"{text}." if text else f" In sharp pictures lost are, {ends}."
+
+
+def _film_table(films: dict[tuple[float, ...], list[Result]]) -> Table:
+    rows = []
+    for (fps, exposure), results in films.items():
+        cells = [_span([_degrees(r[who]) for r in results]) for who in TRACKERS]
+        rows.append((f"{fps:g}", f"{exposure:g}", _smear(1e-3 * exposure), *cells))
+    head = ("Hz", "exposure, ms", "smeared over a disc's width at, °/s", *(f"`{t}`" for t in TRACKERS))
+    most = f"{_degrees(LADDER[-1]):.0f} is all that was filmed"
+    return Table(head, tuple(rows), f"Highest rate followed in pictures, °/s ({most}; of several balls: from – to)")
+
+
+def _smear(exposure: float) -> str:
+    return "–" if exposure == 0.0 else f"{_degrees(_width(exposure)):.0f}"
+
+
+def _width(exposure: float) -> float:
+    """rad/s, at which a disc in the middle of the ball moves by its own width while it is exposed."""
+    scene = default_scene(1)
+    return 2.0 * scene.disc_angle / exposure
+
+
+def _span(values: Sequence[float], digits: int = 0, nothing: str = "none") -> str:
+    low, high = (f"{v:.{digits}f}" for v in (min(values), max(values)))
+    low, high = (nothing if float(v) == 0.0 else v for v in (low, high))
+    return low if low == high else f"{low} – {high}"
+
+
+def _film_figure(films: dict[tuple[float, ...], list[Result]]) -> Figure:
+    exposures = sorted({e for f, e in films if f == 60.0})
+    place = {e: k for k, e in enumerate(exposures)}
+
+    def draw(canvas: Any) -> None:
+        ax = canvas.subplots()
+        ends = []
+        for who in TRACKERS:
+            colour, mark, dash = _LOOK[who]
+            spans = [[max(_degrees(r[who]), 30.0) for r in films[60.0, e]] for e in exposures]
+            middle = [float(np.median(v)) for v in spans]
+            ax.plot(range(len(exposures)), middle, color=colour, marker=mark, linestyle=dash)
+            low, high = ([f(v) for v in spans] for f in (min, max))
+            ax.fill_between(range(len(exposures)), low, high, color=colour, alpha=0.15, lw=0)
+            ends.append((middle[-1], who, colour))
+            for (fps, e), results in films.items():
+                if fps != 60.0 and e in place:
+                    x = place[e] + (0.12 if fps > 60.0 else -0.12)
+                    y = max(float(np.median([_degrees(r[who]) for r in results])), 30.0)
+                    ax.plot([x], [y], color=colour, marker=mark, markerfacecolor="none", linestyle="")
+        smeared = [(place[e], _degrees(_width(1e-3 * e))) for e in exposures if e]
+        ax.plot([x for x, _ in smeared], [y for _, y in smeared], color="0.5", **BOUND)
+        if smeared:
+            ends.append((smeared[-1][1], "smear: a disc's width", "0.5"))
+        ax.axhline(_degrees(LADDER[-1]), color="0.5", linewidth=0.6)
+        ax.set(yscale="log", xlabel="exposure, ms", ylabel="highest rate followed, °/s", ylim=(30.0, 4000.0))
+        ax.set_xticks(range(len(exposures)), [f"{e:g}" for e in exposures])
+        plain(ax.yaxis)
+        label_lines(ax, len(exposures) - 1, ends)
+
+    caption = (
+        "How fast a ball may turn before a camera of 60 Hz by its exposure; hollow: of 30 Hz (left) and 120 Hz "
+        "(right). "
+        "Thin line: the fastest that was filmed. Dotted: a disc in the middle of the ball moves by its width."
+    )
+    return Figure("limits-exposure", caption, draw, (7.2, 3.0))
+
+
+def _cover_about(good: Results) -> str:
+    return (
+        f"An opaque cover grows over the ball, under the frame, from nothing to all within {_GROWS:g} s, while the "
+        "ball turns "
+        f"as in the thesis (up to 28 °/s), {_FPS:g} Hz. Shown is the share of the visible ball that was hidden when "
+        "discs "
+        "last held the attitude, without pictures; in the table pictures beside it, in which covers cut discs."
+        + _cover_check(good)
+    )
+
+
+def _cover_check(good: Results) -> str:
+    apart = [
+        100.0 * (film[kind][who] - good[key.removesuffix("-filmed")][kind][who])
+        for key, film in good.items()
+        if key.startswith("cover-") and key.endswith("-filmed") and key.removesuffix("-filmed") in good
+        for kind in film
+        for who in TRACKERS
+    ]
+    if not apart:
+        return ""
+    off = np.abs(apart)
+    return f" Pictures differ from none by {np.median(off):.1f} % of the ball (median; at most {off.max():.0f} %)."
+
+
+def _cover_table(covers: dict[tuple[float, ...], list[Result]], good: Results) -> Table:
+    rows = []
+    for (discs,), results in covers.items():
+        film = good.get(f"cover-{discs:g}-0-filmed")
+        for kind in results[0]:
+            cells = [_span([100.0 * r[kind][who] for r in results], nothing="lost before") for who in TRACKERS]
+            filmed_ = [f"{100.0 * film[kind][who]:.0f}" if film and kind in film else "" for who in TRACKERS]
+            rows.append((f"{discs:g}", kind, *cells, *filmed_))
+    head = ("discs", "cover comes", *(f"`{t}`" for t in TRACKERS), *(f"`{t}`, filmed" for t in TRACKERS))
+    return Table(head, tuple(rows), "Share of the visible ball hidden when it is lost, % (of several balls: from – to)")
+
+
+def _cover_figure(covers: dict[tuple[float, ...], list[Result]]) -> Figure:
+    counts = [n for (n,) in covers]
+    chosen = covers.get((float(DISCS),)) or next(iter(covers.values()))
+    discs, kinds = float(DISCS) if (float(DISCS),) in covers else counts[0], list(chosen[0])
+
+    def draw(canvas: Any) -> None:
+        several = len(counts) > 1
+        left, *rest = canvas.subplots(1, 2, width_ratios=(1.35, 1.0), sharey=True) if several else [canvas.subplots()]
+        for k, who in enumerate(TRACKERS):
+            colour, mark, _ = _LOOK[who]
+            for j, kind in enumerate(kinds):
+                values = [100.0 * r[kind][who] for r in chosen]
+                x = j + 0.2 * (k - 1)
+                left.plot([x, x], [min(values), max(values)], color=colour, linestyle="-", linewidth=3.0, alpha=0.3)
+                left.plot([x], [np.median(values)], color=colour, marker=mark, linestyle="")
+        left.set_xticks(range(len(kinds)), ["\n".join(kind.rsplit(" ", 1)) for kind in kinds])
+        left.tick_params(axis="x", labelsize=7.5)
+        left.set(ylabel="hidden when it is lost, %", ylim=(0.0, 102.0), title=f"{discs:g} discs")
+        left.grid(visible=False, axis="x")
+        if not rest:
+            _legend(canvas, TRACKERS)
+            return
+        (right,), ends = rest, []
+        for who in TRACKERS:
+            colour, mark, dash = _LOOK[who]
+            middle, worst = ([_hidden(results, who, f) for results in covers.values()] for f in (np.median, np.min))
+            right.plot(counts, middle, color=colour, marker=mark, linestyle=dash)
+            right.plot(counts, worst, color=colour, linestyle=dash, linewidth=0.7)
+            ends.append((middle[-1], who, colour))
+        right.set(xscale="log", xlabel="discs on the ball", title="median and worst cover", ylim=(0.0, 102.0))
+        right.set_xticks(counts, [f"{n:g}" for n in counts])
+        right.minorticks_off()
+        label_lines(right, counts[-1], ends)
+
+    caption = (
+        "How much of the visible ball may be hidden before it is lost, by where the cover comes from (bars: span over "
+        "balls), and by the number of discs (thin lines: the worst cover of all)."
+    )
+    return Figure("limits-cover", caption, draw, (7.2, 3.2))
+
+
+def _hidden(results: list[Result], who: str, by: Callable[[list[float]], Any]) -> float:
+    """% hidden, over covers and balls."""
+    return float(by([100.0 * r[kind][who] for r in results for kind in r]))
+
+
+def _again_about(good: Results) -> str:
+    turned = np.degrees(_TURNING * COVERED)
+    check = ""
+    for key, film in good.items():
+        if key.endswith("-filmed") and key.startswith("again-"):
+            twin = good.get(key.removesuffix("-filmed"))
+            said = [f"`{who}` {_wait(film[who], 'attitude')} and {_wait(film[who], 'rate')}" for who in WHO]
+            bare = (
+                [f"`{who}` {_wait(twin[who], 'attitude')} and {_wait(twin[who], 'rate')}" for who in WHO]
+                if twin
+                else []
+            )
+            check = f" In pictures, at {key.split('-')[1]} Hz, attitude and rate take: {'; '.join(said)}."
+            check += (
+                " Without pictures it is the same." if said == bare else f" Without: {'; '.join(bare)}." if bare else ""
+            )
+    return (
+        f"The ball turns on at {_degrees(_TURNING):.0f} °/s while nothing of it is seen for {COVERED:g} s, by "
+        f"{turned:.0f}°. "
+        f"From when the cover goes, as a whole: how long until the attitude is right again (to {_ATTITUDE:g}°, and "
+        "stays so "
+        f"for {_STAYS:g} s), and the rate (to {_degrees(_RATE):.0f} °/s)." + check
+    )
+
+
+def _wait(result: Result, what: str) -> str:
+    if "error" in result:
+        return result["error"]
+    waited = result[what]
+    return (
+        "never"
+        if waited is None
+        else f"{waited['ms']:.0f} ms ({waited['frames']} frame{'s' if waited['frames'] > 1 else ''})"
+    )
+
+
+def _waits(results: list[Result], who: str, what: str) -> list[float]:
+    """ms, inf: never; those lost before are left out."""
+    kept = [r[who] for r in results if "error" not in r[who]]
+    return [np.inf if r[what] is None else r[what]["ms"] for r in kept]
+
+
+def _again_table(again: dict[tuple[float, ...], list[Result]]) -> Table:
+    rows = []
+    for (fps,), results in again.items():
+        cells = []
+        for what in ("attitude", "rate"):
+            for who in WHO:
+                waits = [_wait(r[who], what) for r in results]
+                order = sorted(waits, key=lambda w: float(w.split()[0]) if w[0].isdigit() else np.inf)
+                cells.append(order[0] if len(set(order)) == 1 else f"{order[0]} to {order[-1]}")
+        rows.append((f"{fps:g}", *cells))
+    head = ("Hz", *(f"{what}: {who}" for what in ("attitude", "rate") for who in WHO))
+    return Table(
+        head, tuple(rows), f"Until it is right again after {COVERED:g} s of full cover (least and most over balls)"
+    )
+
+
+def _again_figure(again: dict[tuple[float, ...], list[Result]]) -> Figure:
+    rates = [fps for (fps,) in again]
+    never = 1e3 * _AFTER
+
+    def draw(canvas: Any) -> None:
+        for ax, what in zip(canvas.subplots(1, 2, sharey=True), ("attitude", "rate"), strict=True):
+            ends = []
+            for who, (colour, mark, dash) in _LOOK.items():
+                # the first frame may come the moment the cover goes: half a frame is what it takes on average
+                known = [(f, _waits(r, who, what)) for (f,), r in again.items()]
+                known = [(f, [min(w + 500.0 / f, never) for w in v]) for f, v in known if v]
+                if not known:
+                    continue
+                x, spans = [f for f, _ in known], [v for _, v in known]
+                middle = [float(np.median(v)) for v in spans]
+                ax.plot(x, middle, color=colour, marker=mark, linestyle=dash)
+                ax.fill_between(x, [min(v) for v in spans], [max(v) for v in spans], color=colour, alpha=0.15, lw=0)
+                ends.append((middle[-1], who, colour))
+            ax.axhline(never, color="0.5", **BOUND)
+            ax.text(rates[0], 1.06 * never, f"never (in {_AFTER:g} s)", color="0.5", fontsize=7.5, va="bottom")
+            ax.set(yscale="log", ylim=(1.0, 2.2 * never), title=f"{what} right again")
+            plain(ax.yaxis)
+            rate_axis(ax, rates)
+            label_lines(ax, rates[-1], ends)
+            if what == "attitude":
+                ax.set_ylabel("ms after the cover went")
+
+    caption = (
+        f"How long after {COVERED:g} s of full cover attitude and rate are right again, by frame rate: median and "
+        "span over "
+        "balls and axes; half a frame is added, since a cover goes when it likes."
+    )
+    return Figure("limits-again", caption, draw, (7.2, 3.2))
+
+
+def _advice(
+    fast: dict[tuple[float, ...], list[Result]],
+    films: dict[tuple[float, ...], list[Result]],
+    covers: dict[tuple[float, ...], list[Result]],
+    again: dict[tuple[float, ...], list[Result]],
+) -> str:
+    """For who builds a device, from what was measured."""
+    said = []
+    if fast:
+        k = int(np.argmin(np.abs(np.log(np.array(ACCELERATIONS) / _STOP))))
+        for who in (*TRACKERS, NEW):
+            enough = [fps for (fps,), r in fast.items() if min(_of(r, who, k)) >= _FLICK]
+            said.append((who, f"from {min(enough):g} Hz on" if enough else "at no frame rate"))
+        text = "; ".join(f"`{who}` {when}" for who, when in said)
+        said = [
+            f"A flick to {_degrees(_FLICK):.0f} °/s at {ACCELERATIONS[k]:g} rad/s² is followed, on every ball: {text}."
+        ]
+    if films:
+        at = {e: _degrees(min(x["so3"] for x in r)) for (fps, e), r in films.items() if fps == 60.0}
+        at = at or {e: _degrees(min(x["so3"] for x in r)) for (_, e), r in films.items()}
+        each = ", ".join(f"{rate:.0f} °/s with {e:g} ms" for e, rate in at.items())
+        said.append(f"In pictures `so3` follows, on every ball, {each} of exposure.")
+        enough = [e for e, rate in at.items() if rate >= _degrees(_FLICK)]
+        if enough:
+            said.append(
+                f"For {_degrees(_FLICK):.0f} °/s it need not be shorter than {max(enough):g} ms, at an even rate."
+            )
+    if covers:
+        worst = {n: _hidden(r, "so3", np.min) for (n,), r in covers.items()}
+        said.append(
+            "Whatever side it comes from, a cover may hide "
+            + ", ".join(f"{share:.0f} % of the visible ball with {n:g} discs" for n, share in worst.items() if share)
+            + " before `so3` loses it."
+            + "".join(f" {n:g} discs are too few: it is lost without a cover." for n, s in worst.items() if not s)
+        )
+    if again:
+        waits = [w for results in again.values() for w in _waits(results, "so3", "attitude")]
+        if waits and np.isfinite(max(waits)):
+            frames = max(r["so3"]["attitude"]["frames"] for rs in again.values() for r in rs if "error" not in r["so3"])
+            said.append(
+                f"A ball that `so3` knows is found again in {frames} frame{'s' if frames > 1 else ''} at every rate: "
+                "show it "
+                "all sides of the ball, or keep the map."
+            )
+        elif waits:
+            said.append("Even a ball that `so3` knows was not always found again.")
+    return " ".join(said)
+
+
+# ---- figures of this kind ----
+
+
+def plain(axis: Any) -> None:
+    """Numbers as they are on a logarithmic axis."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=15))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def rate_axis(ax: Any, rates: Sequence[float]) -> None:
+    """Frame rates."""
+    ax.set(xscale="log", xlabel="frame rate, Hz")
+    ax.set_xticks(list(rates), [f"{r:g}" for r in rates])
+    ax.xaxis.minorticks_off()
+
+
+def label_lines(ax: Any, x: float, ends: Sequence[tuple[float, str, str]], apart: float = 0.075) -> None:
+    """Names beside where lines end at `x`: value, name, colour; moved apart where they would meet."""
+    to_axes = ax.transData + ax.transAxes.inverted()
+    placed = sorted((float(to_axes.transform((x, y))[1]), name, colour) for y, name, colour in ends)
+    heights: list[float] = []
+    for y, _, _ in placed:
+        heights.append(max(y, heights[-1] + apart) if heights else y)
+    over = max(0.0, heights[-1] - 1.0) if heights else 0.0
+    for (_, name, colour), y in zip(placed, heights, strict=True):
+        ax.text(1.03, y - over, name, transform=ax.transAxes, color=colour, fontsize=8.0, va="center", clip_on=False)
+
+
+def _legend(canvas: Any, who: Sequence[str]) -> None:
+    from matplotlib.lines import Line2D
+
+    looks: list[Any] = [dict(zip(("color", "marker", "linestyle"), _LOOK[w], strict=True)) for w in who]
+    handles = [Line2D([], [], label=w, **how) for w, how in zip(who, looks, strict=True)]
+    canvas.legend(handles=handles, loc="outside lower center", ncols=5)

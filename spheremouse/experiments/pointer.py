@@ -1,0 +1,568 @@
+"""How late, how rough and how far off the resampled pointer is, against the camera's frame rate and its own settings.
+
+`so3` follows a ball that somebody plays with, and one that is stopped; its counts and rates go through the daemon's
+own resampling (`spheremouse.pointer`) with the frames' stamps and times of arrival. Nothing here reads a clock.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from spheremouse.evaluate.lag import Turning, search, travel
+from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit import settings_of
+from spheremouse.experiments.limits import DISCS, NOISE, RATES, World, known_ball, label_lines, plain, rate_axis, world
+from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.report import failures
+from spheremouse.frame import Frame
+from spheremouse.motion import Motion, Remainder, to_counts
+from spheremouse.pointer import PointerSettings, Resampler, due, take
+from spheremouse.rotation import Array, log
+from spheremouse.simulate import Renderer, RenderOptions
+from spheremouse.simulate.profile import Gestures, Profile, play, stroke
+from spheremouse.simulate.trackball import MouseLog
+from spheremouse.track import Tracker, TrackState, advance, begin, build, step
+
+TITLE = "The pointer between frames: delay, distance, smoothness, overshoot"
+
+NONE, ZERO, ONE, DEFAULT, NEXT = "without", "horizon 0", "one frame", "default", "to the next frame"
+WAYS = (NONE, ZERO, ONE, DEFAULT, NEXT)
+EXACT = "default, exact attitude"
+MORE = {
+    "default": PointerSettings(),
+    "smooth 0": PointerSettings(smooth=0.0),
+    "smooth 1": PointerSettings(smooth=1.0),
+    "rate 125 Hz": PointerSettings(rate=125.0),
+    "rate 1000 Hz": PointerSettings(rate=1000.0),
+}
+FIXED, FRAMES = 0.01, 1.2  # s, and frames: from a frame's stamp to its arrival; 50 ms at 30 Hz, 30 ms at 60 Hz
+SHOWN = 0.004  # s, between two looks at the pointer
+SPEED, STOPPED, HELD = float(np.radians(400.0)), (0.05, 0.2), 0.25  # rad/s; s, in which it is stopped, and before
+NEAR = 5.0  # counts, about 5 mm on the ball: a pointer is near
+_TRACKED, _JUMP = 0.98, 20.0  # of the frames; counts beyond a stop that are no noise
+_BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
+_FINE, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
+_LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the best on the grid of `lag.search`
+
+
+def latency(fps: float) -> float:
+    """From stamp to arrival, s: exposure, the wire, decoding, a step. Assumed, as in docs/pointer.md."""
+    return FIXED + FRAMES / fps
+
+
+def settings(way: str, fps: float) -> PointerSettings:
+    """Of a way to move the pointer."""
+    horizon = {ZERO: 0.0, ONE: 1.0 / fps, DEFAULT: PointerSettings().horizon, NEXT: latency(fps) + 1.0 / fps}[way]
+    return PointerSettings(horizon=horizon)
+
+
+# ---- what frames say ----
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What the frames of a motion say."""
+
+    stamp: Array  # (n,) s
+    counts: Array  # (n, 3)
+    rate: Array  # (n, 3) counts/s
+    tracking: Array  # (n,) bool: discs hold the attitude, as the daemon tells its reporter
+
+
+def _seen(tracker: Tracker, start: TrackState, there: World, motion: Profile, stamps: Array, seed: int) -> Told:
+    """By `so3` without pictures, from `start` on; stamps are those of the motion."""
+    rng, state, made = np.random.default_rng([seed, 5]), start, []
+    for t, R in zip(stamps, motion.attitude(stamps), strict=True):
+        state, moved = advance(state, start.filter.stamp + float(t), there.see(R, rng), tracker)
+        made.append((state, moved))
+    return _as_told(tracker, made, stamps)
+
+
+def _filmed(tracker: Tracker, start: TrackState, there: World, motion: Profile, stamps: Array, seed: int) -> Told:
+    """The same of pictures."""
+    renderer, rng = Renderer(there.scene, RenderOptions(noise=NOISE)), np.random.default_rng([seed, 5])
+    state, made = start, []
+    for k, t in enumerate(stamps):
+        image = renderer.frame(motion, float(t), k, rng).frame.image
+        state, moved = step(state, Frame(image, start.filter.stamp + float(t), k), tracker)
+        made.append((state, moved))
+    return _as_told(tracker, made, stamps)
+
+
+def _as_told(tracker: Tracker, made: list[tuple[TrackState, Motion]], stamps: Array) -> Told:
+    counts = np.array([m.counts for _, m in made])
+    rate = np.array([m.rate for _, m in made]) @ tracker.counts.T
+    return Told(stamps, counts, rate, np.array([s.holds for s, _ in made]))
+
+
+def exact(motion: Profile, stamps: Array, matrix: Array) -> Told:
+    """What a tracker without error would say; `matrix` (3, 3) counts/rad."""
+    R, remainder, counts = motion.attitude(stamps), Remainder(), [(0, 0, 0)]
+    for a, b in pairwise(R):
+        moved, remainder = to_counts(log(b @ a.T), matrix, remainder)
+        counts.append(moved)
+    return Told(stamps, np.array(counts), motion.rate(stamps) @ matrix.T, np.ones(len(stamps), dtype=bool))
+
+
+# ---- what the pointer makes of it ----
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """Where a pointer, or the ball, is from SHOWN to SHOWN."""
+
+    t: Array  # (n,) s
+    place: Array  # (n, 3) counts
+
+
+def ball(motion: Profile, end: float, matrix: Array) -> Path:
+    """The true path, not rounded."""
+    fine = np.arange(0.0, end + 0.5 * _FINE, _FINE)
+    speed = motion.rate(fine) @ matrix.T
+    place = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (speed[1:] + speed[:-1]) * _FINE, axis=0)])
+    every = round(SHOWN / _FINE)
+    return Path(fine[::every], place[::every])
+
+
+def pointer(told: Told, fps: float, way: PointerSettings | None, t: Array) -> Array:
+    """Where it is at times t, (n, 3) counts; without resampling (None) each frame's counts are sent as it arrives."""
+    late = latency(fps)
+    arrivals = told.stamp + late
+    if way is None:
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(told.counts, axis=0)])
+        return sums[np.searchsorted(arrivals, t + _SAME, side="right")]
+    times: list[float] = [-np.inf]
+    places: list[tuple[int, int, int]] = [(0, 0, 0)]
+    resampler, sent = Resampler(), (0, 0, 0)
+    ends = [*arrivals[1:].tolist(), arrivals[-1] + 1.0]
+    frames = zip(told.counts.tolist(), told.rate.tolist(), told.stamp.tolist(), arrivals.tolist(), ends, strict=True)
+    for k, (counts, rate, stamp, now, end) in enumerate(frames):
+        resampler = take(resampler, sent, tuple(counts), tuple(rate), stamp, now, bool(told.tracking[k]), way)
+        for n in range(int((end - now) * way.rate + 1.0 - 1e-6)):
+            report = now + n / way.rate
+            sent = due(resampler, report)
+            times.append(report)
+            places.append(sent)
+            if report > resampler.until:
+                break  # nothing more is due until there is a new frame
+    return np.array(places, dtype=float)[np.searchsorted(times, t + _SAME, side="right") - 1]
+
+
+def measured(shown: Array, true: Path, begin: float) -> Result:
+    """Distance (RMS, counts), roughness (RMS of second differences, counts) and delay (ms) from `begin` on.
+
+    The delay is that with which the pointer follows the ball best (as Wittich 2017, section 4.1.1).
+    """
+    late = true.t >= begin
+    off, bends = (shown - true.place)[late], np.diff(shown[late], 2, axis=0)
+    return {
+        "off": float(np.sqrt(np.mean(np.sum(off**2, axis=1)))),
+        "rough": float(np.sqrt(np.mean(bends**2))),
+        "delay": delay(shown[late], Path(true.t[late], true.place[late])),
+    }
+
+
+def delay(shown: Array, true: Path) -> float | None:
+    """ms, by which the ball's path has to be shifted to come nearest; None where the two have nothing in common.
+
+    Sought over all lags on the grid of `lag.search` (of x and y), and then finely about the best of them.
+    """
+    counts = np.diff(shown[:, :2], axis=0, prepend=shown[:1, :2])
+    log_ = MouseLog(true.t, counts, np.zeros(len(shown)), np.zeros(len(shown), dtype=bool))
+    if not np.any(counts):
+        return None
+    found = search(Turning(true.t[:-1], true.t[1:], np.diff(true.place, axis=0)), travel(log_))
+    if found is None:
+        return None
+    lags = found.lag + _LAGS
+    away = []
+    for lag in lags:
+        past = true.t - lag
+        inside = (past >= true.t[0]) & (past <= true.t[-1])
+        ball_ = np.stack([np.interp(past[inside], true.t, true.place[:, k]) for k in range(3)], axis=1)
+        away.append(np.mean((shown[inside] - ball_) ** 2))
+    k = int(np.clip(np.argmin(away), 1, len(lags) - 2))
+    left, middle, right = away[k - 1 : k + 2]
+    bend = left - 2.0 * middle + right
+    return 1e3 * float(lags[k] + (0.5 * (left - right) / bend * (lags[1] - lags[0]) if bend > 0.0 else 0.0))
+
+
+# ---- jobs ----
+
+
+def jobs(request: Request) -> list[Job]:
+    """A camera's rate and a motion."""
+    quick = request.quick
+    rates, seeds, seconds, phases = ((15.0, 30.0), 1, 8.0, 2) if quick else (RATES, 2, 20.0, 6)
+    found = [
+        Job(
+            f"play-{fps:g}-{seed}",
+            played,
+            {"fps": fps, "seed": seed, "seconds": seconds, "pictures": False, "more": fps in (30.0, 60.0, 120.0)},
+            cost=2.0 + 0.002 * seconds * fps,
+        )
+        for fps in rates
+        for seed in range(seeds)
+    ]
+    found += [
+        Job(f"stop-{fps:g}", stopped, {"fps": fps, "phases": phases}, cost=2.0 + 0.01 * phases * fps) for fps in rates
+    ]
+    if not quick:
+        film = {"fps": 30.0, "seed": 0, "seconds": seconds, "pictures": True, "more": False}
+        found.append(Job("film-30-0", played, film, cost=20.0))
+    return found
+
+
+def played(fps: float, seed: int, seconds: float, pictures: bool, more: bool) -> Result:
+    """Somebody plays."""
+    there = world(DISCS, seed)
+    tracker = build(there.rig, there.scene.pose, settings_of())
+    motion = play(seconds, np.random.default_rng([seed, 2]))
+    stamps = np.arange(1.0, seconds * fps) / fps
+    told = (_filmed if pictures else _seen)(tracker, begin(tracker, 0.0), there, motion, stamps, seed)
+    true = ball(motion, float(stamps[-1]), tracker.counts)
+    paths = {way: pointer(told, fps, None if way == NONE else settings(way, fps), true.t) for way in WAYS}
+    best = pointer(exact(motion, stamps, tracker.counts), fps, settings(DEFAULT, fps), true.t)
+    found: Result = {way: measured(path, true, _BEGIN) for way, path in {**paths, EXACT: best}.items()}
+    found["true rough"] = measured(true.place, true, _BEGIN)["rough"]
+    found["whole rough"] = measured(np.rint(true.place), true, _BEGIN)["rough"]
+    found["apart"] = float(np.abs(paths[ZERO] - paths[NONE]).max())
+    found["tracked"] = float(np.mean(told.tracking))
+    if more:
+        found["more"] = {n: measured(pointer(told, fps, way, true.t), true, _BEGIN) for n, way in MORE.items()}
+    return found
+
+
+def stopped(fps: float, phases: int) -> Result:
+    """A ball at SPEED is stopped by hand: how far the pointer goes beyond, counts; by way and time of the stop."""
+    there = world(DISCS, 0)
+    tracker = build(there.rig, there.scene.pose, settings_of())
+    start = known_ball(tracker, there)
+    found: Result = {way: {f"{down:g}": [] for down in STOPPED} for way in WAYS}
+    for down in STOPPED:
+        for k in range(phases):
+            axis = (1.0, 0.0, 0.0) if k % 2 else (0.0, 0.0, 1.0)
+            push = stroke(0.3 + k / phases / fps, axis, SPEED, up=0.12, hold=HELD, down=down)
+            end = push.start + push.length
+            motion = Gestures((push,), end + 0.5)
+            stamps = np.arange(1.0, motion.seconds * fps) / fps
+            told = _seen(tracker, start, there, motion, stamps, k)
+            true = ball(motion, motion.seconds, tracker.counts)
+            moved = int(np.argmax(np.abs(true.place[-1])))
+            way_ = np.sign(true.place[-1, moved])
+            for way in WAYS:
+                path = pointer(told, fps, None if way == NONE else settings(way, fps), true.t)
+                beyond = way_ * (path[:, moved] - true.place[-1, moved])
+                found[way][f"{down:g}"].append(float(max(beyond.max(), 0.0)))
+                if k == 0 and down == STOPPED[0]:
+                    found[way]["path"] = (way_ * path[:, moved]).tolist()
+            if k == 0 and down == STOPPED[0]:
+                found["t"], found["true"] = true.t.tolist(), (way_ * true.place[:, moved]).tolist()
+                found["end"] = end
+    return found
+
+
+# ---- for a reader ----
+
+_MARKS = {NONE: ("C1", "s"), ONE: ("C3", "v"), NEXT: ("C2", "D"), DEFAULT: ("C0", "o")}
+_METRICS = {
+    "delay": ("delay, ms", 0),
+    "off": ("distance (RMS), counts", 1),
+    "rough": ("roughness, counts", 2),
+}
+
+
+def section(request: Request, results: Results) -> Section:
+    """What each way of moving the pointer comes to."""
+    good = {k: r for k, r in results.items() if "error" not in r}
+    plays, stops = _plays(good), {float(k.split("-")[1]): r for k, r in good.items() if k.startswith("stop-")}
+    parts: list[str | Table | Figure] = [_about(good)]
+    if plays:
+        parts += [_figure(plays), _table(plays)]
+        more = _more_table(good)
+        parts += [more] if more else []
+    if stops:
+        parts += [_stop_figure(stops), _stop_table(stops), *([_jumped(stops)] if _jumped(stops) else [])]
+    film = _film(good)
+    parts += [text for text in (film, _advice(plays, stops)) if text]
+    parts += [text for text in (_lost(good),) if text]
+    failed = failures(results)
+    if failed:
+        parts.append("Failed:\n\n" + "\n".join(failed))
+    numbers = {k: {n: v for n, v in r.items() if n not in ("t", "true")} for k, r in results.items()}
+    for result in numbers.values():
+        for name, value in result.items():
+            if isinstance(value, dict) and "path" in value:
+                result[name] = {k: v for k, v in value.items() if k != "path"}
+    return Section(tuple(parts), numbers)
+
+
+def _plays(good: Results) -> dict[float, list[Result]]:
+    """By frame rate; those without pictures."""
+    found: dict[float, list[Result]] = {}
+    for key, result in good.items():
+        if key.startswith("play-"):
+            found.setdefault(float(key.split("-")[1]), []).append(result)
+    return dict(sorted(found.items()))
+
+
+def _values(results: list[Result], way: str, metric: str) -> list[float]:
+    return [r[way][metric] for r in results if r[way][metric] is not None]
+
+
+def _median(results: list[Result], way: str, metric: str) -> float | None:
+    values = _values(results, way, metric)
+    return float(np.median(values)) if values else None
+
+
+def _about(good: Results) -> str:
+    plays = [r for k, r in good.items() if k.startswith("play-")]
+    same = ""
+    if plays:
+        apart = max(r["apart"] for r in plays)
+        same = (
+            " A horizon of 0 sends each frame's counts as it arrives: it is the pointer without resampling, to the "
+            "count."
+            if apart == 0.0
+            else f" A horizon of 0 differs from the pointer without resampling by up to {apart:.0f} counts."
+        )
+    return (
+        f"`so3` follows a ball of {DISCS} discs before the far camera, without pictures: centres with the detector's "
+        "noise "
+        "(the detector does not limit here; a film checks it). Its counts and rates go through the daemon's own "
+        f"resampling, 600 counts/rad, {PointerSettings().rate:g} reports/s. A frame is assumed to arrive "
+        f"{1e3 * FIXED:g} ms "
+        f"and {FRAMES:g} frame intervals after its stamp: {1e3 * latency(30.0):.0f} ms at 30 Hz, "
+        f"{1e3 * latency(60.0):.0f} ms at 60 Hz. *To the next frame* is a horizon of that and one interval more, *one "
+        f"frame* of an interval alone, the default {1e3 * PointerSettings().horizon:g} ms. Delay is by lag search, "
+        "between "
+        "the pointer as it is shown and the ball; roughness is the RMS of second differences of the pointer's place "
+        "every "
+        f"{1e3 * SHOWN:g} ms." + same
+    )
+
+
+def _table(plays: dict[float, list[Result]]) -> Table:
+    rows = []
+    for fps, results in plays.items():
+        for way in (NONE, ONE, DEFAULT, NEXT, EXACT):
+            cells = []
+            for metric, (_, digits) in _METRICS.items():
+                value = _median(results, way, metric)
+                cells.append("none found" if value is None else f"{value:.{digits}f}")
+            rows.append((f"{fps:g}", way, *cells))
+    base = [r for results in plays.values() for r in results]
+    true, whole = (float(np.median([r[k] for r in base])) for k in ("true rough", "whole rough"))
+    title = (
+        "Somebody plays (median over motions). The ball's own roughness is "
+        f"{true:.2f} counts, that of its path in whole counts {whole:.2f}"
+    )
+    return Table(("Hz", "pointer", *(label for label, _ in _METRICS.values())), tuple(rows), title)
+
+
+def _more_table(good: Results) -> Table | None:
+    found: dict[float, list[Result]] = {}
+    for key, result in good.items():
+        if "more" in result:
+            found.setdefault(float(key.split("-")[1]), []).append(result["more"])
+    if not found:
+        return None
+    rows = []
+    for fps, results in sorted(found.items()):
+        for name in MORE:
+            values = [_median(results, name, metric) for metric in _METRICS]
+            cells = [
+                "none found" if v is None else f"{v:.{d}f}" for v, (_, d) in zip(values, _METRICS.values(), strict=True)
+            ]
+            rows.append((f"{fps:g}", name, *cells))
+    return Table(("Hz", "setting", *(label for label, _ in _METRICS.values())), tuple(rows), "Other settings")
+
+
+def _figure(plays: dict[float, list[Result]]) -> Figure:
+    whole = float(np.median([r["whole rough"] for results in plays.values() for r in results]))
+
+    def draw(canvas: Any) -> None:
+        from matplotlib.lines import Line2D
+
+        axes = canvas.subplots(1, 3)
+        rates = list(plays)
+        for ax, (metric, (label, _)) in zip(axes, _METRICS.items(), strict=True):
+            for way, (colour, mark) in _MARKS.items():
+                points = [(fps, _values(plays[fps], way, metric)) for fps in rates]
+                points = [(fps, v) for fps, v in points if v]
+                if not points:
+                    continue
+                x, middle = [p[0] for p in points], [float(np.median(p[1])) for p in points]
+                ax.plot(x, middle, color=colour, marker=mark, linestyle="-")
+                ax.fill_between(
+                    x, [min(p[1]) for p in points], [max(p[1]) for p in points], color=colour, alpha=0.2, lw=0
+                )
+            best = [(fps, _median(plays[fps], EXACT, metric)) for fps in rates]
+            ax.plot([f for f, v in best if v is not None], [v for _, v in best if v is not None], color="C4", **BOUND)
+            if metric == "rough":
+                ax.axhline(whole, color="0.5", **BOUND)
+                ax.text(rates[0], 0.97 * whole, "whole counts", color="0.5", fontsize=7.5, va="top")
+            if metric != "delay":
+                ax.set_yscale("log")
+                plain(ax.yaxis)
+            if metric == "rough":
+                ax.set_ylim(bottom=0.75 * whole)
+            ax.set_title(label)
+            rate_axis(ax, rates)
+        handles = [Line2D([], [], color=c, marker=m, label=w, linestyle="-") for w, (c, m) in _MARKS.items()]
+        handles.append(Line2D([], [], color="C4", label=EXACT, **BOUND))
+        canvas.legend(handles=handles, loc="outside lower center", ncols=5)
+
+    return Figure(
+        "pointer",
+        "Delay, distance from the ball and roughness of the pointer while somebody plays, against the camera's frame "
+        "rate; "
+        "shaded: the span over motions. Dotted: the default, were every attitude exact.",
+        draw,
+        (7.2, 3.5),
+    )
+
+
+def _beyond(result: Result, way: str, down: float) -> list[float]:
+    return result[way][f"{down:g}"]
+
+
+def _stop_table(stops: dict[float, Result]) -> Table:
+    ways = (NONE, ONE, DEFAULT, NEXT)
+    rows = []
+    for fps, result in sorted(stops.items()):
+        cells = [f"{np.median(b):.0f} ({max(b):.0f})" for d in STOPPED for w in ways for b in [_beyond(result, w, d)]]
+        rows.append((f"{fps:g}", *cells))
+    head = ("Hz", *(f"in {1e3 * d:g} ms: {w}" for d in STOPPED for w in ways))
+    return Table(
+        head, tuple(rows), f"Overshoot of a ball stopped from {np.degrees(SPEED):.0f} °/s, counts: median (most)"
+    )
+
+
+def _stop_figure(stops: dict[float, Result]) -> Figure:
+    shown = min(stops, key=lambda fps: abs(np.log(fps / 30.0)))
+    result, down = stops[shown], STOPPED[0]
+
+    def draw(canvas: Any) -> None:
+        left, right = canvas.subplots(1, 2)
+        t, end = np.array(result["t"]), result["end"]
+        near = (t > end - 0.25) & (t < end + 0.3)
+        true = np.array(result["true"])
+        left.plot(1e3 * (t - end)[near], (true - true[-1])[near], color="0.5", linestyle="-", linewidth=4.0, alpha=0.6)
+        for way in (NONE, ONE, DEFAULT):
+            path = np.array(result[way]["path"]) - true[-1]
+            left.step(1e3 * (t - end)[near], path[near], where="post", color=_MARKS[way][0], linestyle="-")
+        left.set(
+            xlabel="ms after the stop", ylabel="counts beyond", title=f"a stop within {1e3 * down:g} ms, {shown:g} Hz"
+        )
+        left.annotate(
+            "the ball; without", (295.0, 0.0), xytext=(0, -6), textcoords="offset points", color="0.5", fontsize=8.0,
+            va="top", ha="right",
+        )  # fmt: skip
+        rates, ends, highest = sorted(stops), [], 0.0
+        for way in (NONE, ONE, DEFAULT):
+            colour, mark = _MARKS[way]
+            values = [_beyond(stops[fps], way, down) for fps in rates]
+            middle = [float(np.median(v)) for v in values]
+            right.plot(rates, middle, color=colour, marker=mark, linestyle="-")
+            right.fill_between(rates, [min(v) for v in values], [max(v) for v in values], color=colour, alpha=0.2, lw=0)
+            ends.append((middle[-1], way, colour))
+            highest = max(highest, *middle)
+        top = 1.4 * max(highest, 10.0)
+        right.set(title="overshoot, counts", ylim=(-0.03 * top, top))
+        for fps in rates:
+            most = max(_beyond(stops[fps], DEFAULT, down))
+            if most > top:
+                right.annotate(f"to {most:.0f}", (fps, top), xytext=(3, -8), textcoords="offset points",
+                               color=_MARKS[DEFAULT][0], fontsize=8.0)  # fmt: skip
+        rate_axis(right, rates)
+        label_lines(right, rates[-1], ends)
+
+    return Figure(
+        "pointer-stop",
+        f"A ball of {np.degrees(SPEED):.0f} °/s is stopped by hand: the pointer at one such stop, and how far it "
+        "goes beyond "
+        "against the frame rate (median; shaded: by when the stop falls between two frames).",
+        draw,
+        (7.2, 3.2),
+    )
+
+
+def _jumped(stops: dict[float, Result]) -> str:
+    """Where the tracker itself said too much, and the pointer with it."""
+    most = {fps: max(b for d in STOPPED for b in _beyond(r, NONE, d)) for fps, r in sorted(stops.items())}
+    said = [f"{m:.0f} counts at {fps:g} Hz" for fps, m in most.items() if m > _JUMP]
+    if not said:
+        return ""
+    return (
+        f"Without resampling the pointer goes too far only where the tracker does: by up to {', '.join(said)}. There "
+        "its attitude itself was wrong for a moment, and prediction adds to that."
+    )
+
+
+def _film(good: Results) -> str:
+    """Pictures against none."""
+    said = []
+    for key, film in good.items():
+        twin = good.get(key.replace("film", "play"))
+        if not key.startswith("film-") or twin is None:
+            continue
+        said += [
+            f"{way}: {film[way]['off']:.1f} counts from the ball and roughness {film[way]['rough']:.2f} (without "
+            "pictures "
+            f"{twin[way]['off']:.1f} and {twin[way]['rough']:.2f})"
+            for way in (NONE, DEFAULT)
+        ]
+    return f"The same motion filmed at 30 Hz: {'; '.join(said)}." if said else ""
+
+
+def _lost(good: Results) -> str:
+    """Where `so3` itself did not follow; the first frame is one."""
+    lost = [f"{k} ({100.0 * (1.0 - r['tracked']):.0f} %)" for k, r in good.items() if r.get("tracked", 1.0) < _TRACKED]
+    return f"Discs did not hold the attitude in part of the frames of {', '.join(lost)}." if lost else ""
+
+
+def _advice(plays: dict[float, list[Result]], stops: dict[float, Result]) -> str:
+    """For who builds a device, from what was measured."""
+    said = []
+    if plays:
+        near = [fps for fps in plays if (_median(plays[fps], DEFAULT, "off") or np.inf) < NEAR]
+        reaches = [fps for fps in plays if latency(fps) + 1.0 / fps <= PointerSettings().horizon + 1e-9]
+        fps = min(plays, key=lambda f: abs(np.log(f / 30.0)))
+        late, led = (_median(plays[fps], way, "delay") for way in (NONE, DEFAULT))
+        rough = [_median(plays[fps], way, "rough") for way in (NONE, DEFAULT)]
+        if late is not None and led is not None and rough[0] and rough[1]:
+            said.append(
+                f"At {fps:g} Hz resampling takes the delay from {late:.0f} to {led:.0f} ms and the roughness to "
+                f"1/{rough[0] / rough[1]:.0f}."
+            )
+        if near:
+            said.append(
+                f"With the default the pointer stays within {NEAR:g} counts of the ball (RMS) from {min(near):g} Hz on."
+            )
+        else:
+            said.append(f"With the default no frame rate keeps the pointer within {NEAR:g} counts of the ball (RMS).")
+        if reaches:
+            said.append(
+                f"The default horizon reaches to the next frame from {min(reaches):g} Hz on: for slower cameras set "
+                "`pointer.horizon` to latency and one interval."
+            )
+    if stops:
+        down = STOPPED[0]
+        by = {fps: float(np.median(_beyond(r, DEFAULT, down))) for fps, r in sorted(stops.items())}
+        one = {fps: float(np.median(_beyond(r, ONE, down))) for fps, r in sorted(stops.items())}
+        worst, best = max(by, key=by.__getitem__), min(by, key=by.__getitem__)
+        said.append(
+            f"A stop within {1e3 * down:g} ms costs the default an overshoot of {by[worst]:.0f} counts at {worst:g} "
+            "Hz and "
+            f"{by[best]:.0f} at {best:g} Hz, a horizon of one frame {one[worst]:.0f} and {one[best]:.0f}: who aims "
+            "takes "
+            "a faster camera before a shorter horizon."
+            if one[worst] > by[best]
+            else f"A stop within {1e3 * down:g} ms costs the default an overshoot of {by[worst]:.0f} counts at "
+            f"{worst:g} Hz, "
+            f"a horizon of one frame {one[worst]:.0f}."
+        )
+    return " ".join(said)

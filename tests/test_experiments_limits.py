@@ -1,0 +1,251 @@
+"""Limits of tracking: what is seen without pictures against pictures, laws of the trials, pages from given results."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from spheremouse.associate import assign
+from spheremouse.experiments import limits
+from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments.limits import (
+    ACCELERATIONS,
+    COVERS,
+    FASTEST,
+    NEW,
+    RATES,
+    TRACKERS,
+    WHO,
+    SpedUp,
+    Trial,
+    jobs,
+    section,
+    world,
+)
+from spheremouse.experiments.plot import save
+from spheremouse.experiments.report import write_report
+from spheremouse.rotation import log
+from spheremouse.simulate import Renderer, RenderOptions
+
+QUICK, WHOLE = Request(True, None), Request(False, None)
+
+
+@pytest.fixture(scope="module")
+def there():
+    return world(limits.DISCS, 0)
+
+
+@pytest.fixture(scope="module")
+def trial(there):
+    """`ekf2` at 30 Hz."""
+    tracker = limits._tracker("ekf2", there)
+    return Trial(tracker, there, limits._started("ekf2", tracker, there), limits._axis(0), 30.0, 0)
+
+
+# ---- what is seen ----
+
+
+def test_the_same_discs_are_seen_as_in_pictures_and_as_well(there):
+    renderer, rng = Renderer(there.scene, RenderOptions(noise=limits.NOISE)), np.random.default_rng(0)
+    detector = limits._tracker("so3", there).detector
+    motion = SpedUp(limits._axis(1), 1.0, 1.0)
+    matched, seen, found, claims = 0, 0, 0, []
+    for t in np.arange(1.0, 13.0):
+        here = there.see(motion.attitude(np.array([t]))[0], rng)
+        pictured = detector.detect(renderer.frame(motion, float(t), 0, rng).frame.image)
+        i, j = assign(np.linalg.norm(here.centre[:, None] - pictured.centre[None], axis=2), 1.0)
+        matched, seen, found = matched + len(i), seen + len(here), found + len(pictured)
+        claims.append(here.covariance[i, 0, 0] / pictured.covariance[j, 0, 0])
+    assert matched > 60
+    assert matched > 0.95 * seen  # none that a picture does not show
+    assert matched > 0.85 * found  # and most of those that it shows: slivers are left out
+    assert 0.5 < np.sqrt(np.median(np.concatenate(claims))) < 1.5
+
+
+def test_centres_are_off_by_what_they_claim(there):
+    rng, errors = np.random.default_rng(0), []
+    for _ in range(60):
+        here = there.see(np.eye(3), rng)
+        errors.append((here.centre - there.see(np.eye(3), _Exact()).centre) / np.sqrt(here.covariance[:, :1, 0]))
+    assert np.mean(np.concatenate(errors) ** 2) == pytest.approx(1.0, abs=0.15)
+
+
+class _Exact:
+    """A generator of no noise."""
+
+    def standard_normal(self, shape):
+        return np.zeros(shape)
+
+
+def test_what_is_covered_is_not_seen(there):
+    rng = np.random.default_rng(0)
+    assert len(there.see(np.eye(3), rng)) >= 5
+    assert len(there.see(np.eye(3), rng, there.ball)) == 0
+
+
+def test_a_cover_grows_over_the_whole_ball_from_its_side(there):
+    visible = np.count_nonzero(there.ball)
+    for kind in COVERS:
+        order = limits.growing(there, kind)
+        half = order < 0.5
+        assert np.count_nonzero(half) == pytest.approx(0.5 * visible, abs=1.0)
+        assert np.array_equal(order < 1.0, there.ball)
+    # the far camera is turned: obj's up is where the image's columns go, or come from
+    place = there.scene.pose.to_cam(np.array([[0.0, 0.3, 0.5], [0.0, -0.3, 0.5]]))
+    top, bottom = ((there.scene.camera.fx * p[:2] / p[2] + (320, 240)).astype(int) for p in place)
+    above = limits.growing(there, "from above")
+    assert above[top[1], top[0]] < 0.5 < above[bottom[1], bottom[0]]
+
+
+# ---- trials ----
+
+
+def test_attitude_is_the_integral_of_rate():
+    motion, h = SpedUp(np.array([0.6, 0.0, 0.8]), 5.0, 2.0), 1e-5
+    for t in (0.1, 0.3, 0.7, 2.0):
+        R = motion.attitude(np.array([t - h, t + h]))
+        assert log(R[1] @ R[0].T) / (2.0 * h) == pytest.approx(motion.rate(np.array([t]))[0], abs=1e-4)
+    assert np.linalg.norm(motion.rate(np.array([0.2]))) == pytest.approx(1.0)
+
+
+def test_bisection_finds_where_it_ends():
+    for limit in (0.3, 2.0, 11.0):
+        found = limits._bisected(lambda x, limit=limit: x <= limit, 0.1, 25.0)
+        assert limit / limits.FINE < found <= limit
+    assert limits._bisected(lambda x: True, 0.1, 25.0) == 25.0
+    assert limits._bisected(lambda x: False, 0.1, 25.0) == 0.0
+
+
+def test_what_is_reached_is_followed_and_more_is_not(trial):
+    """The rate found is that of a course of its own, from rest."""
+    rate = trial.fastest(ACCELERATIONS[0])
+    assert 0.5 < rate < FASTEST
+
+    def followed(most):
+        t = trial.times(most / ACCELERATIONS[0] + limits.HOLD)
+        motion = SpedUp(trial.axis, ACCELERATIONS[0], most)
+        return len(trial.course(limits._begun(trial.start), motion, t)) == len(t)
+
+    assert followed(0.7 * rate)
+    assert not followed(1.5 * rate)
+
+
+def test_a_course_ends_where_what_was_turned_is_wrong_or_the_ball_is_lost(trial):
+    begun = limits._begun(trial.start)
+    small, large = (SpedUp(trial.axis, 1e9, a).attitude(np.array([1.0]))[0] for a in np.radians((2.0, 4.0)))
+    assert begun.then(trial.start, small.T) is not None
+    assert begun.then(trial.start, large.T) is None
+
+
+def test_so3_follows_what_ekf2_loses(there, trial):
+    """A ball new to it: what it knows of it before would be of use."""
+    tracker = limits._tracker(NEW, there)
+    ours = replace(trial, tracker=tracker, start=limits._started(NEW, tracker, there))
+    hard = trial.hardest(limits.PUSH)
+    assert 1.0 < hard < limits.HARDEST
+    assert ours.hardest(limits.PUSH) > 1.5 * hard
+
+
+def test_so3_finds_the_ball_again_at_once_and_ekf2_not_its_attitude():
+    found = limits.found_again(15.0, 1, False)
+    assert found["so3"]["attitude"]["frames"] == 1
+    assert found["so3"]["attitude"]["ms"] < 1e3 / 15.0
+    assert "error" in found["ekf2"] or found["ekf2"]["attitude"] is None
+
+
+def test_the_wait_is_counted_from_when_the_cover_goes():
+    t = np.arange(1.0, 56.0) / 10.0
+    off = [(np.eye(3), 0.0 if s < 2.0 or s > 3.35 else 1.0, True) for s in t]
+    found = limits._waited(t, off, 3.0)
+    assert found["rate"] == {"frames": 5, "ms": pytest.approx(400.0)}
+    assert found["attitude"] == {"frames": 1, "ms": pytest.approx(0.0)}
+    assert limits._waited(t, [(np.eye(3), 1.0, True)] * len(t), 3.0) == {"error": "lost before the cover came"}
+
+
+# ---- sections ----
+
+
+def speed(ekf, so3=FASTEST):
+    rows = {who: {"rate": [ekf] * len(ACCELERATIONS), "acceleration": 10.0 * ekf} for who in WHO}
+    rows |= {who: {"rate": [so3] * len(ACCELERATIONS), "acceleration": limits.HARDEST} for who in ("so3", NEW)}
+    return rows
+
+
+def waited(ms):
+    wait = {"frames": 1, "ms": ms}
+    known = {"attitude": wait, "rate": wait}
+    return {"ekf1": {"attitude": None, "rate": wait}, "ekf2": {"error": "lost before the cover came"}} | dict.fromkeys(
+        ("so3", NEW), known
+    )
+
+
+SHARP = {"ekf1": [3.0, 3.1], "ekf2": [3.2, 3.2], "so3": [8.0, 8.0]}
+
+
+def given():
+    cover = {kind: {"ekf1": 0.5, "ekf2": 0.6, "so3": 0.7} for kind in COVERS}
+    return {
+        **{f"speed-{fps:g}-{k}": speed(1.0 + k) for fps in RATES for k in range(3)},
+        "film-60-4-0": {"ekf1": 0.0, "ekf2": 4.0, "so3": 8.0},
+        "film-60-0-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 16.0, "sharp": SHARP},
+        "film-30-4-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 8.0},
+        "cover-50-0": cover,
+        "cover-50-1": {**cover, "closing in": {"ekf1": 0.1, "ekf2": 0.2, "so3": 0.3}},
+        "cover-50-0-filmed": {"from above": {"ekf1": 0.52, "ekf2": 0.6, "so3": 0.7}},
+        "again-30-0": waited(0.0),
+        "again-120-0": waited(4.0),
+        "film-60-16-0": {"error": "too little memory"},
+    }
+
+
+def tables(found):
+    return [part for part in found.parts if isinstance(part, Table)]
+
+
+def test_a_section_has_maps_tables_advice_and_what_failed(tmp_path):
+    found = section(WHOLE, given())
+    page = write_report(tmp_path, {"limits": (limits.TITLE, found)}, "x")[0].read_text()
+    names = [part.name for part in found.parts if isinstance(part, Figure)]
+    assert names == ["limits-speed", "limits-map", "limits-exposure", "limits-cover", "limits-again"]
+    assert all((tmp_path / "experiments" / f"{n}-dark.svg").stat().st_size > 5000 for n in names)
+    fast, film, cover, again = tables(found)
+    assert fast.rows[0][:4] == ("15", "115", "115", "all, to 1432")  # the median, 2 rad/s
+    assert fast.rows[0][5] == "20"
+    assert film.rows[2] == ("60", "4", "955", "none", "229", "458")  # 2 x 0.02 / 0.6 rad in 4 ms
+    assert ("50", "closing in", "10 – 50", "20 – 60", "30 – 70", "", "", "") in cover.rows
+    assert again.rows[0][1:4] == ("never", "lost before the cover came", "0 ms (1 frame)")
+    assert "film-60-16-0: too little memory" in page
+    assert "`ekf2` at no frame rate; `so3` from 15 Hz on" in page
+    assert "30 % of the visible ball with 50 discs" in page
+    assert "917 °/s with 0 ms, 458 °/s with 4 ms of exposure. For 400 °/s it need not be shorter than 4 ms" in page
+    assert "lost are `ekf1` at 172 °/s (without pictures 178), `ekf2` at 183 °/s (without pictures 183); up to" in page
+    assert "Pictures differ from none by 0.0 % of the ball (median; at most 2 %)" in page
+
+
+def test_a_section_of_nothing_is_still_a_page():
+    assert section(QUICK, {}).parts
+    failed = {job.key: {"error": "too dark"} for job in jobs(QUICK)}
+    text = "\n".join(p for p in section(QUICK, failed).parts if isinstance(p, str))
+    assert text.count("too dark") == len(failed)
+
+
+def test_a_ball_lost_without_a_cover_is_said():
+    lost = {kind: {"ekf1": 0.5, "ekf2": 0.6, "so3": 0.0} for kind in COVERS}
+    found = section(WHOLE, {"cover-50-0": given()["cover-50-0"], "cover-16-0": lost})
+    assert ("16", "closing in", "50", "60", "lost before", "", "", "") in tables(found)[0].rows
+    assert "16 discs are too few: it is lost without a cover." in str(found.parts[-1])
+
+
+def test_a_quick_section_has_figures_of_what_is_there(tmp_path):
+    few = {k: v for k, v in given().items() if k in ("speed-30-0", "film-30-4-0", "cover-50-0", "again-30-0")}
+    figures = {part.name: part for part in section(QUICK, few).parts if isinstance(part, Figure)}
+    assert list(figures) == ["limits-speed", "limits-map", "limits-cover", "limits-again"]  # one exposure is no curve
+    assert save(figures["limits-cover"], tmp_path)[0].stat().st_size > 5000
+
+
+def test_jobs_have_keys_of_their_own_and_check_with_pictures():
+    whole = jobs(WHOLE)
+    assert len({job.key for job in whole}) == len(whole) > len(jobs(QUICK))
+    assert sum(job.key.endswith("-filmed") for job in whole) == 2
+    assert {f"again-{fps:g}-0" for fps in RATES} < {job.key for job in whole}
+    assert set(TRACKERS) < set(WHO)

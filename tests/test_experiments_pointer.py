@@ -1,0 +1,202 @@
+"""The resampled pointer: what it is measured by against independent truth, and pages from given results."""
+
+import numpy as np
+import pytest
+
+from spheremouse.experiments import pointer
+from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments.pointer import (
+    DEFAULT,
+    EXACT,
+    MORE,
+    NONE,
+    STOPPED,
+    WAYS,
+    ZERO,
+    Path,
+    jobs,
+    latency,
+    section,
+    settings,
+)
+from spheremouse.experiments.report import write_report
+from spheremouse.motion import MotionSettings
+from spheremouse.pointer import PointerSettings
+from spheremouse.simulate.profile import Gestures, play, stroke
+
+WHOLE = Request(False, None)
+MATRIX = MotionSettings().matrix(0.6)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return play(9.0, np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def told(motion):
+    """At 30 Hz, without a tracker's errors."""
+    return pointer.exact(motion, np.arange(1.0, 270.0) / 30.0, MATRIX)
+
+
+@pytest.fixture(scope="module")
+def true(motion):
+    return pointer.ball(motion, 8.9, MATRIX)
+
+
+def shifted(true, seconds):
+    return np.stack([np.interp(true.t - seconds, true.t, true.place[:, k]) for k in range(3)], axis=1)
+
+
+def test_the_path_is_that_of_the_counts(motion, told, true):
+    sums = np.cumsum(told.counts, axis=0)
+    at = np.stack([np.interp(told.stamp, true.t, true.place[:, k]) for k in range(3)], axis=1)
+    kept = told.stamp < true.t[-1]
+    turned = np.array([[0.5, 0.5, 0.5]])  # half a count of rounding, and turns that do not commute
+    assert np.all(np.abs(sums - at)[kept] < turned + 0.01 * np.abs(at).max())
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0137, 0.08])
+def test_a_delay_is_found_to_a_millisecond(true, late):
+    assert pointer.delay(shifted(true, late), true) == pytest.approx(1e3 * late, abs=1.0)
+
+
+def test_no_motion_has_no_delay(true):
+    still = Path(true.t, np.zeros_like(true.place))
+    assert pointer.delay(still.place, still) is None
+
+
+def test_without_resampling_counts_come_as_frames_arrive(told, true):
+    shown = pointer.pointer(told, 30.0, None, true.t)
+    k = 100
+    arrival = told.stamp[k] + latency(30.0)
+    after = int(np.searchsorted(true.t, arrival + 1e-6))
+    assert np.array_equal(shown[after], told.counts[: k + 1].sum(axis=0))
+    assert np.array_equal(shown[after - 1], told.counts[:k].sum(axis=0))
+
+
+def test_a_horizon_of_zero_is_no_resampling(told, true):
+    a, b = (pointer.pointer(told, 30.0, way, true.t) for way in (None, settings(ZERO, 30.0)))
+    assert np.array_equal(a, b)
+
+
+def test_without_resampling_the_pointer_is_late_by_latency_and_half_a_frame(told, true):
+    shown = pointer.pointer(told, 30.0, None, true.t)
+    expected = 1e3 * (latency(30.0) + 0.5 / 30.0)
+    assert pointer.measured(shown, true, 1.2)["delay"] == pytest.approx(expected, abs=2.0)
+
+
+def test_prediction_brings_the_pointer_nearer_and_smoother(told, true):
+    bare, led = (
+        pointer.measured(pointer.pointer(told, 30.0, way, true.t), true, 1.2) for way in (None, PointerSettings())
+    )
+    assert led["off"] < 0.4 * bare["off"]
+    assert led["rough"] < 0.4 * bare["rough"]
+    assert abs(led["delay"]) < 0.2 * bare["delay"]
+
+
+def test_distance_and_roughness_are_what_they_say():
+    t = 0.004 * np.arange(200.0)
+    true = Path(t, np.zeros((200, 3)))
+    shown = np.zeros((200, 3))
+    shown[:, 0] = np.where(np.arange(200) % 2, 1.0, -1.0)
+    found = pointer.measured(shown, true, 0.1)
+    assert found["off"] == pytest.approx(1.0)
+    assert found["rough"] == pytest.approx(4.0 / np.sqrt(3.0))
+
+
+def test_the_exact_pointer_overshoots_a_stop_by_at_most_its_horizon():
+    push = stroke(0.3, (1.0, 0.0, 0.0), 7.0, up=0.12, hold=0.25, down=0.05)
+    moving = Gestures((push,), 1.3)
+    told = pointer.exact(moving, np.arange(1.0, 39.0) / 30.0, MATRIX)
+    true = pointer.ball(moving, 1.3, MATRIX)
+    beyond = {
+        way: (pointer.pointer(told, 30.0, None if way == NONE else settings(way, 30.0), true.t) - true.place[-1]).max()
+        for way in WAYS
+    }
+    assert beyond[NONE] < 1.0
+    assert beyond[pointer.ONE] < beyond[DEFAULT] < 7.0 * 600.0 * PointerSettings().horizon
+
+
+def test_so3_plays_nearly_as_well_as_exact_attitudes():
+    found = pointer.played(30.0, 0, 5.0, False, True)
+    assert found["tracked"] > 0.99
+    assert found["apart"] == 0.0
+    assert found[DEFAULT]["off"] < 1.5 * found[EXACT]["off"]
+    assert found["true rough"] < found["whole rough"] < found[DEFAULT]["rough"] < found[NONE]["rough"]
+    assert found["more"]["smooth 0"]["rough"] > found["more"]["default"]["rough"]
+
+
+# ---- sections ----
+
+
+def play_of(off):
+    row = {"off": off, "rough": 0.9, "delay": 2.0}
+    found = dict.fromkeys((*WAYS, EXACT), row)
+    found |= {NONE: {"off": 10.0 * off, "rough": 9.0, "delay": 74.0}}
+    return {**found, "true rough": 0.03, "whole rough": 0.66, "apart": 0.0, "tracked": 1.0}
+
+
+def stop_of(beyond):
+    t = np.arange(0.0, 1.3, 0.004)
+    found = {way: {f"{d:g}": [beyond, 3.0 * beyond] for d in STOPPED} | {"path": t.tolist()} for way in WAYS}
+    found[NONE] = {f"{d:g}": [0.0, 0.3 * beyond] for d in STOPPED} | {"path": t.tolist()}
+    return {**found, "t": t.tolist(), "true": t.tolist(), "end": 0.7}
+
+
+def given():
+    return {
+        "play-30-0": {**play_of(8.0), "more": dict.fromkeys(MORE, play_of(8.0)[DEFAULT])},
+        "play-30-1": play_of(12.0),
+        "play-120-0": play_of(3.0),
+        "film-30-0": play_of(9.0),
+        "stop-30": stop_of(200.0),
+        "stop-120": stop_of(20.0),
+        "play-240-0": {"error": "too little memory"},
+    }
+
+
+def test_a_section_has_figures_tables_advice_and_what_failed(tmp_path):
+    found = section(WHOLE, given())
+    page = write_report(tmp_path, {"pointer": (pointer.TITLE, found)}, "x")[0].read_text()
+    names = [part.name for part in found.parts if isinstance(part, Figure)]
+    assert names == ["pointer", "pointer-stop"]
+    assert all((tmp_path / "experiments" / f"{n}-light.svg").stat().st_size > 5000 for n in names)
+    first, more, stops = (part for part in found.parts if isinstance(part, Table))
+    assert first.rows[0] == ("30", NONE, "74", "100.0", "9.00")
+    assert first.rows[2] == ("30", DEFAULT, "2", "10.0", "0.90")
+    assert len(more.rows) == len(MORE)
+    assert stops.rows[0][:3] == ("30", "30 (60)", "400 (600)")
+    assert "play-240-0: too little memory" in page
+    assert "takes the delay from 74 to 2 ms and the roughness to 1/10" in page
+    assert "within 5 counts of the ball (RMS) from 120 Hz on" in page
+    assert "reaches to the next frame from 30 Hz on" in page
+    assert "default: 9.0 counts from the ball and roughness 0.90 (without pictures 8.0 and 0.90)" in page
+    assert "did not hold" not in page
+    assert "by up to 60 counts at 30 Hz. There" in page
+    assert "path" not in str(found.figures["stop-30"])
+
+
+def test_a_section_of_nothing_is_still_a_page():
+    assert section(WHOLE, {}).parts
+    failed = {job.key: {"error": "too dark"} for job in jobs(WHOLE)}
+    text = "\n".join(p for p in section(WHOLE, failed).parts if isinstance(p, str))
+    assert text.count("too dark") == len(failed)
+
+
+def test_a_tracker_that_did_not_follow_is_said():
+    found = section(WHOLE, {"play-30-0": {**play_of(8.0), "tracked": 0.9}})
+    assert "part of the frames of play-30-0 (10 %)" in str(found.parts)
+
+
+def test_a_delay_that_is_not_found_is_said():
+    one = play_of(8.0)
+    one[DEFAULT] = {**one[DEFAULT], "delay": None}
+    found = section(WHOLE, {"play-30-0": one})
+    (table,) = [part for part in found.parts if isinstance(part, Table)]
+    assert ("30", DEFAULT, "none found", "8.0", "0.90") in table.rows
+
+
+def test_jobs_have_keys_of_their_own():
+    whole = jobs(WHOLE)
+    assert len({job.key for job in whole}) == len(whole) > len(jobs(Request(True, None)))
