@@ -14,9 +14,10 @@ DEMO_ARGS ?=
 SYSTEM_TEST_ARGS ?=
 SOAK_ARGS ?=
 FUZZ_ARGS ?=
+EXPERIMENTS_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo picture test lint format docs system-test soak fuzz clean
+.PHONY: help demo picture test lint format docs experiments system-test soak fuzz clean
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
@@ -25,6 +26,7 @@ help:
 	@echo "make format       bring the code into the format that make lint asks for"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
 	@echo "make picture      the picture of the README, made anew from the demo"
+	@echo "make experiments  docs/experiments.md anew (an hour); EXPERIMENTS_ARGS='--datasets DIR' adds the recordings"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
 	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
 	@echo "make fuzz         broken input of every kind; FUZZ_ARGS=... chooses how much"
@@ -54,6 +56,9 @@ docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -E -q -b html docs docs/_build/html
 	$(BIN)/python -m sphinx -W --keep-going -E -q -b doctest docs docs/_build/doctest
 	@echo "docs: examples run, site in docs/_build/html/index.html"
+
+experiments: $(STAMP)
+	$(BIN)/spheremouse experiments --out docs $(EXPERIMENTS_ARGS)
 
 system-test: $(STAMP)
 	@test -x tests/system/run || { echo "make: tests/system/run does not exist: no system test yet" >&2; exit 2; }

@@ -14,5 +14,12 @@ NAMES = (
     "near_far",
     "light",
     "renderer",
+    "viewing",
+    "mistakes",
+    "discs",
+    "targets",
+    "places",
+    "limits",
+    "pointer",
     "wand",
 )  # in the report's order

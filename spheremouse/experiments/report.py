@@ -22,6 +22,12 @@ def write_report(out: Path, sections: Mapping[str, tuple[str, Section]], command
         "",
         f"Made by `{command}`, spheremouse {__version__}. Values of the theses are typed in; all others come from the "
         "run, and so do the figures.",
+        "",
+        "`ekf1` and `ekf2` are the filters of Wittich 2017 as published, with our detector unless it says otherwise; "
+        "`so3` is ours, the default. RMSE: root mean square error; attitude as a rotation vector, relative to the "
+        "first frame; combined: of all three axes together. The bound is the posterior Cramér-Rao bound: what the best "
+        "filter could reach with the centres of discs that `so3` measured ([accuracy](accuracy.md)). What failed is a "
+        "row that says so.",
     ]
     for name, (title, section) in sections.items():
         lines += ["", f"({name})=", f"## {title}", ""]

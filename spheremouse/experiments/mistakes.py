@@ -1,0 +1,631 @@
+"""A calibration that is wrong: lens distortion left uncorrected, an evening with a tape measure and a good eye.
+
+What it does to attitude and rate, and to the mouse: its scale, its direction, and what no setting puts right. Wittich
+2017, sections 4.10 and 5, holds that markers placed by eye and distances taken by tape do.
+"""
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from spheremouse.camera import project_sphere
+from spheremouse.errors import PoseError
+from spheremouse.evaluate.metrics import Run, surface_travel
+from spheremouse.experiments import kit, sights
+from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.report import failures
+from spheremouse.experiments.viewing import (
+    COLOURS,
+    SHARE,
+    brief,
+    filmed,
+    is_lost,
+    label_ends,
+    least,
+    moved,
+    plain_numbers,
+    suited,
+)
+from spheremouse.rig import Rig
+from spheremouse.rotation import Array, log
+from spheremouse.simulate.truth import Truth
+
+TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"
+
+TRACKERS = kit.TRACKERS
+FREE = "so3, no lift"  # not asked whether the ball was lifted off its bearings
+TOLD = "so3, told"  # how uncertain the lengths are
+STRAIGHT = 2.0  # °, a pointer that goes where the hand pushes
+STEADY = 100.0 * SHARE  # %, of the motion, that is neither scale nor direction
+EVENING = {"focal": 0.03, "principal": 6.0, "radius": 0.002, "centre": 0.01, "targets": 0.003}  # m, px; 1 sigma
+_LENS = 0.1  # −k1 of an evening
+_SHORTEST, _NARROW = 10, 0.1  # frames, and share of the turns about other axes, from which a scale is told
+_QUICKLY = "pose.frames=5"  # the film's first frames show the same
+_PER_UNIT = {"focal": 1e2, "radius": 1e3, "centre": 1e3, "targets": 1e3, "lens": 1.0, "evening": 1.0}  # SI to the axis
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A mistake; values in SI units."""
+
+    name: str
+    title: str
+    label: str  # of the axis
+    unit: str
+    whole: tuple[float, ...]
+    quick: tuple[float, ...]
+    draws: int  # how often at each value, where chance decides
+    log: bool
+    typical: float
+    bears: str  # for the advice
+
+
+KINDS = {
+    k.name: k
+    for k in (
+        Kind(
+            "focal", "Focal length", "focal length, %", "%", (-0.1, -0.05, -0.02, -0.01, 0.01, 0.02, 0.05, 0.1),
+            (0.05,), 1, False, 0.05, "a focal length off by {} %",
+        ),
+        Kind(
+            "radius", "Radius", "radius, mm", "mm",
+            (-0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02), (0.01,), 1, False, 0.01,
+            "a radius off by {} mm",
+        ),
+        Kind(
+            "centre", "Ball's centre", "centre, mm", "mm", (0.001, 0.002, 0.005, 0.01, 0.02), (0.01,), 2, True, 0.01,
+            "a centre off by {} mm",
+        ),
+        Kind(
+            "targets", "Targets", "targets, mm", "mm", (0.0005, 0.001, 0.002, 0.005, 0.01), (0.005,), 2, True, 0.005,
+            "targets off by {} mm in each coordinate",
+        ),
+        Kind("lens", "Lens", "lens, −k1", "", (0.01, 0.025, 0.05, 0.1, 0.2), (0.1,), 1, True, 0.1,
+            "an uncorrected lens with k1 = −{}"),
+        Kind(
+            "evening", "A whole evening", "errors, times those of an evening", "evenings", (0.1, 0.25, 0.5, 1.0, 2.0),
+            (1.0,), 4, True, 1.0, "{} times an evening's errors",
+        ),
+    )
+}  # fmt: skip
+ALONE = ("focal", "radius", "centre", "targets", "lens")
+
+
+_TOGETHER = {"camera": ("focal", "radius"), "places": ("centre", "targets")}  # in a job
+
+
+def jobs(request: Request) -> list[Job]:
+    """Films through a right lens, by many wrong rigs each; and one per strength of a lens, with its evenings."""
+    seeds, seconds = ((1,), 1.5) if request.quick else ((1, 2), 3.5)
+    groups = {"alone": ALONE[:-1]} if request.quick else _TOGETHER
+    found = []
+    for seed in seeds:
+        what = {"seed": seed, "seconds": seconds}
+        for group, names in groups.items():
+            many = {name: _tried(KINDS[name], request) for name in names}
+            found.append(Job(f"{group}-{seed}", with_mistakes, {**what, "mistakes": many}, cost=_cost(seconds, many)))
+        for k1 in _tried(KINDS["lens"], request)[0]:
+            many = {"lens": ([k1], 1), "evening": ([k1 / _LENS], _tried(KINDS["evening"], request)[1])}
+            parameters = {**what, "mistakes": many, "k1": k1}
+            found.append(Job(f"lens-{k1:g}-{seed}", with_mistakes, parameters, cost=_cost(seconds, many)))
+    return found
+
+
+Tried = tuple[list[float], int]  # values, and draws of each
+
+
+def _tried(kind: Kind, request: Request) -> Tried:
+    return (list(kind.quick), 1) if request.quick else (list(kind.whole), kind.draws)
+
+
+def _cost(seconds: float, mistakes: dict[str, Tried]) -> float:
+    """s, about: the film, and the rigs of which the right one is the first."""
+    return 2.5 + 0.5 * seconds * (2 + sum(len(values) * draws for values, draws in mistakes.values()))
+
+
+# ---- wrong rigs ----
+
+
+def wrong(rig: Rig, mistake: str, value: float, draw: int) -> Rig:
+    """The rig with a mistake of a size; where chance decides, `draw` is its seed. Nothing says that it is wrong."""
+    rng = np.random.default_rng([draw, sorted(KINDS).index(mistake)])
+    if mistake == "focal":
+        return _off(rig, focal=value)
+    if mistake == "radius":
+        return _off(rig, radius=value)
+    if mistake == "centre":
+        direction = rng.standard_normal(3)
+        return _off(rig, centre=value * direction / np.linalg.norm(direction))
+    if mistake == "targets":
+        return _off(rig, targets=value * rng.standard_normal(rig.targets.position.shape))
+    flat = replace(rig, camera=replace(rig.camera, distortion=np.zeros(5)))
+    if mistake == "lens":
+        return flat
+    assert mistake == "evening", mistake
+    e = {name: value * sigma for name, sigma in EVENING.items()}
+    return _off(
+        flat,
+        focal=e["focal"] * float(rng.standard_normal()),
+        principal=e["principal"] * rng.standard_normal(2),
+        radius=e["radius"] * float(rng.standard_normal()),
+        centre=e["centre"] * rng.standard_normal(3),
+        targets=e["targets"] * rng.standard_normal(rig.targets.position.shape),
+    )
+
+
+def _off(
+    rig: Rig,
+    *,
+    focal: float = 0.0,
+    principal: Array | None = None,
+    radius: float = 0.0,
+    centre: Array | None = None,
+    targets: Array | None = None,
+) -> Rig:
+    """`focal` a share; `radius` m; `principal` (2,) px; `centre` (3,) m, of the ball; `targets` (n, 3) m.
+
+    A centre in the wrong place is all targets in the wrong place: positions count from it.
+    """
+    c, t = rig.camera, rig.targets
+    x, y = (0.0, 0.0) if principal is None else principal
+    camera = replace(c, fx=c.fx * (1.0 + focal), fy=c.fy * (1.0 + focal), cx=c.cx + float(x), cy=c.cy + float(y))
+    position = t.position - (0.0 if centre is None else centre) + (0.0 if targets is None else targets)
+    ball = replace(rig.ball, radius=rig.ball.radius + radius)
+    return replace(rig, camera=camera, ball=ball, targets=replace(t, position=position))
+
+
+def told(rig: Rig, value: float) -> Rig:
+    """An evening's rig that says how uncertain its lengths are; of the focal length it cannot."""
+    e, n = {name: value * sigma for name, sigma in EVENING.items()}, len(rig.targets.position)
+    own, common = np.eye(3 * n), np.kron(np.ones((n, n)), np.eye(3))
+    covariance = np.diag([0.0, 0.0, 0.0, e["radius"] ** 2])
+    targets = replace(rig.targets, covariance=e["targets"] ** 2 * own + e["centre"] ** 2 * common)
+    return replace(rig, ball=replace(rig.ball, covariance=covariance), targets=targets)
+
+
+# ---- films ----
+
+
+def with_mistakes(seed: int, seconds: float, mistakes: dict[str, Tried], k1: float = 0.0) -> Result:
+    """One film by many wrong rigs, each with the pose that it finds. `k1`: of the film's lens, a barrel."""
+    film = filmed({"dist": [-k1, 0.0, 0.0, 0.0, 0.0]}, seed, seconds)
+    found: Result = {}
+    for name, (values, draws) in mistakes.items():
+        cells: Result = {}
+        for value in values:
+            rigs = [wrong(film.rig, name, value, 100 * seed + k) for k in range(draws)]
+            say = [told(rig, value) if name == "evening" else None for rig in rigs]
+            cells[f"{value:g}"] = [followed(film, rig, more) for rig, more in zip(rigs, say, strict=True)]
+        found[name] = cells
+    return {"mistakes": found, **_right(film), "edge": at_edge(film, k1)}
+
+
+def at_edge(film: kit.Film, k1: float) -> float:
+    """Pixels by which the lens moves the outline of the ball, mean."""
+    pose = film.truth.pose
+    assert pose is not None, "a film made here knows where the camera stands"
+    centre, shape = project_sphere(pose.to_cam(film.rig.ball.centre), film.rig.ball.radius)
+    angle = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    outline = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
+    return float(np.mean(film.rig.camera.fx * k1 * np.linalg.norm(outline, axis=1) ** 3))
+
+
+def _right(film: kit.Film) -> Result:
+    """What the right rig makes of a film, and the bound."""
+    tracked = kit.tracked(film, kit.settings_of())
+    assert film.truth.motion is not None, "a film made here knows its motion"
+    return {
+        "right": followed(film, film.rig),
+        "bound": least(kit.bound(film, tracked)),
+        "moved": moved(film.truth.motion),
+    }
+
+
+def followed(film: kit.Film, rig: Rig, more: Rig | None = None) -> Result:
+    """A film by all trackers with a rig that may be wrong, by `so3` with `more` as well; a pose that is not found says
+    so. The truth is that of the film."""
+    truth, radius = film.truth, film.rig.ball.radius
+    assert truth.motion is not None, "a film made here knows its motion"
+    try:
+        seen = sights.look_at(replace(film, rig=rig), kit.settings_of(["tracker=ekf2", _QUICKLY]))
+    except PoseError as e:
+        return {"error": str(e)}
+    runs = {
+        name: sights.filtered(seen, kit.settings_of([f"tracker={name}", suited(truth.motion)]), film)
+        for name in TRACKERS
+        if name != "so3"
+    }
+    there = replace(rig, pose=seen.pose)
+    runs["so3"] = kit.tracked(film, kit.settings_of(), rig=there).run
+    runs[FREE] = kit.tracked(film, kit.settings_of(["bearing.lifted=1.0"]), rig=there).run
+    if more is not None:
+        with suppress(PoseError):  # then it has no row
+            runs[TOLD] = kit.tracked(film, kit.settings_of([_QUICKLY]), rig=more).run
+    rows: Result = {}
+    for name, run in runs.items():
+        moves = mouse(run, truth.motion, rig.ball.radius, radius)
+        rows[name] = {**brief(sights.errors(run, truth, radius)), **(moves or {})}
+    return {"rows": rows}
+
+
+def mouse(run: Run, motion: Truth, assumed: float, true: float) -> dict[str, float] | None:
+    """What becomes of the pointer: `sent` = A `made`, (2, 3), by least squares over the frames that were tracked.
+
+    `scale`: how much faster it goes, %, mean of both axes. `direction`: by how many degrees it goes astray, in the
+    worst direction. `spin`: % of the turn about the vertical that gets into it. `wobble`: what A does not explain, % of
+    the motion: no setting of scale or axes removes it. Radii in m: `assumed` is that by which it was sent.
+    """
+    k = run.tracked
+    k = k[np.isin(k - 1, k)]
+    if len(k) < _SHORTEST:
+        return None
+    R = motion.attitude
+    made = log(R[run.frame[k]] @ R[run.frame[k - 1]].transpose(0, 2, 1))
+    return _compared(surface_travel(run.rotation[k], assumed), 1e3 * true * made[:, [2, 0, 1]])
+
+
+def _compared(sent: Array, made: Array) -> dict[str, float] | None:
+    """`sent` (n, 2) mm of the pointer, `made` (n, 3) mm: across, along, spin."""
+    spread = np.linalg.svd(made, compute_uv=False)
+    if spread[-1] <= _NARROW * spread[0]:
+        return None  # turns about one axis, or none, are left: little is told of the others
+    A = np.linalg.lstsq(made, sent, rcond=None)[0].T
+    M, left = A[:, :2], sent - made @ A.T
+    if np.linalg.det(M) <= 0.0:
+        return None
+    angle = np.linspace(0.0, np.pi, 180, endpoint=False)
+    u = np.stack([np.cos(angle), np.sin(angle)])
+    v = M @ u
+    astray = np.degrees(np.arctan2(u[0] * v[1] - u[1] * v[0], np.sum(u * v, axis=0)))
+    return {
+        "scale": 100.0 * float(np.sqrt(np.linalg.det(M)) - 1.0),
+        "direction": float(np.max(np.abs(astray))),
+        "spin": 100.0 * float(np.linalg.norm(A[:, 2])),
+        "wobble": 100.0 * float(np.linalg.norm(left) / np.linalg.norm(made[:, :2])),
+    }
+
+
+# ---- for a reader ----
+
+
+def section(request: Request, results: Results) -> Section:
+    """Each mistake alone, all together, and what may be off by how much."""
+    found = {name: points(results, kind) for name, kind in KINDS.items()}
+    films = [r for r in results.values() if "error" not in r]
+    parts: list[str | Table | Figure] = [_intro(films)]
+    alone = {name: found[name] for name in ALONE if found[name]}
+    if alone:
+        parts += [
+            "### Each mistake alone",
+            _said_of_alone(alone, _edges(results)),
+            _figure("mistakes-errors", alone, ("attitude", "rate"), films),
+            _figure("mistakes-mouse", alone, ("scale", "direction", "wobble"), films),
+            *[_table(KINDS[name], cells) for name, cells in alone.items()],
+        ]
+    if found["evening"]:
+        parts += [
+            "### A whole evening",
+            _said_of_evening(found["evening"]),
+            _figure_evening(found["evening"], [f for k, f in _films(results) if k.startswith("lens")]),
+            _table(KINDS["evening"], found["evening"]),
+        ]
+    if any(found.values()):
+        parts.append(_advice(found))
+    failed = failures(results)
+    if failed:
+        parts.append("Failed:\n\n" + "\n".join(failed))
+    return Section(tuple(p for p in parts if p), dict(results))
+
+
+def _films(results: Results) -> Iterable[tuple[str, Result]]:
+    return ((key, r) for key, r in results.items() if "error" not in r)
+
+
+def _edges(results: Results) -> dict[float, float]:
+    """By k1: pixels at the edge of the ball."""
+    return {float(key.split("-")[1]): r["edge"] for key, r in _films(results) if key.startswith("lens-")}
+
+
+def points(results: Results, kind: Kind) -> dict[float, list[Result]]:
+    """By value, ascending: what each wrong rig gave."""
+    found: dict[float, list[Result]] = {}
+    for _, result in _films(results):
+        for word, cells in result["mistakes"].get(kind.name, {}).items():
+            found.setdefault(float(word), []).extend(cells)
+    return dict(sorted(found.items()))
+
+
+def _intro(films: list[Result]) -> str:
+    said = (
+        "The far camera, 26 discs, 30 frames per second, turns about one axis after the other, `ekf1` and `ekf2` told "
+        "the true acceleration, as in the section before. The film is right, the rig is wrong: the "
+        "camera's pose is found with what it says, and everything after that. The pointer's motion that was sent is "
+        "compared with the true one: how much faster it goes (scale), how far astray in the worst direction "
+        "(direction), and the part that neither explains (wobble), which no setting puts right. Scale is a matter of "
+        "taste, and `spheremouse match` sets it."
+    )
+    right = [f["right"]["rows"]["so3"] for f in films if "error" not in f["right"]]
+    known = [r for r in right if "scale" in r]
+    if known:
+        middle = {q: float(np.median([abs(r[q]) for r in known])) for q in ("scale", "direction", "wobble")}
+        said += (
+            f" With the right rig `so3` has a scale off by {middle['scale']:.2f} %, goes astray by "
+            f"{middle['direction']:.2f}° and wobbles by {middle['wobble']:.2f} % (medians of {len(known)} films)."
+        )
+    return said
+
+
+def _rows(cells: list[Result], who: str) -> list[Result | None]:
+    """Of each wrong rig; None where there is no pose."""
+    return [None if "error" in c else c["rows"].get(who) for c in cells]
+
+
+def values(cells: list[Result], who: str, what: str) -> list[float]:
+    """Of the rigs that have one; a scale without its sign."""
+    return [abs(r[what]) for r in _rows(cells, who) if r is not None and r.get(what) is not None]
+
+
+def median(cells: list[Result], who: str, what: str) -> float | None:
+    """Over the rigs that have one."""
+    found = values(cells, who, what)
+    return float(np.median(found)) if found else None
+
+
+def lost(cells: list[Result], who: str) -> int:
+    """With how many rigs: no pose, or the tracker said so, or an attitude that is far off."""
+    return sum(r is None or is_lost(r) for r in _rows(cells, who))
+
+
+def held(cells: list[Result], who: str) -> float | None:
+    """Share of the frames that were tracked, over the rigs with a pose."""
+    rows = [r for r in _rows(cells, who) if r is not None]
+    return sum(r["tracked"] for r in rows) / sum(r["frames"] for r in rows) if rows else None
+
+
+def bears(cells: list[Result], who: str) -> bool:
+    """The pointer goes where it is pushed with each of these rigs, and steadily."""
+    for row in _rows(cells, who):
+        if row is None or row["lost"] or row.get("direction") is None:
+            return False
+        if row["direction"] > STRAIGHT or row["wobble"] > STEADY:
+            return False
+    return True
+
+
+def limit_of(found: dict[float, list[Result]], who: str) -> float | None:
+    """The largest size, either way, up to which all rigs do; None where the least does not."""
+    last = None
+    for size in sorted({abs(v) for v in found}):
+        cells = [c for v, here in found.items() if abs(v) == size for c in here]
+        if not bears(cells, who):
+            break
+        last = size
+    return last
+
+
+def _shown(kind: Kind, value: float) -> str:
+    return f"{_PER_UNIT[kind.name] * value:g}"
+
+
+def _who(kind: Kind) -> tuple[str, ...]:
+    return (*TRACKERS, FREE, TOLD) if kind.name == "evening" else (*TRACKERS, FREE)
+
+
+def _table(kind: Kind, found: dict[float, list[Result]]) -> Table:
+    who = _who(kind)
+    rows = []
+    for value, cells in found.items():
+        row = [_shown(kind, value), str(len(cells))]
+        for what, digits in (("attitude", 2), ("rate", 1), ("scale", 1), ("direction", 1), ("wobble", 1)):
+            texts = [median(cells, name, what) for name in who]
+            row.append(", ".join("–" if x is None else f"{x:.{digits}f}" for x in texts))
+        row.append(", ".join(str(lost(cells, name)) for name in who))
+        shares = [held(cells, name) for name in who]
+        row.append(", ".join("–" if x is None else f"{100.0 * x:.0f}" for x in shares))
+        rows.append(tuple(row))
+    head = (
+        kind.label,
+        "rigs",
+        *("attitude, °", "rate, °/s", "scale off by, %", "astray by, °", "wobble, %", "lost", "frames tracked, %"),
+    )
+    return Table(head, tuple(rows), f"{kind.title}: medians of {', '.join(f'`{w}`' for w in who)}")
+
+
+def _said_of_alone(alone: dict[str, dict[float, list[Result]]], edges: dict[float, float]) -> str:
+    said = []
+    for name, found in alone.items():
+        kind = KINDS[name]
+        value = kind.typical if kind.typical in found else max(found)
+        cells = found[value]
+        what = f"{kind.title.lower()} {_shown(kind, value)}{f' {kind.unit}' if kind.unit else ''}"
+        if name == "lens":
+            what = f"lens with k1 = −{value:g}" + (
+                f" ({edges[value]:.1f} px at the ball's edge)" if value in edges else ""
+            )
+        elif not kind.log:
+            what += " too large"
+        rows = [r for r in _rows(cells, FREE) if r is not None and "scale" in r]
+        if not rows:
+            said.append(f"{what}: no pose, or the ball is lost")
+            continue
+        scale = float(np.median([r["scale"] for r in rows]))
+        rest = {q: float(np.median([r[q] for r in rows])) for q in ("attitude", "direction", "wobble")}
+        said.append(
+            f"{what}: scale {scale:+.1f} %, direction {rest['direction']:.1f}°, wobble {rest['wobble']:.1f} %, "
+            f"attitude {rest['attitude']:.2f}°"
+        )
+    every = [c for found in alone.values() for cells in found.values() for c in cells]
+    times = {who: sum(r is not None and r["lost"] > 0 for r in _rows(every, who)) for who in ("ekf2", "so3", FREE)}
+    return (
+        "`so3` takes a rig for right: where discs do not turn about the centre that it says, the ball counts as "
+        f"lifted off its bearings, and nothing is sent until they do. Of the {len(every)} wrong rigs it loses the ball "
+        f"with {times['so3']}; `{FREE}`, the same with `bearing.lifted=1`, with {times[FREE]}; `ekf2`, which does not "
+        f"ask, with {times['ekf2']}. Errors are those of the frames tracked: a filter that stops is not made worse by "
+        f"it. What `{FREE}` makes of mistakes that are easily made (medians): " + "; ".join(said) + "."
+    )
+
+
+def _said_of_evening(found: dict[float, list[Result]]) -> str:
+    one = found.get(1.0)
+    e = EVENING
+    said = (
+        f"Everything at once: the focal length from a data sheet ({e['focal']:.0%}), the principal point in the "
+        f"picture's middle ({e['principal']:g} px), a tape around the ball (radius to {1e3 * e['radius']:g} mm), its "
+        f"centre ({1e3 * e['centre']:g} mm) and the targets ({1e3 * e['targets']:g} mm in each coordinate) by tape "
+        f"and eye, standard deviations all, and a lens with k1 = −{_LENS:g} of which "
+        "nothing is known. `so3, told` has a rig that says how uncertain the lengths are."
+    )
+    if one is None:
+        return said
+    n = len(one)
+    for who in ("ekf2", "so3", FREE, TOLD):
+        middle = {q: median(one, who, q) for q in ("scale", "direction", "wobble", "attitude")}
+        if any(v is None for v in middle.values()):
+            said += f" After such an evening `{who}` tracks nothing."
+            continue
+        said += (
+            f" After such an evening `{who}` has, at the median of {n}, a scale off by {middle['scale']:.1f} %, goes "
+            f"astray by {middle['direction']:.1f}°, wobbles by {middle['wobble']:.1f} %, and has an attitude off by "
+            f"{middle['attitude']:.2f}°; it loses the ball in {lost(one, who)}."
+        )
+    fine = ", ".join(f"{sum(bears([c], who) for c in one)} (`{who}`)" for who in _who(KINDS["evening"]))
+    return said + (
+        f" The pointer is straight (to {STRAIGHT:g}°) and steady (to {STEADY:g} %), and the ball never lost, after so "
+        f"many of the {n} evenings: {fine}. The "
+        "thesis holds that markers placed by eye and distances taken by tape are accurate enough, and that the scale "
+        "does not matter for the device; there a bundle adjustment of photos comes after the tape, here nothing does."
+    )
+
+
+def _advice(found: dict[str, dict[float, list[Result]]]) -> str:
+    """By how much one may be off."""
+    said = []
+    for who in ("so3", FREE):
+        may, not_even = [], []
+        for name, cells in found.items():
+            kind = KINDS[name]
+            if cells:
+                size = limit_of(cells, who)
+                shown = _shown(kind, min(abs(v) for v in cells) if size is None else size)
+                (not_even if size is None else may).append(kind.bears.format(shown))
+        does = f"bears {', '.join(may)}" if may else ""
+        does_not = f"does not bear even {', '.join(not_even)}" if not_even else ""
+        said.append(f"`{who}` " + " and ".join(part for part in (does, does_not) if part))
+    return (
+        f"For a device: if the pointer is to go straight (to {STRAIGHT:g}°) and steadily (to {STEADY:g} %) and the "
+        f"ball is never to be lost with any of the rigs tried, {'; '.join(said)}. What is beyond that is what "
+        "`spheremouse calibrate` is for."
+    )
+
+
+# ---- figures ----
+
+_LABELS = {
+    "attitude": "attitude, °",
+    "rate": "rate, °/s",
+    "scale": "scale off by, %",
+    "direction": "astray by, °",
+    "wobble": "wobble, %",
+}
+_COLOUR = {**COLOURS, FREE: "C5", TOLD: "C3"}
+_MARK = {"ekf1": "s", "ekf2": "D", "so3": "o", FREE: "^", TOLD: "v"}
+_DASH: dict[str, Any] = {"ekf1": "-", "ekf2": (0, (5, 1.5)), "so3": "-", FREE: (0, (1.5, 1)), TOLD: (0, (5, 1.5))}
+
+
+def _bound(films: list[Result], what: str) -> float | None:
+    known = [f["bound"][what] for f in films if f["bound"] is not None and what in f["bound"]]
+    return float(np.median(known)) if known else None
+
+
+def _figure(
+    name: str, found: dict[str, dict[float, list[Result]]], quantities: tuple[str, ...], films: list[Result]
+) -> Figure:
+    def draw(canvas: Any) -> None:
+        grid = canvas.subplots(len(quantities), len(found), sharey="row", squeeze=False)
+        for i, (row, what) in enumerate(zip(grid, quantities, strict=True)):
+            for ax, (mistake, cells) in zip(row, found.items(), strict=True):
+                ends = _panel(ax, KINDS[mistake], cells, what, films)
+                ax.set_yscale("log")
+                if ax is row[-1]:
+                    label_ends(ax, ends, gap=0.11)
+                ax.set_xlabel(KINDS[mistake].label if i == len(quantities) - 1 else "")
+                ax.tick_params(labelsize=7.5)
+            row[0].set_ylabel(_LABELS[what])
+            plain_numbers(row[0].yaxis)
+
+    words = {"attitude": "attitude and rate", "scale": "the mouse: scale, direction, wobble"}[quantities[0]]
+    least_possible = " Dotted: the Cramér-Rao bound with the right rig." if quantities[0] == "attitude" else ""
+    return Figure(
+        name,
+        f"One mistake at a time; errors of {words}, medians of the wrong rigs, crosses where at least one loses the "
+        f"ball or finds no pose.{least_possible}",
+        draw,
+        (7.2, 1.4 + 1.3 * len(quantities)),
+    )
+
+
+def _figure_evening(found: dict[float, list[Result]], films: list[Result]) -> Figure:
+    def draw(canvas: Any) -> None:
+        grid = canvas.subplots(2, 3)
+        panels = ("attitude", "rate", "scale", "direction", "wobble")
+        for ax, what in zip(grid.ravel(), panels, strict=False):
+            ends = _panel(ax, KINDS["evening"], found, what, films, span=True)
+            ax.set(yscale="log", ylabel=_LABELS[what])
+            plain_numbers(ax.yaxis)
+            label_ends(ax, ends, gap=0.11)
+        grid[1, 2].set_axis_off()
+        grid[1, 2].remove()
+        for ax in (*grid[1, :2], grid[0, 2]):
+            ax.set_xlabel("errors, evenings")
+
+    return Figure(
+        "mistakes-evening",
+        "A whole evening's errors, scaled: medians, and the span of `so3`; crosses where at least one rig loses the "
+        "ball or finds no pose. Dotted: the Cramér-Rao bound with the right rig.",
+        draw,
+        (7.2, 4.2),
+    )
+
+
+def _panel(
+    ax: Any, kind: Kind, found: dict[float, list[Result]], what: str, films: list[Result], span: bool = False
+) -> list[tuple[str, float, Any]]:
+    """Draw the lines of a quantity; names, ends and colours."""
+    ends: list[tuple[str, float, Any]] = []
+    scale = _PER_UNIT[kind.name]
+    for who in _who(kind):
+        curve = [(scale * v, median(cells, who, what), cells) for v, cells in found.items()]
+        known = [(x, y, cells) for x, y, cells in curve if y]
+        if not known:
+            continue
+        x, y = [k[0] for k in known], [k[1] for k in known]
+        colour = _COLOUR[who]
+        ax.plot(x, y, color=colour, linestyle=_DASH[who])
+        for at, level, cells in known:
+            mark = "x" if lost(cells, who) else _MARK[who]
+            ax.plot([at], [level], color=colour, marker=mark, markersize=6 if mark == "x" else 3, linestyle="")
+        if span and who == "so3":
+            spans = [values(cells, who, what) for _, _, cells in known]
+            ax.fill_between(x, [min(s) for s in spans], [max(s) for s in spans], color=colour, alpha=0.13, linewidth=0)
+        ends.append((who, y[-1], colour))
+    limit = _bound(films, what) if what in ("attitude", "rate") else None
+    if limit is not None:
+        ax.axhline(limit, color="0.5", **BOUND)
+        ends.append(("bound", limit, "0.5"))
+    if kind.log:
+        ax.set_xscale("log")
+        plain_numbers(ax.xaxis)
+        ticks = _few(scale * v for v in found)
+        ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+        ax.minorticks_off()
+    return ends
+
+
+def _few(values: Iterable[float]) -> list[float]:
+    """At most three of them, from the first to the last."""
+    known = list(values)
+    return known if len(known) <= 3 else [known[0], known[len(known) // 2], known[-1]]

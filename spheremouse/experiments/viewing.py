@@ -1,0 +1,589 @@
+"""How the camera films: frame rate, resolution, motion blur, rolling shutter; errors beside the least possible ones.
+
+Wittich 2017, chapter 5, leaves frame rate and resolution open. The ball turns from rest to rest about one axis after
+the other; each film has other places of the discs and another order of the axes.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from spheremouse.errors import PoseError
+from spheremouse.experiments import kit, sights
+from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.report import failures
+from spheremouse.rig import UNKNOWN_READOUT, Rig
+from spheremouse.simulate import prepare
+from spheremouse.simulate.profile import Gesture, Gestures
+from spheremouse.simulate.truth import DiscTruth, Truth
+
+TITLE = "How the camera films: frame rate, resolution, blur, rolling shutter (Wittich 2017, chapter 5)"
+
+CLASSIC = ("ekf1", "ekf2")
+PUBLISHED = "ekf2, as published"  # with the thesis' sigma_w, of a slower motion
+KNOWN, ESTIMATED, IGNORED = "so3", "so3, estimated", "so3, ignored"  # the readout
+NEAR = 0.1  # °, a good attitude: a millimetre of a ball of 0.6 m radius, one count
+SHARE = 0.05  # of the ball's own rate (RMS), a good rate
+FAR_OFF = 1.0  # °, an attitude that is lost
+_NOISE = 3.0  # grey values
+_FASTEST = 240  # frames per second, of the film from which the slower ones are taken
+_USUAL = 30  # frames per second
+_REST, _HASTE = 0.2, np.radians(72.0)  # s before the first turn; rad/s², mean rate of a turn over its length
+_AXES = ((1, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 1), (1, 0, -1), (1, 1, 1))  # of the turns, obj
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One thing that is varied; a value is a word of the jobs' keys."""
+
+    name: str
+    title: str
+    label: str  # of the axis
+    whole: tuple[str, ...]  # values
+    quick: tuple[str, ...]
+    plain: str  # the value of the film without anything special
+    log: bool
+    shown: tuple[str, ...]  # lines
+
+
+KINDS = {
+    k.name: k
+    for k in (
+        Kind(
+            "rate", "Frame rate", "frames per second", ("15", "20", "30", "40", "60", "80", "120", "240"),
+            ("15", "30", "60", "240"), "", True, (*CLASSIC, PUBLISHED, KNOWN),
+        ),
+        Kind(
+            "size", "Resolution", "rows of the picture", ("320x240", "480x360", "640x480", "1280x720",
+            "1920x1080"), ("320x240", "640x480"), "640x480", True, (*CLASSIC, KNOWN),
+        ),
+        Kind(
+            "blur", "Motion blur", "exposure, ms", ("0", "8", "16", "24", "33"), ("0", "33"), "0", False,
+            (*CLASSIC, KNOWN),
+        ),
+        Kind(
+            "readout", "Rolling shutter", "readout, ms", ("0", "10", "20", "30"), ("0", "30"), "0", False,
+            (*CLASSIC, IGNORED, ESTIMATED, KNOWN),
+        ),
+    )
+}  # fmt: skip
+
+
+def jobs(request: Request) -> list[Job]:
+    """One per film; that at 240 frames per second makes all the slower ones."""
+    seeds, seconds = ((1,), 1.0) if request.quick else ((1, 2, 3), 3.5)
+    found = []
+    for seed in seeds:
+        what = {"seed": seed, "seconds": seconds}
+        rates = [int(v) for v in _values(KINDS["rate"], request)]
+        found.append(Job(f"rate-{seed}", at_rates, {**what, "rates": rates}, cost=3.0 + 6.0 * seconds))
+        found.append(Job(f"plain-{seed}", with_film, {**what, "film": {}}, cost=2.5 + 1.0 * seconds))
+        for kind in ("size", "blur", "readout"):
+            for word in _values(KINDS[kind], request):
+                if word != KINDS[kind].plain:
+                    film = _film(kind, word)
+                    found.append(Job(f"{kind}-{word}-{seed}", with_film, {**what, "film": film}, cost=_cost(film)))
+    return found
+
+
+def _values(kind: Kind, request: Request) -> tuple[str, ...]:
+    return kind.quick if request.quick else kind.whole
+
+
+def _film(kind: str, word: str) -> dict[str, Any]:
+    """Options of `simulate` for a value."""
+    if kind == "size":
+        return {"size": [int(x) for x in word.split("x")]}
+    seconds = min(1e-3 * float(word), 1.0 / _USUAL)
+    return {"blur": seconds} if kind == "blur" else {"readout": seconds}
+
+
+def _cost(film: dict[str, Any]) -> float:
+    """s, about."""
+    width, height = film.get("size", (640, 480))
+    return 2.5 + 2.0 * width * height / (640 * 480)
+
+
+# ---- films ----
+
+
+def at_rates(seed: int, seconds: float, rates: list[int]) -> Result:
+    """One film at 240 frames per second, and what it is when only each second, third, ... frame is taken."""
+    assert all(_FASTEST % rate == 0 for rate in rates), "a rate must divide that of the film"
+    film = filmed({"fps": float(_FASTEST)}, seed, seconds)
+    seen = sights.look_at(film, kit.settings_of(["tracker=ekf2"]))
+    found: Result = {}
+    for rate in rates:
+        every = _FASTEST // rate
+        fewer = replace(seen, stamps=seen.stamps[::every], detections=seen.detections[::every])
+        found[str(rate)] = followed(thinned(film, every), fewer, {KNOWN: film.rig}, published=True)
+    return {"points": found}
+
+
+def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
+    """One film by all trackers. Where the targets are not found the true pose is taken, and that is said."""
+    shot = filmed(film, seed, seconds)
+    settings, said = kit.settings_of(["tracker=ekf2"]), None
+    try:
+        seen = sights.look_at(shot, settings)
+    except PoseError as e:
+        said = str(e)
+        shot = replace(shot, rig=replace(shot.rig, pose=shot.truth.pose))
+        seen = sights.look_at(shot, settings)
+    rigs = {KNOWN: shot.rig}
+    if shot.rig.readout_s > 0.0:
+        none = replace(shot.rig, readout_s=0.0)
+        rigs |= {ESTIMATED: replace(none, readout_sigma_s=UNKNOWN_READOUT), IGNORED: none}
+    return {**followed(shot, seen, rigs), "pose": said}
+
+
+def filmed(film: dict[str, Any], seed: int, seconds: float) -> kit.Film:
+    """A film with the options `film` of the ball on a tour, with places of the discs of its own."""
+    plain = {"noise": _NOISE, "fps": float(_USUAL), "seed": seed, "seconds": seconds}
+    simulation = prepare(kit.options_of({**plain, **film}))
+    return kit.made(replace(simulation, profile=tour(seed, seconds)), f"tour {seed}")
+
+
+def tour(seed: int, seconds: float) -> Gestures:
+    """Turns from rest to rest about axes that leave no direction out, each as hasty as the others."""
+    rng = np.random.default_rng([seed, len(_AXES)])
+    length = (seconds - _REST) / len(_AXES)
+    gestures = []
+    for k, i in enumerate(rng.permutation(len(_AXES))):
+        x, y, z = np.array(_AXES[i]) / np.linalg.norm(_AXES[i])
+        angle = _HASTE * length**2 * rng.choice([-1.0, 1.0])
+        gestures.append(Gesture(_REST + k * length, length, (float(x), float(y), float(z)), float(angle)))
+    return Gestures(tuple(gestures), seconds)
+
+
+def thinned(film: kit.Film, every: int) -> kit.Film:
+    """Each `every`-th frame of it, from the first."""
+    truth, motion, discs = film.truth, film.truth.motion, film.truth.discs
+    assert motion is not None, "a film made here knows its motion"
+    assert discs is not None, "and where its discs are"
+    fewer = Truth(motion.stamp[::every], motion.attitude[::every], motion.rate[::every])
+    kept = discs.frame % every == 0
+    columns = {name: getattr(discs, name)[kept] for name in DiscTruth.__slots__}
+    left = DiscTruth(**{**columns, "frame": columns["frame"] // every})
+    frames = tuple(replace(f, sequence=i) for i, f in enumerate(film.frames[::every]))
+    return replace(film, frames=frames, truth=replace(truth, motion=fewer, discs=left))
+
+
+def followed(film: kit.Film, seen: sights.Sights, rigs: dict[str, Rig], published: bool = False) -> Result:
+    """A film by the classic filters, which saw it as `seen`, and by `so3` with each of the rigs; and the bound.
+
+    The classic filters are told the true acceleration; `published`: `ekf2` once more with that of the thesis.
+    """
+    assert film.truth.motion is not None, "a film made here knows its motion"
+    rows: Result = {}
+    classic = {name: kit.settings_of([f"tracker={name}", suited(film.truth.motion)]) for name in CLASSIC}
+    if published:
+        classic[PUBLISHED] = kit.settings_of(["tracker=ekf2"])
+    for name, settings in classic.items():
+        run = sights.filtered(seen, settings, film)
+        rows[name] = brief(sights.errors(run, film.truth, film.rig.ball.radius))
+    limit = None
+    for name, rig in rigs.items():
+        tracked = kit.tracked(film, kit.settings_of(), rig=replace(rig, pose=seen.pose))
+        rows[name] = brief(tracked.report)
+        if name == KNOWN:
+            limit = kit.bound(film, tracked)
+    return {"rows": rows, "bound": least(limit), "moved": moved(film.truth.motion)}
+
+
+def suited(motion: Truth) -> str:
+    """The setting by which a classic filter knows how a ball is moved: its acceleration, RMS per axis, as sigma_w."""
+    return f"euler.acceleration_sigma={acceleration(motion)}"
+
+
+def acceleration(motion: Truth) -> float:
+    """rad/s², RMS per axis."""
+    return float(np.sqrt(np.mean((np.diff(motion.rate, axis=0) / np.diff(motion.stamp)[:, None]) ** 2)))
+
+
+def moved(motion: Truth) -> dict[str, float]:
+    """How lively a motion is: °/s, RMS and at most; rad/s²."""
+    speed = np.degrees(np.linalg.norm(motion.rate, axis=1))
+    return {
+        "rms": float(np.sqrt(np.mean(speed**2))),
+        "peak": float(speed.max()),
+        "acceleration": acceleration(motion),
+    }
+
+
+def brief(report: Result) -> Result:
+    """What is compared of a run: combined errors, times lost."""
+    return {
+        "attitude": report["attitude_rmse_deg"]["combined"],
+        "rate": report["rate_rmse_deg_s"]["combined"],
+        "lost": report["lost_episodes"],
+        "tracked": report["tracked"],
+        "frames": report["frames"],
+    }
+
+
+def least(limit: Result | None) -> Result | None:
+    """The bound's part of the same."""
+    if limit is None or limit["attitude_deg"] is None or limit["rate_deg_s"] is None:
+        return None
+    return {"attitude": limit["attitude_deg"]["combined"], "rate": limit["rate_deg_s"]["combined"]}
+
+
+def is_lost(row: Result) -> bool:
+    """The tracker said so, or tracked nothing, or its attitude is no longer the ball's."""
+    return bool(row["lost"] or row["attitude"] is None or row["attitude"] > FAR_OFF)
+
+
+# ---- for a reader ----
+
+
+def section(request: Request, results: Results) -> Section:
+    """Four figures with their tables, and what to buy."""
+    by_kind = {name: points(results, kind) for name, kind in KINDS.items()}
+    films = [p for found in by_kind.values() for ps in found.values() for p in ps]
+    parts: list[str | Table | Figure] = [_intro(films)]
+    for name, kind in KINDS.items():
+        found = by_kind[name]
+        parts.append(f"### {kind.title}")
+        if not found:
+            parts.append("No result.")
+            continue
+        parts += [_SAID[name](found), _figure(kind, found), _table(kind, found), _advice(kind, found)]
+    failed = failures(results)
+    if failed:
+        parts.append("Failed:\n\n" + "\n".join(failed))
+    return Section(tuple(parts), dict(results))
+
+
+def points(results: Results, kind: Kind) -> dict[str, list[Result]]:
+    """By value, in order: what each film gave; values without any are left out."""
+    found: dict[str, list[Result]] = {}
+    for word in kind.whole:
+        here = []
+        for key, result in results.items():
+            if "error" in result:
+                continue
+            what, _, rest = key.partition("-")
+            if what == "rate" == kind.name and word in result["points"]:
+                here.append(result["points"][word])
+            elif (what == kind.name and rest.rpartition("-")[0] == word) or (what == "plain" and word == kind.plain):
+                here.append(result)
+        if here:
+            found[word] = here
+    return found
+
+
+def _intro(films: list[Result]) -> str:
+    if not films:
+        return "The far camera, 26 discs."
+    peak = max(f["moved"]["peak"] for f in films)
+    speeds = [f["moved"]["rms"] for f in films]
+    return (
+        f"The far camera, 26 discs, noise of {_NOISE:g} grey values; the ball turns from rest to rest about "
+        f"{len(_AXES)} axes one after the other, with {np.median(speeds):.0f} °/s (RMS) and {peak:.0f} °/s at most. "
+        f"Unless a film is about that: {_USUAL} frames per second, 640x480, a short exposure, all rows at once. Each "
+        "point is the median over films with other places of the discs and another order of the axes, and the shade is "
+        "from the best to the worst of them. `ekf1` and `ekf2` are told the true acceleration as σ_w, "
+        f"{np.median([f['moved']['acceleration'] for f in films]):.1f} rad/s² (RMS per axis); the thesis' is "
+        f"{kit.settings_of().euler.acceleration_sigma:g} rad/s². A film "
+        f"counts as lost where the tracker said so or the attitude is off by more than {FAR_OFF:g}° (RMS): a cross. "
+        "The dotted line is the Cramér-Rao bound of a smooth motion for centres as good as those that `so3` had; "
+        "`ekf1` and `ekf2` look at whole pictures and have centres of their own."
+    )
+
+
+def _median(found: list[Result], who: str, what: str) -> float | None:
+    """Over the films; None where one of them has none."""
+    values = _all(found, who, what)
+    return float(np.median(values)) if values and len(values) == len(found) else None
+
+
+def _all(found: list[Result], who: str, what: str) -> list[float]:
+    rows = [_row(f, who) for f in found]
+    return [r[what] for r in rows if r is not None and r[what] is not None]
+
+
+def _row(point: Result, who: str) -> Result | None:
+    """Of a tracker, or of the bound; without a rolling shutter its readout is as good as known."""
+    if who == "bound":
+        return point["bound"]
+    return point["rows"].get(who, point["rows"][KNOWN] if who in (ESTIMATED, IGNORED) else None)
+
+
+def lost(found: list[Result], who: str) -> int:
+    """In how many films."""
+    rows = [_row(f, who) for f in found]
+    return sum(r is not None and is_lost(r) for r in rows)
+
+
+def good(found: list[Result], who: str) -> bool:
+    """Nothing lost, and attitude and rate as good as a pointer needs."""
+    attitude, rate = (_median(found, who, what) for what in ("attitude", "rate"))
+    speed = float(np.median([f["moved"]["rms"] for f in found]))
+    return (
+        not lost(found, who) and attitude is not None and rate is not None and attitude < NEAR and rate < SHARE * speed
+    )
+
+
+def good_range(found: dict[str, list[Result]], who: str) -> tuple[str, str] | None:
+    """First and last of the most values in a row at which all is good; None where it is at none."""
+    rows: list[list[str]] = [[]]
+    for word, here in found.items():
+        if good(here, who):
+            rows[-1].append(word)
+        else:
+            rows.append([])
+    longest = max(rows, key=len)
+    return (longest[0], longest[-1]) if longest else None
+
+
+def _table(kind: Kind, found: dict[str, list[Result]]) -> Table:
+    who = (*kind.shown, "bound")
+    rows = []
+    for word, here in found.items():
+        cells = [word.replace("x", "×"), str(len(here))]
+        for what, digits in (("attitude", 3), ("rate", 2)):
+            for name in who:
+                x = _median(here, name, what)
+                cells.append("–" if x is None else f"{x:.{digits}f}")
+        cells.append(", ".join(str(lost(here, name)) for name in kind.shown))
+        rows.append(tuple(cells))
+    names = [f"`{n}`" if n != "bound" else n for n in who]
+    head = (
+        *(kind.label if kind.name != "size" else "picture, px", "films"),
+        *(f"attitude, °: {n}" for n in names),
+        *(f"rate, °/s: {n}" for n in names),
+        "films lost: " + ", ".join(names[:-1]),
+    )
+    return Table(head, tuple(rows), f"{kind.title}: median of the combined RMSE")
+
+
+def _ratio(found: dict[str, list[Result]], who: str, what: str, a: str, b: str) -> str:
+    """How much larger at `b` than at `a`, in words for a text."""
+    x, y = _median(found[a], who, what), _median(found[b], who, what)
+    return "–" if not x or y is None else f"{y / x:.1f}"
+
+
+def _by_all(found: dict[str, list[Result]], kind: Kind, what: str, a: str, b: str) -> str:
+    who = (*(w for w in kind.shown if w not in (ESTIMATED, IGNORED)), "bound")
+    return ", ".join(f"{_ratio(found, w, what, a, b)} ({'the bound' if w == 'bound' else f'`{w}`'})" for w in who)
+
+
+def _said_of_rate(found: dict[str, list[Result]]) -> str:
+    slow, fast = next(iter(found)), next(reversed(found))
+    said = []
+    for who in (*KINDS["rate"].shown, "bound"):
+        rates = {word: x for word, here in found.items() if (x := _median(here, who, "rate")) is not None}
+        if slow in rates and fast in rates:
+            best = min(rates, key=lambda word: rates[word])
+            name = "the bound" if who == "bound" else f"`{who}`"
+            ends = f"{rates[slow]:.2f} at {slow}, {rates[fast]:.2f} at {fast}"
+            said.append(f"{name} {rates[best]:.2f} at {best} ({ends})")
+    return (
+        f"All are the same film at {_FASTEST} frames per second, of which each second, third, ... is taken. The error "
+        f"of the rate, °/s, is least: {'; '.join(said)}. The thesis expected better results of a higher frame rate, at "
+        "the price of time; for a classic filter with a fixed σ_w that need not be so. The light that a fast camera "
+        "lacks is not in these films: the noise is the same."
+    )
+
+
+def _said_of_size(found: dict[str, list[Result]]) -> str:
+    small, large = next(iter(found)), next(reversed(found))
+    blind = [(w, [f["pose"] for f in here if f.get("pose")]) for w, here in found.items()]
+    said = [
+        f"At {w.replace('x', '×')} the camera's pose was not found in {len(p)} of {len(found[w])} films ({p[0]}); "
+        "these were tracked with the true pose, as found beforehand in a larger picture."
+        for w, p in blind
+        if p
+    ]
+    kind = KINDS["size"]
+    return " ".join([
+        "The field of view stays, the focal length in pixels grows with the picture. From "
+        f"{small.replace('x', '×')} to {large.replace('x', '×')} the error of the rate changes by a factor of "
+        f"{_by_all(found, kind, 'rate', small, large)}, that of the attitude by "
+        f"{_by_all(found, kind, 'attitude', small, large)}.",
+        *said,
+    ])  # fmt: skip
+
+
+def _said_of_blur(found: dict[str, list[Result]]) -> str:
+    sharp, open_ = next(iter(found)), next(reversed(found))
+    kind = KINDS["blur"]
+    return (
+        f"At {_USUAL} frames per second a frame lasts {1e3 / _USUAL:.0f} ms. From an exposure of {sharp} ms to one of "
+        f"{open_} ms the error of the rate grows by a factor of {_by_all(found, kind, 'rate', sharp, open_)}, that of "
+        f"the attitude by {_by_all(found, kind, 'attitude', sharp, open_)}. A stamp is mid-exposure, so that a smear "
+        "has its centre where the disc was then."
+    )
+
+
+def _said_of_readout(found: dict[str, list[Result]]) -> str:
+    none, slow = next(iter(found)), next(reversed(found))
+    rows = []
+    for who, how in (
+        (KNOWN, "`so3` is told the readout"),
+        (ESTIMATED, f"it is told that it is unknown (0 ± {1e3 * UNKNOWN_READOUT:.0f} ms) and estimates it"),
+        (IGNORED, "it is told that there is none"),
+        ("ekf1", "`ekf1`, which takes all rows for simultaneous"),
+        ("ekf2", "`ekf2`, the same"),
+    ):
+        factors = [_ratio(found, who, what, none, slow) for what in ("attitude", "rate")]
+        rows.append(f"{how}: {factors[0]} and {factors[1]}")
+    return (
+        f"Rows are read one after the other, over the readout. From {none} to {slow} ms the errors of attitude and "
+        f"rate grow by a factor of, where {'; '.join(rows)}."
+    )
+
+
+_SAID: dict[str, Callable[[dict[str, list[Result]]], str]] = {
+    "rate": _said_of_rate,
+    "size": _said_of_size,
+    "blur": _said_of_blur,
+    "readout": _said_of_readout,
+}
+_UNIT = {"rate": " frames per second", "size": "", "blur": " ms of exposure", "readout": " ms of readout"}
+
+
+def _advice(kind: Kind, found: dict[str, list[Result]]) -> str:
+    """What to look for in a camera."""
+    unit, said = _UNIT[kind.name], []
+    for who in kind.shown:
+        ends = good_range(found, who)
+        if ends is None:
+            said.append(f"`{who}` does not reach that at any")
+            continue
+        first, last = (word.replace("x", "×") for word in ends)
+        if ends == (next(iter(found)), next(reversed(found))):
+            said.append(f"`{who}` reaches that with all, {first} to {last}{unit}")
+        else:
+            values = f"{first} to {last}" if first != last else first
+            said.append(f"`{who}` reaches that with {values}{unit}")
+    return (
+        f"For a device: if no film may be lost, the attitude must be good to {NEAR:g}° (a millimetre of the ball's "
+        f"surface) and the rate to {SHARE:.0%} of the ball's own, of the values tried {'; '.join(said)}."
+    )
+
+
+# ---- figures ----
+
+COLOURS = {"ekf1": "C0", "ekf2": "C1", PUBLISHED: "C5", KNOWN: "C2", ESTIMATED: "C3", IGNORED: "C5", "bound": "0.5"}
+MARKS = {"ekf1": "s", "ekf2": "D", PUBLISHED: "d", KNOWN: "o", ESTIMATED: "v", IGNORED: "^"}
+DASHES = {
+    "ekf1": "-", "ekf2": (0, (5, 1.5)), PUBLISHED: (0, (1.5, 1)), KNOWN: "-", ESTIMATED: (0, (5, 1.5)),
+    IGNORED: (0, (1.5, 1)),
+}  # fmt: skip
+
+
+def _figure(kind: Kind, found: dict[str, list[Result]]) -> Figure:
+    def draw(canvas: Any) -> None:
+        for ax, (what, unit) in zip(canvas.subplots(1, 2), (("attitude", "°"), ("rate", "°/s")), strict=True):
+            ends = [_line(ax, kind, found, who, what) for who in (*kind.shown, "bound")]
+            ax.set(yscale="log", xscale="log" if kind.log else "linear", ylabel=f"{what} RMSE, {unit}")
+            ax.set_xlabel(kind.label)
+            plain_numbers(ax.yaxis)
+            _ticks(ax, kind, found)
+            label_ends(ax, [end for end in ends if end is not None])
+            if kind.name == "blur":
+                top = ax.secondary_xaxis("top", functions=(_to_share, _from_share))
+                top.set_xlabel("share of the frame's time, %")
+
+    return Figure(
+        f"viewing-{kind.name}",
+        f"{kind.title}: combined errors of attitude and rate, median of the films (of `so3` their span, too), and the "
+        "Cramér-Rao bound. "
+        "Crosses: at least one film lost." + (" Hollow: the camera's pose was given." if kind.name == "size" else ""),
+        draw,
+        (7.2, 3.2 if kind.name != "blur" else 3.5),
+    )
+
+
+def _to_share(ms: Any) -> Any:
+    return ms * _USUAL / 10.0
+
+
+def _from_share(percent: Any) -> Any:
+    return percent * 10.0 / _USUAL
+
+
+def _x(kind: Kind, word: str) -> float:
+    """Rows of a picture; frames per second; ms."""
+    return float(word.split("x")[1] if kind.name == "size" else word)
+
+
+def _ticks(ax: Any, kind: Kind, found: dict[str, list[Result]]) -> None:
+    at = [_x(kind, word) for word in found]
+    if kind.log:
+        shown = [x for x in at if x != 80.0]  # no room beside 60 and 120
+        ax.set_xticks(shown, [f"{x:g}" for x in shown])
+        ax.xaxis.minorticks_off()
+    else:
+        ax.set_xticks(at)
+
+
+def _line(
+    ax: Any, kind: Kind, found: dict[str, list[Result]], who: str, what: str
+) -> tuple[str, float, str | float] | None:
+    """Draw one; its name, where it ends and its colour."""
+    curve = [(_x(kind, word), _median(here, who, what), here) for word, here in found.items()]
+    known = [(x, y, here) for x, y, here in curve if y is not None and y > 0.0]
+    if not known:
+        return None
+    x, y = [k[0] for k in known], [k[1] for k in known]
+    colour = COLOURS[who]
+    if who == "bound":
+        ax.plot(x, y, color=colour, **BOUND)
+        return "bound", y[-1], colour
+    if who == KNOWN:
+        spans = [_all(here, who, what) for _, _, here in known]
+        ax.fill_between(x, [min(s) for s in spans], [max(s) for s in spans], color=colour, alpha=0.15, linewidth=0)
+    ax.plot(x, y, color=colour, linestyle=DASHES[who])
+    for at, level, here in known:
+        given = any(f.get("pose") for f in here)
+        mark = "x" if lost(here, who) else MARKS[who]
+        size = 7 if mark == "x" else None
+        face = "none" if given else colour
+        ax.plot([at], [level], color=colour, marker=mark, markersize=size, markerfacecolor=face, linestyle="")
+    return who, y[-1], colour
+
+
+def label_ends(ax: Any, ends: list[tuple[str, float, Any]], gap: float = 0.075) -> None:
+    """Names beside the ends of lines, right of the axes, as near as they can be without touching."""
+    low, high = np.log10(ax.get_ylim())
+    ax.set_ylim(10.0**low, 10.0**high)  # stays
+    ordered = sorted(ends, key=lambda end: end[1])
+    at = apart([float((np.log10(y) - low) / (high - low)) for _, y, _ in ordered], gap)
+    for (name, _, colour), y in zip(ordered, at, strict=True):
+        ax.annotate(
+            name,
+            (1.0, y),
+            xytext=(4, 0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            color=colour,
+            va="center",
+            fontsize=8.5,
+            annotation_clip=False,
+        )
+
+
+def apart(values: list[float], gap: float) -> list[float]:
+    """Ascending values moved as little as possible so that no two are nearer than `gap` (isotonic regression)."""
+    from scipy.optimize import isotonic_regression
+
+    steps = gap * np.arange(len(values))
+    return [] if not values else (isotonic_regression(np.array(values) - steps).x + steps).tolist()
+
+
+def plain_numbers(axis: Any) -> None:
+    """0.01, 0.1, 1 in place of powers of ten; few others where there is less than a decade."""
+    from matplotlib.ticker import LogFormatter, StrMethodFormatter
+
+    class Few(LogFormatter):
+        def _num_to_string(self, x: float, vmin: float, vmax: float) -> str:
+            return f"{x:g}"
+
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(Few(minor_thresholds=(1.5, 0.7)))
