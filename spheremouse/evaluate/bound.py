@@ -45,10 +45,9 @@ class Manoeuvre:
 def manoeuvre(motion: Truth) -> Manoeuvre:
     """That of a true motion of n >= 2 frames, from its rates; one that turns about in every frame is white."""
     a = np.diff(motion.rate, axis=0) / np.diff(motion.stamp)[:, None]
-    power = np.mean(a**2, axis=0)
-    next_to = np.mean(a[1:] * a[:-1], axis=0) if len(a) > 1 else np.zeros(3)
-    lasting = np.clip(np.divide(next_to, power, out=np.zeros(3), where=power > 0.0), 0.0, 1.0)
-    return Manoeuvre(np.sqrt(power), lasting)
+    total, next_to = np.sum(a**2, axis=0), np.sum(a[1:] * a[:-1], axis=0)  # next_to <= total, by Cauchy and Schwarz
+    lasting = np.maximum(np.divide(next_to, total, out=np.zeros(3), where=total > 0.0), 0.0)
+    return Manoeuvre(np.sqrt(total / len(a)), lasting)
 
 
 def posterior_bound(motion: Truth, sights: Sequence[Sight], directions: Array, rig: Rig, pose: Pose) -> Bound:
