@@ -90,9 +90,12 @@ def considered_covariance(pose: Pose, ball: Ball) -> Array:
 
 
 def centre_covariance(pose: Pose, ball: Ball) -> Array:
-    """Of the ball's centre as pictures show it, (3, 3) m² in obj: what pose and ball leave open of its place."""
+    """Of the ball's centre as pictures show it, (3, 3) m² in obj: what pose and ball leave open of its place.
+
+    A ball taken for too large looks like one that is as much too far away.
+    """
     away = ball.centre - pose.position
-    J = np.concatenate([np.eye(3), -hat(away), -np.eye(3), np.zeros((3, 1))], axis=1)
+    J = np.concatenate([np.eye(3), -hat(away), -np.eye(3), away[:, None] / ball.radius], axis=1)
     return J @ considered_covariance(pose, ball) @ J.T
 
 

@@ -48,6 +48,7 @@ _SURE = 10  # sightings from which a disc is worth keeping
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _PUSHED = 16.0  # level from which the filter may take for a turn what is none
+_PROVEN = 0.5  # rad: half of what is seen of a ball has come or gone, and a wrong centre or radius would have shown
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
@@ -165,6 +166,7 @@ class TrackState:
     lifted: float | None = None  # s, since when the ball is lost for that
     misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
     out_of_round: bool = False  # that was too much, and is said
+    fitted: float = 0.0  # rad the ball has turned with its discs in their places, since they last were not
     readout_told: bool = False  # play has shown what the rolling shutter takes, and it is said
 
 
@@ -601,24 +603,26 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
     """What the followed frame says of the ball's centre: a frame that shows it off its place is set aside.
 
     A second one in a row is a ball that was lifted: lost, and nothing sent, until the discs fit a rotation again. A
-    ball out of round is said to be, and tracked as well as it goes.
+    ball out of round is said to be, and tracked as well as it goes; and so is one whose discs never were in their
+    places, since the rig is wrong: nothing has been lifted.
     """
     if state.off == 0 and state.misfit < 1.0 and _all_fit(state):
-        return state
+        return state if state.fitted >= _PROVEN else replace(state, fitted=state.fitted + _turned(state, stamp))
     if not isinstance(tracker.detector, DiscDetector):
         return state  # centres of blobs are off by more than they say
     found = _shift(state, state.filter, tracker)
     s, radius = tracker.settings.bearing, tracker.rig.ball.radius
     if found is None:
         return replace(state, off=0)
-    if bearing.is_off(found, radius, s, state.out_of_round):
+    off = bearing.is_off(found, radius, s, state.out_of_round)
+    if off and state.fitted >= _PROVEN:
         blind = tracker.filter.update(predicted, state.points, np.zeros(len(state.points), dtype=bool))
         if state.off == 0:
             return replace(state, filter=blind, holds=False, off=1)
-        off = (
+        by = (
             f"by {1e3 * found.distance:.0f} mm" if radius != 1.0 else f"by {100.0 * found.distance:.1f} % of its radius"
         )
-        event = f"lost: the ball does not turn about its centre, off {off}: lifted, or out of round"
+        event = f"lost: the ball does not turn about its centre, off {by}: lifted, or out of round"
         return replace(
             state,
             filter=_unused(blind),
@@ -630,11 +634,17 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
             event=event,
         )
     misfit = bearing.averaged(state.misfit, found, stamp - state.held, s)
-    state = replace(state, off=0, misfit=misfit)
+    state = replace(state, off=0, misfit=misfit, fitted=0.0 if off else state.fitted)
     if not state.out_of_round and misfit > s.out_of_round:
-        event = "the discs do not fit a ball that turns about its centre: out of round, or the camera was moved"
+        why = "it is out of round, the camera was moved, or the rig is wrong"
+        event = f"the discs do not fit a ball that turns about its centre: {why}"
         return replace(state, out_of_round=True, event=f"{state.event}; {event}" if state.event else event)
     return replace(state, out_of_round=state.out_of_round and misfit > 0.3 * s.out_of_round)
+
+
+def _turned(state: TrackState, stamp: float) -> float:
+    """rad, since the last frame whose discs held the attitude."""
+    return float(np.linalg.norm(state.filter.rate)) * max(stamp - state.held, 0.0)
 
 
 def _all_fit(state: TrackState) -> bool:
@@ -818,6 +828,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
         lifted=None,
         misfit=0.0,
         out_of_round=False,
+        fitted=0.0,
         lookalikes=_forget(state.lookalikes),
         event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
     )

@@ -22,19 +22,21 @@ SIGMA = 0.05  # px
 S = BearingSettings()
 
 
-def found(shift, turn=(0.0, 0.0, 0.0), noise=0.0, rng=None, wrong=0, seen=None, pose=POSE):
-    """What a frame says when the centre is off by `shift` and the attitude taken by `turn`; `pose` is what we think."""
+def found(shift, turn=(0.0, 0.0, 0.0), noise=0.0, rng=None, wrong=0, seen=None, pose=POSE, ball=RIG.ball):
+    """What a frame says when the centre is off by `shift` and the attitude taken by `turn`; `pose`, `ball`: thought."""
     p = DISCS @ exp(np.array(turn)).T
     uv = project(POSE.to_cam(np.array(shift) + 0.6 * p[p[:, 2] > 0.45][:seen]), CAMERA)[0]
     if noise:
         uv = uv + noise * rng.normal(size=uv.shape)
     uv[:wrong] += [4.0, 1.0]
     points = intersect(
-        Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0)), RIG, pose
+        Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0)),
+        replace(RIG, ball=ball),
+        pose,
     )
     variance = np.full(len(DISCS), 1e-8)
-    place = centre_covariance(pose, RIG.ball)
-    return shift_of(points, np.zeros(len(points)), DISCS, variance, np.eye(3), np.zeros(3), 0.6, 0.07, place)
+    place = centre_covariance(pose, ball)
+    return shift_of(points, np.zeros(len(points)), DISCS, variance, np.eye(3), np.zeros(3), ball.radius, 0.07, place)
 
 
 @pytest.mark.parametrize("shift", [[0.0, 0.03, 0.0], [0.02, -0.01, 0.0], [0.0, 0.0, 0.03], [0.005, 0.0, 0.0]])
@@ -72,6 +74,17 @@ def test_a_pose_that_is_wrong_within_its_covariance_is_no_lifted_ball(seed):
     assert found([0.03 * np.sign(e[0]), 0.0, 0.0], pose=unsure).certainty > S.certain
     apparent = e[:3] + np.cross(e[3:], -POSE.position)
     assert_allclose(found([0.0, 0.0, 0.0], pose=wrong).shift, apparent, atol=0.3 * np.linalg.norm(apparent))
+
+
+@pytest.mark.parametrize("error", [0.003, -0.003])
+def test_a_radius_that_is_wrong_within_its_variance_is_no_lifted_ball(error):
+    """It looks like a ball that is farther away by as much of its distance."""
+    wrong = Ball(0.6 + error)
+    out = found([0.0, 0.0, 0.0], ball=wrong)
+    assert is_off(out, 0.6, S)
+    assert_allclose(out.shift, [0.0, 0.0, -2.35 * error / 0.6], atol=0.4 * 2.35 * 0.003 / 0.6)
+    unsure = replace(wrong, covariance=np.diag([0.0, 0.0, 0.0, 0.003**2]))
+    assert not is_off(found([0.0, 0.0, 0.0], ball=unsure), 0.6, S)
 
 
 def test_one_wrong_pair_is_not_a_ball_off_its_bearings():

@@ -402,6 +402,23 @@ def test_a_lifted_ball_is_reported_and_sends_next_to_nothing():
     assert np.linalg.norm(log(state.filter.attitude @ R.T)) < 2e-3
 
 
+@pytest.mark.parametrize("error", [-0.008, 0.008])
+def test_a_ball_whose_radius_is_wrong_is_followed_and_that_is_said(error):
+    """A tape measure is off by a percent: nothing has been lifted, and whoever plays wants to play."""
+    rng = np.random.default_rng(5)
+    wrong = replace(RIG, ball=replace(RIG.ball, radius=RIG.ball.radius + error))
+    state, discs, events = begin(tracker := build(wrong, POSE, SO3), 0.0), directions(40, 0), []
+    for t in seconds(6.0):
+        R = start(t, 0.3, rate=np.array([0.0, 1.0, 0.3]))
+        p = discs @ R.T
+        uv = project(POSE.to_cam(RIG.ball.radius * p[p[:, 2] > 0.35]), CAMERA)[0]
+        state, _ = advance(state, t, detections(uv, rng), tracker)
+        events += [state.event] if state.event else []
+        assert state.phase is Phase.TRACKING
+    assert any("the rig is wrong" in e for e in events)
+    assert np.linalg.norm(state.filter.rate - [0.0, 1.0, 0.3]) < 0.05
+
+
 def test_new_discs_take_over_when_the_known_ones_go_out_of_view():
     """Each disc is founded in the frame that shows it to turn along: the next may show no other that is known."""
     angle = np.array(
