@@ -73,8 +73,8 @@ def thesis_settings(n: int) -> WandSettings:
 
 def films(quick: bool) -> tuple[Film, ...]:
     """What is filmed; `quick`: fewer seeds and particles, some minutes."""
-    seeds = tuple(range(1, 4 if quick else 21))
-    few = tuple(range(1, 3 if quick else 7))
+    seeds = tuple(range(1, 3 if quick else 21))
+    few = tuple(range(1, 2 if quick else 7))
     ours = Variant("350, own start", _particles(350))
     drive = (
         *(Variant(f"{n}, known start", _particles(n), known=True) for n in (50, 350)),

@@ -33,10 +33,17 @@ _HEAD = (
 def jobs(request: Request) -> list[Job]:
     """Each film with each seed, and the speeds."""
     films = [
-        Job(job.key, film, {"key": job.key, "quick": request.quick}, cost=10.0 * len(job.film.variants))
+        Job(job.key, film, {"key": job.key, "quick": request.quick}, cost=_cost(job.film))
         for job in wand.jobs(request.quick)
     ]
     return [*films, Job(_SPEEDS, speeds, alone=True)]
+
+
+def _cost(film: wand.Film) -> float:
+    """s of one core, about: drives have a tenth of the frames of hand-held films, and most are small pictures."""
+    if film.name == "drive":
+        return 2.0 * len(film.variants)
+    return sum(6.0 * v.settings.particles / 5000 for v in film.variants) if film.name == "drive-many" else 16.0
 
 
 def film(key: str, quick: bool) -> Result:
