@@ -95,13 +95,13 @@ def films(quick: bool) -> tuple[Film, ...]:
         Film("drive", "the thesis' drive, 0.8 Hz", WandOptions(), seeds, drive),
         Film("drive-many", "the same, many particles", WandOptions(), few, crowd),
         Film("drive-hand", "a hand passes, 0.8 Hz", WandOptions(hand=80.0), few, (ours,)),
-        Film("hand-held", "0.4 m/s, 180 °/s, 15 Hz", hand, few if quick else seeds, (ours,)),
     ]
     if quick:
         return tuple(chosen)
     part = WandOptions(begin=58.0, seconds=24.0)
     return (
         *chosen,
+        Film("hand-held", "0.4 m/s, 180 °/s, 15 Hz", hand, seeds, (ours,)),
         Film("drive-7.5", "part with turns, 7.5 Hz", replace(part, fps=7.5), few, (ours,)),
         Film("drive-30", "part with turns, 30 Hz", replace(part, fps=30.0, seconds=16.0), few, (ours,)),
         Film("drive-fast", "7 cm/s, 100 °/s, 0.8 Hz", WandOptions(speed=0.07), few, (ours,)),

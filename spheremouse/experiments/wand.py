@@ -36,7 +36,7 @@ def jobs(request: Request) -> list[Job]:
         Job(job.key, film, {"key": job.key, "quick": request.quick}, cost=_cost(job.film))
         for job in wand.jobs(request.quick)
     ]
-    return [*films, Job(_SPEEDS, speeds, alone=True)]
+    return [*films, Job(_SPEEDS, speeds, {"frames": 20 if request.quick else 60}, cost=25.0, alone=True)]
 
 
 def _cost(film: wand.Film) -> float:
@@ -52,9 +52,9 @@ def film(key: str, quick: bool) -> Result:
     return wand.work(job)
 
 
-def speeds() -> Result:
-    """Frames per second."""
-    return wand.measure_speeds()
+def speeds(frames: int) -> Result:
+    """Frames per second, over so many frames."""
+    return wand.measure_speeds(frames)
 
 
 def section(request: Request, results: Results) -> Section:
