@@ -109,7 +109,11 @@ def main(far26: Path) -> str:
     out += [table(["error ± standard deviation", "x", "y", "z"], rows), ""]
     own, so3 = runs["so3", "default"], known["so3"]
     out += ["## At the limit", ""]
-    out += ["`far26`, `so3`; the bound is the posterior Cramér-Rao bound (Tichavský 1998) for the discs this run detected, centres as good as its own by size, and the true motion as a Gauss-Markov acceleration (Singer 1970).", ""]
+    out += [
+        "`far26`, `so3`; the bound is the posterior Cramér-Rao bound (Tichavský 1998) for the discs this run detected, "
+        "centres as good as its own by size, and the true motion as a Gauss-Markov acceleration (Singer 1970).",
+        "",
+    ]
     rows = [
         ["attitude RMSE, camera pose known, °", f"{so3['attitude_rmse_deg']['combined']:.4f}", "0.03"],
         ["the same, own pose, °", f"{own['attitude_rmse_deg']['combined']:.4f}", "0.05"],
