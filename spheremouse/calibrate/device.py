@@ -57,7 +57,8 @@ def device(
     from spheremouse.calibrate.device_file import load_device, untouched
     from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
     from spheremouse.calibrate.photos import check_size, read_photos
-    from spheremouse.cli_config import root, settings_of
+    from spheremouse.cli_config import root
+    from spheremouse.config import in_force
     from spheremouse.map_file import map_path, save_map, saved_now
     from spheremouse.plot import has_matplotlib
     from spheremouse.rig_file import load_camera, save_rig
@@ -75,7 +76,7 @@ def device(
         note("the report has no pictures without matplotlib: pip install 'spheremouse[plot]'")
     known = load_device(device_file)
     camera = load_camera(camera_file)
-    chosen = settings_of(config, settings, root())
+    chosen = in_force(config, settings or (), root())
     found = read_photos(photos, note=note)
     check_size(found, camera, camera_file)
     if untouched(device_file):
