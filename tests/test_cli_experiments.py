@@ -88,6 +88,23 @@ def test_a_process_that_dies_is_said(tmp_path):
     assert "process ended" in work_all([job], tmp_path, 1)["gone"]["error"]
 
 
+def test_words_are_no_part_of_the_program_and_all_else_is(tmp_path, monkeypatch):
+    """What stands below the line for readers changes no result."""
+    code, seen = tmp_path / "experiments" / "some.py", []
+    code.parent.mkdir()
+    (tmp_path / "daemon").mkdir()
+    monkeypatch.setattr(run_module.spheremouse, "__file__", str(tmp_path / "__init__.py"))
+    for text, shell in (("a = 1", "x"), ("a = 2", "x"), ("a = 2", "y")):
+        for words in ("one", "another"):
+            code.write_text(f"{text}\n\n\n# ---- for a reader ----\n\n{words} = 1\n", encoding="utf-8")
+            (tmp_path / "daemon" / "run.py").write_text(shell, encoding="utf-8")
+            run_module.program.cache_clear()
+            seen.append(run_module.program())
+    run_module.program.cache_clear()
+    assert seen[0] == seen[1] != seen[2]
+    assert len(set(seen[2:])) == 1
+
+
 def test_other_parameters_or_another_program_are_another_result(made, tmp_path, monkeypatch):
     job = Job("a", tiny_experiment.square, {"n": 2, "made": str(made)})
     for wanted in (job, job, replace(job, parameters={"n": 5, "made": str(made)})):
