@@ -43,6 +43,7 @@ class Shift:
 
     pairs: int
     shift: Array  # (3,) m, obj, of the ball's centre from where it is thought to be
+    sigma: float  # m, its standard deviation in the direction in which it is known least
     certainty: float  # standard deviations
     before: float  # chi-square of the directions with a rotation alone, per degree of freedom
     after: float  # the same with the shift
@@ -55,19 +56,18 @@ class Shift:
 
 def shift_of(
     points: SpherePoints, delay: Array, discs: Array, variance: Array, attitude: Array, rate: Array, radius: float,
-    reach: float, place: Array,
+    reach: float,
 ) -> Shift | None:  # fmt: skip
     """The shift of the centre that makes known discs appear at `points`; None where fewer than four are seen.
 
     `discs` (m, 3) unit vectors in ball with variances (m,) rad² per axis; `delay` (n,) s of the points, `attitude`
     R_obj_ball (3, 3), `rate` (3,) rad/s; a point and a disc that are nearest to each other within `reach` rad are one.
-    `place` (3, 3) m² is the covariance of the centre as the camera's pose and the ball's place leave it open: a shift
-    that they explain is not certain. With three discs any shift fits.
+    With three discs any shift fits.
     """
     if len(points) < 4 or len(discs) < 4:
         return None
     shift = np.empty(3)
-    pairs, certainty, before, after = _shift(
+    pairs, sigma, certainty, before, after = _shift(
         points.direction,
         points.image_covariance,
         points.dposition_dball,
@@ -78,10 +78,9 @@ def shift_of(
         rate,
         radius,
         np.cos(reach),
-        place,
         shift,
     )
-    return Shift(pairs, shift, certainty, before, after) if pairs >= 4 and np.isfinite(certainty) else None
+    return Shift(pairs, shift, sigma, certainty, before, after) if pairs >= 4 and np.isfinite(certainty) else None
 
 
 def is_off(found: Shift, radius: float, settings: BearingSettings, out_of_round: bool = False) -> bool:
@@ -126,8 +125,8 @@ def _paired(seen, expected, least):
 
 
 @njit(cache=True, error_model="numpy")
-def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius, least, place, shift):
-    """Pairs, certainty and chi-squares per degree of freedom; the shift, m, into `shift`. See `shift_of`."""
+def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius, least, shift):
+    """Pairs, sigma, certainty and chi-squares per degree of freedom; the shift, m, into `shift`. See `shift_of`."""
     expected = np.empty_like(discs)
     for j in range(len(discs)):
         for a in range(3):
@@ -157,7 +156,7 @@ def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius,
                     for j in range(6):
                         N[k, j] += A[a, k] * W[a, b] * A[b, j]
     if pairs < 4:
-        return pairs, 0.0, 0.0, 0.0
+        return pairs, 0.0, 0.0, 0.0, 0.0
     for a in range(3):
         N[a, a] += 1e-9
         N[3 + a, 3 + a] += 1.0 / _FARTHEST**2
@@ -173,7 +172,8 @@ def _shift(seen, noise, by_ball, delay, discs, variance, attitude, rate, radius,
         shift[a] = radius * x[3 + a]
     for k in range(6):
         explained_after += right[k] * x[k]
-    worth = np.linalg.solve(Q[3:, 3:] + place / radius**2, x[3:].copy())
+    worth = np.linalg.solve(Q[3:, 3:].copy(), x[3:].copy())
     certainty = np.sqrt(max(worth[0] * x[3] + worth[1] * x[4] + worth[2] * x[5], 0.0))
     before = max(total - explained_before, 0.0) / (2 * pairs - 3)
-    return pairs, certainty, before, max(total - explained_after, 0.0) / (2 * pairs - 6)
+    sigma = radius * np.sqrt(np.linalg.eigvalsh(Q[3:, 3:].copy())[2])
+    return pairs, sigma, certainty, before, max(total - explained_after, 0.0) / (2 * pairs - 6)

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.camera import InteriorOrientation, Pose, unprojected
-from spheremouse.rotation import Array, hat
+from spheremouse.rotation import Array
 
 COLOURS = "CMY"
 CODES = ("CMY", "CYM", "MCY", "MYC", "YCM", "YMC")  # inside to outside
@@ -87,16 +87,6 @@ def in_metres(rig: Rig, unit: float) -> Rig:
 def considered_covariance(pose: Pose, ball: Ball) -> Array:
     """Of what is wrong in every frame alike, (10, 10): camera position and rotation, ball centre and radius."""
     return np.block([[pose.covariance, pose.ball_covariance], [pose.ball_covariance.T, ball.covariance]])
-
-
-def centre_covariance(pose: Pose, ball: Ball) -> Array:
-    """Of the ball's centre as pictures show it, (3, 3) m² in obj: what pose and ball leave open of its place.
-
-    A ball taken for too large looks like one that is as much too far away.
-    """
-    away = ball.centre - pose.position
-    J = np.concatenate([np.eye(3), -hat(away), -np.eye(3), away[:, None] / ball.radius], axis=1)
-    return J @ considered_covariance(pose, ball) @ J.T
 
 
 @njit(cache=True, error_model="numpy")

@@ -36,7 +36,7 @@ from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
 from spheremouse.resect import PoseSettings, gather, predict_targets, resect
-from spheremouse.rig import Rig, centre_covariance, considered_covariance
+from spheremouse.rig import Rig, considered_covariance
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 from spheremouse.watch import Watch, WatchSettings
@@ -48,7 +48,10 @@ _SURE = 10  # sightings from which a disc is worth keeping
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _PUSHED = 16.0  # level from which the filter may take for a turn what is none
-_PROVEN = 0.5  # rad: half of what is seen of a ball has come or gone, and a wrong centre or radius would have shown
+_PROVEN = 0.5  # rad: a quarter of what is seen of a ball has come or gone: a wrong centre or radius would have shown
+_PAIRS = 5  # discs that say something of the centre: with three any shift fits, with four nearly
+_RESTS = 0.05  # rad/s, below which a ball brings nothing new
+_FRAME = 0.1  # s, the longest that one frame counts for
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
@@ -166,7 +169,7 @@ class TrackState:
     lifted: float | None = None  # s, since when the ball is lost for that
     misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
     out_of_round: bool = False  # that was too much, and is said
-    fitted: float = 0.0  # rad the ball has turned with its discs in their places, since they last were not
+    fitted: float = 0.0  # rad the ball has turned about its centre, since it last did not
     readout_told: bool = False  # play has shown what the rolling shutter takes, and it is said
 
 
@@ -446,7 +449,8 @@ def _from_there(
 ) -> tuple[TrackState, Motion]:
     """The frame with the camera where it is now: the ball knows nothing of the bump, so nothing jumps.
 
-    What lies in the picture, look-alikes and candidates, is forgotten. The pose's error stays what it was, and so does
+    What lies in the picture, look-alikes and candidates, is forgotten, and how well the ball turned about its centre:
+    a new pose is a new claim of where that is. The pose's error stays what it was, and so does
     what the map has taken up of it; `added`, (6, 6), comes on top. None: the pose owes nothing to the one before.
     """
     filtered: Any = state.filter
@@ -463,6 +467,7 @@ def _from_there(
     if watch is not None:
         watch = replace(_with_references(watch, frame, anew), due=frame.stamp)
     state = replace(state, filter=filtered, lookalikes=Lookalikes(), recent=(), hunt=Hunt(), watch=watch, rebuilt=anew)
+    state = replace(state, off=0, misfit=0.0, out_of_round=False, fitted=0.0)
     new, motion = _stages(state, frame, anew)
     path, turn = watching.difference(tracker.pose, anew.pose)
     event = f"the camera was moved: pose estimated anew ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
@@ -561,7 +566,12 @@ def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackSt
     if state.phase is not Phase.TRACKING or not state.moved or gap <= tracker.settings.loss.lost_after:
         return state
     return replace(
-        state, phase=Phase.LOST, found=None, filter=_unused(state.filter), event=f"lost: no frame for {gap:.1f} s"
+        state,
+        phase=Phase.LOST,
+        found=None,
+        off=0,
+        filter=_unused(state.filter),
+        event=f"lost: no frame for {gap:.1f} s",
     )
 
 
@@ -606,8 +616,10 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
     ball out of round is said to be, and tracked as well as it goes; and so is one whose discs never were in their
     places, since the rig is wrong: nothing has been lifted.
     """
-    if state.off == 0 and state.misfit < 1.0 and _all_fit(state):
-        return state if state.fitted >= _PROVEN else replace(state, fitted=state.fitted + _turned(state, stamp))
+    speed = float(np.linalg.norm(state.filter.rate))
+    settled = state.fitted >= _PROVEN or speed < _RESTS
+    if state.off == 0 and state.misfit < 1.0 and settled and _all_fit(state):
+        return state
     if not isinstance(tracker.detector, DiscDetector):
         return state  # centres of blobs are off by more than they say
     found = _shift(state, state.filter, tracker)
@@ -633,18 +645,17 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
             found=None,
             event=event,
         )
-    misfit = bearing.averaged(state.misfit, found, stamp - state.held, s)
-    state = replace(state, off=0, misfit=misfit, fitted=0.0 if off else state.fitted)
+    dt = min(stamp - state.held, _FRAME)
+    misfit = bearing.averaged(state.misfit, found, dt, s)
+    fitted = 0.0 if off else state.fitted
+    if fitted < _PROVEN and state.holds and found.pairs >= _PAIRS and bearing.fits(found, radius, s):
+        fitted += speed * dt * min(1.0, (0.5 * s.lifted * radius / max(found.sigma, 1e-9)) ** 2)  # what it can tell
+    state = replace(state, off=0, misfit=misfit, fitted=fitted)
     if not state.out_of_round and misfit > s.out_of_round:
         why = "it is out of round, the camera was moved, or the rig is wrong"
         event = f"the discs do not fit a ball that turns about its centre: {why}"
-        return replace(state, out_of_round=True, event=f"{state.event}; {event}" if state.event else event)
+        return replace(state, out_of_round=True, fitted=0.0, event=f"{state.event}; {event}" if state.event else event)
     return replace(state, out_of_round=state.out_of_round and misfit > 0.3 * s.out_of_round)
-
-
-def _turned(state: TrackState, stamp: float) -> float:
-    """rad, since the last frame whose discs held the attitude."""
-    return float(np.linalg.norm(state.filter.rate)) * max(stamp - state.held, 0.0)
 
 
 def _all_fit(state: TrackState) -> bool:
@@ -668,7 +679,6 @@ def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Sh
         filter_state.rate,
         tracker.rig.ball.radius,
         2.0 * tracker.filter.disc_angle,
-        centre_covariance(tracker.pose, tracker.rig.ball),
     )
 
 
@@ -812,6 +822,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
             return replace(
                 _tracking(state, filtered, filtered.attitude, stamp),
                 lifted=None,
+                off=0,
                 recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
                 lookalikes=_forget(state.lookalikes),
                 event=f"tracking again: attitude kept, recognised by {pairs} discs",
