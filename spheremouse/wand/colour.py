@@ -161,24 +161,28 @@ def _glare(
     for i in spots[np.argsort(-area[spots], kind="stable")][:_GLARE_SPOTS]:
         reach = min(max(_HALO * np.sqrt(area[i] / np.pi), _HALO_LEAST), _HALO_MOST)
         x, y = stats[i, cv2.CC_STAT_LEFT], stats[i, cv2.CC_STAT_TOP]
-        part = np.s_[max(y - margin, 0) : y + height[i] + margin, max(x - margin, 0) : x + width[i] + margin]
+        top, left = max(y - margin, 0), max(x - margin, 0)
+        part = np.s_[top : y + height[i] + margin, left : x + width[i] + margin]
         away = cv2.distanceTransform(np.where(label[part] == i, np.uint8(0), np.uint8(1)), cv2.DIST_L2, 5)
-        _spread(image[part], bounds, away, reach, pale[part])
+        _spread(image, bounds, away, top, left, reach, pale)
     for one in binary:
         pale[one > 0] = 0
     return np.asarray(cv2.GaussianBlur(pale, _KERNEL, 0.0, borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)[None]
 
 
 @njit(cache=True, error_model="numpy")
-def _spread(image, bounds, away, reach, pale):
-    """Pixels of `pale` to 255: within `reach` of an overexposed spot (`away` from it), and pale print next to those."""
+def _spread(image, bounds, away, top, left, reach, pale):
+    """Pixels of `pale` to 255: within `reach` of an overexposed spot, and pale print next to those.
+
+    `away` is the distance from the spot, of the pixels from `top`, `left` on.
+    """
     h, w = away.shape
     stack = np.empty((h * w, 2), dtype=np.int64)
     n = 0
     for i in range(h):
         for j in range(w):
             if away[i, j] <= reach:
-                pale[i, j] = 255
+                pale[top + i, left + j] = 255
                 stack[n, 0], stack[n, 1] = i, j
                 n += 1
     while n > 0:
@@ -186,8 +190,9 @@ def _spread(image, bounds, away, reach, pale):
         i, j = stack[n, 0], stack[n, 1]
         for k in range(max(i - 1, 0), min(i + 2, h)):
             for l in range(max(j - 1, 0), min(j + 2, w)):
-                if pale[k, l] == 0 and away[k, l] <= _HALO_MOST and _tinted(image[k, l], bounds):
-                    pale[k, l] = 255
+                u, v = left + l, top + k
+                if pale[v, u] == 0 and away[k, l] <= _HALO_MOST and _tinted(image[v, u], bounds):
+                    pale[v, u] = 255
                     stack[n, 0], stack[n, 1] = k, l
                     n += 1
 

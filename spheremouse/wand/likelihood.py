@@ -297,7 +297,8 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place
                 r = min(r + veil[q], 0.0)
                 g = g if r < 0.0 else 0.0
             near = agree[np.int64(min(abs(r), 1.0) * _TABLE + 0.5)]
-            ratio = near * other[k, np.int64(min(e, 1.0) * _TABLE + 0.5)] + OUTLIER
+            # what the ball is taken to show there, e but for glare, is what a picture without it shows by chance
+            ratio = near * other[k, np.int64(min(max(m - r, 0.0), 1.0) * _TABLE + 0.5)] + OUTLIER
             counts = np.float64(part[q])
             if whole[q]:
                 product[disc[index[q]]] *= ratio
@@ -306,7 +307,7 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place
             sure = counts * near / (near + OUTLIER)  # the offset explains rims that are nearly right, not missing ones
             rg[k] += sure * r * g
             gg[k] += sure * g * g
-            if not matched:
+            if not matched or (veil[q] > 0.0 and m < _ASKED):  # glare shows nothing
                 continue
             if e > _ASKED:
                 asked += counts

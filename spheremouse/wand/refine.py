@@ -107,6 +107,7 @@ def _residuals(c, R, table, colour, radius, lens, weight, glare, place, rim, cou
         m_of[q], e_of[q], r[q], g[q] = m, e, m - e, slope
         if hidden > 0.0 and m < e:
             r[q] = min(m + hidden - e, 0.0)
+            e_of[q] = m - r[q]
             g[q] = slope if r[q] < 0.0 else 0.0
 
 
