@@ -53,6 +53,22 @@ def test_a_rare_size_borrows_from_its_neighbour():
     assert sigma[0][0] == sigma[0][1] == pytest.approx(0.1, rel=0.2)
 
 
+def test_what_is_cut_and_what_is_large_do_not_share_a_noise():
+    """However few there are of either."""
+    rng = np.random.default_rng(4)
+    for frames_cut, frames_large in ((12, 300), (40, 12)):
+        truth = sky(300, [300.0, np.nan], [VISIBLE, PARTLY_HIDDEN])
+        detected = []
+        for f in range(300):
+            points = truth.of_frame(f).centre + np.array([[0.03], [1.0]]) * rng.normal(size=(2, 2))
+            detected.append(points[[f < frames_large, f < frames_cut]])
+        sights = measured(range(300), detected, truth)
+        large = [s.sigma[s.disc == 0] for s in sights]
+        cut = [s.sigma[s.disc == 1] for s in sights]
+        assert_allclose(np.concatenate(large), 0.03, rtol=0.3)
+        assert_allclose(np.concatenate(cut), 1.0, rtol=0.5)
+
+
 def test_perfect_centres_still_have_a_noise():
     truth = sky(3, [100.0], [VISIBLE])
     sights = measured(range(3), [truth.of_frame(f).centre for f in range(3)], truth)

@@ -3,7 +3,8 @@
 The recursion of Tichavsky, Muravchik, Nehorai 1998 ("Posterior Cramer-Rao bounds for discrete-time nonlinear
 filtering") along the true trajectory: the angular acceleration is a first-order Gauss-Markov process (Singer 1970,
 "Estimating optimal tracking filter performance for manned maneuvering targets") as strong and as lasting as the true
-one, the discs are at unknown places, the ball's attitude in the first frame is the reference.
+one over the whole film, the discs are at unknown places, the ball's attitude in the first frame is the reference.
+A filter may go below it where the motion is of several kinds, as rest is before play.
 """
 
 from collections.abc import Sequence

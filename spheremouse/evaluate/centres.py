@@ -14,7 +14,7 @@ from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
 # strut cuts the disc, while the next thing dark is at least a disc's radius away (7 px, thesis' cameras).
 MATCH = 3.0
 _FINEST = 1e-4  # px: no picture shows a centre better, and a noise of 0 has no information matrix
-_LEAST = 20  # centres of a size class: their RMS is good to a tenth and a half
+_LEAST = 20  # centres of a size class: their RMS is good to a tenth where errors are independent
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,23 +52,31 @@ def measured(frames: Iterable[int], detected: Iterable[Array], truth: DiscTruth)
 
 
 def _by_class(area: Array, square: Array) -> Array:
-    """Root of the mean of `square` over centres of the same class; areas (n,) px², nan is the class of its own.
+    """Root of the mean of `square` over centres of the same class; areas (n,) px², nan: something cuts them.
 
-    A class with too few goes with the next larger one, at the end with the next smaller.
+    An octave with too few goes with the next larger one, the largest with the next smaller. What is cut is a class of
+    its own; where too few are, they are no better than the worst of the others.
     """
-    octave = np.where(np.isfinite(area), np.floor(np.log2(np.maximum(area, 1.0))), np.inf)
+    whole = np.isfinite(area)
+    octave = np.floor(np.log2(np.maximum(np.where(whole, area, 1.0), 1.0)))
     groups: list[NDArray[np.bool_]] = []
     few = np.zeros(len(area), dtype=bool)
-    for value in np.unique(octave):
-        few |= octave == value
+    for value in np.unique(octave[whole]):
+        few |= whole & (octave == value)
         if np.count_nonzero(few) >= _LEAST:
             groups.append(few)
             few = np.zeros(len(area), dtype=bool)
-    if groups:
-        groups[-1] |= few
-    elif len(area):
-        groups = [few]
+    if few.any():
+        groups = [*groups[:-1], groups[-1] | few] if groups else [few]
     sigma = np.zeros(len(area))
     for group in groups:
-        sigma[group] = max(float(np.sqrt(np.mean(square[group]))), _FINEST)
+        sigma[group] = _rms(square[group])
+    cut = ~whole
+    if cut.any():
+        worst = float(sigma.max(initial=0.0))
+        sigma[cut] = _rms(square[cut]) if np.count_nonzero(cut) >= _LEAST else max(worst, _rms(square[cut]))
     return sigma
+
+
+def _rms(square: Array) -> float:
+    return max(float(np.sqrt(np.mean(square))), _FINEST)

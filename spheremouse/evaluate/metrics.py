@@ -304,11 +304,18 @@ def _ratio(error: Array, covariance: Array) -> float | None:
 def run_bound(run: Run, reference: Reference, rig: Rig) -> Bound | None:
     """The bound at the tracked frames, for the discs that this run detected and centres as good as its own.
 
-    None where the recording does not say all it takes.
+    None where the recording does not say all it takes, and with a saved map, which knows more than the frames say.
     """
     motion, discs, pose = reference.motion, reference.discs, reference.pose
     kept = run.tracked
-    if motion is None or discs is None or pose is None or reference.directions is None or len(kept) < 3:
+    if (
+        motion is None
+        or discs is None
+        or pose is None
+        or reference.directions is None
+        or len(kept) < 3
+        or run.absolute.any()
+    ):
         return None
     if np.any(discs.disc >= len(reference.directions)):
         return None
