@@ -249,3 +249,15 @@ def test_verdicts_hold_figures_against_what_is_asked():
     ]
     assert [ok for _, _, _, ok in verdicts(bad, {})] == [False, False, False, False]
     assert [ok for _, _, _, ok in verdicts([row("50, known start", 0, 0)], {})] == [None]
+    few = [row("350, known start", 0, 2), row("50, known start", 0, 2), row("350, own start", 0, 2, found=2)]
+    assert [ok for _, _, _, ok in verdicts(few, {})] == [True, None, None, None]  # two of two are not 19 of 20
+
+
+def test_distractors_are_judged_by_the_films_that_there_are():
+    def row(film, lost, runs):
+        return wand_experiments.Row(replace(TINY, name=film), "350, own start", runs, lost, runs, 1.0, {})
+
+    found = verdicts([row("hand-hand", 0, 6), row("hand-card", 1, 6), row("drive-hand", 0, 1)], {})
+    assert [(ours, ok) for _, _, ours, ok in found] == [("1 of 1", None), ("6 of 6", True), ("5 of 6", False)]
+    assert "in both colours" in found[2][0]
+    assert verdicts([row("hand-hand", 0, 0)], {}) == []

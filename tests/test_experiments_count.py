@@ -1,7 +1,6 @@
 """Errors against the number of discs: a tiny film, and pages made from given results, missing and failed ones too."""
 
 import numpy as np
-import pytest
 
 from spheremouse.experiments import count
 from spheremouse.experiments.count import jobs, section, with_discs
@@ -47,25 +46,34 @@ def test_more_discs_are_seen_and_the_bound_sinks():
 def test_table_20_is_that_of_the_first_layout():
     found = section(WHOLE, results())
     table = tables(found)[0]
-    assert table.head[1:5] == ("26: thesis", "26: `ekf1`", "26: `ekf2`", "26: `so3`")
-    assert table.rows[0][1:3] == ("4.9", "5.2")
-    assert table.rows[1][:3] == ("attitude RMSE x, °", "0.100", "0.020")
-    assert table.rows[6][5:7] == ("0.624", "0.450")
-    assert table.rows[6][9:] == ("0.561", "failed", "failed", "failed")
-    assert {len(row) for row in table.rows} == {13}
+    assert [row[0] for row in table.rows] == ["26", "", "", "", "50", "", "", "", "74", "", "", ""]
+    assert table.rows[0][1:4] == ("thesis, EKF2", "4.9", "0.100")
+    assert table.rows[1][1:4] == ("`ekf1`", "5.2", "0.0200")
+    assert (table.rows[4][-1], table.rows[5][-1]) == ("0.624", "0.450")
+    assert table.rows[11][2:] == ("failed",) * 7
+    assert {len(row) for row in table.rows} == {len(table.head)} == {9}
     assert "74-0: too dark" in words(found)
 
 
-def test_layouts_are_put_together_as_rms():
-    table = tables(section(WHOLE, results()))[1]
-    assert [row[:2] for row in table.rows] == [("26", "2"), ("50", "1")]
+def test_layouts_are_put_together_as_rms_and_failed_ones_are_counted():
+    table = tables(section(WHOLE, {**results(), "50-1": {"error": "no target"}}))[1]
+    assert [row[:2] for row in table.rows if row[0]] == [("26", "2"), ("50", "1 of 2 failed"), ("74", "1 of 1 failed")]
     together = np.sqrt(14.0 * (0.02**2 + 0.04**2) / 2.0)
-    assert float(table.rows[0][3]) == pytest.approx(together, abs=5e-4)
-    assert table.rows[0][-1] == "2, 2, 2"
+    assert table.rows[0][3:5] == ("`ekf1`", f"{together:.4f}")
+    assert table.rows[0][-1] == "2"
+    assert table.rows[3][3:] == ("bound", f"{np.sqrt((0.02**2 + 0.04**2) / 2.0):.4f}", "0.03", "")
+    assert table.rows[-1][2:] == ("–",) * 5
+
+
+def test_the_length_of_the_films_is_said_where_it_is_known():
+    ball_ = ball(0.02)
+    ball_["rows"] = {name: {**row, "frames": 90} for name, row in ball_["rows"].items()}
+    assert "films of 90 frames; the thesis' have 300" in words(section(WHOLE, {"26-0": ball_}))
+    assert "frames;" not in words(section(WHOLE, results()))
 
 
 def test_what_more_discs_bring_is_said_where_both_ends_are_there():
-    assert "From 26 to 74" not in words(section(WHOLE, results()))
+    assert "Error with 26 discs" not in words(section(WHOLE, results()))
     text = words(section(WHOLE, {**results(), "74-0": ball(0.01)}))
     gain = np.sqrt((0.02**2 + 0.04**2) / 2.0) / 0.01
     assert f"`so3` {gain:.2f}, the bound {gain:.2f}" in text
@@ -78,7 +86,7 @@ def test_the_figure_draws_where_a_filter_has_no_value(tmp_path):
     found = section(WHOLE, {**results(), "6-0": one})
     figure = next(part for part in found.parts if isinstance(part, Figure))
     assert all(path.stat().st_size > 5000 for path in save(figure, tmp_path))
-    assert tables(found)[1].rows[0][3] == "–"
+    assert tables(found)[1].rows[0][3:5] == ("`ekf1`", "–")
     assert "Too few discs" not in words(section(WHOLE, results()))
     assert "6 discs (5.2 of them used per frame): `ekf1`." in words(found)
     assert section(WHOLE, {}).parts  # nothing was run: still a page

@@ -95,13 +95,17 @@ def test_hands_hide_discs():
 def test_the_advice_is_the_smallest_disc_that_is_nearly_as_good_as_the_best(tmp_path):
     found = section(WHOLE, results())
     text = words(found)
-    assert "from a radius of 8 mm" in text
+    assert "holds the ball in all films with 8, 14, 30 mm (8 mm are 7.0 px across" in text  # 20 failed
     assert "best with 14 mm (0.0210°)" in text
     assert "Advice: a radius of 8 mm" in text
     assert "With 30 mm it is worse again (0.0600°)" in text
     assert "size-20-0: too dark" in text
-    row = next(r for r in tables(found)[0].rows if r[0] == "4")
-    assert row[-3:] == ("1 of 1", "1 of 1", "1 of 1")
+    rows = tables(found)[0].rows
+    assert rows[0] == ("4", "1", "3.0", "60 %", "–", "–", "`ekf1`", "lost", "lost", "1 of 1")
+    assert rows[8][:2] == ("14", "2")
+    assert rows[10] == (*[""] * 6, "`so3`", "0.0210", "0.210", "0 of 2")
+    assert rows[11] == (*[""] * 6, "bound", "0.0105", "0.105", "")
+    assert rows[12][:2] == ("20", "failed")
     page = write_report(tmp_path, {"discs": (discs.TITLE, found)}, "x")[0].read_text()
     assert "rows: in rows" in page
     for name in ("discs-size", "discs-layout", "discs-hands"):
@@ -112,21 +116,34 @@ def test_a_layout_that_is_lost_or_ambiguous_is_not_advised():
     text = words(section(WHOLE, results()))
     assert "It is lost with: cluster (1 of 1)." in text
     assert "with: rows (10.0 %)." in text
-    assert "of those tried, *spread* are never lost" in text
+    assert "of those tried, *spread* is never lost and recognised" in text
+    assert "the attitude is best with *rows* (0.0150°) and worst with *spread* (0.0200°)" in text
+    assert "random: random" not in str(section(WHOLE, {"layout-random-0": laid(0.02, 1.0)}).parts)
+    assert "worst" not in words(section(WHOLE, {"layout-random-0": laid(0.02, 1.0)}))
+
+
+def test_what_is_lost_has_no_error_and_failures_are_counted():
+    given = {"hands-none-0": film(88.0), "hands-none-1": film(0.02), "hands-none-2": {"error": "too dark"}}
+    (table,) = tables(section(WHOLE, given))
+    assert table.rows[0][1] == "1 of 3 failed"
+    assert table.rows[0][4:] == ("`ekf1`", "lost", "lost", "1 of 2")
+    assert "88" not in str(table.rows)
 
 
 def test_hands_are_borne_down_to_the_share_at_which_the_attitude_gets_away():
     text = words(section(WHOLE, results()))
-    assert "two (40 % of the near discs wholly in view): 2.5 times the error without" in text
-    assert "two very large (20 % of the near discs wholly in view): lost in 1 of 1 films" in text
-    assert "40 % of the near discs or more stay wholly in view" in text
+    assert "two (40 % wholly in view): 2.5 times the error without" in text
+    assert "two very large (20 % wholly in view): lost in 1 of 1 films" in text
+    assert "40 % of the discs on its side or more stay wholly in view" in text
+    gap = {**results(), "hands-one-0": {**film(3.0), "in_view_share": 0.5}}
+    assert "60 % of the discs on its side or more" in words(section(WHOLE, gap))  # one is lost, though two is not
 
 
 def test_a_camera_without_pose_is_a_row_that_says_so():
     unfound = {"frames": 9, "in_view_share": 0.5, "diameter_px": 7.0, "rows": {}, "bound": None, "unfound": "no target"}
     found = section(WHOLE, {"hands-two-0": unfound, "hands-none-0": film(0.02)})
     assert "hands-two-0: no target" in words(found)
-    assert next(r for r in tables(found)[0].rows if r[0] == "two")[-1] == "1 of 1"
+    assert next(r for r in tables(found)[0].rows if r[0] == "two")[-3:] == ("lost", "lost", "1 of 1")
 
 
 def test_a_section_without_results_has_no_figure():

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments.experiment import Figure, Request, Table
-from spheremouse.experiments.filters import _gapped, jobs, play, section, simulated
+from spheremouse.experiments.filters import _gapped, acceleration, jobs, play, section, simulated
 from spheremouse.experiments.plot import save
+from spheremouse.simulate.profile import thesis
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)
@@ -89,15 +90,55 @@ def test_the_table_has_the_thesis_above_ours():
         ("R1-like", "`ekf1`", "0.95500"),
     ]
     assert ("S1", "EKF2, thesis", "0.999", "1.09", "0.11 px/s", "–", "–", "–") in table.rows
-    assert ("S1, ours", "`so3`", "0.99990", "0.30", "0.6 mm/s", "12", "0.003", "300 of 300, 0") in table.rows
+    assert ("S1, ours", "`so3`", "0.99990", "0.30", "0.6 mm/s", "12", "0.0030", "300 of 300, 0") in table.rows
     assert table.rows[-1] == ("far26", "failed", *("–",) * 6)
     assert {len(row) for row in table.rows} == {len(table.head)}
     text = words(found)
-    assert "0.50 times with the published detector, 0.75 times with ours" in text
+    assert (
+        "In the thesis `ekf2` has 0.69 times the rate error of `ekf1`; on our S1 0.75 times with our detector." in text
+    )
+    assert "With the published detector it is 0.50 times." in text
+    assert "What the state of the discs brings is the attitude: `ekf2` 0.006°, `ekf1` 0.008°" in text
     assert "lost by `ekf1` 3 times (largest error of the speed 12 mm/s), `ekf2` 2 times" in text
     assert "in 40 % of the frames it uses fewer than 2" in text
     assert "239.7 ± 1.5 counts/rad" in text
     assert "far26: no file" in text
+
+
+def test_runs_that_went_wrong_are_not_compared():
+    given = on_s1()
+    given["rows"]["ekf2-blobs"] = {**row(1.0, 1), "attitude_rmse_deg": {"combined": 5.7}}
+    text = words(section(AWAY, {"s1": given}))
+    assert "goes wrong by 0.0° (`ekf1`) and 5.7° (`ekf2`), and the ball is lost never and once" in text
+    assert "it is 0.50 times" not in text
+    given["rows"]["ekf2-blobs"]["few_share"] = 0.0
+    assert "it is not for want of discs" in words(section(AWAY, {"s1": given}))
+    given["rows"]["ekf1-blobs"]["rate_rmse_deg_s"] = {"combined": None}
+    assert "With the published detector nothing is tracked." in words(section(AWAY, {"s1": given}))
+
+
+def test_what_the_numbers_do_not_say_is_not_said():
+    worse = {**row(0.6), "attitude_rmse_deg": {"combined": 9.5}}
+    lost = {"lost_episodes": 1}
+    on = {**on_r1(), "rows": {**rows(), "ekf2": worse}, "match": {**on_r1()["match"], "scale_sigma": 30.0}}
+    text = words(section(AWAY, {"r1": on, "s1": {**on_s1(), "rows": {**rows(), "ekf2": worse}}}))
+    assert "Nor does the state of the discs bring a better attitude here" in text
+    assert "`ekf2` has the worse attitude of the published filters (9.5° against 0.0°)." in text
+    assert "too short to tell the scale" in text
+    assert "counts/rad" not in text
+    assert "is chance" not in text  # it was never lost
+    assert "both lose the ball" in words(section(AWAY, {"r1": {**on, "rows": {**rows(), "ekf2": {**worse, **lost}}}}))
+
+
+def test_a_stiff_filter_that_sends_the_better_speed_is_said():
+    swapped = {**rows(), "so3": {**row(0.3), "surface_speed_rmse_mm_s": {"combined": 1.8, "x": 1.0, "y": 1.5}}}
+    text = words(section(HERE, {"far26": {**on_s1(), "rows": swapped}}))
+    assert "`so3` is off by 1.8 mm/s, that of `ekf2` by 1.2 mm/s, and its rate by 0.30 against 0.60 °/s" in text
+    assert "that of `ekf2` by" not in words(section(HERE, {"far26": on_s1()}))
+
+
+def test_the_motion_of_the_thesis_has_the_acceleration_it_states():
+    assert np.rad2deg(acceleration(thesis())) == pytest.approx(16.4, rel=0.05)
 
 
 def test_livelier_players_stand_in_a_table_with_what_was_not_run():

@@ -76,7 +76,21 @@ def test_tables_have_the_thesis_above_ours_and_say_what_failed():
     assert "No camera pose was found at l = -50, σ_r = 15 on far26." in text
     assert "the rate error of `so3` is 0.45 °/s" in text
     assert "0.10 px at σ_r = 1 and to 0.30 px at 15" in text
-    assert "`ekf2` 0.05°" in text  # |0.03, 0, 0.04|
+    assert "`ekf2` 0.030, 0.010, 0.040° about x, y, z" in text
+    assert "0.000, 0.050, 0.010°) grows to the middle and shrinks again, as there" in text
+    thesis = np.sqrt(np.mean(np.square([1.20, 0.98, 1.06, 1.06])))
+    assert f"{0.2 / thesis:.2f} at σ_r = 1" in text
+
+
+def test_an_error_that_stays_is_not_said_to_shrink():
+    given = results()
+    for name in ("ekf2", "so3"):
+        given["s1+50"]["cells"]["15"]["shown"]["series"][name] = {"t": [0.0, 0.1, 0.2], "error": [[0.01, 0, 0]] * 3}
+    assert "has no such course" in words(section(HERE, given))
+    given["s1+50"]["cells"]["15"]["shown"]["series"]["so3"]["error"] = [[0.01, 0, 0], [0.02, 0, 0], [0, 0.04, 0]]
+    assert "grows to the end" in words(section(HERE, given))
+    given["s1+50"]["cells"]["15"]["shown"]["series"]["so3"] = {"t": [], "error": []}
+    assert "`so3` tracked nothing" in words(section(HERE, given))
 
 
 def test_missing_and_failed_rows_are_said():

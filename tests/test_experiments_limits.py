@@ -209,15 +209,17 @@ def test_a_section_has_maps_tables_advice_and_what_failed(tmp_path):
     assert names == ["limits-speed", "limits-map", "limits-exposure", "limits-cover", "limits-again"]
     assert all((tmp_path / "experiments" / f"{n}-dark.svg").stat().st_size > 5000 for n in names)
     fast, film, cover, again = tables(found)
-    assert fast.rows[0][:4] == ("15", "115", "115", "all, to 1432")  # the median, 2 rad/s
-    assert fast.rows[0][5] == "20"
-    assert film.rows[2] == ("60", "4", "955", "none", "229", "458")  # 2 x 0.02 / 0.6 rad in 4 ms
-    assert ("50", "closing in", "10 – 50", "20 – 60", "30 – 70", "", "", "") in cover.rows
-    assert again.rows[0][1:4] == ("never", "lost before the cover came", "0 ms (1 frame)")
+    assert fast.rows[0] == ("15", "3", "`ekf1`", "115", "20", "45")  # the median, 2 rad/s
+    assert fast.rows[2] == ("", "", "`so3`", "all, to 1432", "all, to 2000", "")
+    assert film.rows[2] == ("60", "4", "1", "955", "none", "229", "458")  # 2 x 0.02 / 0.6 rad in 4 ms
+    assert film.rows[3][:3] == ("60", "16", "failed")
+    assert ("50", "2", "closing in", "10 – 50", "20 – 60", "30 – 70", "", "", "") in cover.rows
+    assert again.rows[0] == ("30", "1", "`ekf1`", "never", "17 ms (1 frame)")  # half a frame
+    assert again.rows[1][3] == "lost before the cover came"
     assert "film-60-16-0: too little memory" in page
-    assert "`ekf2` at no frame rate; `so3` from 15 Hz on" in page
+    assert "`ekf2` at no frame rate; `so3` at all, 15 to 240 Hz" in page
     assert "30 % of the visible ball with 50 discs" in page
-    assert "917 °/s with 0 ms, 458 °/s with 4 ms of exposure. For 400 °/s it need not be shorter than 4 ms" in page
+    assert "917 °/s with 0 ms, 458 °/s with 4 ms of exposure. 400 °/s, at an even rate, are followed with every" in page
     assert "lost are `ekf1` at 172 °/s (without pictures 178), `ekf2` at 183 °/s (without pictures 183); up to" in page
     assert "Pictures differ from none by 0.0 % of the ball (median; at most 2 %)" in page
 
@@ -232,8 +234,32 @@ def test_a_section_of_nothing_is_still_a_page():
 def test_a_ball_lost_without_a_cover_is_said():
     lost = {kind: {"ekf1": 0.5, "ekf2": 0.6, "so3": 0.0} for kind in COVERS}
     found = section(WHOLE, {"cover-50-0": given()["cover-50-0"], "cover-16-0": lost})
-    assert ("16", "closing in", "50", "60", "lost before", "", "", "") in tables(found)[0].rows
+    assert ("16", "1", "closing in", "50", "60", "lost before", "", "", "") in tables(found)[0].rows
     assert "16 discs are too few: it is lost without a cover." in str(found.parts[-1])
+
+
+def test_rates_that_hold_are_listed_and_not_what_lies_between():
+    slow = {f"speed-{fps:g}-0": speed(1.0, 1.0 if fps == 60.0 else FASTEST) for fps in RATES}
+    text = "\n".join(p for p in section(WHOLE, slow).parts if isinstance(p, str))
+    assert "`so3` at 15, 30, 120, 240 Hz" in text
+
+
+def test_lost_at_the_gentlest_push_is_not_lost_at_all_others():
+    odd = speed(5.0)
+    odd["ekf1"]["acceleration"] = 0.0
+    found = section(WHOLE, {"speed-30-0": odd, "speed-30-1": {"error": "too dark"}})
+    rows = tables(found)[0].rows
+    assert rows[0] == ("30", "1 of 2 failed", "`ekf1`", "286", "lost at 1, the least tried", "90")
+    text = "\n".join(p for p in found.parts if isinstance(p, str))
+    assert "the ball turns by 4.5 rad, " in text
+    assert "are reached (medians) by `ekf1` at 30 Hz (286 °/s)." in text
+    assert "does not mean" not in str(section(WHOLE, {"speed-30-0": speed(1.0)}).parts)
+
+
+def test_an_exposure_that_is_too_long_is_not_advised():
+    films = {f"film-60-{e}-0": {"ekf1": 1.0, "ekf2": 1.0, "so3": 8.0 if e != 8 else 2.0} for e in (4, 8, 16)}
+    text = "\n".join(p for p in section(WHOLE, films).parts if isinstance(p, str))
+    assert "followed with exposures of 4, 16 ms." in text
 
 
 def test_a_quick_section_has_figures_of_what_is_there(tmp_path):

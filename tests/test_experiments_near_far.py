@@ -69,11 +69,23 @@ def test_a_section_has_the_table_and_says_what_failed(tmp_path):
     results = {"near-0": near, "far-0": made(9.0, (0.1, 0.1, 0.1))}
     section = near_far.section(QUICK, results)
     page = write_report(tmp_path, {"near_far": (near_far.TITLE, section)}, "x")[0].read_text()
-    assert "+50%" in page
-    assert "is 2.00 (`ekf2`) and 2.00 (`so3`); in the thesis 2.65" in page  # of attitude
+    assert "has 50 % more discs in use than the near one (thesis: 20 % more)" in page
+    assert "is 2.00 (`ekf2, blobs`), 2.00 (`ekf2`), 2.00 (`so3`), 1.00 (the bound); in the thesis 2.65" in page
+    assert (
+        "far 0.17 against 0.17 °/s with centres off by 0.03 against 0.03 px" in page
+    )  # no verdict where there is none
+    assert "is the cause" not in page  # 2.00 is not far from 2.65
     assert "near-0, ekf1: no target found" in page
     assert "| near: discs | 7.4 | 6.0 | failed | 6.0 | 6.0 |" in page
     assert (tmp_path / "experiments" / "near-far-dark.svg").stat().st_size > 5000
+
+
+def test_what_is_not_found_is_said_and_failed_films_are_counted():
+    results = {"near-0": made(6.0, (0.1, 0.1, 0.1)), "far-0": made(5.0, (0.1, 0.1, 0.1)), "far-1": {"error": "x"}}
+    text = str(near_far.section(QUICK, results).parts)
+    assert "has 17 % fewer discs in use" in text
+    assert "up to 6.9 of its standard deviations (table 22, " in text
+    assert "1 from near, 1 (1 of 2 failed) from far" in text
 
 
 def test_a_section_without_results_has_rows_that_say_so():

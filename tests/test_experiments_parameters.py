@@ -90,11 +90,34 @@ def test_tables_have_the_thesis_beside_ours_in_every_cell():
     assert "differ by a factor of 1.0 at most" in text  # of this filter
     assert "3.4 and 1.5" in text  # of the thesis' rates on S1
     assert "by at most 0.15, cells with the same σ_w by up to 0.38" in text  # and of its correlations on R1
-    assert "alike within a factor of 1.05" in text  # 2.1 over 2.001
-    assert "1.00 on S1, ours (with ours: " in text
-    assert "2.00 on far26 (with ours: " in text
-    assert "0.987" in text
-    assert "best at σ_w = 0.1, with centres good to 0.07 px" in text
+    assert "equal ratios agree within 1.05" in text  # 2.1 over 2.001
+    assert "S1, ours: rates 1.00 (1.0 at most; with our radius " in text
+    assert "far26: rates 2.00 (2.0 at most; with our radius " in text
+    assert "0.987: a tracker can hardly agree better" in text
+    assert "best at σ_w = 0.1, with centres good to 0.07 px and 5.5 discs per frame used (ours: at 10," in text
+    assert "the more a filter gains by trusting them" in text  # 10 is above 0.1
+    assert "Without noise: S1, ours 300 frames, far26 300 frames" in text
+
+
+def test_nothing_is_said_of_cells_that_are_not_there():
+    empty = grid()
+    for cell in (*empty["cells"].values(), *empty["published"].values()):
+        cell["lost_episodes"], cell["trackball"] = 0, {}
+        cell["rate_rmse_deg_s"] = cell["attitude_rmse_deg"] = {"combined": None}
+    text = words(section(AWAY, {"r1": empty, "s1": empty}))
+    assert "Best of ours" not in text
+    assert "of the 12 cells `ekf2` loses" not in text
+    assert "Our rates go by" not in text
+    assert "tracks nothing" in text
+    assert "trusting them" not in text
+
+
+def test_rates_that_do_not_go_by_the_ratio_are_not_said_to():
+    other = grid()
+    for key, cell in other["cells"].items():
+        w, b = map(float, key.split("/"))
+        cell["rate_rmse_deg_s"] = {"combined": 1.0 + w + 0.001 * b}
+    assert "Our rates do not go by σ_w/σ_b alone" in words(section(AWAY, {"s1": other}))
 
 
 def test_what_is_missing_is_left_out_and_what_failed_is_said(tmp_path):

@@ -98,12 +98,34 @@ def test_the_advice_is_the_best_place_that_sees_the_targets(tmp_path):
     assert "put the camera at azimuth 0°, elevation 0° (0.0100°, 0.100 °/s)" in text
     assert "three or more are seen from 3 of the 6 directions" in text
     assert "attitude 2.00 (2.00 to 2.00)" in text  # the film with a map's value
-    assert "From 1 of 2 places the targets gave no pose" in text
+    assert "From 1 of 2 places the targets gave no pose; with the true pose the ball is tracked to the end" in text
+    assert "all within -30° to 30° of azimuth and at 0° of elevation" in text
+    assert "the first 150 frames" in text
     page = write_report(tmp_path, {"places": (places.TITLE, found)}, "x")[0].read_text()
-    assert "| -30°, 20°, 2.35 m, 640 px | – | 7.0 | 0 | no pose |" in page
+    assert "| -30°, 20°, 2.35 m, 640 px | – | 7.0 | map | – | – |  |" in page
+    assert "|  |  |  | `so3`, own pose | no pose | no pose | no pose |" in page
+    assert "|  |  |  | `so3`, true pose | 0.0300 | 0.030 | 0 |" in page
     assert (tmp_path / "experiments" / "places-directions-dark.svg").stat().st_size > 5000
     assert (tmp_path / "experiments" / "places-distances-light.svg").stat().st_size > 5000
     assert "lost" not in places._lost_by_pose(places._films(results()))
+
+
+def test_what_holds_everywhere_is_no_limit_and_no_missing_pose():
+    given = results()
+    for e in given["directions-0"]["map"]:
+        e["targets"] = 4
+    given[Place(-30, 20, 2.35, 640.0).key] = film(Place(-30, 20, 2.35, 640.0), 0.03)
+    text = words(section(WHOLE, given))
+    assert "Three targets or more are seen from all of them." in text
+    assert "limits the choice" not in text
+    assert "gave no pose" not in text
+
+
+def test_a_film_that_failed_is_a_row():
+    found = section(WHOLE, {**results(), "film-45-10-2.35-640": {"error": "too dark"}})
+    table = next(p for p in found.parts if isinstance(p, Table))
+    assert table.rows[-1][0] == "45-10-2.35-640: failed"
+    assert {len(r) for r in table.rows} == {len(table.head)}
 
 
 def test_a_ball_that_is_lost_for_its_pose_is_told():

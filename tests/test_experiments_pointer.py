@@ -163,13 +163,16 @@ def test_a_section_has_figures_tables_advice_and_what_failed(tmp_path):
     assert names == ["pointer", "pointer-stop"]
     assert all((tmp_path / "experiments" / f"{n}-light.svg").stat().st_size > 5000 for n in names)
     first, more, stops = (part for part in found.parts if isinstance(part, Table))
-    assert first.rows[0] == ("30", NONE, "74", "100.0", "9.00")
-    assert first.rows[2] == ("30", DEFAULT, "2", "10.0", "0.90")
+    assert first.rows[0] == ("30", "2", NONE, "74", "100.0", "9.00")
+    assert first.rows[2] == ("", "", DEFAULT, "2", "10.0", "0.90")
+    assert first.rows[-1][:2] == ("240", "failed")
     assert len(more.rows) == len(MORE)
-    assert stops.rows[0][:3] == ("30", "30 (60)", "400 (600)")
+    assert stops.rows[0] == ("30", NONE, "30 (60)", "30 (60)")
+    assert stops.rows[1] == ("", pointer.ONE, "400 (600)", "400 (600)")
+    assert "leaves the default pointer 400 counts too far at 30 Hz: 40 cm of the ball" in page
     assert "play-240-0: too little memory" in page
     assert "takes the delay from 74 to 2 ms and the roughness to 1/10" in page
-    assert "within 5 counts of the ball (RMS) from 120 Hz on" in page
+    assert "within 5 counts of the ball (RMS) at 120 Hz" in page
     assert "reaches to the next frame from 30 Hz on" in page
     assert "default: 9.0 counts from the ball and roughness 0.90 (without pictures 8.0 and 0.90)" in page
     assert "did not hold" not in page
@@ -184,6 +187,18 @@ def test_a_section_of_nothing_is_still_a_page():
     assert text.count("too dark") == len(failed)
 
 
+def test_a_longer_horizon_has_its_price():
+    slow = stop_of(100.0)
+    slow[pointer.NEXT] = {f"{d:g}": [300.0, 300.0] for d in STOPPED} | {"path": slow["t"]}
+    given_ = {"play-15-0": play_of(9.0), "play-30-0": play_of(8.0), "stop-15": slow, "stop-30": {"error": "too dark"}}
+    found = section(WHOLE, given_)
+    assert "(its price, where a ball is stopped within 50 ms: 300 in place of 200 counts too far at 15 Hz)" in str(
+        found.parts
+    )
+    assert ("30", "failed", "–", "–") in found.parts[4].rows
+    assert "its price" not in str(section(WHOLE, {"play-30-0": play_of(8.0), "stop-30": stop_of(20.0)}).parts)
+
+
 def test_a_tracker_that_did_not_follow_is_said():
     found = section(WHOLE, {"play-30-0": {**play_of(8.0), "tracked": 0.9}})
     assert "part of the frames of play-30-0 (10 %)" in str(found.parts)
@@ -194,7 +209,7 @@ def test_a_delay_that_is_not_found_is_said():
     one[DEFAULT] = {**one[DEFAULT], "delay": None}
     found = section(WHOLE, {"play-30-0": one})
     (table,) = [part for part in found.parts if isinstance(part, Table)]
-    assert ("30", DEFAULT, "none found", "8.0", "0.90") in table.rows
+    assert ("", "", DEFAULT, "none found", "8.0", "0.90") in table.rows
 
 
 def test_jobs_have_keys_of_their_own():

@@ -24,7 +24,7 @@ def sightings(rig, centre):
 @pytest.fixture(scope="module")
 def results():
     """One camera of each view, few draws."""
-    films = {f"{view}-1": poses.filmed(view, 1, [1, 2]) for view in ("far", "near")}
+    films = {f"{view}-0": poses.filmed(view, 1, [1, 2]) for view in ("far", "near")}
     return json.loads(json.dumps({**films, "drawn-far": poses.drawn("far", 3)}))
 
 
@@ -83,7 +83,7 @@ def test_cameras_of_seeds_differ_and_see_all_targets():
 
 def test_films_give_poses_from_all_counts(results):
     for view in ("far", "near"):
-        film = results[f"{view}-1"]
+        film = results[f"{view}-0"]
         assert set(film["figure"]["counts"]) == {"1", "2"}
         assert set(film["table"]["counts"]) == {"30"}
         assert 0.0 < film["table"]["scatter_px"] < film["figure"]["scatter_px"] < 0.1  # 3 and 15 grey values
@@ -109,12 +109,47 @@ def test_a_section_says_what_was_measured(results, tmp_path):
     section = poses.section(QUICK, results)
     page = write_report(tmp_path, {"poses": (poses.TITLE, section)}, "x")[0].read_text()
     found = section.figures["table 21"]
-    assert f"{found['sigma'][0]:.2f} (2.81) mm" in page
+    assert f"{found['sigma'][0]:.3f} (2.81) mm" in page
     assert "its rows are left out" in page
     assert "near, centres drawn, targets calibrated | 0 | failed" in page
-    assert "What failed" not in page
+    assert "What failed:" not in page
     for kind in ("light", "dark"):
         assert (tmp_path / "experiments" / f"poses-views-{kind}.svg").stat().st_size > 5000
+
+
+def test_the_thesis_own_camera_is_not_replaced_by_another(results):
+    given = {"far-0": {"error": "no target"}, "far-1": results["far-0"], "near-0": results["near-0"]}
+    section = poses.section(QUICK, given)
+    table = [p for p in section.parts if isinstance(p, Table)][1]
+    assert table.rows[0] == ("where the thesis' camera stands", *["failed"] * 6)
+    assert table.rows[1][0] == "error, 1 cameras, 1 failed"
+    assert "sigma" not in section.figures["table 21"]
+    assert "those correlations change" not in str(section.parts)
+
+
+def test_numbers_that_round_to_nothing_have_no_sign(results):
+    tables = [p for p in poses.section(QUICK, results).parts if isinstance(p, Table)]
+    cells = " ".join(c.split(" (")[0] + " " for t in tables[:3] for row in t.rows for c in row[1:])
+    assert "-0.000 " not in cells
+    assert "-0.00 " not in cells
+
+
+def test_signs_that_differ_from_the_thesis_are_said():
+    ours = {"correlation": [[0.0] * 6 for _ in range(6)]}
+    ours["correlation"][5] = [0.26, -0.11, 0.02, 0.1, -0.25, 1.0]
+    text = poses._other_signs(ours)
+    assert "X0 (+0.26 against -0.30; table 21: +0.45) and φ0 (-0.25 against +0.34; table 21: -0.43)" in text
+    assert "Y0" not in text
+    assert "the thesis' own S2" in text
+    ours["correlation"][5] = [-0.26, 0.0, 0.0, 0.0, 0.25, 1.0]
+    assert poses._other_signs(ours) == ""
+
+
+def test_drawn_centres_are_said_to_give_less_than_one_where_they_do():
+    key = "far, centres drawn, targets calibrated"
+    assert "keeps the mean below 1" in poses._of_drawn({key: {"chi_square": 0.9}})
+    assert "keeps the mean" not in poses._of_drawn({key: {"chi_square": 1.1}})
+    assert poses._of_drawn({}) == ""
 
 
 def test_a_section_without_results_has_rows_that_say_so():

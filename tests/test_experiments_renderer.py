@@ -107,6 +107,26 @@ def test_a_section_says_whether_what_is_asked_is_reached(offset, word, tmp_path)
     assert (tmp_path / "experiments" / "renderer-light.svg").stat().st_size > 5000
 
 
+def test_of_the_missed_it_is_counted_who_makes_the_difference():
+    rows = np.zeros((13, 10))
+    rows[:, 0], rows[:, 1] = 0.9, 20.0
+    rows[:, 4] = 0.1  # ours off by that in u
+    rows[:3, 4] = 1.0
+    rows[12, :2] = 0.2, 80.0  # large, near the middle: reached
+    said = renderer._of_missed(rows, [{"low": 10.0, "high": 30.0}])
+    assert "The 12 discs of the missed classes lie at 0.90" in said
+    assert f"the 3 worst of them make {100 * 3.0 / 3.09:.0f} %" in said
+    assert f"off the truth by 0.000 px there, ours by {np.sqrt(3.09 / 24):.3f} px" in said
+
+
+def test_where_no_disc_is_found_in_both_nothing_is_said_of_classes(tmp_path):
+    given = results_of(0.03)
+    given["far26-0"]["rows"] = [[0.5, 80.0, 100.0, 100.0, *[None] * 6]]
+    text = str(renderer.section(Request(True, tmp_path), given).parts)
+    assert "No disc was found in both." in text
+    assert "missed" not in text
+
+
 def test_without_the_recording_nothing_is_done_and_that_is_said(tmp_path):
     assert renderer.jobs(Request(False, None)) == []
     assert "not at hand" in str(renderer.section(Request(False, None), {}).parts)

@@ -117,6 +117,21 @@ def test_a_section_says_what_was_measured(results, tmp_path):
         assert (tmp_path / "experiments" / f"surface-{name}-dark.svg").stat().st_size > 5000
 
 
+def test_what_the_image_makes_of_the_variance_is_counted(results):
+    bins = [{"angle": a, "total sigma": [t, 1.0], "image sigma": [i, 1.0]} for a, t, i in ((9, 2.0, 1.0), (69, 10, 9))]
+    cap = {"bins": bins, "chi_square_image": 0.3}
+    text = surface._about_scatter({"far": cap})
+    assert "2.00 mm at 9° from the middle, the image alone 1.00 mm: 25 % of the variance" in text
+    assert "9.00 mm: 81 % of the variance" in text
+    assert "claimed larger than it is (chi-square / 2: 0.30 (far)" in text
+    assert "claimed smaller" in surface._about_scatter({"far": {**cap, "chi_square_image": 1.4}})
+
+
+def test_frames_are_compared_with_the_thesis_where_they_can_be():
+    assert "ours hides more from the near one" in surface._of_thesis_frame(1.35, 1.74)
+    assert surface._of_thesis_frame(1.35, 1.3) == "The thesis has 20 % more discs before its far camera."
+
+
 def test_a_section_without_results_has_rows_that_say_so():
     failed = {j.key: {"error": "the ball is gone"} for j in surface.jobs(QUICK)}
     for given in ({}, failed):

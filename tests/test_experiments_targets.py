@@ -100,6 +100,7 @@ def test_a_section_says_what_is_found_from_which_size_on(tmp_path):
     assert "No size tried is enough for rings under a fifth of the light" in text
     assert "Advice: rings at least 12 px across in the picture. " in text
     assert "camera-1: no memory" in text
+    assert "1 camera (1 more failed) near" in text
     assert "rings: 2.50 mm with 4, 1.67 mm with 6. Advice: 6 targets" in text
     tables = [p for p in found.parts if isinstance(p, Table)]
     least = next(t for t in tables if "Least size" in t.title)
@@ -110,6 +111,22 @@ def test_a_section_says_what_is_found_from_which_size_on(tmp_path):
     assert "| subpix | 100 % | 0.292 | +0.300 | +0.200 |" in page
     for name in ("targets-number", "targets-size"):
         assert (tmp_path / "experiments" / f"{name}-light.svg").stat().st_size > 5000
+
+
+def test_the_bound_is_the_claim_of_centres_as_good_as_they_were():
+    good, bad = posed(1.0, 10.0), {**posed(1.0, 10.0), "point_px": 0.3}
+    assert targets._bound([{**good, "point_px": 0.01}]) == pytest.approx(2.0)  # 0.05 px are allowed for
+    assert targets._bound([bad]) == pytest.approx(10.0)  # the claim has followed the residuals
+    assert targets._bound([{"found": 0.0, "point_px": None, "error": "none"}]) is None
+
+
+def test_one_condition_is_not_all():
+    one = given()
+    one["sizes"] = {k: v for k, v in one["sizes"].items() if k.endswith("plain")}
+    assert "all conditions" not in words(section(WHOLE, {"camera-0": one}))
+    for k in [k for k in given()["sizes"] if k.startswith("rings") and k.endswith("dark")]:
+        one["sizes"][k] = one["sizes"][k.replace("dark", "plain")]
+    assert "px across in the picture, enough under all conditions tried" in words(section(WHOLE, {"camera-0": one}))
 
 
 def test_sizes_must_be_found_from_the_advised_one_on():

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.experiments import kit, sights, viewing
 from spheremouse.experiments.experiment import Figure, Request, Table
-from spheremouse.experiments.plot import save
+from spheremouse.experiments.plot import apart, save
 from spheremouse.experiments.report import write_report
-from spheremouse.experiments.viewing import KINDS, apart, jobs, points, section, thinned, tour
+from spheremouse.experiments.viewing import KINDS, jobs, points, section, thinned, tour
 from spheremouse.rotation import log
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
@@ -158,7 +158,14 @@ def test_the_advice_is_the_range_in_which_all_is_well():
     assert "`so3` reaches that with 0 ms of exposure" in text
     assert "`so3, ignored` reaches that with all, 0 to 30 ms of readout" in text
     bad = {key: point(0.3, pose=None) for key in ("plain-1", "blur-33-1")}
-    assert "`so3` does not reach that at any" in words(section(WHOLE, bad))
+    text = words(section(WHOLE, bad))
+    assert "`ekf1`, `ekf2`, `so3` reach that with none." not in text  # half of that is the bound, which does not either
+    assert "`ekf1`, `ekf2`, `so3` reach that with none, nor does the bound: this motion asks too much." in text
+    slow = {"plain-1": point(0.09), "blur-33-1": point(0.12)}  # rates of 1.8 and 2.4 °/s of 40
+    slow["blur-33-1"]["bound"]["rate"] = 1.9
+    assert "`ekf1`, `ekf2`, `so3` reaches" not in words(section(WHOLE, slow))
+    slow["plain-1"] = point(0.11)
+    assert "`ekf1`, `ekf2`, `so3` reach that with none." in words(section(WHOLE, slow))
 
 
 def test_a_range_ends_where_a_film_is_lost_and_the_longest_counts():
@@ -170,20 +177,39 @@ def test_a_range_ends_where_a_film_is_lost_and_the_longest_counts():
 
 def test_where_the_rate_is_best_is_said():
     rates = {r: point(e, KINDS["rate"].shown) for r, e in (("15", 0.2), ("60", 0.05), ("240", 0.1))}
-    assert "`so3` 1.00 at 60 (4.00 at 15, 2.00 at 240)" in words(section(WHOLE, {"rate-1": {"points": rates}}))
+    text = words(section(WHOLE, {"rate-1": {"points": rates}}))
+    assert "`so3` 1.00 at 60 (4.00 at 15, 2.00 at 240)" in text
+    assert "Worse at 240 than at their best: `ekf1` (2.0 times)" in text
+    rates["240"] = point(0.04, KINDS["rate"].shown)
+    assert "None is worse at 240." in words(section(WHOLE, {"rate-1": {"points": rates}}))
+
+
+def test_a_readout_that_does_harm_when_told_is_said():
+    given = {"plain-1": point(0.01), "readout-30-1": point(0.04, KINDS["readout"].shown)}
+    assert "Telling it" not in words(section(WHOLE, given))
+    given["readout-30-1"]["rows"]["so3"] = {**row(0.04), "attitude": 0.08}
+    text = words(section(WHOLE, given))
+    assert "Telling it makes it worse with 30 ms: attitude 0.080° told, 0.040° estimated, 0.040° ignored." in text
+
+
+def test_films_that_failed_are_counted():
+    found = section(WHOLE, {**results(), "blur-33-2": {"error": "no memory"}})
+    rows = tables(found)["Motion blur"].rows
+    assert next(r for r in rows if r[0] == "33")[1] == "1 of 2 failed"
 
 
 def test_rows_have_medians_and_say_what_was_lost(tmp_path):
     found = section(WHOLE, results())
     rate = tables(found)["Frame rate"]
-    assert rate.rows[0][:3] == ("15", "2", "0.200")
-    assert rate.rows[0][-1] == "2, 2, 2, 2"
-    assert rate.rows[2][-1] == "0, 0, 0, 0"
+    assert rate.rows[0] == ("15", "2", "`ekf1`", "lost", "lost", "2 of 2")
+    assert rate.rows[5] == ("30", "2", "`ekf1`", "0.050", "1.00", "0 of 2")
+    assert rate.rows[9] == ("", "", "bound", "0.025", "0.50", "")
     assert {len(r) for r in rate.rows} == {len(rate.head)}
     size = tables(found)["Resolution"]
-    assert [r[0] for r in size.rows] == ["320×240", "640×480"]
+    assert [r[0] for r in size.rows if r[0]] == ["320×240", "640×480", "1920×1080"]
+    assert size.rows[-1][:2] == ("1920×1080", "failed")
     page = write_report(tmp_path, {"viewing": (viewing.TITLE, found)}, "x")[0].read_text()
-    assert "not found in 1 of 1 films (0 of 4 targets found)" in page
+    assert "not found in 1 of 1 films: no target was found; these" in page
     assert "size-1920x1080-1: too little memory" in page
     for name in KINDS:
         assert (tmp_path / "experiments" / f"viewing-{name}-dark.svg").stat().st_size > 5000
@@ -205,9 +231,10 @@ def test_a_figure_is_drawn_where_a_filter_or_the_bound_has_no_value(tmp_path):
     assert len(figures) == 4
     blur = next(figure for figure in figures if figure.name == "viewing-blur")
     assert all(path.stat().st_size > 5000 for path in save(blur, tmp_path))
-    line = next(r for r in tables(found)["Motion blur"].rows if r[0] == "16")
-    assert line[2] == "–"
-    assert line[-1] == "1, 0, 0"
+    rows = tables(found)["Motion blur"].rows
+    k = next(k for k, r in enumerate(rows) if r[0] == "16")
+    assert rows[k][2:] == ("`ekf1`", "lost", "lost", "1 of 1")
+    assert rows[k + 3] == ("", "", "bound", "–", "–", "")
 
 
 def test_a_page_without_results_says_so():

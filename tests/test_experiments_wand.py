@@ -63,11 +63,55 @@ def test_figures_are_drawn_where_there_is_something_to_draw(results, tmp_path):
 
 def test_a_film_that_failed_is_a_row_that_says_so(results, monkeypatch):
     found = wand.section(Request(True, None), {"drive-01": {"error": "no memory"}})
-    table = [part for part in found.parts if isinstance(part, Table)][1]
+    table = next(part for part in found.parts if isinstance(part, Table) and part.title.startswith("Films"))
     assert table.rows[0][3] == "failed: see below"
     assert "- drive-01: no memory" in found.parts[-1]
     assert figures(found) == []
     lost = replace(FILM, seeds=(1, 2))
     monkeypatch.setattr(wand_experiments, "films", lambda quick: (lost,))
     found = wand.section(Request(True, None), {**results, "drive-02": {"error": "no memory"}})
-    assert "(1 failed)" in [part for part in found.parts if isinstance(part, Table)][1].rows[0][0]
+    table = next(part for part in found.parts if isinstance(part, Table) and part.title.startswith("Films"))
+    assert "(1 failed)" in table.rows[0][0]
+    assert [row[0] for row in table.rows[1:]] == ["", ""]  # the same film
+
+
+def row(variant, z, lost=0, runs=20, film="drive", anees=1.0):
+    axes = {"x": 1.0, "y": 1.0, "z": z}
+    figures = {"position_p95_mm": axes, "position_max_mm": axes, "rotation_p95_deg": 1.0, "rotation_max_deg": 2.0,
+               "anees": {"position": anees, "rotation": 1.0}, "within_95": 0.9}  # fmt: skip
+    return wand_experiments.Row(replace(FILM, name=film), variant, runs, lost, runs, 1.0, figures)
+
+
+def test_what_makes_the_difference_is_told_from_the_rows():
+    table = [
+        row("350, known start", 20.0),
+        row("350, without the outline", 40.0),
+        row("5000, all as in the thesis", 900),
+    ]
+    text = wand._differs(table)
+    assert "ours 0 of 20 lost, z 2.0 cm" in text
+    assert "without the outline of the ball 0 of 20 lose the ball, z 4.0 cm." in text
+    assert "0 of 20 are lost, and z is off by 90.0 cm (the thesis, with 350: up to 40 cm)" in text
+    assert "62°" not in text
+    alone = row("350, drawn by the thesis' motion alone", 900.0, lost=19)
+    assert "by up to 62° from one to the next" in wand._differs([*table, alone])
+    assert wand._differs([]) == ""
+
+
+def test_particles_stand_beside_the_thesis_own():
+    table = [row("50, known start", 21.0), row("50, all as in the thesis", 99.0, lost=20)]
+    found = wand._particles(table, {"350 particles, whole frame": {"fps": 50.0}})
+    assert found.rows[0] == ("50", "0.6", "–", "2 of 3", "0 of 20", "20 of 20", "–", "2.1 cm")
+    assert found.rows[1] == ("350", "0.71", "0.020", "none", "–", "–", "40 cm", "–")
+    assert {len(r) for r in found.rows} == {len(found.head)}
+
+
+def test_an_absurd_anees_is_not_spelled_out():
+    assert wand._cells(row("50, known start", 21.0, anees=1.43e34))[9] == "> 1000  1"
+    assert wand._cells(row("50, known start", 21.0, anees=832.0))[9] == "832  1"
+
+
+def test_words_of_the_tables_are_explained(results):
+    text = wand.section(Request(True, None), results).parts[0]
+    for word in ("*lost*", "*Tracked*", "*Found in 5*", "ANEES", "*known start*", "*Without the outline*"):
+        assert word in text

@@ -3,6 +3,7 @@
 Wittich 2017, section 4.7, table 20: 26, 50 and 74 discs (sets S1, S2, S3); here 6 to 100, on several layouts.
 """
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,9 @@ from spheremouse.evaluate.metrics import Run, run_bound
 from spheremouse.experiments import sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import TRACKERS, bound_rms, made, options_of, settings_of, tracked
-from spheremouse.experiments.plot import BOUND, THESIS
+from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.report import failures, value
-from spheremouse.simulate import prepare
+from spheremouse.simulate import SimulationOptions, prepare
 
 TITLE = "Number of discs (Wittich 2017, table 20)"
 
@@ -65,14 +66,18 @@ def _key(discs: int, layout: int) -> str:
 
 # ---- for a reader ----
 
+_THESIS_FRAMES = 300
+_MARKS = "osD"  # of the trackers
+
 
 def section(request: Request, results: Results) -> Section:
     """Table 20, and errors against the number of discs."""
     balls = _by_count(results)
     parts: list[str | Table | Figure] = [
-        "The far camera, the thesis' motion, the camera's pose found from the film; balls with other numbers of discs. "
-        "Table 20 is compared with the first layout, in the axes of the device; for the figure, "
-        f"{max((len(b) for b in balls.values()), default=0)} layouts each, RMS of their errors.",
+        f"The far camera, the thesis' motion{_length(balls)}, {_noise()}, the camera's "
+        "pose found from the film; balls with other numbers of discs. Table 20 is compared with the first "
+        "layout (places of the discs), in the axes of the device; what follows is the RMS over "
+        f"{_layouts(balls)}.",
         _table_20(results),
     ]
     both = _both(balls)
@@ -84,7 +89,7 @@ def section(request: Request, results: Results) -> Section:
     if len(balls) > 1:
         parts.append(_figure(balls))
     if balls:
-        parts.append(_all_table(balls))
+        parts.append(_all_table(balls, _failed_of(results)))
     failed = failures(results)
     if failed:
         parts.append("Failed:\n\n" + "\n".join(failed))
@@ -100,28 +105,44 @@ def _by_count(results: Results) -> dict[int, list[Result]]:
     return dict(sorted(found.items()))
 
 
+def _failed_of(results: Results) -> dict[int, int]:
+    """How many films failed, by the number of discs."""
+    return dict(Counter(int(key.split("-")[0]) for key, result in results.items() if "error" in result))
+
+
+def _layouts(balls: dict[int, list[Result]]) -> str:
+    most = max((len(found) for found in balls.values()), default=0)
+    return "the only layout" if most == 1 else f"up to {most} layouts each"
+
+
+def _noise() -> str:
+    noise = SimulationOptions().noise
+    return f"noise of {noise:g} grey values" if noise else "without noise"
+
+
+def _length(balls: dict[int, list[Result]]) -> str:
+    """How long the films are, beside the thesis'."""
+    frames = {b["rows"]["so3"].get("frames") for found in balls.values() for b in found} - {None}
+    return f" (films of {max(frames)} frames; the thesis' have {_THESIS_FRAMES})" if frames else ""
+
+
 def _table_20(results: Results) -> Table:
-    rows = [_line("discs used per frame (thesis: stored)", STORED, results, ("mean_discs",), 1)]
-    for name, typed, key, unit in (
-        ("attitude RMSE", ATTITUDE, "attitude_rmse_deg", "°"),
-        ("rate RMSE", RATE, "rate_rmse_deg_s", "°/s"),
-    ):
-        for i, axis in enumerate("xyz"):
-            thesis = {n: values[i] for n, values in typed.items()}
-            rows.append(_line(f"{name} {axis}, {unit}", thesis, results, (key, axis), 3))
-    head = ("", *(f"{n}: {who}" for n in STORED for who in ("thesis", *(f"`{t}`" for t in TRACKERS))))
-    return Table(head, tuple(rows))
-
-
-def _line(name: str, thesis: dict[int, float], results: Results, path: tuple[str, ...], digits: int) -> tuple[str, ...]:
-    cells = [name]
-    for n in STORED:
+    rows = []
+    for n, stored in STORED.items():
+        typed = (*ATTITUDE[n], *RATE[n])
+        rows.append((str(n), "thesis, EKF2", f"{stored:.1f}", *(f"{x:.3f}" for x in typed)))
         result = results.get(_key(n, LAYOUTS[0]))
-        cells.append(f"{thesis[n]:.{digits}f}")
         for who in TRACKERS:
             row = result if result is None or "error" in result else result["rows"][who]
-            cells.append(value(row, *path, digits=digits))
-    return tuple(cells)
+            attitude = (value(row, "attitude_rmse_deg", axis, digits=4) for axis in "xyz")
+            rate = (value(row, "rate_rmse_deg_s", axis, digits=3) for axis in "xyz")
+            rows.append(("", f"`{who}`", value(row, "mean_discs", digits=1), *attitude, *rate))
+    head = (
+        *("discs", "filter", "used per frame (thesis: stored)"),
+        *(f"attitude {axis}, °" for axis in "xyz"),
+        *(f"rate {axis}, °/s" for axis in "xyz"),
+    )
+    return Table(head, tuple(rows), "RMSE per axis (table 20)")
 
 
 def _rms(balls: list[Result], who: str, quantity: str) -> float | None:
@@ -163,11 +184,17 @@ def _both(balls: dict[int, list[Result]]) -> str:
     }
     seen = f" {min(share.values()):.0f} to {max(share.values()):.0f} % of the discs are used" if share else ""
     return (
-        f"From {few} to {many} discs the errors shrink by a factor of ({'; '.join(said)}); if each disc said something "
+        f"Error with {few} discs over that with {many}: {'; '.join(said)}. If each disc said something "
         f"new, it would be √({many}/{few}) = {np.sqrt(many / few):.2f}. "
-        + (f"In each frame{seen} (thesis: 15 to 20 % stored)." if seen else "")
+        + (f"In each frame{seen} (thesis: {_stored()} % stored)." if seen else "")
         + centres
     )
+
+
+def _stored() -> str:
+    """Shares of the discs that the thesis stores, %."""
+    share = [100.0 * stored / n for n, stored in STORED.items()]
+    return f"{min(share):.0f} to {max(share):.0f}"
 
 
 def _too_few(balls: dict[int, list[Result]]) -> str:
@@ -193,50 +220,59 @@ def _norm(values: tuple[float, ...]) -> float:
     return float(np.linalg.norm(values))
 
 
-def _all_table(balls: dict[int, list[Result]]) -> Table:
-    rows = []
-    for n, found in balls.items():
+def _all_table(balls: dict[int, list[Result]], failed: dict[int, int]) -> Table:
+    """A row per number of discs and filter."""
+    rows: list[tuple[str, ...]] = []
+    for n in sorted({*balls, *failed}):
+        found, bad = balls.get(n, []), failed.get(n, 0)
+        films = f"{bad} of {len(found) + bad} failed" if bad else str(len(found))
+        if not found:
+            rows.append((str(n), films, *("–",) * 5))
+            continue
         used = [b["rows"]["so3"]["mean_discs"] for b in found if b["rows"]["so3"]["mean_discs"] is not None]
-        row = [str(n), str(len(found)), f"{np.mean(used):.1f}" if used else "–"]
-        for quantity, digits in (("attitude_deg", 3), ("rate_deg_s", 2)):
-            for who in (*TRACKERS, "bound"):
-                number = _rms(found, who, quantity)
-                row.append("–" if number is None else f"{number:.{digits}f}")
-        row.append(", ".join(str(_lost(found, who)) for who in TRACKERS))
-        rows.append(tuple(row))
-    names = (*(f"`{t}`" for t in TRACKERS), "bound")
-    head = (
-        *("discs", "balls", "used per frame"),
-        *(f"attitude, °: {n}" for n in names),
-        *(f"rate, °/s: {n}" for n in names),
-        "times lost: " + ", ".join(f"`{t}`" for t in TRACKERS),
-    )
-    return Table(head, tuple(rows), "Combined RMSE by the number of discs")
+        front = (str(n), films, f"{np.mean(used):.1f}" if used else "–")
+        for who in (*TRACKERS, "bound"):
+            attitude, rate = _rms(found, who, "attitude_deg"), _rms(found, who, "rate_deg_s")
+            rows.append(
+                (
+                    *front,
+                    "bound" if who == "bound" else f"`{who}`",
+                    "–" if attitude is None else f"{attitude:.4f}",
+                    "–" if rate is None else f"{rate:.2f}",
+                    "" if who == "bound" else str(_lost(found, who)),
+                )
+            )
+            front = ("", "", "")
+    head = ("discs", "films", "used per frame", "filter", "attitude, °", "rate, °/s", "times lost")
+    return Table(head, tuple(rows), "Combined RMSE by the number of discs, over the films")
 
 
 def _figure(balls: dict[int, list[Result]]) -> Figure:
     panels = (("attitude_deg", "attitude RMSE, °", ATTITUDE), ("rate_deg_s", "rate RMSE, °/s", RATE))
 
     def draw(canvas: Any) -> None:
+        from matplotlib.ticker import NullLocator
+
         axes = canvas.subplots(1, 2)
         handles: list[Any] = []
         for ax, (quantity, label, typed) in zip(axes, panels, strict=True):
             handles = []
             for k, who in enumerate(TRACKERS):
                 x, y = _curve(balls, who, quantity)
-                handles += ax.plot(x, y, color=f"C{k}", marker="o", label=who)
+                handles += ax.plot(x, y, color=f"C{k}", marker=_MARKS[k], label=who)
             x, y = _curve(balls, "bound", quantity)
             handles += ax.plot(x, y, color="0.5", label="Cramér-Rao bound", **BOUND)
             x, y = list(typed), [_norm(v) for v in typed.values()]
-            handles += ax.plot(x, y, color="C1", marker="s", markerfacecolor="none", label="thesis, EKF2", **THESIS)
+            handles += ax.plot(x, y, color="C3", marker="x", markersize=6, label="thesis, EKF2", **THESIS)
             ax.set(xscale="log", yscale="log", xlabel="discs on the ball", ylabel=label)
+            plain_numbers(ax.yaxis)
             ax.set_xticks(list(balls), [str(n) for n in balls])
-            ax.minorticks_off()
+            ax.xaxis.set_minor_locator(NullLocator())
         canvas.legend(handles=handles, loc="outside upper center", ncols=5)
 
     return Figure(
         "count",
-        "Errors against the number of discs, and the least that is possible with the centres that `so3` measured.",
+        "Errors against the number of discs, and the bound for the centres that `so3` measured.",
         draw,
         (7.2, 3.5),
     )

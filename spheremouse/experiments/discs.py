@@ -6,16 +6,19 @@ of the discs.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 
 from spheremouse import layout
 from spheremouse.errors import PoseError
+from spheremouse.evaluate.metrics import MIN_AREA
 from spheremouse.experiments import kit, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.viewing import films_cell
 from spheremouse.rotation import Array, exp
 from spheremouse.simulate import HandVisit, Simulation, prepare
 from spheremouse.simulate.profile import Gesture, Gestures
@@ -185,6 +188,8 @@ def scattered(rng: np.random.Generator, least: float) -> Array:
 
 # ---- for a reader ----
 
+_RECOGNISED = 0.99  # of the pictures: good enough
+
 
 @dataclass(frozen=True, slots=True)
 class Case:
@@ -245,19 +250,21 @@ def section(request: Request, results: Results) -> Section:
         f"{DISCS} discs before the far camera (640x480), noise of {_NOISE:g} grey values, the camera's pose found from "
         f"each film; medians over up to {seeds} films with other places of the discs. A film counts as lost where the "
         f"tracker lost the ball, the attitude was off by more than {_FAR_OFF:g}° (RMS), or less than nine tenths were "
-        "tracked. "
+        "tracked. *Wholly in view* are, of the discs on the side towards the camera, those that nothing cuts. "
         "The bound is that of what `so3` measured."
     ]
+    broken = {kind: _broken(results, kind, names) for kind, names in _KINDS.items()}
     if sizes:
-        parts += ["### Size", _said_of_sizes(sizes), _figure_sizes(sizes), _table("radius, mm", sizes, _size_columns())]
+        parts += ["### Size", _said_of_sizes(sizes), _figure_sizes(sizes)]
+        parts.append(_table("radius, mm", sizes, _size_columns(), broken["size"]))
     if layouts:
         parts += ["### Places", _said_of_layouts(layouts), _figure_layouts(layouts)]
-        parts.append(_table("places", layouts, _layout_columns(), {k: f"{k}: {v}" for k, v in LAYOUTS.items()}))
+        parts.append(_table("places", layouts, _layout_columns(), broken["layout"], _layout_name))
     if hands:
         parts += ["### Hands on the ball", _said_of_hands(hands)]
         if len(hands) > 1:
             parts.append(_figure_hands(hands))
-        parts.append(_table("hands", hands, _hand_columns()))
+        parts.append(_table("hands", hands, _hand_columns(), broken["hands"]))
     unfound = [f"- {k}: {r['unfound']}" for k, r in results.items() if "unfound" in r]
     failed = failures(results) + unfound
     if failed:
@@ -265,15 +272,26 @@ def section(request: Request, results: Results) -> Section:
     return Section(tuple(p for p in parts if p), dict(results))
 
 
+_KINDS: dict[str, tuple[Any, ...]] = {"size": SIZES, "layout": tuple(LAYOUTS), "hands": tuple(HANDS)}
 Column = tuple[str, Callable[[Case], str]]
+
+
+def _broken(results: Results, kind: str, names: tuple[Any, ...]) -> dict[str, int]:
+    """How many films of each case failed."""
+    starts = {str(name): f"{kind}-{name}-".replace(" ", "_") for name in names}
+    return {n: sum(k.startswith(start) and "error" in r for k, r in results.items()) for n, start in starts.items()}
+
+
+def _layout_name(name: str) -> str:
+    return name if name == LAYOUTS[name] else f"{name}: {LAYOUTS[name]}"
 
 
 def _size_columns() -> list[Column]:
     return [
         ("diameter, px", lambda c: f"{c.mean('diameter_px'):.1f}"),
-        ("near discs wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"),
+        ("wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"),
         ("discs used", _used),
-        ("centre RMS, px", lambda c: value({"x": _centre(c)}, "x", digits=3)),
+        (f"centre RMS, px, of discs from {MIN_AREA:g} px² on", lambda c: value({"x": _centre(c)}, "x", digits=3)),
     ]
 
 
@@ -288,7 +306,7 @@ def _layout_columns() -> list[Column]:
 
 
 def _hand_columns() -> list[Column]:
-    return [("near discs wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"), ("discs used", _used)]
+    return [("wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"), ("discs used", _used)]
 
 
 def _used(case: Case) -> str:
@@ -304,23 +322,37 @@ def _centre(case: Case) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def _table(first: str, cases: list[Case], columns: list[Column], names: dict[str, str] | None = None) -> Table:
-    rows = []
-    for case in cases:
-        cells = [case.name if names is None else names[case.name], *(write(case) for _, write in columns)]
-        for quantity, key, _, _, digits in _QUANTITIES:
-            for who in _LINES:
-                cells.append(value({"x": case.median(who, quantity, key)}, "x", digits=digits))
-        cells += [f"{case.lost(who)} of {len(case.films)}" for who in kit.TRACKERS]
-        rows.append(tuple(cells))
-    named = [f"`{who}`" for who in kit.TRACKERS] + ["bound"]
-    head = (
-        first,
-        *(name for name, _ in columns),
-        *(f"{word}, {unit}: {who}" for _, _, word, unit, _ in _QUANTITIES for who in named),
-        *(f"lost: `{who}`" for who in kit.TRACKERS),
-    )
-    return Table(head, tuple(rows))
+def _table(
+    first: str, cases: list[Case], columns: list[Column], broken: dict[str, int], named: Callable[[str], str] = str
+) -> Table:
+    """A row per filter; where most films were lost there is no error to compare."""
+    rows: list[tuple[str, ...]] = []
+    by_name = {case.name: case for case in cases}
+    for name, failed in broken.items():
+        case = by_name.get(name)
+        if case is None:
+            rows += [(named(name), "failed", *["–"] * (len(columns) + 4))] if failed else []
+            continue
+        made = films_cell(len(case.films), failed)
+        for k, who in enumerate(_LINES):
+            about = (named(name), made, *(write(case) for _, write in columns))
+            gone = 0 if who == "bound" else case.lost(who)
+            errors = [
+                "lost"
+                if 2 * gone >= len(case.films)
+                else value({"x": case.median(who, quantity, key)}, "x", digits=digits)
+                for quantity, key, _, _, digits in _QUANTITIES
+            ]
+            rows.append(
+                (
+                    *(about if k == 0 else [""] * len(about)),
+                    who if who == "bound" else f"`{who}`",
+                    *errors,
+                    "" if who == "bound" else f"{gone} of {len(case.films)}",
+                )
+            )
+    quantities = [f"{word}, {unit}" for _, _, word, unit, _ in _QUANTITIES]
+    return Table((first, "films", *(name for name, _ in columns), "", *quantities, "lost"), tuple(rows))
 
 
 def _held(cases: list[Case], who: str = "so3") -> dict[str, float]:
@@ -342,13 +374,13 @@ def _said_of_sizes(cases: list[Case]) -> str:
     near = [name for name, off in held.items() if off <= _NEARLY * held[best]]
     smallest = min(held, key=float)
     said = [
-        f"`so3` holds the ball in all films from a radius of {smallest} mm "
-        f"({by_name[smallest].mean('diameter_px'):.1f} px across in the middle of the ball) on; its attitude is best "
-        f"with {best} mm ({held[best]:.4f}°)."
+        f"Of the radii tried `so3` holds the ball in all films with {', '.join(held)} mm ({smallest} mm are "
+        f"{by_name[smallest].mean('diameter_px'):.1f} px across in the middle of the ball); its attitude is best with "
+        f"{best} mm ({held[best]:.4f}°)."
     ]
     for who in kit.TRACKERS[:2]:
         theirs = _held(cases, who)
-        said.append(f"`{who}` needs {min(theirs, key=float)} mm." if theirs else f"`{who}` loses some film with each.")
+        said.append(f"`{who}`: {', '.join(theirs)} mm." if theirs else f"`{who}` loses some film with each.")
     largest = max(held, key=float)
     before, after = _centre(by_name[best]), _centre(by_name[largest])
     if held[largest] > _NEARLY * held[best] and before and after:
@@ -369,9 +401,9 @@ def _said_of_sizes(cases: list[Case]) -> str:
 def _said_of_layouts(cases: list[Case]) -> str:
     held = _held(cases)
     lost = [f"{c.name} ({c.lost('so3')} of {len(c.films)})" for c in cases if c.lost("so3")]
-    unsure = [f"{c.name} ({100.0 * c.mean('recognised'):.1f} %)" for c in cases if c.mean("recognised") < 0.99]
+    unsure = [f"{c.name} ({100.0 * c.mean('recognised'):.1f} %)" for c in cases if c.mean("recognised") < _RECOGNISED]
     said = ["The ball is turned once about the horizontal axis, so that all its sides pass."]
-    if held:
+    if len(held) > 1:
         best, worst = min(held, key=lambda n: held[n]), max(held, key=lambda n: held[n])
         said.append(
             f"Of the layouts with which `so3` never loses it, the attitude is best with *{best}* ({held[best]:.4f}°) "
@@ -383,11 +415,11 @@ def _said_of_layouts(cases: list[Case]) -> str:
             f"One picture does not tell the attitude every time ({100.0 * _MISSING:.0f} % of the discs hidden, "
             f"directions good to {np.degrees(_SURE):g}°) with: {', '.join(unsure)}."
         )
-    advised = [c.name for c in cases if c.name in held and c.mean("recognised") >= 0.99]
+    advised = [c.name for c in cases if c.name in held and c.mean("recognised") >= _RECOGNISED]
     if advised:
         said.append(
-            f"Advice: spread the discs over the whole ball, and irregularly: of those tried, *{'*, *'.join(advised)}* "
-            "are never lost and are recognised from one picture."
+            f"Advice: of those tried, *{'*, *'.join(advised)}* {'are' if len(advised) > 1 else 'is'} never lost and "
+            f"recognised from one picture ({100.0 * _RECOGNISED:.0f} % of the time or more)."
         )
     return " ".join(said)
 
@@ -399,7 +431,7 @@ def _said_of_hands(cases: list[Case]) -> str:
     for case in cases:
         if case.name == "none":
             continue
-        share = f"{case.name} ({100.0 * case.mean('in_view_share'):.0f} % of the near discs wholly in view)"
+        share = f"{case.name} ({100.0 * case.mean('in_view_share'):.0f} % wholly in view)"
         if case.name not in held:
             said.append(f"{share}: lost in {case.lost('so3')} of {len(case.films)} films")
         elif plain:
@@ -407,18 +439,22 @@ def _said_of_hands(cases: list[Case]) -> str:
         else:
             said.append(f"{share}: {held[case.name]:.4f}°")
     text = f"Hands come after {_SETTLE:g} s and stay. Attitude of `so3`: {'; '.join(said)}." if said else ""
-    borne = [c for c in cases if c.name in held]
+    ordered = sorted(cases, key=lambda c: -c.mean("in_view_share"))
+    borne = list(takewhile(lambda c: c.name in held, ordered))
     if not borne:
         return text
-    least = min(borne, key=lambda c: c.mean("in_view_share"))
+    least = borne[-1]
+    tried = "down to there no film is lost" if len(borne) > 1 else "with that no film is lost"
     return (
         f"{text} Advice: put camera and controls so that, while somebody plays, "
-        f"{100.0 * least.mean('in_view_share'):.0f} % of the near discs or more stay wholly in view "
-        f"({_used(least)} used in a frame): down to there no film is lost."
+        f"{100.0 * least.mean('in_view_share'):.0f} % of the discs on its side or more stay wholly in view "
+        f"({_used(least)} used in a frame): {tried}."
     )
 
 
 # ---- figures ----
+
+_MARKS = "sDo"  # of the filters
 
 
 def _figure_sizes(cases: list[Case]) -> Figure:
@@ -445,7 +481,7 @@ def _figure_layouts(cases: list[Case]) -> Figure:
                     y, x = row + 0.18 * (1 - k), case.median(who, quantity, key)
                     if x is not None:
                         face = {"markerfacecolor": "none"} if case.lost(who) else {}
-                        ax.plot([x], [y], color=f"C{k}", marker="osD"[k], linestyle="", markersize=5, **face)
+                        ax.plot([x], [y], color=f"C{k}", marker=_MARKS[k], linestyle="", markersize=5, **face)
                 least = case.median("bound", quantity, key)
                 if least is not None:
                     ax.plot([least, least], [row - 0.35, row + 0.35], color="0.5", **BOUND)
@@ -453,7 +489,7 @@ def _figure_layouts(cases: list[Case]) -> Figure:
             _plain_numbers(ax.xaxis, (1.0,))
             ax.grid(visible=False, axis="y")
         axes[0].set_yticks(range(len(cases)), [c.name for c in reversed(cases)])
-        canvas.legend(handles=_handles(("o", "s", "D")), loc="outside upper center", ncols=4)
+        canvas.legend(handles=_handles(), loc="outside upper center", ncols=4)
 
     return Figure(
         "discs-layout",
@@ -466,7 +502,7 @@ def _figure_layouts(cases: list[Case]) -> Figure:
 
 def _figure_hands(cases: list[Case]) -> Figure:
     def draw(canvas: Any) -> None:
-        for ax in _panels(canvas, cases, "near discs wholly in view, %", log=False):
+        for ax in _panels(canvas, cases, "discs wholly in view, %", log=False):
             ax.invert_xaxis()
 
     return Figure(
@@ -493,13 +529,13 @@ def _panels(canvas: Any, cases: list[Case], label: str, log: bool) -> Any:
             for (case, values), middle in zip(known, y, strict=True):
                 ax.plot([case.x] * 2, [min(values), max(values)], color=f"C{k}", linestyle="-", linewidth=0.8)
                 face = {"markerfacecolor": "none"} if case.lost(who) else {}
-                ax.plot([case.x], [middle], color=f"C{k}", marker="osD"[k], linestyle="", **face)
+                ax.plot([case.x], [middle], color=f"C{k}", marker=_MARKS[k], linestyle="", **face)
             nothing = [c.x for c in cases if not c.values(who, quantity, key)]
             high = [0.98 - 0.05 * k] * len(nothing)
             ax.plot(nothing, high, color=f"C{k}", marker="x", linestyle="", transform=ax.get_xaxis_transform())
         ax.set(xscale="log" if log else "linear", yscale="log", xlabel=label, ylabel=f"{word} RMSE, {unit}")
         _plain_numbers(ax.yaxis)
-    canvas.legend(handles=_handles(("o", "s", "D")), loc="outside upper center", ncols=4)
+    canvas.legend(handles=_handles(), loc="outside upper center", ncols=4)
     return axes
 
 
@@ -512,10 +548,10 @@ def _plain_numbers(axis: Any, within: tuple[float, ...] = (1.0, 3.0)) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _handles(marks: tuple[str, ...]) -> list[Any]:
+def _handles() -> list[Any]:
     from matplotlib.lines import Line2D
 
     lines = [
-        Line2D([], [], color=f"C{k}", linestyle="-", marker=marks[k], label=who) for k, who in enumerate(kit.TRACKERS)
+        Line2D([], [], color=f"C{k}", linestyle="-", marker=_MARKS[k], label=who) for k, who in enumerate(kit.TRACKERS)
     ]
     return [*lines, Line2D([], [], color="0.5", label="Cramér-Rao bound", **BOUND)]

@@ -18,6 +18,7 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.kit import TRACKERS, settings_of
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures
+from spheremouse.experiments.viewing import films_cell
 from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp, tangent_basis
@@ -511,7 +512,9 @@ def _waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Res
 
 # ---- for a reader ----
 
-_LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "v", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "D", "--")}
+_LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "D", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "v", "--")}
+_BESIDE = {who: 1.0 + 0.015 * k for k, who in enumerate(WHO)}  # lines that would hide each other: a little to the right
+_SOFTEST = 1.0  # rad/s², the least that is tried
 _FLICK = float(np.radians(400.0))  # rad/s, about the fastest that hands turn the ball
 _STOP = 100.0  # rad/s², of a stop by hand (`so3.levels`)
 _ALL = 0.99  # of what was tried
@@ -521,25 +524,35 @@ def section(request: Request, results: Results) -> Section:
     """Maps of what is followed, hidden, found again."""
     good = {k: r for k, r in results.items() if "error" not in r}
     fast, films, covers, again = (_grouped(good, name) for name in ("speed", "film", "cover", "again"))
+    bad = {k: r for k, r in results.items() if "error" in r}
     parts: list[str | Table | Figure] = [_about()]
     if fast:
-        parts += [_speed_figure(fast), _speed_table(fast), _map_figure(fast)]
+        parts += [_speed_figure(fast), _speed_table(fast, _grouped(bad, "speed")), _softest(fast), _map_figure(fast)]
     if films:
         parts += [
             _film_about(films),
             *([_film_figure(films)] if len({e for _, e in films}) > 1 else []),
-            _film_table(films),
+            _film_table(films, _grouped(bad, "film")),
         ]
     if covers:
-        parts += [_cover_about(good), _cover_figure(covers), _cover_table(covers, good)]
+        parts += [_cover_about(good), _cover_figure(covers), _cover_table(covers, good, _grouped(bad, "cover"))]
     if again:
-        parts += [_again_about(good), _again_figure(again), _again_table(again)]
+        parts += [_again_about(good), _again_figure(again), _again_table(again, _grouped(bad, "again"))]
     advice = _advice(fast, films, covers, again)
     parts += [advice] if advice else []
     failed = failures(results)
     if failed:
         parts.append("Failed:\n\n" + "\n".join(failed))
-    return Section(tuple(parts), dict(results))
+    return Section(tuple(p for p in parts if p), dict(results))
+
+
+Grouped = dict[tuple[float, ...], list[Result]]
+
+
+def _with_broken(good: Grouped, bad: Grouped) -> list[tuple[tuple[float, ...], list[Result], str]]:
+    """What there is to say of each group: its results, and how many of its jobs failed."""
+    groups = sorted({*good, *bad})
+    return [(k, good.get(k, []), films_cell(len(good.get(k, [])), len(bad.get(k, [])))) for k in groups]
 
 
 def _grouped(good: Results, name: str) -> dict[tuple[float, ...], list[Result]]:
@@ -562,7 +575,8 @@ def _about() -> str:
         "It is "
         f"followed as long as it is not lost and what it turned within the last {HOLD:g} s is right to {WRONG:g}°; "
         "limits "
-        f"are found by bisection, up to {_degrees(FASTEST):.0f} °/s and {HARDEST:g} rad/s². `so3` has seen the ball "
+        f"are found by bisection, up to {_degrees(FASTEST):.0f} °/s and {HARDEST:g} rad/s²: a limit is the first that "
+        "is met, and beyond it some rates may hold again. `so3` has seen the ball "
         "from all "
         "sides, or it is new to it; the published filters remember no disc that is out of view. Rates and "
         "accelerations "
@@ -574,34 +588,54 @@ def _about() -> str:
     )
 
 
-def _speed_table(fast: dict[tuple[float, ...], list[Result]]) -> Table:
+def _speed_table(fast: Grouped, bad: Grouped) -> Table:
     rows = []
-    for (fps,), results in fast.items():
-        rates = [_degrees(_middle(results, who, 0)) for who in WHO]
-        pushes = [_middle(results, who, None) for who in WHO]
-        rows.append(
-            (
-                f"{fps:g}",
-                *(_limit(r, _degrees(FASTEST)) for r in rates),
-                *(_limit(a, HARDEST) for a in pushes),
+    for (fps,), results, made in _with_broken(fast, bad):
+        if not results:
+            rows.append((f"{fps:g}", made, *["–"] * 4))
+            continue
+        for k, who in enumerate(WHO):
+            rate, push = _degrees(_middle(results, who, 0)), _middle(results, who, None)
+            rows.append(
+                (
+                    *((f"{fps:g}", made) if k == 0 else ("", "")),
+                    f"`{who}`",
+                    _limit(rate, _degrees(SLOWEST), _degrees(FASTEST)),
+                    _limit(push, _SOFTEST, HARDEST),
+                    f"{PUSH * fps:.0f}" if k == 0 else "",
+                )
             )
-        )
     head = (
-        "Hz",
-        *(f"rate, °/s: {who}" for who in WHO),
-        *(f"acceleration, rad/s²: {who}" for who in WHO),
+        *("Hz", "balls", ""),
+        f"rate, °/s, at {ACCELERATIONS[0]:g} rad/s²",
+        f"acceleration, rad/s², to {_degrees(PUSH):.0f} °/s",
+        "which is between two frames from, rad/s²",
     )
-    title = (
-        f"Highest rate reached at {ACCELERATIONS[0]:g} rad/s², and highest acceleration to {_degrees(PUSH):.0f} °/s "
-        "(medians)"
-    )
-    return Table(head, tuple(rows), title)
+    return Table(head, tuple(rows), "Highest rate and highest acceleration that are followed (medians)")
 
 
-def _limit(value: float, most: float) -> str:
+def _limit(value: float, least: float, most: float) -> str:
     if value <= 0.0:
-        return "none"
+        return f"lost at {least:.0f}, the least tried"
     return f"all, to {most:.0f}" if value > _ALL * most else f"{value:.0f}" if value >= 10.0 else f"{value:.1f}"
+
+
+def _softest(fast: Grouped) -> str:
+    """Where the gentlest push is lost and a harder one is not: nothing that bisection can show."""
+    said = []
+    for (fps,), results in fast.items():
+        for who in WHO:
+            rate = _middle(results, who, 0)
+            if _middle(results, who, None) <= 0.0 and rate >= PUSH:
+                said.append(f"`{who}` at {fps:g} Hz ({_degrees(rate):.0f} °/s)")
+    if not said:
+        return ""
+    turned = PUSH**2 / (2.0 * _SOFTEST)
+    return (
+        f"Lost at {_SOFTEST:g} rad/s² does not mean lost at all others: on that way to {_degrees(PUSH):.0f} °/s the "
+        f"ball turns by {turned:.1f} rad, and a gap between discs may end it. At {ACCELERATIONS[0]:g} rad/s² more than "
+        f"these {_degrees(PUSH):.0f} °/s are reached (medians) by {', '.join(said)}."
+    )
 
 
 def _of(results: list[Result], who: str, k: int | None) -> list[float]:
@@ -628,10 +662,14 @@ def _speed_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
             ends = []
             for who, (colour, mark, dash) in _LOOK.items():
                 spans = [[max(unit * v, least) for v in _of(results, who, k)] for results in fast.values()]
-                middle = [float(np.median(v)) for v in spans]
-                ax.plot(rates, middle, color=colour, marker=mark, linestyle=dash)
-                ax.fill_between(rates, [min(v) for v in spans], [max(v) for v in spans], color=colour, alpha=0.15, lw=0)
+                middle, x = [float(np.median(v)) for v in spans], [f * _BESIDE[who] for f in rates]
+                ax.plot(x, middle, color=colour, marker=mark, linestyle=dash)
+                ax.fill_between(x, [min(v) for v in spans], [max(v) for v in spans], color=colour, alpha=0.15, lw=0)
                 ends.append((middle[-1], who, colour))
+            if k is None:
+                between = [PUSH * fps for fps in rates]
+                ax.plot(rates, between, color="0.5", **BOUND)
+                ax.text(rates[0], 1.1 * between[0], "between two frames", color="0.5", fontsize=7.5, va="bottom")
             ax.axhline(most, color="0.5", **BOUND)
             ax.text(rates[0], 1.1 * most, "all that was tried", color="0.5", fontsize=7.5, va="bottom")
             ax.set(yscale="log", ylim=(least, 2.0 * most), title=label)
@@ -641,8 +679,8 @@ def _speed_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
 
     caption = (
         "How fast and how suddenly a ball may turn and still be followed, against the frame rate, without motion "
-        "blur. At "
-        "the lower edge: none."
+        "blur: medians and spans. At the lower edge: lost at the least that was tried. Above the rising dotted line "
+        "the whole acceleration is between two frames."
     )
     return Figure("limits-speed", caption, draw, (7.2, 3.2))
 
@@ -655,6 +693,9 @@ def _map_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
                 reached = [max(_degrees(_middle(results, who, k)), 20.0) for k in range(len(ACCELERATIONS))]
                 ax.plot(ACCELERATIONS, reached, color=colour, marker=mark, linestyle=dash)
                 ax.fill_between(ACCELERATIONS, 20.0, reached, color=colour, alpha=0.06, lw=0)
+            ax.plot(
+                ACCELERATIONS, [_degrees(a / fps) for a in ACCELERATIONS], color="0.5", linestyle="--", linewidth=0.7
+            )
             ax.axvline(_STOP, color="0.5", **BOUND)
             ax.axhline(_degrees(_FLICK), color="0.5", **BOUND)
             ax.set(xscale="log", yscale="log", ylim=(20.0, 1.5 * _degrees(FASTEST)), title=f"{fps:g} Hz")
@@ -668,7 +709,8 @@ def _map_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
     caption = (
         "Below a line a ball is followed: what rate it may be sped up to at what acceleration, by frame rate "
         "(medians). "
-        f"Dotted: a flick of {_degrees(_FLICK):.0f} °/s, and the {_STOP:g} rad/s² of a stop by hand."
+        f"Dotted: a flick of {_degrees(_FLICK):.0f} °/s, and the {_STOP:g} rad/s² of a stop by hand. Below "
+        "the thin dashed line all of the way from rest is between two frames."
     )
     return Figure("limits-map", caption, draw, (7.2, 2.9))
 
@@ -681,7 +723,7 @@ def _film_about(films: dict[tuple[float, ...], list[Result]]) -> str:
         f"then filmed at it for {_FILMED:g} s, noise of {NOISE:g} grey values, at rates a factor of √2 apart. It is "
         "followed "
         "when it is right to the end and discs have held its attitude to the last."
-        " What is lost on the way is lost." + _sharp(films)
+        " A filter that loses the ball before that rate counts as lost." + _sharp(films)
     )
 
 
@@ -702,12 +744,12 @@ def _sharp(films: dict[tuple[float, ...], list[Result]]) -> str:
     return f"{text}; {ends}." if text and kept else f"{text}." if text else f" In sharp pictures lost are, {ends}."
 
 
-def _film_table(films: dict[tuple[float, ...], list[Result]]) -> Table:
+def _film_table(films: Grouped, bad: Grouped) -> Table:
     rows = []
-    for (fps, exposure), results in films.items():
-        cells = [_span([_degrees(r[who]) for r in results]) for who in TRACKERS]
-        rows.append((f"{fps:g}", f"{exposure:g}", _smear(1e-3 * exposure), *cells))
-    head = ("Hz", "exposure, ms", "smeared over a disc's width at, °/s", *(f"`{t}`" for t in TRACKERS))
+    for (fps, exposure), results, made in _with_broken(films, bad):
+        cells = [_span([_degrees(r[who]) for r in results]) if results else "–" for who in TRACKERS]
+        rows.append((f"{fps:g}", f"{exposure:g}", made, _smear(1e-3 * exposure), *cells))
+    head = ("Hz", "exposure, ms", "balls", "smeared over a disc's width at, °/s", *(f"`{t}`" for t in TRACKERS))
     most = f"{_degrees(LADDER[-1]):.0f} is all that was filmed"
     return Table(head, tuple(rows), f"Highest rate followed in pictures, °/s ({most}; of several balls: from – to)")
 
@@ -791,15 +833,18 @@ def _cover_check(good: Results) -> str:
     return f" Pictures differ from none by {np.median(off):.1f} % of the ball (median; at most {off.max():.0f} %)."
 
 
-def _cover_table(covers: dict[tuple[float, ...], list[Result]], good: Results) -> Table:
+def _cover_table(covers: Grouped, good: Results, bad: Grouped) -> Table:
     rows = []
-    for (discs,), results in covers.items():
+    for (discs,), results, made in _with_broken(covers, bad):
+        if not results:
+            rows.append((f"{discs:g}", made, *["–"] * 7))
+            continue
         film = good.get(f"cover-{discs:g}-0-filmed")
         for kind in results[0]:
             cells = [_span([100.0 * r[kind][who] for r in results], nothing="lost before") for who in TRACKERS]
             filmed_ = [f"{100.0 * film[kind][who]:.0f}" if film and kind in film else "" for who in TRACKERS]
-            rows.append((f"{discs:g}", kind, *cells, *filmed_))
-    head = ("discs", "cover comes", *(f"`{t}`" for t in TRACKERS), *(f"`{t}`, filmed" for t in TRACKERS))
+            rows.append((f"{discs:g}", made, kind, *cells, *filmed_))
+    head = ("discs", "balls", "cover comes", *(f"`{t}`" for t in TRACKERS), *(f"`{t}`, filmed" for t in TRACKERS))
     return Table(head, tuple(rows), "Share of the visible ball hidden when it is lost, % (of several balls: from – to)")
 
 
@@ -855,11 +900,12 @@ def _again_about(good: Results) -> str:
     for key, film in good.items():
         if key.endswith("-filmed") and key.startswith("again-"):
             twin = good.get(key.removesuffix("-filmed"))
-            said = [f"`{who}` {_wait(film[who], 'attitude')} and {_wait(film[who], 'rate')}" for who in WHO]
-            bare = (
-                [f"`{who}` {_wait(twin[who], 'attitude')} and {_wait(twin[who], 'rate')}" for who in WHO]
-                if twin
+            fps = float(key.split("-")[1])
+            said, bare = (
+                [f"`{who}` {_wait(r[who], 'attitude', fps)} and {_wait(r[who], 'rate', fps)}" for who in WHO]
+                if r
                 else []
+                for r in (film, twin)
             )
             check = f" In pictures, at {key.split('-')[1]} Hz, attitude and rate take: {'; '.join(said)}."
             check += (
@@ -870,18 +916,24 @@ def _again_about(good: Results) -> str:
         f"{turned:.0f}°. "
         f"From when the cover goes, as a whole: how long until the attitude is right again (to {_ATTITUDE:g}°, and "
         "stays so "
-        f"for {_STAYS:g} s), and the rate (to {_degrees(_RATE):.0f} °/s)." + check
+        f"for {_STAYS:g} s), and the rate (to {_degrees(_RATE):.0f} °/s). A cover goes when it likes: half a frame is "
+        "added everywhere." + check
     )
 
 
-def _wait(result: Result, what: str) -> str:
+def _half(fps: float) -> float:
+    """ms that pass on average until the first frame after the cover went; in a trial it is taken at once."""
+    return 500.0 / fps
+
+
+def _wait(result: Result, what: str, fps: float) -> str:
     if "error" in result:
         return result["error"]
     waited = result[what]
     return (
         "never"
         if waited is None
-        else f"{waited['ms']:.0f} ms ({waited['frames']} frame{'s' if waited['frames'] > 1 else ''})"
+        else f"{waited['ms'] + _half(fps):.0f} ms ({waited['frames']} frame{'s' if waited['frames'] > 1 else ''})"
     )
 
 
@@ -891,17 +943,20 @@ def _waits(results: list[Result], who: str, what: str) -> list[float]:
     return [np.inf if r[what] is None else r[what]["ms"] for r in kept]
 
 
-def _again_table(again: dict[tuple[float, ...], list[Result]]) -> Table:
+def _again_table(again: Grouped, bad: Grouped) -> Table:
     rows = []
-    for (fps,), results in again.items():
-        cells = []
-        for what in ("attitude", "rate"):
-            for who in WHO:
-                waits = [_wait(r[who], what) for r in results]
+    for (fps,), results, made in _with_broken(again, bad):
+        if not results:
+            rows.append((f"{fps:g}", made, *["–"] * 3))
+            continue
+        for k, who in enumerate(WHO):
+            cells = []
+            for what in ("attitude", "rate"):
+                waits = [_wait(r[who], what, fps) for r in results]
                 order = sorted(waits, key=lambda w: float(w.split()[0]) if w[0].isdigit() else np.inf)
                 cells.append(order[0] if len(set(order)) == 1 else f"{order[0]} to {order[-1]}")
-        rows.append((f"{fps:g}", *cells))
-    head = ("Hz", *(f"{what}: {who}" for what in ("attitude", "rate") for who in WHO))
+            rows.append((*((f"{fps:g}", made) if k == 0 else ("", "")), f"`{who}`", *cells))
+    head = ("Hz", "balls", "", "attitude", "rate")
     return Table(
         head, tuple(rows), f"Until it is right again after {COVERED:g} s of full cover (least and most over balls)"
     )
@@ -915,12 +970,11 @@ def _again_figure(again: dict[tuple[float, ...], list[Result]]) -> Figure:
         for ax, what in zip(canvas.subplots(1, 2, sharey=True), ("attitude", "rate"), strict=True):
             ends = []
             for who, (colour, mark, dash) in _LOOK.items():
-                # the first frame may come the moment the cover goes: half a frame is what it takes on average
                 known = [(f, _waits(r, who, what)) for (f,), r in again.items()]
-                known = [(f, [min(w + 500.0 / f, never) for w in v]) for f, v in known if v]
+                known = [(f, [min(w + _half(f), never) for w in v]) for f, v in known if v]
                 if not known:
                     continue
-                x, spans = [f for f, _ in known], [v for _, v in known]
+                x, spans = [f * _BESIDE[who] for f, _ in known], [v for _, v in known]
                 middle = [float(np.median(v)) for v in spans]
                 ax.plot(x, middle, color=colour, marker=mark, linestyle=dash)
                 ax.fill_between(x, [min(v) for v in spans], [max(v) for v in spans], color=colour, alpha=0.15, lw=0)
@@ -954,7 +1008,7 @@ def _advice(
         k = int(np.argmin(np.abs(np.log(np.array(ACCELERATIONS) / _STOP))))
         for who in (*TRACKERS, NEW):
             enough = [fps for (fps,), r in fast.items() if min(_of(r, who, k)) >= _FLICK]
-            said.append((who, f"from {min(enough):g} Hz on" if enough else "at no frame rate"))
+            said.append((who, those(enough, [fps for (fps,) in fast])))
         text = "; ".join(f"`{who}` {when}" for who, when in said)
         said = [
             f"A flick to {_degrees(_FLICK):.0f} °/s at {ACCELERATIONS[k]:g} rad/s² is followed, on every ball: {text}."
@@ -965,30 +1019,36 @@ def _advice(
         each = ", ".join(f"{rate:.0f} °/s with {e:g} ms" for e, rate in at.items())
         said.append(f"In pictures `so3` follows, on every ball, {each} of exposure.")
         enough = [e for e, rate in at.items() if rate >= _degrees(_FLICK)]
-        if enough:
-            said.append(
-                f"For {_degrees(_FLICK):.0f} °/s it need not be shorter than {max(enough):g} ms, at an even rate."
-            )
+        with_all = f"every exposure tried, to {max(at):g} ms" if len(enough) == len(at) else ""
+        some = f"exposures of {', '.join(f'{e:g}' for e in enough)} ms" if enough else "none of these"
+        said.append(f"{_degrees(_FLICK):.0f} °/s, at an even rate, are followed with {with_all or some}.")
     if covers:
         worst = {n: _hidden(r, "so3", np.min) for (n,), r in covers.items()}
-        said.append(
-            "Whatever side it comes from, a cover may hide "
-            + ", ".join(f"{share:.0f} % of the visible ball with {n:g} discs" for n, share in worst.items() if share)
-            + " before `so3` loses it."
-            + "".join(f" {n:g} discs are too few: it is lost without a cover." for n, s in worst.items() if not s)
-        )
+        shares = [f"{share:.0f} % of the visible ball with {n:g} discs" for n, share in worst.items() if share]
+        if shares:
+            said.append(f"Whatever side it came from, a cover hid {', '.join(shares)} before `so3` lost it.")
+        said += [f"{n:g} discs are too few: it is lost without a cover." for n, s in worst.items() if not s]
     if again:
         waits = [w for results in again.values() for w in _waits(results, "so3", "attitude")]
         if waits and np.isfinite(max(waits)):
             frames = max(r["so3"]["attitude"]["frames"] for rs in again.values() for r in rs if "error" not in r["so3"])
             said.append(
-                f"A ball that `so3` knows is found again in {frames} frame{'s' if frames > 1 else ''} at every rate: "
+                f"A ball that `so3` knows is found again within {frames} frame{'s' if frames > 1 else ''}: "
                 "show it "
                 "all sides of the ball, or keep the map."
             )
         elif waits:
             said.append("Even a ball that `so3` knows was not always found again.")
     return " ".join(said)
+
+
+def those(values: Sequence[float], tried: Sequence[float]) -> str:
+    """Frame rates, of those that were tried."""
+    if not values:
+        return "at no frame rate"
+    if len(values) == len(tried) > 1:
+        return f"at all, {min(values):g} to {max(values):g} Hz"
+    return f"at {', '.join(f'{v:g}' for v in values)} Hz"
 
 
 # ---- figures of this kind ----

@@ -19,10 +19,12 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import (
+    CLEARLY,
     COLOURS,
     SHARE,
     brief,
     filmed,
+    films_cell,
     is_lost,
     label_ends,
     least,
@@ -107,10 +109,11 @@ def jobs(request: Request) -> list[Job]:
         what = {"seed": seed, "seconds": seconds}
         for group, names in groups.items():
             many = {name: _tried(KINDS[name], request) for name in names}
-            found.append(Job(f"{group}-{seed}", with_mistakes, {**what, "mistakes": many}, cost=_cost(seconds, many)))
+            plain = {name: list(tried) for name, tried in many.items()}
+            found.append(Job(f"{group}-{seed}", with_mistakes, {**what, "mistakes": plain}, cost=_cost(seconds, many)))
         for k1 in _tried(KINDS["lens"], request)[0]:
             many = {"lens": ([k1], 1), "evening": ([k1 / _LENS], _tried(KINDS["evening"], request)[1])}
-            parameters = {**what, "mistakes": many, "k1": k1}
+            parameters = {**what, "mistakes": {name: list(tried) for name, tried in many.items()}, "k1": k1}
             found.append(Job(f"lens-{k1:g}-{seed}", with_mistakes, parameters, cost=_cost(seconds, many)))
     return found
 
@@ -295,26 +298,26 @@ def _compared(sent: Array, made: Array) -> dict[str, float] | None:
 def section(request: Request, results: Results) -> Section:
     """Each mistake alone, all together, and what may be off by how much."""
     found = {name: points(results, kind) for name, kind in KINDS.items()}
-    films = [r for r in results.values() if "error" not in r]
+    films, free = _distinct(results), lift_matters(found)
     parts: list[str | Table | Figure] = [_intro(films)]
     alone = {name: found[name] for name in ALONE if found[name]}
     if alone:
         parts += [
             "### Each mistake alone",
-            _said_of_alone(alone, _edges(results)),
-            _figure("mistakes-errors", alone, ("attitude", "rate"), films),
-            _figure("mistakes-mouse", alone, ("scale", "direction", "wobble"), films),
-            *[_table(KINDS[name], cells) for name, cells in alone.items()],
+            _said_of_alone(alone, _edges(results), free),
+            _figure("mistakes-errors", alone, ("attitude", "rate"), films, free),
+            _figure("mistakes-mouse", alone, ("scale", "direction", "wobble"), films, free),
+            *[_table(KINDS[name], cells, results, free) for name, cells in alone.items()],
         ]
     if found["evening"]:
         parts += [
             "### A whole evening",
-            _said_of_evening(found["evening"]),
-            _figure_evening(found["evening"], [f for k, f in _films(results) if k.startswith("lens")]),
-            _table(KINDS["evening"], found["evening"]),
+            _said_of_evening(found["evening"], free),
+            _figure_evening(found["evening"], [f for k, f in _films(results) if k.startswith("lens")], free),
+            _table(KINDS["evening"], found["evening"], results, free),
         ]
     if any(found.values()):
-        parts.append(_advice(found))
+        parts.append(_advice(found, films, free))
     failed = failures(results)
     if failed:
         parts.append("Failed:\n\n" + "\n".join(failed))
@@ -323,6 +326,36 @@ def section(request: Request, results: Results) -> Section:
 
 def _films(results: Results) -> Iterable[tuple[str, Result]]:
     return ((key, r) for key, r in results.items() if "error" not in r)
+
+
+def _distinct(results: Results) -> list[Result]:
+    """Each film once: jobs of the same seed and lens have the same."""
+    found: dict[tuple[str, ...], Result] = {}
+    for key, result in _films(results):
+        kind, *rest = key.split("-")
+        found.setdefault(tuple(rest) if kind == "lens" else ("", rest[-1]), result)
+    return list(found.values())
+
+
+def lift_matters(found: dict[str, dict[float, list[Result]]]) -> bool:
+    """Whether any rig makes a difference between `so3` and `so3, no lift`."""
+    cells = [c for of_kind in found.values() for here in of_kind.values() for c in here if "error" not in c]
+    return any(c["rows"].get("so3") != c["rows"].get(FREE) for c in cells)
+
+
+def _broken(results: Results, kind: Kind) -> dict[float | None, int]:
+    """How many films failed that had this mistake, by value; None: every value."""
+    found: dict[float | None, int] = {}
+    for key, result in results.items():
+        group, *rest = key.split("-")
+        if "error" not in result:
+            continue
+        value = float(rest[0]) if group == "lens" else None
+        names = {"lens": ("lens", "evening"), "alone": ALONE[:-1], **_TOGETHER}.get(group, ())
+        if kind.name in names:
+            value = value / _LENS if kind.name == "evening" and value is not None else value
+            found[value] = found.get(value, 0) + 1
+    return found
 
 
 def _edges(results: Results) -> dict[float, float]:
@@ -354,7 +387,8 @@ def _intro(films: list[Result]) -> str:
         middle = {q: float(np.median([abs(r[q]) for r in known])) for q in ("scale", "direction", "wobble")}
         said += (
             f" With the right rig `so3` has a scale off by {middle['scale']:.2f} %, goes astray by "
-            f"{middle['direction']:.2f}° and wobbles by {middle['wobble']:.2f} % (medians of {len(known)} films)."
+            f"{middle['direction']:.2f}° and wobbles by {middle['wobble']:.2f} % (medians of {len(known)} films with "
+            "lenses or discs of their own)."
         )
     return said
 
@@ -411,31 +445,82 @@ def _shown(kind: Kind, value: float) -> str:
     return f"{_PER_UNIT[kind.name] * value:g}"
 
 
-def _who(kind: Kind) -> tuple[str, ...]:
-    return (*TRACKERS, FREE, TOLD) if kind.name == "evening" else (*TRACKERS, FREE)
+def _who(kind: Kind, free: bool) -> tuple[str, ...]:
+    return (*TRACKERS, *((FREE,) if free else ()), *((TOLD,) if kind.name == "evening" else ()))
 
 
-def _table(kind: Kind, found: dict[float, list[Result]]) -> Table:
-    who = _who(kind)
-    rows = []
-    for value, cells in found.items():
-        row = [_shown(kind, value), str(len(cells))]
-        for what, digits in (("attitude", 2), ("rate", 1), ("scale", 1), ("direction", 1), ("wobble", 1)):
-            texts = [median(cells, name, what) for name in who]
-            row.append(", ".join("–" if x is None else f"{x:.{digits}f}" for x in texts))
-        row.append(", ".join(str(lost(cells, name)) for name in who))
-        shares = [held(cells, name) for name in who]
-        row.append(", ".join("–" if x is None else f"{100.0 * x:.0f}" for x in shares))
-        rows.append(tuple(row))
+def _table(kind: Kind, found: dict[float, list[Result]], results: Results, free: bool) -> Table:
+    films = [r for _, r in _films(results) if kind.name in r["mistakes"]]
+    rows = [
+        row
+        for name, cells in (
+            ("right rig", [f["right"] for f in films]),
+            *((_shown(kind, v), c) for v, c in found.items()),
+        )
+        for row in _table_rows(name, cells, _who(kind, free))
+    ]
+    for value, broken in _broken(results, kind).items():
+        made = len([f for f in films if value is None or f"{value:g}" in f["mistakes"][kind.name]])
+        shown = "every value" if value is None else _shown(kind, value)
+        rows.append((shown, f"films: {films_cell(made, broken)}", *["–"] * 8))
     head = (
-        kind.label,
-        "rigs",
+        *(kind.label, "rigs", ""),
         *("attitude, °", "rate, °/s", "scale off by, %", "astray by, °", "wobble, %", "lost", "frames tracked, %"),
     )
-    return Table(head, tuple(rows), f"{kind.title}: medians of {', '.join(f'`{w}`' for w in who)}")
+    return Table(head, tuple(rows), f"{kind.title} (medians)")
 
 
-def _said_of_alone(alone: dict[str, dict[float, list[Result]]], edges: dict[float, float]) -> str:
+def _table_rows(name: str, cells: list[Result], who: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """A row per filter; those that were not tried with these rigs have none."""
+    rows: list[tuple[str, ...]] = []
+    for k, w in enumerate(who):
+        if not any(r is not None for r in _rows(cells, w)) and any("error" not in c for c in cells):
+            continue
+        row = [*((name, str(len(cells))) if k == 0 else ("", "")), f"`{w}`"]
+        for what, digits in (("attitude", 2), ("rate", 1), ("scale", 1), ("direction", 1), ("wobble", 1)):
+            x = median(cells, w, what)
+            row.append("–" if x is None else f"{x:.{digits}f}")
+        share = held(cells, w)
+        rows.append((*row, str(lost(cells, w)), "–" if share is None else f"{100.0 * share:.0f}"))
+    return rows
+
+
+def _said_of_lift(every: list[Result], free: bool) -> str:
+    """What asking whether the ball was lifted does to wrong rigs."""
+    if not free:
+        return (
+            "`so3` asks whether the ball was lifted off its bearings; that test stops none of these "
+            f"{len(every)} rigs: without it (`bearing.lifted=1`) every figure is the same."
+        )
+    times = {who: sum(r is not None and r["lost"] > 0 for r in _rows(every, who)) for who in ("ekf2", "so3", FREE)}
+    return (
+        "Where discs do not turn about the centre that a rig says, `so3` may take the ball for lifted off its "
+        f"bearings. Of the {len(every)} wrong rigs it loses the ball with {times['so3']}; `{FREE}`, the same with "
+        f"`bearing.lifted=1`, with {times[FREE]}; `ekf2`, which does not ask, with {times['ekf2']}."
+    )
+
+
+def _said_of_wobble(alone: dict[str, dict[float, list[Result]]]) -> str:
+    """Which mistakes `so3` bears worse than `ekf2`, and which better: where they are furthest apart."""
+    more, less = [], []
+    for name, found in alone.items():
+        both = {v: (median(c, "so3", "wobble"), median(c, "ekf2", "wobble")) for v, c in found.items()}
+        known = {v: (a, b) for v, (a, b) in both.items() if a is not None and b is not None}
+        worse = [v for v, (a, b) in known.items() if a > b]
+        if not known:
+            continue
+        sign = 1.0 if 2 * len(worse) > len(known) else -1.0
+        value = max(known, key=lambda v: sign * (known[v][0] - known[v][1]))
+        ours, theirs = known[value]
+        times = len(worse) if sign > 0.0 else len(known) - len(worse)
+        words = KINDS[name].bears.format(_shown(KINDS[name], value))
+        said = f"{words} ({ours:.1f} % against {theirs:.1f} %; at {times} of {len(known)} sizes)"
+        (more if sign > 0.0 else less).append(said)
+    parts = [f"{how} with {', '.join(said)}" for how, said in (("more", more), ("less", less)) if said]
+    return f"`so3` wobbles {'; '.join(parts)}, each where they differ most from `ekf2`'s." if parts else ""
+
+
+def _said_of_alone(alone: dict[str, dict[float, list[Result]]], edges: dict[float, float], free: bool) -> str:
     said = []
     for name, found in alone.items():
         kind = KINDS[name]
@@ -448,9 +533,9 @@ def _said_of_alone(alone: dict[str, dict[float, list[Result]]], edges: dict[floa
             )
         elif not kind.log:
             what += " too large"
-        rows = [r for r in _rows(cells, FREE) if r is not None and "scale" in r]
+        rows = [r for r in _rows(cells, "so3") if r is not None and "scale" in r]
         if not rows:
-            said.append(f"{what}: no pose, or the ball is lost")
+            said.append(f"{what}: no pose, or too little was followed to tell")
             continue
         scale = float(np.median([r["scale"] for r in rows]))
         rest = {q: float(np.median([r[q] for r in rows])) for q in ("attitude", "direction", "wobble")}
@@ -459,17 +544,14 @@ def _said_of_alone(alone: dict[str, dict[float, list[Result]]], edges: dict[floa
             f"attitude {rest['attitude']:.2f}°"
         )
     every = [c for found in alone.values() for cells in found.values() for c in cells]
-    times = {who: sum(r is not None and r["lost"] > 0 for r in _rows(every, who)) for who in ("ekf2", "so3", FREE)}
     return (
-        "`so3` takes a rig for right: where discs do not turn about the centre that it says, the ball counts as "
-        f"lifted off its bearings, and nothing is sent until they do. Of the {len(every)} wrong rigs it loses the ball "
-        f"with {times['so3']}; `{FREE}`, the same with `bearing.lifted=1`, with {times[FREE]}; `ekf2`, which does not "
-        f"ask, with {times['ekf2']}. Errors are those of the frames tracked: a filter that stops is not made worse by "
-        f"it. What `{FREE}` makes of mistakes that are easily made (medians): " + "; ".join(said) + "."
-    )
+        f"{_said_of_lift(every, free)} Errors are those of the frames tracked: a filter that stops is not made worse "
+        f"by it. What `so3` makes of mistakes that are easily made (medians): {'; '.join(said)}. "
+        f"{_said_of_wobble(alone)}"
+    ).strip()
 
 
-def _said_of_evening(found: dict[float, list[Result]]) -> str:
+def _said_of_evening(found: dict[float, list[Result]], free: bool) -> str:
     one = found.get(1.0)
     e = EVENING
     said = (
@@ -481,18 +563,19 @@ def _said_of_evening(found: dict[float, list[Result]]) -> str:
     )
     if one is None:
         return said
-    n = len(one)
-    for who in ("ekf2", "so3", FREE, TOLD):
+    n, each = len(one), []
+    for who in _who(KINDS["evening"], free)[1:]:
         middle = {q: median(one, who, q) for q in ("scale", "direction", "wobble", "attitude")}
         if any(v is None for v in middle.values()):
-            said += f" After such an evening `{who}` tracks nothing."
+            each.append(f"`{who}` {'follows too little to tell' if held(one, who) else 'tracks nothing'}")
             continue
-        said += (
-            f" After such an evening `{who}` has, at the median of {n}, a scale off by {middle['scale']:.1f} %, goes "
-            f"astray by {middle['direction']:.1f}°, wobbles by {middle['wobble']:.1f} %, and has an attitude off by "
-            f"{middle['attitude']:.2f}°; it loses the ball in {lost(one, who)}."
+        each.append(
+            f"`{who}` has a scale off by {middle['scale']:.1f} %, goes astray by {middle['direction']:.1f}°, wobbles "
+            f"by {middle['wobble']:.1f} %, has an attitude off by {middle['attitude']:.2f}°, and is lost in "
+            f"{lost(one, who)}"
         )
-    fine = ", ".join(f"{sum(bears([c], who) for c in one)} (`{who}`)" for who in _who(KINDS["evening"]))
+    said += f" At the median of {n} such evening{'s' if n > 1 else ''}: {'; '.join(each)}.{_worse_for_telling(one)}"
+    fine = ", ".join(f"{sum(bears([c], who) for c in one)} (`{who}`)" for who in _who(KINDS["evening"], free))
     return said + (
         f" The pointer is straight (to {STRAIGHT:g}°) and steady (to {STEADY:g} %), and the ball never lost, after so "
         f"many of the {n} evenings: {fine}. The "
@@ -501,10 +584,29 @@ def _said_of_evening(found: dict[float, list[Result]]) -> str:
     )
 
 
-def _advice(found: dict[str, dict[float, list[Result]]]) -> str:
+def _worse_for_telling(cells: list[Result]) -> str:
+    """Where `so3` does worse when it is told how uncertain its lengths are; empty where it does not."""
+    said = []
+    for what, unit, digits in (("attitude", "°", 2), ("direction", "°", 1), ("wobble", " %", 1)):
+        told_, not_told = (median(cells, who, what) for who in (TOLD, "so3"))
+        if told_ is not None and not_told is not None and told_ > CLEARLY * not_told:
+            said.append(f"{what} {told_:.{digits}f}{unit} in place of {not_told:.{digits}f}{unit}")
+    return f" Telling `so3` how uncertain the lengths are makes it worse: {', '.join(said)}." if said else ""
+
+
+def _advice(found: dict[str, dict[float, list[Result]]], films: list[Result], free: bool) -> str:
     """By how much one may be off."""
     said = []
-    for who in ("so3", FREE):
+    for who in ("so3", *((FREE,) if free else ())):
+        missed = [f["right"] for f in films if not bears([f["right"]], who)]
+        if missed:
+            seconds = [r["frames"] / 30.0 for r in _rows(missed, who) if r is not None]
+            long = f" of {np.median(seconds):.1f} s" if seconds else ""
+            said.append(
+                f"`{who}` misses that with the right rig itself in {len(missed)} of {len(films)} films{long}, which "
+                "tell nothing of wrong ones: they are too short"
+            )
+            continue
         may, not_even = [], []
         for name, cells in found.items():
             kind = KINDS[name]
@@ -542,13 +644,13 @@ def _bound(films: list[Result], what: str) -> float | None:
 
 
 def _figure(
-    name: str, found: dict[str, dict[float, list[Result]]], quantities: tuple[str, ...], films: list[Result]
+    name: str, found: dict[str, dict[float, list[Result]]], quantities: tuple[str, ...], films: list[Result], free: bool
 ) -> Figure:
     def draw(canvas: Any) -> None:
         grid = canvas.subplots(len(quantities), len(found), sharey="row", squeeze=False)
         for i, (row, what) in enumerate(zip(grid, quantities, strict=True)):
             for ax, (mistake, cells) in zip(row, found.items(), strict=True):
-                ends = _panel(ax, KINDS[mistake], cells, what, films)
+                ends = _panel(ax, KINDS[mistake], cells, what, films, free)
                 ax.set_yscale("log")
                 if ax is row[-1]:
                     label_ends(ax, ends, gap=0.11)
@@ -558,22 +660,22 @@ def _figure(
             plain_numbers(row[0].yaxis)
 
     words = {"attitude": "attitude and rate", "scale": "the mouse: scale, direction, wobble"}[quantities[0]]
-    least_possible = " Dotted: the Cramér-Rao bound with the right rig." if quantities[0] == "attitude" else ""
+    dotted = "the Cramér-Rao bound with" if quantities[0] == "attitude" else "`so3` with"
     return Figure(
         name,
         f"One mistake at a time; errors of {words}, medians of the wrong rigs, crosses where at least one loses the "
-        f"ball or finds no pose.{least_possible}",
+        f"ball or finds no pose. Dotted: {dotted} the right rig.",
         draw,
         (7.2, 1.4 + 1.3 * len(quantities)),
     )
 
 
-def _figure_evening(found: dict[float, list[Result]], films: list[Result]) -> Figure:
+def _figure_evening(found: dict[float, list[Result]], films: list[Result], free: bool) -> Figure:
     def draw(canvas: Any) -> None:
         grid = canvas.subplots(2, 3)
         panels = ("attitude", "rate", "scale", "direction", "wobble")
         for ax, what in zip(grid.ravel(), panels, strict=False):
-            ends = _panel(ax, KINDS["evening"], found, what, films, span=True)
+            ends = _panel(ax, KINDS["evening"], found, what, films, free, span=True)
             ax.set(yscale="log", ylabel=_LABELS[what])
             plain_numbers(ax.yaxis)
             label_ends(ax, ends, gap=0.11)
@@ -585,19 +687,25 @@ def _figure_evening(found: dict[float, list[Result]], films: list[Result]) -> Fi
     return Figure(
         "mistakes-evening",
         "A whole evening's errors, scaled: medians, and the span of `so3`; crosses where at least one rig loses the "
-        "ball or finds no pose. Dotted: the Cramér-Rao bound with the right rig.",
+        "ball or finds no pose. Dotted: the Cramér-Rao bound (above) and `so3` (below), with the right rig.",
         draw,
         (7.2, 4.2),
     )
 
 
 def _panel(
-    ax: Any, kind: Kind, found: dict[float, list[Result]], what: str, films: list[Result], span: bool = False
+    ax: Any,
+    kind: Kind,
+    found: dict[float, list[Result]],
+    what: str,
+    films: list[Result],
+    free: bool,
+    span: bool = False,
 ) -> list[tuple[str, float, Any]]:
     """Draw the lines of a quantity; names, ends and colours."""
     ends: list[tuple[str, float, Any]] = []
     scale = _PER_UNIT[kind.name]
-    for who in _who(kind):
+    for who in _who(kind, free):
         curve = [(scale * v, median(cells, who, what), cells) for v, cells in found.items()]
         known = [(x, y, cells) for x, y, cells in curve if y]
         if not known:
@@ -612,10 +720,10 @@ def _panel(
             spans = [values(cells, who, what) for _, _, cells in known]
             ax.fill_between(x, [min(s) for s in spans], [max(s) for s in spans], color=colour, alpha=0.13, linewidth=0)
         ends.append((who, y[-1], colour))
-    limit = _bound(films, what) if what in ("attitude", "rate") else None
-    if limit is not None:
+    limit = _bound(films, what) if what in ("attitude", "rate") else median([f["right"] for f in films], "so3", what)
+    if limit:
         ax.axhline(limit, color="0.5", **BOUND)
-        ends.append(("bound", limit, "0.5"))
+        ends.append(("bound" if what in ("attitude", "rate") else "right rig", limit, "0.5"))
     if kind.log:
         ax.set_xscale("log")
         plain_numbers(ax.xaxis)

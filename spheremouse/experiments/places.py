@@ -100,9 +100,10 @@ def jobs(request: Request) -> list[Job]:
     work = []
     for name, places, checked in _maps(request.quick, around, along):
         cost = pictured * (1.5 + 0.04 * pictures) + 0.001 * frames * layouts * len(places)
-        work.append(Job(name, mapped, {"places": places, "checked": checked, **common}, cost=cost))
+        plain = {"places": [list(p) for p in places], "checked": [list(p) for p in checked]}
+        work.append(Job(name, mapped, {**plain, **common}, cost=cost))
     return work + [
-        Job(place.key, filmed, {"place": place, "frames": frames}, cost=2.5 + 0.03 * frames)
+        Job(place.key, filmed, {"place": list(place), "frames": frames}, cost=2.5 + 0.03 * frames)
         for place in (*around, *along)
     ]
 
@@ -287,6 +288,8 @@ def filmed(place: Sequence[float], frames: int) -> Result:
 
 # ---- for a reader ----
 
+_POSED = 3  # targets that make a pose
+_SPAN = 1.5  # times the least error: the least that colours tell apart
 _QUANTITIES = (
     ("attitude_deg", "attitude_rmse_deg", "attitude", "°", 4),
     ("rate_deg_s", "rate_rmse_deg_s", "rate", "°/s", 3),
@@ -299,7 +302,7 @@ def section(request: Request, results: Results) -> Section:
     along = _of(results, "distances", "map")
     rows = _films(results)
     first = next((r for k, r in results.items() if "noise" in r), None)
-    frames = next((r["true pose"]["frames"] for _, r in rows if "true pose" in r), 0)
+    frames = jobs(request)[0].parameters["frames"]
     parts: list[str | Table | Figure] = [
         f"{_DISCS} discs, the device's frame, 640x480 pixels, the first {frames} frames of the thesis' motion, noise "
         f"of {_NOISE:g} grey values. What is mapped is the Cramér-Rao bound, by geometry alone: the discs that are "
@@ -338,13 +341,13 @@ def _expected_at(results: Results, place: Place) -> Result | None:
 
 def _said_of_directions(entries: list[Result]) -> str:
     """The best direction, how much it matters, and where the targets are seen."""
-    seen = [e for e in entries if e["targets"] >= 3]
+    seen = [e for e in entries if e["targets"] >= _POSED]
     best, worst = (pick(entries, key=lambda e: e["attitude_deg"]) for pick in (min, max))
     share = np.mean([e["attitude_deg"] <= _NEAR_BEST * best["attitude_deg"] for e in entries])
     text = (
-        f"Over all {len(entries)} directions at {_FAR:g} m the attitude error to expect goes from "
+        f"Over all {len(entries)} directions at {_FAR:g} m the bound of the attitude goes from "
         f"{best['attitude_deg']:.4f}° ({_direction(best)}; {best['discs']:.1f} discs in view) to "
-        f"{worst['attitude_deg']:.4f}° ({_direction(worst)}; {worst['discs']:.1f}), the rate error from "
+        f"{worst['attitude_deg']:.4f}° ({_direction(worst)}; {worst['discs']:.1f}), that of the rate from "
         f"{min(e['rate_deg_s'] for e in entries):.3f} to {max(e['rate_deg_s'] for e in entries):.3f} °/s; "
         f"{100.0 * share:.0f} % of them are within {100.0 * (_NEAR_BEST - 1.0):.0f} % of the best attitude. "
     )
@@ -352,13 +355,22 @@ def _said_of_directions(entries: list[Result]) -> str:
         return text + "From none of them three targets are seen."
     chosen = min(seen, key=lambda e: e["attitude_deg"])
     azimuth, elevation = ([e["place"][i] for e in seen] for i in (0, 1))
-    return text + (
+    limits = (
         f"What limits the choice is the targets: three or more are seen from {len(seen)} of the {len(entries)} "
-        f"directions only, all within {min(azimuth):g}° to {max(azimuth):g}° of azimuth and {min(elevation):g}° to "
-        f"{max(elevation):g}° of elevation. Advice: put the camera at {_direction(chosen)} "
+        f"directions only, all {_within(azimuth)} of azimuth and {_within(elevation)} of elevation. "
+        if len(seen) < len(entries)
+        else "Three targets or more are seen from all of them. "
+    )
+    return text + (
+        f"{limits}Advice: put the camera at {_direction(chosen)} "
         f"({chosen['attitude_deg']:.4f}°, {chosen['rate_deg_s']:.3f} °/s), or anywhere where it sees the targets "
         f"({max(e['attitude_deg'] for e in seen):.4f}° at worst); for another place move the targets along."
     )
+
+
+def _within(degrees: list[float]) -> str:
+    low, high = min(degrees), max(degrees)
+    return f"at {low:g}°" if low == high else f"within {low:g}° to {high:g}°"
 
 
 def _direction(entry: Result) -> str:
@@ -377,10 +389,11 @@ def _said_of_distances(entries: list[Result]) -> str:
             said.append(
                 f"{_lens_named(lens)} the attitude is best from {best['place'][2]:g} m ({best['attitude_deg']:.4f}°, "
                 f"{best['discs']:.1f} discs in view) and within {100.0 * (_NEAR_BEST - 1.0):.0f} % of that from "
-                f"{min(near):g} to {max(near):g} m"
+                f"{', '.join(f'{d:g}' for d in sorted(near))} m"
             )
-    ranges = [e["place"][2] for e in _with_lens(entries, _LENSES[1]) if e["targets"] >= 3]
-    seen = f" With a lens that fits, three targets are in the picture from {min(ranges):g} m on." if ranges else ""
+    ranges = [e["place"][2] for e in _with_lens(entries, _LENSES[1]) if e["targets"] >= _POSED]
+    from_ = ", ".join(f"{r:g}" for r in sorted(ranges))
+    seen = f" With a lens that fits, three targets are in the picture from {from_} m." if ranges else ""
     return "; ".join(said) + "." + seen
 
 
@@ -397,33 +410,39 @@ def _with_lens(entries: list[Result], lens: str) -> list[Result]:
 
 
 def _table(rows: list[tuple[Place, Result]], results: Results) -> Table:
-    lines = []
+    lines: list[tuple[str, ...]] = []
     for place, film in rows:
         expected_ = _expected_at(results, place)
         true, own = film["true pose"], film["own pose"]
-        cells = [
-            f"{place.azimuth:g}°, {place.elevation:g}°, {place.distance:g} m, {place.focal:.0f} px",
-            "–" if expected_ is None else str(expected_["targets"]),
-            value(true, "mean_discs", digits=1),
-            str(true["frames"] - true["tracked"]),
-            "no pose" if "error" in own else str(own["frames"] - own["tracked"]),
-        ]
-        for quantity, key, _, _, digits in _QUANTITIES:
-            cells += [
-                value(expected_, quantity, digits=digits),
-                value(film["bound"], quantity, "combined", digits=digits),
-                value(true, key, "combined", digits=digits),
-                "no pose" if "error" in own else value(own, key, "combined", digits=digits),
-            ]
-        lines.append(tuple(cells))
-    columns = [
-        f"{word}, {unit}: {what}"
-        for _, _, word, unit, _ in _QUANTITIES
-        for what in ("map", "film's bound", "`so3`, true pose", "`so3`, own pose")
-    ]
-    lost = ("frames lost, true pose", "frames lost, own pose")
-    head = ("azimuth, elevation, distance, focal length", "targets in view", "discs used", *lost, *columns)
+        targets = "–" if expected_ is None else str(expected_["targets"])
+        where = (_named(place), targets, value(true, "mean_discs", digits=1))
+        errors = {
+            "map": [value(expected_, quantity, digits=d) for quantity, _, _, _, d in _QUANTITIES],
+            "film's bound": [
+                value(film["bound"], quantity, "combined", digits=d) for quantity, _, _, _, d in _QUANTITIES
+            ],
+            "`so3`, true pose": [value(true, key, "combined", digits=d) for _, key, _, _, d in _QUANTITIES],
+            "`so3`, own pose": ["no pose"] * 2
+            if "error" in own
+            else [value(own, key, "combined", digits=d) for _, key, _, _, d in _QUANTITIES],
+        }
+        gone = {"`so3`, true pose": str(true["frames"] - true["tracked"])}
+        gone["`so3`, own pose"] = "no pose" if "error" in own else str(own["frames"] - own["tracked"])
+        for k, (name, both) in enumerate(errors.items()):
+            lines.append((*(where if k == 0 else ("", "", "")), name, *both, gone.get(name, "")))
+    for key, result in results.items():
+        if key.startswith("film-") and "error" in result:
+            lines.append((f"{key.removeprefix('film-')}: failed", *["–"] * 6))
+    head = (
+        *("azimuth, elevation, distance, focal length", "targets in view", "discs used", ""),
+        *(f"{word}, {unit}" for _, _, word, unit, _ in _QUANTITIES),
+        "frames lost",
+    )
     return Table(head, tuple(lines), "Films beside the map")
+
+
+def _named(place: Place) -> str:
+    return f"{place.azimuth:g}°, {place.elevation:g}°, {place.distance:g} m, {place.focal:.0f} px"
 
 
 def _agreement(rows: list[tuple[Place, Result]], results: Results) -> str:
@@ -439,13 +458,20 @@ def _agreement(rows: list[tuple[Place, Result]], results: Results) -> str:
             said.append(f"{word} {np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})")
     if not said:
         return ""
-    unfound = sum("error" in film["own pose"] for _, film in rows)
     return (
         f"Error of `so3` over the map's, median and range over films: {'; '.join(said)}. A map takes one noise for "
-        "discs of a size, wherever the light comes from; films know better. From "
-        f"{unfound} of {len(rows)} places the targets gave no pose; the ball is tracked from there where the pose is "
-        f"known otherwise.{_lost_by_pose(rows)}"
+        f"discs of a size, wherever the light comes from; films know better.{_without_pose(rows)}{_lost_by_pose(rows)}"
     )
+
+
+def _without_pose(rows: list[tuple[Place, Result]]) -> str:
+    """From how many places the targets gave no pose, and what became of the ball; empty where there is none."""
+    blind = [film["true pose"] for _, film in rows if "error" in film["own pose"]]
+    if not blind:
+        return ""
+    followed = sum(f["tracked"] == f["frames"] for f in blind)
+    how = f"; with the true pose the ball is tracked to the end from {followed} of them" if followed else ""
+    return f" From {len(blind)} of {len(rows)} places the targets gave no pose{how}."
 
 
 def _lost_by_pose(rows: list[tuple[Place, Result]]) -> str:
@@ -493,11 +519,12 @@ def _figure_directions(entries: list[Result], rows: list[tuple[Place, Result]]) 
         for ax, (quantity, key, word, unit, digits) in zip(axes, _QUANTITIES, strict=True):
             values = np.array([[np.nan if c is None else c[quantity] for c in line] for line in grid])
             found = [(p, r[key]["combined"]) for p, r in films if r[key]["combined"] is not None]
-            low, high = float(np.nanmin(values)), 1.0001 * float(np.nanmax(values))
+            low = float(np.nanmin(values))
+            high = max(_SPAN * low, 1.0001 * float(np.nanmax(values)), *(x for _, x in found))
             norm = LogNorm(low, high)
             shown = ax.pcolormesh(azimuth, elevation, values, norm=norm, shading="nearest", rasterized=False)
-            hidden = np.array([[c is not None and c["targets"] < 3 for c in line] for line in grid])
-            _hatch(ax, azimuth, elevation, hidden)
+            usable = np.array([[c is not None and c["targets"] >= _POSED for c in line] for line in grid])
+            _outline(ax, azimuth, elevation, usable)
             for place, x in found:
                 ax.scatter(place.azimuth, place.elevation, s=60, c=[x], norm=norm, edgecolors="white", linewidths=1.2)
                 ax.annotate(
@@ -517,26 +544,36 @@ def _figure_directions(entries: list[Result], rows: list[tuple[Place, Result]]) 
             bar.set_ticks(ticks, labels=[f"{t:g}" for t in ticks])
             bar.ax.xaxis.set_minor_formatter(NullFormatter())
             bar.ax.minorticks_off()
+            bar.set_label("darker: better")
         axes[0].set_ylabel("elevation, °")
 
     return Figure(
         "places-directions",
-        f"The least error to expect by the direction of the camera, {_FAR:g} m from the ball's centre (azimuth 0°, "
-        "elevation 0°: straight before the frame). Hatched: fewer than three targets are seen. Circles and numbers: "
-        "the error of `so3` on films from there, the pose being known.",
+        f"The bound of attitude and rate by the direction of the camera, {_FAR:g} m from the ball's centre (azimuth "
+        "0°, elevation 0°: straight before the frame). Outlined: three targets or more are seen: the pose can be "
+        "found. Circles and numbers: the error of `so3` on films from there, the pose being known.",
         draw,
         (7.2, 4.2),
     )
 
 
-def _hatch(ax: Any, x: Sequence[float], y: Sequence[float], where: NDArray[np.bool_]) -> None:
-    """Strokes over cells of a grid."""
-    from matplotlib.patches import Rectangle
+def _outline(ax: Any, x: Sequence[float], y: Sequence[float], where: NDArray[np.bool_]) -> None:
+    """A line around cells of a grid, seen on dark cells and on bright ones."""
+    from matplotlib.collections import LineCollection
 
     dx, dy = (np.min(np.diff(v)) if len(v) > 1 else 10.0 for v in (x, y))
+    padded, sides = np.pad(where, 1), []
     for i, j in np.argwhere(where):
-        corner = (x[j] - dx / 2.0, y[i] - dy / 2.0)
-        ax.add_patch(Rectangle(corner, dx, dy, fill=False, hatch="///", edgecolor="white", linewidth=0.0, alpha=0.6))
+        left, right, low, high = x[j] - dx / 2.0, x[j] + dx / 2.0, y[i] - dy / 2.0, y[i] + dy / 2.0
+        around = {
+            (1, 0): [(left, low), (left, high)],
+            (1, 2): [(right, low), (right, high)],
+            (0, 1): [(left, low), (right, low)],
+            (2, 1): [(left, high), (right, high)],
+        }
+        sides += [line for (di, dj), line in around.items() if not padded[i + di, j + dj]]
+    for colour, width in (("#222222", 3.4), ("white", 1.6)):  # on the map, whatever the page is
+        ax.add_collection(LineCollection(sides, colors=colour, linewidths=width, capstyle="round"))
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -9,9 +9,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from spheremouse.experiments.experiment import Figure
 from spheremouse.plot import require_matplotlib
 from spheremouse.yaml_file import write_atomically
+
+# ---- for a reader ----
 
 _OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 _LIGHT, _DARK = ("#2b2b2b", "#8a8a8a", "#e6e6e6"), ("#e2e2e2", "#8f8f8f", "#3a3a3a")  # ink, axes, grid
@@ -78,3 +82,43 @@ def save(figure: Figure, folder: Path) -> list[Path]:
         write_atomically(path, re.sub(r"[ \t]+$", "", text.getvalue(), flags=re.MULTILINE))
         written.append(path)
     return written
+
+
+def label_ends(ax: Any, ends: list[tuple[str, float, Any]], gap: float = 0.075) -> None:
+    """Names beside the ends of lines, right of the axes, as near as they can be without touching."""
+    low, high = np.log10(ax.get_ylim())
+    ax.set_ylim(10.0**low, 10.0**high)  # stays
+    ordered = sorted(ends, key=lambda end: end[1])
+    at = apart([float((np.log10(y) - low) / (high - low)) for _, y, _ in ordered], gap)
+    for (name, _, colour), y in zip(ordered, at, strict=True):
+        ax.annotate(
+            name,
+            (1.0, y),
+            xytext=(4, 0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            color=colour,
+            va="center",
+            fontsize=8.5,
+            annotation_clip=False,
+        )
+
+
+def apart(values: list[float], gap: float) -> list[float]:
+    """Ascending values moved as little as possible so that no two are nearer than `gap` (isotonic regression)."""
+    from scipy.optimize import isotonic_regression
+
+    steps = gap * np.arange(len(values))
+    return [] if not values else (isotonic_regression(np.array(values) - steps).x + steps).tolist()
+
+
+def plain_numbers(axis: Any) -> None:
+    """0.01, 0.1, 1 in place of powers of ten; few others where there is less than a decade."""
+    from matplotlib.ticker import LogFormatter, StrMethodFormatter
+
+    class Few(LogFormatter):
+        def _num_to_string(self, x: float, vmin: float, vmax: float) -> str:
+            return f"{x:g}"
+
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(Few(minor_thresholds=(1.5, 0.7)))

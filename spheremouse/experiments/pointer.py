@@ -13,9 +13,21 @@ import numpy as np
 from spheremouse.evaluate.lag import Turning, search, travel
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import settings_of
-from spheremouse.experiments.limits import DISCS, NOISE, RATES, World, known_ball, label_lines, plain, rate_axis, world
+from spheremouse.experiments.limits import (
+    DISCS,
+    NOISE,
+    RATES,
+    World,
+    known_ball,
+    label_lines,
+    plain,
+    rate_axis,
+    those,
+    world,
+)
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures
+from spheremouse.experiments.viewing import films_cell
 from spheremouse.frame import Frame
 from spheremouse.motion import Motion, Remainder, to_counts
 from spheremouse.pointer import PointerSettings, Resampler, due, take
@@ -267,6 +279,7 @@ def stopped(fps: float, phases: int) -> Result:
 # ---- for a reader ----
 
 _MARKS = {NONE: ("C1", "s"), ONE: ("C3", "v"), NEXT: ("C2", "D"), DEFAULT: ("C0", "o")}
+_MM = 1.0  # of the ball's surface per count: 600 counts/rad, 0.6 m radius
 _METRICS = {
     "delay": ("delay, ms", 0),
     "off": ("distance (RMS), counts", 1),
@@ -278,13 +291,15 @@ def section(request: Request, results: Results) -> Section:
     """What each way of moving the pointer comes to."""
     good = {k: r for k, r in results.items() if "error" not in r}
     plays, stops = _plays(good), {float(k.split("-")[1]): r for k, r in good.items() if k.startswith("stop-")}
+    bad = {k: r for k, r in results.items() if "error" in r}
     parts: list[str | Table | Figure] = [_about(good)]
     if plays:
-        parts += [_figure(plays), _table(plays)]
+        parts += [_figure(plays), _table(plays, _plays(bad))]
         more = _more_table(good)
         parts += [more] if more else []
     if stops:
-        parts += [_stop_figure(stops), _stop_table(stops), *([_jumped(stops)] if _jumped(stops) else [])]
+        broken = [float(k.split("-")[1]) for k in bad if k.startswith("stop-")]
+        parts += [_stop_figure(stops), _stop_table(stops, broken), *([_jumped(stops)] if _jumped(stops) else [])]
     film = _film(good)
     parts += [text for text in (film, _advice(plays, stops)) if text]
     parts += [text for text in (_lost(good),) if text]
@@ -344,22 +359,27 @@ def _about(good: Results) -> str:
     )
 
 
-def _table(plays: dict[float, list[Result]]) -> Table:
+def _table(plays: dict[float, list[Result]], broken: dict[float, list[Result]]) -> Table:
     rows = []
-    for fps, results in plays.items():
-        for way in (NONE, ONE, DEFAULT, NEXT, EXACT):
+    for fps in sorted({*plays, *broken}):
+        results = plays.get(fps, [])
+        made = films_cell(len(results), len(broken.get(fps, [])))
+        if not results:
+            rows.append((f"{fps:g}", made, *["–"] * 4))
+            continue
+        for k, way in enumerate((NONE, ONE, DEFAULT, NEXT, EXACT)):
             cells = []
             for metric, (_, digits) in _METRICS.items():
                 value = _median(results, way, metric)
                 cells.append("none found" if value is None else f"{value:.{digits}f}")
-            rows.append((f"{fps:g}", way, *cells))
+            rows.append((*((f"{fps:g}", made) if k == 0 else ("", "")), way, *cells))
     base = [r for results in plays.values() for r in results]
     true, whole = (float(np.median([r[k] for r in base])) for k in ("true rough", "whole rough"))
     title = (
         "Somebody plays (median over motions). The ball's own roughness is "
         f"{true:.2f} counts, that of its path in whole counts {whole:.2f}"
     )
-    return Table(("Hz", "pointer", *(label for label, _ in _METRICS.values())), tuple(rows), title)
+    return Table(("Hz", "motions", "pointer", *(label for label, _ in _METRICS.values())), tuple(rows), title)
 
 
 def _more_table(good: Results) -> Table | None:
@@ -429,13 +449,17 @@ def _beyond(result: Result, way: str, down: float) -> list[float]:
     return result[way][f"{down:g}"]
 
 
-def _stop_table(stops: dict[float, Result]) -> Table:
-    ways = (NONE, ONE, DEFAULT, NEXT)
+def _stop_table(stops: dict[float, Result], broken: list[float]) -> Table:
     rows = []
-    for fps, result in sorted(stops.items()):
-        cells = [f"{np.median(b):.0f} ({max(b):.0f})" for d in STOPPED for w in ways for b in [_beyond(result, w, d)]]
-        rows.append((f"{fps:g}", *cells))
-    head = ("Hz", *(f"in {1e3 * d:g} ms: {w}" for d in STOPPED for w in ways))
+    for fps in sorted({*stops, *broken}):
+        if fps not in stops:
+            rows.append((f"{fps:g}", "failed", *["–"] * len(STOPPED)))
+            continue
+        for k, way in enumerate((NONE, ONE, DEFAULT, NEXT)):
+            beyond = [_beyond(stops[fps], way, d) for d in STOPPED]
+            cells = [f"{np.median(b):.0f} ({max(b):.0f})" for b in beyond]
+            rows.append((f"{fps:g}" if k == 0 else "", way, *cells))
+    head = ("Hz", "pointer", *(f"stopped in {1e3 * d:g} ms" for d in STOPPED))
     return Table(
         head, tuple(rows), f"Overshoot of a ball stopped from {np.degrees(SPEED):.0f} °/s, counts: median (most)"
     )
@@ -458,7 +482,7 @@ def _stop_figure(stops: dict[float, Result]) -> Figure:
             xlabel="ms after the stop", ylabel="counts beyond", title=f"a stop within {1e3 * down:g} ms, {shown:g} Hz"
         )
         left.annotate(
-            "the ball; without", (295.0, 0.0), xytext=(0, -6), textcoords="offset points", color="0.5", fontsize=8.0,
+            "the ball", (295.0, 0.0), xytext=(0, -6), textcoords="offset points", color="0.5", fontsize=8.0,
             va="top", ha="right",
         )  # fmt: skip
         rates, ends, highest = sorted(stops), [], 0.0
@@ -540,20 +564,28 @@ def _advice(plays: dict[float, list[Result]], stops: dict[float, Result]) -> str
             )
         if near:
             said.append(
-                f"With the default the pointer stays within {NEAR:g} counts of the ball (RMS) from {min(near):g} Hz on."
+                f"With the default the pointer stays within {NEAR:g} counts of the ball (RMS) "
+                f"{those(near, list(plays))}."
             )
         else:
             said.append(f"With the default no frame rate keeps the pointer within {NEAR:g} counts of the ball (RMS).")
         if reaches:
             said.append(
                 f"The default horizon reaches to the next frame from {min(reaches):g} Hz on: for slower cameras set "
-                "`pointer.horizon` to latency and one interval."
+                f"`pointer.horizon` to latency and one interval{_price(stops, reaches)}."
             )
     if stops:
         down = STOPPED[0]
         by = {fps: float(np.median(_beyond(r, DEFAULT, down))) for fps, r in sorted(stops.items())}
         one = {fps: float(np.median(_beyond(r, ONE, down))) for fps, r in sorted(stops.items())}
         worst, best = max(by, key=by.__getitem__), min(by, key=by.__getitem__)
+        usual = min(by, key=lambda f: abs(np.log(f / 30.0)))
+        said.append(
+            f"A ball of {np.degrees(SPEED):.0f} °/s that is stopped within {1e3 * down:g} ms leaves the default "
+            f"pointer {by[usual]:.0f} counts too far at {usual:g} Hz: {0.1 * _MM * by[usual]:.0f} cm of the ball, "
+            f"since 1 count is {_MM:g} mm of it. The pointer never runs back: what was too much stays, and is withheld "
+            "from later motion the same way."
+        )
         said.append(
             f"A stop within {1e3 * down:g} ms costs the default an overshoot of {by[worst]:.0f} counts at {worst:g} "
             "Hz and "
@@ -566,3 +598,14 @@ def _advice(plays: dict[float, list[Result]], stops: dict[float, Result]) -> str
             f"a horizon of one frame {one[worst]:.0f}."
         )
     return " ".join(said)
+
+
+def _price(stops: dict[float, Result], reaches: list[float]) -> str:
+    """What the longer horizon of slower cameras costs where a ball is stopped."""
+    slow = {fps: r for fps, r in sorted(stops.items()) if fps < min(reaches)}
+    said = [
+        f"{np.median(_beyond(r, NEXT, STOPPED[0])):.0f} in place of {np.median(_beyond(r, DEFAULT, STOPPED[0])):.0f} "
+        f"counts too far at {fps:g} Hz"
+        for fps, r in slow.items()
+    ]
+    return f" (its price, where a ball is stopped within {1e3 * STOPPED[0]:g} ms: {', '.join(said)})" if said else ""

@@ -214,17 +214,18 @@ def _found(seen: list[Sighting], rig: Rig, true: Pose, image: Any = None) -> Res
     }
 
 
-# ---- section ----
+# ---- for a reader ----
+
+_CLEAR = 0.1  # a correlation whose sign means something
 
 
 def section(request: Request, results: Results) -> Section:
     """Three tables of the thesis, how honest standard deviations are, and what more views bring."""
     parts: list[str | Table | Figure] = [
-        "Four ring targets on the device's frame give the pose of the camera. "
-        f"Ours stands in front, the thesis' value behind it; the tables use {_VIEWS_USED} views of a still scene with "
-        f"noise of {_NOISE:g} grey values. Angles are the thesis' ω, φ, κ. Standard deviations and correlations are "
-        "those of the thesis' own camera; errors are RMS over all cameras, which stand up to some centimetres away "
-        "from it.",
+        f"Four ring targets on the device's frame give the pose of the camera. The tables use {_VIEWS_USED} views of a "
+        f"still scene with noise of {_NOISE:g} grey values. Ours, in brackets the thesis' value. Angles are the "
+        "thesis' ω, φ, κ. Standard deviations and correlations are those of a camera where the thesis' stands; errors "
+        "are RMS over all cameras, which stand up to some centimetres away from it.",
     ]
     numbers: dict[str, Any] = {}
     cases = (
@@ -233,15 +234,12 @@ def section(request: Request, results: Results) -> Section:
         ("22", "near", "exact", "S4: near camera, targets known exactly"),
     )
     for table, view, kind, about in cases:
-        entries = _entries(results, view, kind)
-        numbers[f"table {table}"] = _summary(entries)
-        parts.append(Table(("", *_NAMES), _rows(entries, THESIS_TABLES[table]), f"Table {table}. {about}"))
-    parts += [
-        "\n\n".join(_why(results)),
-        _honest(results, numbers),
-        "Drawn centres are off by what is assumed of them. With four targets the residuals have two degrees of "
-        "freedom; large ones enlarge a covariance, small ones never shrink it, which keeps the mean a little below 1.",
-    ]
+        entries, own = _entries(results, view, kind), _own(results, view, kind)
+        where = {} if own is None else {k: own[k] for k in ("sigma", "correlation")}
+        numbers[f"table {table}"] = {**_summary(entries), **where}
+        rows = _rows(entries, own, THESIS_TABLES[table], _failed(results, view))
+        parts.append(Table(("", *_NAMES), rows, f"Table {table}. {about}"))
+    parts += ["\n\n".join(_why(results)), _honest(results, numbers), _of_drawn(numbers)]
     if "far26" in results:
         parts.append(_far26(results["far26"], numbers))
     else:
@@ -264,13 +262,24 @@ def section(request: Request, results: Results) -> Section:
     failed = failures(results)
     if failed:
         parts.append("What failed:\n\n" + "\n".join(failed))
-    return Section(tuple(parts), numbers)
+    return Section(tuple(p for p in parts if p), numbers)
 
 
 def _entries(results: Results, view: str, kind: str, film: str = "table", views: int = _VIEWS_USED) -> list[Result]:
-    """Of all cameras that film, the thesis' own first; those that failed are missing."""
+    """Of all cameras that film; those that failed are missing."""
     found = [r[film]["counts"].get(str(views), {}) for r in _cameras(results, view)]
     return [f[kind] for f in found if kind in f]
+
+
+def _own(results: Results, view: str, kind: str) -> Result | None:
+    """Of the camera that stands where the thesis' does; None where that one failed."""
+    found = results.get(f"{view}-0", {})
+    return found["table"]["counts"].get(str(_VIEWS_USED), {}).get(kind) if "table" in found else None
+
+
+def _failed(results: Results, view: str) -> int:
+    """How many cameras did."""
+    return sum(key.startswith(f"{view}-") and "error" in r for key, r in results.items())
 
 
 def _cameras(results: Results, view: str) -> list[Result]:
@@ -284,8 +293,6 @@ def _summary(entries: list[Result]) -> Result:
     chi = [e["chi_square"] for e in entries]
     return {
         "cameras": len(entries),
-        "sigma": entries[0]["sigma"],
-        "correlation": entries[0]["correlation"],
         "error_rms": np.sqrt(np.mean(error**2, axis=0)).tolist(),
         "largest": float(np.max(np.abs(error / sigma))),
         "chi_square": float(np.mean(chi)) / 6.0,
@@ -298,23 +305,29 @@ def _band(freedom: int) -> list[float]:
     return [float(2.0 * gammaincinv(0.5 * freedom, p) / freedom) for p in (0.025, 0.975)]
 
 
-def _rows(entries: list[Result], thesis: dict[str, Any]) -> tuple[tuple[str, ...], ...]:
+def _rows(
+    entries: list[Result], own: Result | None, thesis: dict[str, Any], failed: int
+) -> tuple[tuple[str, ...], ...]:
     if not entries:
         return (("all cameras", *(["failed"] * 6)),)
     s = _summary(entries)
     rows = []
-    for i, printed in enumerate(thesis["correlation"], start=1):
-        cells = [f"{s['correlation'][i][j]:.3f} ({printed[j]:.3f})" for j in range(i)]
-        rows.append((f"correlation {_NAMES[i]}", *cells, *[""] * (6 - i)))
-    units, digits = ["mm"] * 3 + ["°"] * 3, [2] * 3 + [3] * 3
+    units, digits = ["mm"] * 3 + ["°"] * 3, [3] * 3 + [4] * 3
 
     def line(name: str, ours: Sequence[float], printed: Sequence[float] | None) -> tuple[str, ...]:
         theirs = [""] * 6 if printed is None else [f" ({p:g})" for p in printed]
-        cells = (f"{o:.{d}f}{t} {u}" for o, d, t, u in zip(ours, digits, theirs, units, strict=True))
+        cells = (f"{o:z.{d}f}{t} {u}" for o, d, t, u in zip(ours, digits, theirs, units, strict=True))
         return (name, *cells)
 
-    rows.append(line("standard deviation", s["sigma"], thesis["sigma"]))
-    rows.append(line(f"error, {s['cameras']} cameras", s["error_rms"], thesis.get("error")))
+    if own is None:
+        rows.append(("where the thesis' camera stands", *(["failed"] * 6)))
+    else:
+        for i, printed in enumerate(thesis["correlation"], start=1):
+            cells = [f"{own['correlation'][i][j]:z.3f} ({printed[j]:.3f})" for j in range(i)]
+            rows.append((f"correlation {_NAMES[i]}", *cells, *[""] * (6 - i)))
+        rows.append(line("standard deviation", own["sigma"], thesis["sigma"]))
+    some = f", {failed} failed" if failed else ""
+    rows.append(line(f"error, {s['cameras']} cameras{some}", s["error_rms"], thesis.get("error")))
     over = np.array(s["error_rms"]) / np.sqrt(np.mean([np.square(e["sigma"]) for e in entries], axis=0))
     printed = thesis.get("error")
     theirs = [""] * 6 if printed is None else [f" ({e / d:.1f})" for e, d in zip(printed, thesis["sigma"], strict=True)]
@@ -331,27 +344,69 @@ def _why(results: Results) -> list[str]:
     if len(centres) == len(_VIEWS):
         common = ", ".join(f"{c[0]:.3f} px ({v})" for v, c in centres.items())
         scatter = ", ".join(f"{c[1]:.3f} px ({v})" for v, c in centres.items())
+        share = {v: np.sqrt(_summary(_entries(results, v, "exact"))["chi_square"]) for v in _VIEWS}
+        shares = ", ".join(f"{s:.2f} ({v})" for v, s in share.items())
+        reason = (
+            f". {floor:g} px are assumed for what no averaging removes (print, lens, sampling), and a rendered target "
+            "has neither print nor lens: its"
+            if max(share.values()) < 1.0
+            else f", {floor:g} px assumed for what no averaging removes (print, lens, sampling). The target's"
+        )
         said.append(
-            "With exact targets our errors are far below our standard deviations, and they should be: "
-            f"{floor:g} px are assumed for what no averaging removes (print, lens, sampling), but a rendered target "
-            "has neither print nor "
-            f"lens. Its centre, averaged over all views, is off by {common} RMS per axis; single views scatter by "
-            f"{scatter}. The thesis counts its 30 views as independent, and its errors of the near camera are up to "
+            f"With exact targets our errors are {shares} of our standard deviations (root of chi-square / 6){reason} "
+            f"centre, averaged over all views, is off by {common} RMS per axis; single views scatter by {scatter}. The "
+            "thesis counts its 30 views as independent, and its errors of the near camera are up to "
             f"{_worst('22'):.1f} of its standard deviations."
         )
-    exact, calibrated_ = (_entries(results, "far", kind) for kind in ("exact", "calibrated"))
-    if exact and calibrated_:
-        a, b, printed = exact[0], calibrated_[0], THESIS_TABLES["12"]["correlation"]
+    a, b, printed = (
+        _own(results, "far", "exact"),
+        _own(results, "far", "calibrated"),
+        THESIS_TABLES["12"]["correlation"],
+    )
+    if a is not None and b is not None:
         said.append(
             "In table 12 the correlations of Z0 with Y0 and ω0 are those of targets known exactly "
             f"({printed[1][1]:.2f} and {printed[2][2]:.2f}; ours then {a['correlation'][2][1]:.2f} and "
             f"{a['correlation'][3][2]:.2f}, table 21). Ours carry the joint covariance of calibrated targets along: "
             "a target field that is shifted as a whole shifts the camera, so that the standard deviation of Z0 grows "
-            f"from {a['sigma'][2]:.2f} to {b['sigma'][2]:.2f} mm and those correlations fade to "
+            f"from {a['sigma'][2]:.2f} to {b['sigma'][2]:.2f} mm and those correlations change to "
             f"{b['correlation'][2][1]:.2f} and {b['correlation'][3][2]:.2f}. Where the real camera of R1 stood is not "
-            "published; ours is that of S2."
+            "published; ours is that of S2." + _other_signs(b)
         )
     return said
+
+
+def _other_signs(ours: Result) -> str:
+    """Of kappa0 in table 12, where they differ, beside those that the thesis has in table 21."""
+    r1, s2 = (THESIS_TABLES[table]["correlation"][4] for table in ("12", "21"))
+    other = [
+        j for j in range(5) if abs(r1[j]) > _CLEAR and abs(s2[j]) > _CLEAR and r1[j] * ours["correlation"][5][j] < 0
+    ]
+    if not other:
+        return ""
+    told = " and ".join(
+        f"{_NAMES[j]} ({ours['correlation'][5][j]:+.2f} against {r1[j]:+.2f}; table 21: {s2[j]:+.2f})" for j in other
+    )
+    same = all(s2[j] * ours["correlation"][5][j] > 0 for j in other)
+    return f" The correlation of κ0 has the other sign with {told}" + (
+        ": ours has the signs of the thesis' own S2, its R1 stands apart; the camera may have stood otherwise there."
+        if same
+        else "."
+    )
+
+
+def _of_drawn(numbers: dict[str, Any]) -> str:
+    """Why drawn centres give less than 1, if they do."""
+    found = {v: numbers[k]["chi_square"] for v in _VIEWS if (k := f"{v}, centres drawn, targets calibrated") in numbers}
+    if not found:
+        return ""
+    told = ", ".join(f"{x:.2f} ({v})" for v, x in found.items())
+    return f"Drawn centres are off by what is assumed of them: chi-square / 6 is {told}." + (
+        " With four targets the residuals have two degrees of freedom; large ones enlarge a covariance, small ones "
+        "never shrink it, which keeps the mean below 1."
+        if max(found.values()) < 1.0
+        else ""
+    )
 
 
 def _centre_errors(results: Results, view: str, film: str = "table") -> tuple[float, float] | None:
@@ -406,9 +461,15 @@ def _far26(result: Result, numbers: dict[str, Any]) -> Table:
     film, thesis = result["table"], THESIS_TABLES["21"]
     found = film["counts"][str(_VIEWS_USED)]["exact"]
     numbers["far26"] = {**found, "common_px": film["common_px"], "scatter_px": film["scatter_px"]}
-    units = ["mm"] * 3 + ["°"] * 3
+    units, digits = ["mm"] * 3 + ["°"] * 3, [3] * 3 + [4] * 3
     rows = [
-        (name, *(f"{o:{sign}.3f} ({t:g}) {u}" for o, t, u in zip(found[key], thesis[key], units, strict=True)))
+        (
+            name,
+            *(
+                f"{o:{sign}z.{d}f} ({t:g}) {u}"
+                for o, d, t, u in zip(found[key], digits, thesis[key], units, strict=True)
+            ),
+        )
         for name, key, sign in (("error", "error", "+"), ("standard deviation", "sigma", ""))
     ]
     title += (

@@ -18,7 +18,7 @@ from spheremouse.detect.detections import Detections
 from spheremouse.detect.discs import disc_detector
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import THESIS
+from spheremouse.experiments.plot import THESIS, plain_numbers
 from spheremouse.experiments.poses import THESIS_TABLES, calibrated_rig
 from spheremouse.experiments.report import failures
 from spheremouse.intersect import SpherePoints, intersect
@@ -351,7 +351,10 @@ def visible_cap(distance: float, radius: float) -> float:
     return 2.0 * np.pi * radius**2 * (1.0 - radius / distance)
 
 
-# ---- section ----
+# ---- for a reader ----
+
+_DISCS_23 = {"near": 7.4, "far": 8.9}  # Wittich 2017, table 23
+_CIRCLES = (20, 40)  # deg, on the map
 
 
 def section(request: Request, results: Results) -> Section:
@@ -369,7 +372,7 @@ def section(request: Request, results: Results) -> Section:
                 "surface-map",
                 "Standard deviation of a disc's place along the ball's surface (mm), all over what the camera sees, in "
                 "the direction in which it is known worst and in the one in which it is known best. Camera pose and "
-                "ball as calibrated, centres as certain as discs there were. Rings are angles from the point that "
+                "ball as calibrated, centres as certain as discs there were. Circles are angles from the point that "
                 "faces the camera; outside the dashed one no wholly visible disc was found.",
                 lambda figure: _draw_maps(figure, caps),
                 (7.2, 6.6),
@@ -447,25 +450,39 @@ def _scatter_table(caps: dict[str, Result]) -> Table:
 def _about_scatter(caps: dict[str, Result]) -> str:
     said = []
     for view, c in caps.items():
-        first, last = c["bins"][0], c["bins"][-1]
-        said.append(
-            f"{view}: {first['total sigma'][0]:.2f} mm at {first['angle']:.0f}° from the middle and "
-            f"{last['total sigma'][0]:.1f} mm at {last['angle']:.0f}°, of which the image alone "
-            f"{first['image sigma'][0]:.2f} and {last['image sigma'][0]:.1f} mm"
-        )
+        ends = []
+        for b in (c["bins"][0], c["bins"][-1]):
+            whole, image = b["total sigma"][0], b["image sigma"][0]
+            ends.append(
+                f"{whole:.2f} mm at {b['angle']:.0f}° from the middle, the image alone {image:.2f} mm: "
+                f"{100.0 * (image / whole) ** 2:.0f} % of the variance"
+            )
+        said.append(f"{view}: {'; '.join(ends)}")
     return (
         "Along the worst direction a single sight is certain to\n\n"
         + "\n".join(f"- {line}" for line in said)
-        + "\n\nNear the middle camera pose and ball make most of it, which are the same in every frame; near the limb "
-        "the image does. The image's share is claimed larger than it is (hollow dots below dotted lines): renders have "
-        f"neither print nor lens, for which a floor of {kit.settings_of().discs.sigma:g} px stands in the detector."
+        + "\n\nThe rest is camera pose and ball, which are off alike in every frame. "
+        + _of_claims(caps)
     )
+
+
+def _of_claims(caps: dict[str, Result]) -> str:
+    """Whether the image's share is claimed larger or smaller than it is, from chi-square."""
+    chi = {view: c["chi_square_image"] for view, c in caps.items()}
+    told = ", ".join(f"{x:.2f} ({view})" for view, x in chi.items())
+    if max(chi.values()) < 1.0:
+        return (
+            f"The image's share is claimed larger than it is (chi-square / 2: {told}; hollow dots below dotted lines): "
+            "renders have neither print nor lens, for which a floor of "
+            f"{kit.settings_of().discs.sigma:g} px stands in the detector."
+        )
+    return f"Chi-square / 2 of the image's share is {told}: above 1 it is claimed smaller than it is."
 
 
 def _area_parts(area: Result, numbers: dict[str, Any]) -> list[str | Table | Figure]:
     head = (
         "camera", "distance, m", "thesis, m²", "formula, m²", "counted, m²", "frame hides", "one hand hides more",
-        "two hands", "left of 50 discs",
+        "two hands", "of 50 discs in view",
     )  # fmt: skip
     title = "Visible area of the ball (Wittich 2017, fig. 39)"
     if "views" not in area:
@@ -491,14 +508,15 @@ def _area_parts(area: Result, numbers: dict[str, Any]) -> list[str | Table | Fig
     v = area["views"]
     hides = {view: 100 * (1 - a["behind frame"] / a["alone"]) for view, a in v.items()}
     bare, kept = v["far"]["alone"] / v["near"]["alone"], left["far"] / left["near"]
+    pairs = [*zip(area["distance"], area["alone"], strict=True), *((a["distance"], a["alone"]) for a in v.values())]
+    off = max(abs(counted / visible_cap(d, _RADIUS) - 1.0) for d, counted in pairs if d > _RADIUS)
     text = (
         "The thesis' areas are too large: from 2.35 m no more than "
         f"{visible_cap(2.35, _RADIUS):.2f} m² of a ball of {_RADIUS:g} m radius can be seen. Counting which of many "
-        "points the renderer's rays meet first agrees with the formula. The far camera sees "
-        f"{100 * (bare - 1):.0f} % more of the bare ball than the near one and, in the frame of the reference "
-        f"recordings, {100 * (kept - 1):.0f} % more of what the frame leaves: it hides {hides['near']:.0f} % before "
-        f"the near camera and {hides['far']:.0f} % before the far one. In the thesis' own frame it was the other way "
-        "round, with 20 % more discs for the far camera."
+        f"points the renderer's rays meet first differs from the formula by at most {100 * off:.1f} %. The far camera "
+        f"sees {_more(bare)} of the bare ball than the near one and, in the frame of the reference recordings, "
+        f"{_more(kept)} of what the frame leaves: it hides {hides['near']:.0f} % before the near camera and "
+        f"{hides['far']:.0f} % before the far one. {_of_thesis_frame(bare, kept)}"
     )
     figure = Figure(
         "surface-area",
@@ -510,12 +528,26 @@ def _area_parts(area: Result, numbers: dict[str, Any]) -> list[str | Table | Fig
     return [Table(head, tuple(rows), title), text, figure]
 
 
+def _more(ratio: float) -> str:
+    return f"{100 * abs(ratio - 1.0):.0f} % {'more' if ratio >= 1.0 else 'less'}"
+
+
+def _of_thesis_frame(bare: float, kept: float) -> str:
+    """What the thesis' frame hid, from its numbers of discs in table 23."""
+    discs = _DISCS_23["far"] / _DISCS_23["near"]
+    told = f"The thesis has {_more(discs).replace('less', 'fewer')} discs before its far camera"
+    if discs < bare < kept:
+        return f"{told}: its frame hid more from the far camera, ours hides more from the near one."
+    return f"{told}."
+
+
 # ---- figures ----
 
 
 def _draw_maps(figure: Any, caps: dict[str, Result]) -> None:
     from matplotlib import colormaps
     from matplotlib.colors import BoundaryNorm
+    from matplotlib.patheffects import withStroke
 
     axes = figure.subplots(2, len(caps), squeeze=False)
     norm = BoundaryNorm(_LEVELS, colormaps["cividis"].N, extend="max")
@@ -531,14 +563,16 @@ def _draw_maps(figure: Any, caps: dict[str, Result]) -> None:
                 side.set_visible(False)
             edge = c["map"]["seen_to_deg"]
             ax.plot(edge * np.cos(_TURN), edge * np.sin(_TURN), color="#202020", **THESIS)
-            for ring in (20, 40):
-                ax.text(0.0, ring, f"{ring}°", color="w", fontsize=7, ha="center", va="center")
+            for ring in _CIRCLES:
+                x, y = ring * np.cos(_TURN), ring * np.sin(_TURN)
+                ax.plot(x, y, color="w", linestyle="-", linewidth=0.6, alpha=0.8)
+                text = ax.text(0.0, ring, f"{ring}°", color="w", fontsize=7, ha="center", va="center")
+                text.set_path_effects([withStroke(linewidth=2.5, foreground="#202020")])
     figure.colorbar(filled, ax=axes, label="standard deviation, mm", shrink=0.6, ticks=_LEVELS, format="{x:g}")
 
 
 def _draw_scatter(figure: Any, caps: dict[str, Result]) -> None:
     from matplotlib.lines import Line2D
-    from matplotlib.ticker import StrMethodFormatter
 
     axes = figure.subplots(1, len(caps), sharey=True, squeeze=False)[0]
     for ax, (view, c) in zip(axes, caps.items(), strict=True):
@@ -555,7 +589,7 @@ def _draw_scatter(figure: Any, caps: dict[str, Result]) -> None:
                     markerfacecolor=face,
                 )
         ax.set(title=f"{view} camera", xlabel="angle from the middle, °", yscale="log")
-        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        plain_numbers(ax.yaxis)
     axes[0].set_ylabel("along the surface, mm")
     handles = [
         Line2D([], [], color="C1", marker="o", label="worst direction, all errors"),

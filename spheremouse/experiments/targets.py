@@ -18,7 +18,7 @@ from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.errors import PoseError
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import THESIS
+from spheremouse.experiments.plot import BOUND, THESIS
 from spheremouse.experiments.report import failures
 from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.rig import CODES, Rig, Targets
@@ -288,8 +288,10 @@ def _corner_errors(image: NDArray[np.uint8], rig: Rig, true: Pose, refinement: s
 def section(request: Request, results: Results) -> Section:
     """Number, size and kind: figures, tables, and what to put up."""
     cameras = [r for r in results.values() if "error" not in r]
+    some = f"{len(cameras)} camera{'s' if len(cameras) != 1 else ''}"
+    some += f" ({len(results) - len(cameras)} more failed)" if len(results) > len(cameras) else ""
     parts: list[str | Table | Figure] = [
-        f"{len(cameras)} cameras near the thesis' far one (640x480), turned about their axes by up to "
+        f"{some} near the thesis' far one (640x480), turned about their axes by up to "
         f"{np.degrees(_STRAY[2]):.0f}°; targets known exactly; {CONDITIONS['plain'].views} views each, noise of "
         f"{CONDITIONS['plain'].noise:g} grey values unless it says otherwise. A tag is as large as a ring target: its "
         "side is the outer diameter. Tags are found by OpenCV, their corners refined by it "
@@ -342,6 +344,18 @@ def _rms(entries: list[Result], name: str) -> float | None:
     return float(np.sqrt(np.mean(np.square(known)))) if known else None
 
 
+def _bound(entries: list[Result]) -> float | None:
+    """mm, RMS: what the best adjustment reaches with centres or corners as noisy as these were.
+
+    The claimed standard deviation, which follows the residuals where these are larger than what is allowed for, scaled
+    to the measured error where that is smaller.
+    """
+    allowed = PoseSettings().target_sigma
+    known = [e for e in entries if "sigma_position_mm" in e and e["point_px"] is not None]
+    least = [min(1.0, e["point_px"] / allowed) * np.linalg.norm(e["sigma_position_mm"]) for e in known]
+    return float(np.sqrt(np.mean(np.square(least)))) if least else None
+
+
 def _share(entries: list[Result]) -> float | None:
     """Of the targets found."""
     return float(np.mean([e["found"] for e in entries])) if entries else None
@@ -357,7 +371,7 @@ def _table_of_poses(first: str, cameras: list[Result], group: str, cases: dict[s
         for kind, word in KINDS.items():
             entries = _entries(cameras, group, kind, case)
             if not entries:
-                rows.append((name, word, f"no: there are {len(CODES)} orders of three colours", *[""] * 6))
+                rows.append((name, word, f"no: there are {len(CODES)} orders of three colours", *[""] * 7))
                 continue
             share = _share(entries)
             points = [e["point_px"] for e in entries if e["point_px"] is not None]
@@ -370,13 +384,14 @@ def _table_of_poses(first: str, cameras: list[Result], group: str, cases: dict[s
                     _text(float(np.sqrt(np.mean(np.square(points)))) if points else None, 3),
                     _text(_rms(entries, "position_mm"), 2),
                     _text(_rms(entries, "sigma_position_mm"), 2),
+                    _text(_bound(entries), 2),
                     _text(_rms(entries, "angle_deg"), 3),
                     _text(_rms(entries, "sigma_angle_deg"), 3),
                 )
             )
     head = (
         *(first, "kind", "found", "poses", "centres or corners, px"),
-        *("position, mm", "claimed, mm", "angle, °", "claimed, °"),
+        *("position, mm", "claimed, mm", "bound, mm", "angle, °", "claimed, °"),
     )
     return Table(head, tuple(rows))
 
@@ -476,7 +491,7 @@ def _said_of_sizes(cameras: list[Result], sizes: list[int], scale: float) -> str
     if enough:
         text += (
             f"Advice: rings at least {scale * max(enough):.0f} px across in the picture"
-            f"{'' if bad else ', enough under all conditions tried'}. "
+            f"{', enough under all conditions tried' if len(tried) > 1 and not bad else ''}. "
         )
     for condition in bad:
         found = {k: _least(cameras, k, condition, sizes) for k in FAMILIES}
@@ -500,9 +515,14 @@ _MARKS = dict(zip(KINDS, "osD^", strict=True))
 
 
 def _line(ax: Any, x: list[float], entries: list[list[Result]], kind: str, k: int) -> None:
-    """Position error with its claim (dashed)."""
-    for name, how in (("position_mm", {"marker": _MARKS[kind]}), ("sigma_position_mm", THESIS)):
-        points = [(a, _rms(e, name)) for a, e in zip(x, entries, strict=True)]
+    """Position error with its claim (dashed) and its bound (dotted)."""
+    lines = (
+        ([_rms(e, "position_mm") for e in entries], {"marker": _MARKS[kind]}),
+        ([_rms(e, "sigma_position_mm") for e in entries], {**THESIS, "linewidth": 0.7}),
+        ([_bound(e) for e in entries], BOUND),
+    )
+    for values, how in lines:
+        points = zip(x, values, strict=True)
         known = [(a, y) for a, y in points if y is not None]
         style = {"linestyle": "-", **how}
         ax.plot([a for a, _ in known], [y for _, y in known], color=f"C{k}", **style)
@@ -524,7 +544,8 @@ def _handles(claimed: bool = True) -> list[Any]:
         Line2D([], [], color=f"C{k}", marker=_MARKS[kind], linestyle="-", label=name)
         for k, (kind, name) in enumerate(KINDS.items())
     ]
-    return [*lines, *([Line2D([], [], color="0.5", label="claimed", **THESIS)] if claimed else [])]
+    grey = [Line2D([], [], color="0.5", label=name, **how) for name, how in (("claimed", THESIS), ("bound", BOUND))]
+    return [*lines, *(grey if claimed else [])]
 
 
 def _figure_numbers(cameras: list[Result], numbers: list[int]) -> Figure:
@@ -535,12 +556,13 @@ def _figure_numbers(cameras: list[Result], numbers: list[int]) -> Figure:
             _line(ax, [float(n) for n in numbers], entries, kind, k)
         _finish(ax)
         ax.set(xlabel="targets", ylabel="position of the camera, mm", xticks=numbers)
-        canvas.legend(handles=_handles(), loc="outside upper center", ncols=5)
+        canvas.legend(handles=_handles(), loc="outside upper center", ncols=6)
 
     return Figure(
         "targets-number",
-        "Error of the camera's position (RMS over cameras) against the number of targets, and its claimed standard "
-        f"deviation (dashed). Rings end at {len(CODES)}: there are no more orders of three colours.",
+        "Error of the camera's position (RMS over cameras) against the number of targets, its claimed standard "
+        f"deviation (dashed), and the bound with centres as good as they were (dotted). "
+        f"Rings end at {len(CODES)}: there are no more orders of three colours.",
         draw,
         (7.2, 3.3),
     )
@@ -564,12 +586,13 @@ def _figure_sizes(cameras: list[Result], sizes: list[int], scale: float) -> Figu
             ax.minorticks_off()
         left.set_ylabel("position of the camera, mm")
         right.set_ylabel("found, %")
-        canvas.legend(handles=_handles(), loc="outside upper center", ncols=5)
+        canvas.legend(handles=_handles(), loc="outside upper center", ncols=6)
 
     return Figure(
         "targets-size",
-        f"Left: error of the camera's position from {_NUMBER} targets against their size in the picture, and its "
-        "claimed standard deviation (dashed). Right: share of the targets that is found.",
+        f"Left: error of the camera's position from {_NUMBER} targets against their size in the picture, its claimed "
+        "standard deviation (dashed), and the bound with centres as good as they were (dotted). Right: share of the "
+        "targets that is found.",
         draw,
         (7.2, 3.5),
     )

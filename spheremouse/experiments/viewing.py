@@ -13,7 +13,7 @@ import numpy as np
 from spheremouse.errors import PoseError
 from spheremouse.experiments import kit, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.plot import BOUND, label_ends, plain_numbers
 from spheremouse.experiments.report import failures
 from spheremouse.rig import UNKNOWN_READOUT, Rig
 from spheremouse.simulate import prepare
@@ -251,7 +251,7 @@ def section(request: Request, results: Results) -> Section:
         if not found:
             parts.append("No result.")
             continue
-        parts += [_SAID[name](found), _figure(kind, found), _table(kind, found), _advice(kind, found)]
+        parts += [_SAID[name](found), _figure(kind, found), _table(kind, found, results), _advice(kind, found)]
     failed = failures(results)
     if failed:
         parts.append("Failed:\n\n" + "\n".join(failed))
@@ -274,6 +274,18 @@ def points(results: Results, kind: Kind) -> dict[str, list[Result]]:
         if here:
             found[word] = here
     return found
+
+
+def _broken(results: Results, kind: Kind, word: str) -> int:
+    """How many films of a value failed."""
+    starts = [f"{kind.name}-" if kind.name == "rate" else f"{kind.name}-{word}-"]
+    starts += ["plain-"] if word == kind.plain else []
+    return sum("error" in r and key.startswith(tuple(starts)) for key, r in results.items())
+
+
+def films_cell(made: int, broken: int) -> str:
+    """Films behind a row of a table, and how many more failed."""
+    return f"{broken} of {made + broken} failed" if broken and made else "failed" if broken else str(made)
 
 
 def _intro(films: list[Result]) -> str:
@@ -320,11 +332,15 @@ def lost(found: list[Result], who: str) -> int:
 
 
 def good(found: list[Result], who: str) -> bool:
-    """Nothing lost, and attitude and rate as good as a pointer needs."""
+    """Nothing lost, and attitude and rate as good as a pointer needs; the bound loses nothing."""
     attitude, rate = (_median(found, who, what) for what in ("attitude", "rate"))
     speed = float(np.median([f["moved"]["rms"] for f in found]))
     return (
-        not lost(found, who) and attitude is not None and rate is not None and attitude < NEAR and rate < SHARE * speed
+        (who == "bound" or not lost(found, who))
+        and attitude is not None
+        and rate is not None
+        and attitude < NEAR
+        and rate < SHARE * speed
     )
 
 
@@ -340,31 +356,30 @@ def good_range(found: dict[str, list[Result]], who: str) -> tuple[str, str] | No
     return (longest[0], longest[-1]) if longest else None
 
 
-def _table(kind: Kind, found: dict[str, list[Result]]) -> Table:
-    who = (*kind.shown, "bound")
+def _table(kind: Kind, found: dict[str, list[Result]], results: Results) -> Table:
     rows = []
-    for word, here in found.items():
-        cells = [word.replace("x", "×"), str(len(here))]
-        for what, digits in (("attitude", 3), ("rate", 2)):
-            for name in who:
+    for word in kind.whole:
+        here, broken = found.get(word, []), _broken(results, kind, word)
+        shown, films = word.replace("x", "×"), films_cell(len(here), broken)
+        if not here:
+            rows += [(shown, films, *["–"] * 4)] if broken else []
+            continue
+        for name in (*kind.shown, "bound"):
+            cells = [f"`{name}`" if name != "bound" else name]
+            gone = 0 if name == "bound" else lost(here, name)
+            for what, digits in (("attitude", 3), ("rate", 2)):
                 x = _median(here, name, what)
-                cells.append("–" if x is None else f"{x:.{digits}f}")
-        cells.append(", ".join(str(lost(here, name)) for name in kind.shown))
-        rows.append(tuple(cells))
-    names = [f"`{n}`" if n != "bound" else n for n in who]
-    head = (
-        *(kind.label if kind.name != "size" else "picture, px", "films"),
-        *(f"attitude, °: {n}" for n in names),
-        *(f"rate, °/s: {n}" for n in names),
-        "films lost: " + ", ".join(names[:-1]),
-    )
+                cells.append("lost" if 2 * gone >= len(here) else "–" if x is None else f"{x:.{digits}f}")
+            cells.append("" if name == "bound" else f"{gone} of {len(here)}")
+            rows.append((*((shown, films) if name == kind.shown[0] else ("", "")), *cells))
+    head = (kind.label if kind.name != "size" else "picture, px", "films", "", "attitude, °", "rate, °/s", "lost")
     return Table(head, tuple(rows), f"{kind.title}: median of the combined RMSE")
 
 
 def _ratio(found: dict[str, list[Result]], who: str, what: str, a: str, b: str) -> str:
     """How much larger at `b` than at `a`, in words for a text."""
     x, y = _median(found[a], who, what), _median(found[b], who, what)
-    return "–" if not x or y is None else f"{y / x:.1f}"
+    return "–" if not x or y is None else f"{y / x:.2g}"
 
 
 def _by_all(found: dict[str, list[Result]], kind: Kind, what: str, a: str, b: str) -> str:
@@ -374,7 +389,7 @@ def _by_all(found: dict[str, list[Result]], kind: Kind, what: str, a: str, b: st
 
 def _said_of_rate(found: dict[str, list[Result]]) -> str:
     slow, fast = next(iter(found)), next(reversed(found))
-    said = []
+    said, worse = [], []
     for who in (*KINDS["rate"].shown, "bound"):
         rates = {word: x for word, here in found.items() if (x := _median(here, who, "rate")) is not None}
         if slow in rates and fast in rates:
@@ -382,46 +397,57 @@ def _said_of_rate(found: dict[str, list[Result]]) -> str:
             name = "the bound" if who == "bound" else f"`{who}`"
             ends = f"{rates[slow]:.2f} at {slow}, {rates[fast]:.2f} at {fast}"
             said.append(f"{name} {rates[best]:.2f} at {best} ({ends})")
+            if rates[fast] > CLEARLY * rates[best]:
+                worse.append(f"{name} ({rates[fast] / rates[best]:.1f} times)")
+    there = f"Worse at {fast} than at their best: {', '.join(worse)}." if worse else f"None is worse at {fast}."
     return (
         f"All are the same film at {_FASTEST} frames per second, of which each second, third, ... is taken. The error "
         f"of the rate, °/s, is least: {'; '.join(said)}. The thesis expected better results of a higher frame rate, at "
-        "the price of time; for a classic filter with a fixed σ_w that need not be so. The light that a fast camera "
-        "lacks is not in these films: the noise is the same."
+        f"the price of time. {there} The light that a fast camera lacks is not in these films: the noise is the same."
     )
 
 
 def _said_of_size(found: dict[str, list[Result]]) -> str:
     small, large = next(iter(found)), next(reversed(found))
+    if small == large:
+        return f"Only {small.replace('x', '×')} was filmed."
     blind = [(w, [f["pose"] for f in here if f.get("pose")]) for w, here in found.items()]
     said = [
-        f"At {w.replace('x', '×')} the camera's pose was not found in {len(p)} of {len(found[w])} films ({p[0]}); "
-        "these were tracked with the true pose, as found beforehand in a larger picture."
+        f"At {w.replace('x', '×')} the camera's pose was not found in {len(p)} of {len(found[w])} films: "
+        f"{_why_unfound(p)}; these were tracked with the true pose, as found beforehand in a larger picture."
         for w, p in blind
         if p
     ]
     kind = KINDS["size"]
     return " ".join([
-        "The field of view stays, the focal length in pixels grows with the picture. From "
-        f"{small.replace('x', '×')} to {large.replace('x', '×')} the error of the rate changes by a factor of "
-        f"{_by_all(found, kind, 'rate', small, large)}, that of the attitude by "
-        f"{_by_all(found, kind, 'attitude', small, large)}.",
+        "The field of view stays, the focal length in pixels grows with the picture. Error at "
+        f"{large.replace('x', '×')} over that at {small.replace('x', '×')}: rate "
+        f"{_by_all(found, kind, 'rate', small, large)}; attitude {_by_all(found, kind, 'attitude', small, large)}.",
         *said,
     ])  # fmt: skip
 
 
+def _why_unfound(said: list[str]) -> str:
+    return "no target was found" if all(s.startswith("0 of") for s in said) else "too few targets were found"
+
+
 def _said_of_blur(found: dict[str, list[Result]]) -> str:
     sharp, open_ = next(iter(found)), next(reversed(found))
+    if sharp == open_:
+        return f"Only {sharp} ms were filmed."
     kind = KINDS["blur"]
     return (
-        f"At {_USUAL} frames per second a frame lasts {1e3 / _USUAL:.0f} ms. From an exposure of {sharp} ms to one of "
-        f"{open_} ms the error of the rate grows by a factor of {_by_all(found, kind, 'rate', sharp, open_)}, that of "
-        f"the attitude by {_by_all(found, kind, 'attitude', sharp, open_)}. A stamp is mid-exposure, so that a smear "
-        "has its centre where the disc was then."
+        f"At {_USUAL} frames per second a frame lasts {1e3 / _USUAL:.0f} ms. Error with an exposure of {open_} ms over "
+        f"that with {sharp} ms: rate {_by_all(found, kind, 'rate', sharp, open_)}; attitude "
+        f"{_by_all(found, kind, 'attitude', sharp, open_)}. A stamp is mid-exposure, so that a smear has its centre "
+        "where the disc was then."
     )
 
 
 def _said_of_readout(found: dict[str, list[Result]]) -> str:
     none, slow = next(iter(found)), next(reversed(found))
+    if none == slow:
+        return f"Only {none} ms were filmed."
     rows = []
     for who, how in (
         (KNOWN, "`so3` is told the readout"),
@@ -433,9 +459,25 @@ def _said_of_readout(found: dict[str, list[Result]]) -> str:
         factors = [_ratio(found, who, what, none, slow) for what in ("attitude", "rate")]
         rows.append(f"{how}: {factors[0]} and {factors[1]}")
     return (
-        f"Rows are read one after the other, over the readout. From {none} to {slow} ms the errors of attitude and "
-        f"rate grow by a factor of, where {'; '.join(rows)}."
+        f"Rows are read one after the other, over the readout. Error at {slow} ms over that at {none} ms, of attitude "
+        f"and rate, where {'; '.join(rows)}.{_worse_for_telling(found[slow], slow)}"
     )
+
+
+def _worse_for_telling(here: list[Result], slow: str) -> str:
+    """Where `so3` does worse with the readout than without; empty where it does not."""
+    said = []
+    for what, unit, digits in (("attitude", "°", 3), ("rate", "°/s", 2)):
+        told, *others = (_median(here, who, what) for who in (KNOWN, ESTIMATED, IGNORED))
+        known = [x for x in others if x is not None]
+        if told is not None and known and told > CLEARLY * min(known):
+            words = [
+                f"{x:.{digits}f}{'' if unit == '°' else ' '}{unit} {how}"
+                for x, how in zip((told, *others), ("told", "estimated", "ignored"), strict=True)
+                if x is not None
+            ]
+            said.append(f"{what} {', '.join(words)}")
+    return f" Telling it makes it worse with {slow} ms: {'; '.join(said)}." if said else ""
 
 
 _SAID: dict[str, Callable[[dict[str, list[Result]]], str]] = {
@@ -444,16 +486,17 @@ _SAID: dict[str, Callable[[dict[str, list[Result]]], str]] = {
     "blur": _said_of_blur,
     "readout": _said_of_readout,
 }
+CLEARLY = 1.05  # times another error
 _UNIT = {"rate": " frames per second", "size": "", "blur": " ms of exposure", "readout": " ms of readout"}
 
 
 def _advice(kind: Kind, found: dict[str, list[Result]]) -> str:
     """What to look for in a camera."""
-    unit, said = _UNIT[kind.name], []
+    unit, said, never = _UNIT[kind.name], [], []
     for who in kind.shown:
         ends = good_range(found, who)
         if ends is None:
-            said.append(f"`{who}` does not reach that at any")
+            never.append(f"`{who}`")
             continue
         first, last = (word.replace("x", "×") for word in ends)
         if ends == (next(iter(found)), next(reversed(found))):
@@ -461,6 +504,10 @@ def _advice(kind: Kind, found: dict[str, list[Result]]) -> str:
         else:
             values = f"{first} to {last}" if first != last else first
             said.append(f"`{who}` reaches that with {values}{unit}")
+    if never:
+        bound = "" if any(good(here, "bound") for here in found.values()) else ", nor does the bound"
+        asks = ": this motion asks too much" if bound else ""
+        said.append(f"{', '.join(never)} {'reach' if len(never) > 1 else 'reaches'} that with none{bound}{asks}")
     return (
         f"For a device: if no film may be lost, the attitude must be good to {NEAR:g}° (a millimetre of the ball's "
         f"surface) and the rate to {SHARE:.0%} of the ball's own, of the values tried {'; '.join(said)}."
@@ -547,43 +594,3 @@ def _line(
         face = "none" if given else colour
         ax.plot([at], [level], color=colour, marker=mark, markersize=size, markerfacecolor=face, linestyle="")
     return who, y[-1], colour
-
-
-def label_ends(ax: Any, ends: list[tuple[str, float, Any]], gap: float = 0.075) -> None:
-    """Names beside the ends of lines, right of the axes, as near as they can be without touching."""
-    low, high = np.log10(ax.get_ylim())
-    ax.set_ylim(10.0**low, 10.0**high)  # stays
-    ordered = sorted(ends, key=lambda end: end[1])
-    at = apart([float((np.log10(y) - low) / (high - low)) for _, y, _ in ordered], gap)
-    for (name, _, colour), y in zip(ordered, at, strict=True):
-        ax.annotate(
-            name,
-            (1.0, y),
-            xytext=(4, 0),
-            xycoords="axes fraction",
-            textcoords="offset points",
-            color=colour,
-            va="center",
-            fontsize=8.5,
-            annotation_clip=False,
-        )
-
-
-def apart(values: list[float], gap: float) -> list[float]:
-    """Ascending values moved as little as possible so that no two are nearer than `gap` (isotonic regression)."""
-    from scipy.optimize import isotonic_regression
-
-    steps = gap * np.arange(len(values))
-    return [] if not values else (isotonic_regression(np.array(values) - steps).x + steps).tolist()
-
-
-def plain_numbers(axis: Any) -> None:
-    """0.01, 0.1, 1 in place of powers of ten; few others where there is less than a decade."""
-    from matplotlib.ticker import LogFormatter, StrMethodFormatter
-
-    class Few(LogFormatter):
-        def _num_to_string(self, x: float, vmin: float, vmax: float) -> str:
-            return f"{x:g}"
-
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(Few(minor_thresholds=(1.5, 0.7)))
