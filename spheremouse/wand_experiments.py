@@ -7,6 +7,7 @@ data, so that it can be kept in a file and taken up again. Compared with Grzonka
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,11 @@ from spheremouse.rotation import Array
 from spheremouse.simulate.wand import WandFilm, WandOptions, WandTruth, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.track import WandSettings, begin, build, step
+from spheremouse.wand_recording import open_wand, read_wand_frames
 from spheremouse.wand_session import WandHistory, track_wand
 
 BALLS = {"grzonka": grzonka_ball, "contrast": contrast_ball, "led": led_ball}
+RECORDING = "wand_drive"  # of the shared datasets
 FOUND_WITHIN = 5  # frames, of a start without an initial pose
 
 
@@ -71,13 +74,17 @@ def thesis_settings(n: int) -> WandSettings:
     return thesis_motion(n, proposal="motion", likelihood="product", outline=False)
 
 
+_OWN = Variant("350, own start", _particles(350))
+_KNOWN = tuple(Variant(f"{n}, known start", _particles(n), known=True) for n in (50, 350))
+
+
 def films(quick: bool) -> tuple[Film, ...]:
     """What is filmed; `quick`: fewer seeds and particles, some minutes."""
     seeds = tuple(range(1, 3 if quick else 21))
     few = tuple(range(1, 2 if quick else 7))
-    ours = Variant("350, own start", _particles(350))
+    ours = _OWN
     drive = (
-        *(Variant(f"{n}, known start", _particles(n), known=True) for n in (50, 350)),
+        *_KNOWN,
         ours,
         Variant("350, without the outline", _particles(350, outline=False), known=True),
         Variant("350, the thesis' motion", thesis_motion(350), known=True),
@@ -142,6 +149,25 @@ def work(job: Job) -> dict[str, Any]:
     }
 
 
+def recording_film(quick: bool) -> Film:
+    """The shared recording, which Blender rendered: other seeds of the filter on the same pictures."""
+    variants, seeds = ((_KNOWN[-1],), 1) if quick else ((*_KNOWN, _OWN), 20)
+    return Film(RECORDING, "the shared recording, 0.8 Hz", WandOptions(), tuple(range(1, seeds + 1)), variants)
+
+
+def work_recording(path: Path, variant: Variant, seeds: Sequence[int]) -> dict[str, Any]:
+    """As `work`, of a recording with one ball: per seed the run and its truth."""
+    recording = open_wand(path)
+    truth, ball = recording.truths[0], recording.balls[0]
+    tracker = build(recording.camera, (ball,), variant.settings)
+    known = {0: (truth.position[0], truth.rotation[0])} if variant.known else None
+    runs = [_Fed(lambda frames, s=seed: track_wand(frames, tracker, s, known)) for seed in seeds]
+    for frame in read_wand_frames(recording):
+        for fed in runs:
+            fed.feed(frame)
+    return {"variants": {variant.name: [_kept(fed.history.run(0), truth, ball.radius) for fed in runs]}}
+
+
 class _Fed:
     """A run that is given its frames one by one."""
 
@@ -204,11 +230,14 @@ class Speed:
     least: float | None  # frames per second asked for
 
 
+_MANY = 5000  # particles: with more a third of the pictures is enough
 SPEEDS = (
+    Speed("50 particles, whole frame", WandSettings(particles=50, region=False), None, None),
     Speed("350 particles, whole frame", WandSettings(region=False), 1.4, 60.0),
     Speed("350 particles, region of interest", WandSettings(), None, 200.0),
     Speed("5000 particles, region of interest", WandSettings(particles=5000), 0.37, 30.0),
     Speed("5000 particles, whole frame", WandSettings(particles=5000, region=False), 0.37, 30.0),
+    Speed("50000 particles, whole frame", WandSettings(particles=50_000, region=False), None, None),
 )
 
 
@@ -228,13 +257,14 @@ def measure_speeds(frames: int = 60) -> dict[str, Any]:
     for speed in SPEEDS:
         tracker = build(film.scene.camera, (film.scene.balls[0].ball,), speed.settings)
         times = []
+        shown = pictures[: len(pictures) // 3] if speed.settings.particles > _MANY else pictures
         for _ in range(2):
-            state = begin(tracker, 1, pictures[0].stamp)
-            for frame in pictures:
+            state = begin(tracker, 1, shown[0].stamp)
+            for frame in shown:
                 start = time.perf_counter()
                 state, _ = step(state, frame, tracker)
                 times.append(time.perf_counter() - start)
-        settled = np.array(times[frames + 3 :])
+        settled = np.array(times[len(shown) + 3 :])
         found[speed.name] = {
             "fps": float(1.0 / np.median(settled)),
             "mean_fps": float(1.0 / np.mean(settled)),
@@ -247,12 +277,15 @@ def measure_speeds(frames: int = 60) -> dict[str, Any]:
 
 ENOUGH = 20  # runs, to judge 19 or 18 of them
 SOME = 6  # runs, to judge what none may do
-DISTRACTORS = {  # by film: what is asked, and what the thesis says of it
-    "drive-hand": ("a distractor in one colour, a hand, 0.8 Hz: runs kept, all", "kept, not counted"),
-    "hand-hand": ("a distractor in one colour, a hand, 15 Hz: runs kept, all", "kept, not counted"),
+Verdict = tuple[str, str, str, bool | None]
+KEPT = {  # by film: what is asked of all its runs, what the thesis says of it, and how many make a judgement
+    "hand-held": ("a fast hand, 0.4 m/s, 180 °/s, 15 Hz: runs kept, all", "not done", ENOUGH),
+    "drive-hand": ("a distractor in one colour, a hand, 0.8 Hz: runs kept, all", "kept, not counted", SOME),
+    "hand-hand": ("a distractor in one colour, a hand, 15 Hz: runs kept, all", "kept, not counted", SOME),
     "hand-card": (
         f"a distractor in both colours, a card, 15 Hz: off for {RECOVERED:g} s at most, all",
         "may draw particles away",
+        SOME,
     ),
 }
 
@@ -279,31 +312,61 @@ def rows(quick: bool, results: dict[str, dict[str, Any]]) -> list[Row]:
         failures = tuple(f"seed {seed}: {r['error']}" for seed, r in of_film.items() if "error" in r)
         for variant in film.variants:
             kept = [k for r in of_film.values() if "error" not in r for k in r["variants"][variant.name]]
-            total = sum(k["frames"] for k in kept)
-            runs, truths = restored(kept)
-            found.append(
-                Row(
-                    film,
-                    variant.name,
-                    len(kept),
-                    sum(k["lost"] for k in kept),
-                    sum(k["found_from"] is not None and k["found_from"] < FOUND_WITHIN for k in kept),
-                    sum(len(k["index"]) for k in kept) / total if total else 0.0,
-                    errors(runs, truths),
-                    failures,
-                )
-            )
+            found.append(_row(film, variant, kept, failures))
+    film = recording_film(quick)
+    for variant in film.variants:
+        result = results.get(recording_key(variant))
+        if result is not None:
+            failures = (result["error"],) if "error" in result else ()
+            found.append(_row(film, variant, [] if failures else result["variants"][variant.name], failures))
     return found
 
 
-def verdicts(table: Sequence[Row], speeds: dict[str, Any]) -> list[tuple[str, str, str, bool | None]]:
+def recording_key(variant: Variant) -> str:
+    """Name of the result of a variant on the recording."""
+    return f"{RECORDING}-{variant.name.replace(', ', '-').replace(' ', '-')}"
+
+
+def _row(film: Film, variant: Variant, kept: Sequence[dict[str, Any]], failures: tuple[str, ...]) -> Row:
+    total = sum(k["frames"] for k in kept)
+    return Row(
+        film,
+        variant.name,
+        len(kept),
+        sum(k["lost"] for k in kept),
+        sum(k["found_from"] is not None and k["found_from"] < FOUND_WITHIN for k in kept),
+        sum(len(k["index"]) for k in kept) / total if total else 0.0,
+        errors(*restored(kept)),
+        failures,
+    )
+
+
+def verdicts(table: Sequence[Row], speeds: dict[str, Any]) -> list[Verdict]:
     """The issue's table: what is asked, the thesis' figure, ours, and whether it is reached (None: not measured)."""
-    drive = {row.variant: row for row in table if row.film.name == "drive"}
-    found: list[tuple[str, str, str, bool | None]] = []
+    found = [*_of_drive(table, "drive", ""), *_of_drive(table, RECORDING, ", shared recording")]
+    for name, (asked, thesis, enough) in KEPT.items():
+        of_film = [r for r in table if r.film.name == name and (r.runs or r.failures)]
+        if of_film:
+            row = of_film[0]
+            found.append((asked, thesis, f"{row.runs - row.lost} of {row.runs}", _kept_runs(row, 0.0, enough)))
+    for speed in SPEEDS:
+        if speed.name in speeds and speed.least is not None:
+            fps = speeds[speed.name]["fps"]
+            asked = f"{speed.name}: ≥ {speed.least:g} fps"
+            thesis = "–" if speed.thesis is None else f"{speed.thesis:g} fps"
+            found.append((asked, thesis, f"{fps:.0f} fps", fps >= speed.least))
+    return found
 
-    def kept(row: Row | None, most: float, enough: int = ENOUGH) -> bool | None:
-        return None if row is None or row.runs < enough or row.failures else row.lost <= most * row.runs
 
+def _kept_runs(row: Row, most: float, enough: int = ENOUGH) -> bool | None:
+    """Whether at most a share of the runs lost the ball."""
+    return None if row.runs < enough or row.failures else row.lost <= most * row.runs
+
+
+def _of_drive(table: Sequence[Row], film: str, where: str) -> list[Verdict]:
+    """What is asked of the drive."""
+    drive = {row.variant: row for row in table if row.film.name == film}
+    found: list[Verdict] = []
     row = drive.get("350, known start")
     limits = (10.0, 40.0, 100.0)
     if row is not None and row.runs:
@@ -312,28 +375,17 @@ def verdicts(table: Sequence[Row], speeds: dict[str, Any]) -> list[tuple[str, st
         whole = None not in (*p95, turned)
         ours = f"{' / '.join(f'{0.1 * p:.2f}' for p in p95)} cm / {turned:.1f}°" if whole else "–"
         good = whole and all(p <= m for p, m in zip(p95, limits, strict=True)) and turned <= 4.0
-        asked = "350 particles: 95th percentile of x / y / z / rotation ≤ 1 / 4 / 10 cm / 4°"
+        asked = f"350 particles: 95th percentile of x / y / z / rotation ≤ 1 / 4 / 10 cm / 4°{where}"
         found.append((asked, "largest 3 / 15 / 40 cm / 7°", ours, good))
         text = f"{row.runs - row.lost} of {row.runs}"
-        found.append(("350 particles: runs kept, all", "all", text, kept(row, 0.0)))
+        found.append((f"350 particles: runs kept, all{where}", "all", text, _kept_runs(row, 0.0)))
     row = drive.get("50, known start")
     if row is not None:
-        asked = "50 particles: runs that lose the ball, ≤ 2 of 20"
-        found.append((asked, "2 of 3", f"{row.lost} of {row.runs}", kept(row, 0.1)))
+        asked = f"50 particles: runs that lose the ball, ≤ 2 of 20{where}"
+        found.append((asked, "2 of 3", f"{row.lost} of {row.runs}", _kept_runs(row, 0.1)))
     row = drive.get("350, own start")
     if row is not None:
-        asked = f"start without a pose: found within {FOUND_WITHIN} frames, 19 of 20"
+        asked = f"start without a pose: found within {FOUND_WITHIN} frames, 19 of 20{where}"
         good = None if row.runs < ENOUGH or row.failures else row.found >= 0.95 * row.runs
         found.append((asked, "not done", f"{row.found} of {row.runs}", good))
-    for name, (asked, thesis) in DISTRACTORS.items():
-        of_film = [r for r in table if r.film.name == name and (r.runs or r.failures)]
-        if of_film:
-            row = of_film[0]
-            found.append((asked, thesis, f"{row.runs - row.lost} of {row.runs}", kept(row, 0.0, SOME)))
-    for speed in SPEEDS:
-        if speed.name in speeds:
-            fps = speeds[speed.name]["fps"]
-            asked = f"{speed.name}: ≥ {speed.least:g} fps"
-            thesis = "–" if speed.thesis is None else f"{speed.thesis:g} fps"
-            found.append((asked, thesis, f"{fps:.0f} fps", fps >= (speed.least or 0.0)))
     return found

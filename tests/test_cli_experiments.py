@@ -1,9 +1,14 @@
 """Experiments as a user runs them: whole, cut off and taken up again, with jobs that fail."""
 
 import json
+import os
 import re
+import signal
+import subprocess
 import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import tiny_experiment
@@ -86,6 +91,56 @@ def test_what_fails_is_a_row_and_is_tried_again(run, made, tmp_path):
 def test_a_process_that_dies_is_said(tmp_path):
     job = Job("gone", tiny_experiment.die)
     assert "process ended" in work_all([job], tmp_path, 1)["gone"]["error"]
+
+
+LONG = """
+import sys
+from pathlib import Path
+import tiny_experiment
+from spheremouse.experiments.experiment import Job
+from spheremouse.experiments.run import work_all
+if __name__ == "__main__":
+    import signal
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(3))
+    jobs = [Job(f"last-{k}", tiny_experiment.last, {"made": sys.argv[1]}) for k in range(2)]
+    work_all(jobs, Path(sys.argv[1], "kept"), 2)
+"""
+
+
+def _lives(process):
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def _within(seconds, holds):
+    end = time.monotonic() + seconds
+    while not holds() and time.monotonic() < end:
+        time.sleep(0.05)
+    return holds()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_nothing_goes_on_after_a_run_that_was_ended(number, tmp_path):
+    script, made = tmp_path / "long.py", tmp_path / "made"
+    made.mkdir()
+    script.write_text(LONG, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    run = subprocess.Popen([sys.executable, script, made], env=environment, stderr=subprocess.DEVNULL)
+    workers = []
+    try:
+        assert _within(60.0, lambda: len(list(made.iterdir())) == 2)
+        workers = [int(path.name) for path in made.iterdir()]
+        run.send_signal(number)
+        assert run.wait(20.0) == (3 if number == signal.SIGTERM else -number)
+        assert _within(20.0, lambda: not any(map(_lives, workers)))
+    finally:
+        run.kill()
+        for process in filter(_lives, workers):
+            os.kill(process, signal.SIGKILL)
 
 
 def test_words_are_no_part_of_the_program_and_all_else_is(tmp_path, monkeypatch):

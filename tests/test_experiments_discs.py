@@ -89,7 +89,7 @@ def test_a_larger_disc_is_seen_larger_and_followed():
 def test_hands_hide_discs():
     free, hidden = (discs.with_hands(kind, 0, 24) for kind in ("none", "two very large"))
     assert hidden["in_view_share"] < 0.75 * free["in_view_share"]
-    assert hidden["rows"]["so3"]["frames"] == 24
+    assert hidden["rows"]["so3"]["frames"] == 3  # from half a second after they came
 
 
 def test_the_advice_is_the_smallest_disc_that_is_nearly_as_good_as_the_best(tmp_path):

@@ -10,9 +10,11 @@ from spheremouse import wand_experiments
 from spheremouse.experiments import wand
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.plot import save
-from spheremouse.simulate.wand import WandOptions
+from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandSettings
 from spheremouse.wand_experiments import Film, Variant
+from spheremouse.wand_recording import write_wand
 
 FILM = Film(
     "drive",
@@ -73,6 +75,21 @@ def test_a_film_that_failed_is_a_row_that_says_so(results, monkeypatch):
     table = next(part for part in found.parts if isinstance(part, Table) and part.title.startswith("Films"))
     assert "(1 failed)" in table.rows[0][0]
     assert [row[0] for row in table.rows[1:]] == ["", ""]  # the same film
+
+
+def test_a_shared_recording_has_rows_of_its_own(tmp_path):
+    film = prepare_wand(WandOptions(motion="hand", seconds=0.4, size=(320, 240)), grzonka_ball())
+    list(write_wand(tmp_path / "wand_drive", film))
+    (job,) = [j for j in wand.jobs(Request(True, tmp_path)) if j.key.startswith("wand_drive")]
+    result = job.work(**job.parameters)
+    (kept,) = result["variants"]["350, known start"]
+    assert kept["frames"] == 6
+    assert len(kept["index"]) == 6
+    section = wand.section(Request(True, tmp_path), {job.key: result})
+    films = next(part for part in section.parts if isinstance(part, Table) and part.title.startswith("Films"))
+    assert films.rows[-1][:4] == ("wand_drive: the shared recording, 0.8 Hz", "350, known start", "1", "0")
+    assert any("shared recording" in row[0] and row[3] == "yes" for row in section.parts[1].rows)
+    assert all("shared recording" not in row[0] for row in wand.section(Request(True, None), {}).parts[1].rows)
 
 
 def row(variant, z, lost=0, runs=20, film="drive", anees=1.0):

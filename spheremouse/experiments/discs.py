@@ -18,7 +18,7 @@ from spheremouse.experiments import kit, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures, value
-from spheremouse.experiments.viewing import films_cell
+from spheremouse.experiments.viewing import FAR_OFF, FOLLOWED, films_cell
 from spheremouse.rotation import Array, exp
 from spheremouse.simulate import HandVisit, Simulation, prepare
 from spheremouse.simulate.profile import Gesture, Gestures
@@ -30,7 +30,6 @@ TITLE = "Discs: their size, their places, hands on the ball (Wittich 2017, chapt
 DISCS = 26
 _RADIUS = 0.6  # m, of the ball
 _NOISE = 3.0  # grey values
-_FAR_OFF = 1.0  # °, an attitude that is lost
 _NEARLY = 1.25  # times the least error is as good
 _VIEW_ANGLE = np.radians(70.0)  # as `spheremouse layout`
 _SURE, _MISSING, _TRIALS = np.radians(0.1), 0.2, 200  # of recognising attitudes, as docs/layout has it
@@ -115,7 +114,7 @@ def _simulated(seed: int, frames: int, directions: Array) -> Simulation:
 
 
 def _followed(simulation: Simulation, since: float = 0.0) -> Result:
-    """All filters on a film with the pose found from it, the bound, the share of near discs in view from `since` on."""
+    """All filters on a film with the pose found from it, the bound, the near discs in view: from `since` on, s."""
     film = kit.made(simulation)
     assert film.truth.discs is not None, "a film made here knows its discs"
     stamps = np.array([frame.stamp for frame in film.frames])
@@ -128,10 +127,10 @@ def _followed(simulation: Simulation, since: float = 0.0) -> Result:
     rows, radius = {}, film.rig.ball.radius
     for name in kit.TRACKERS[:2]:
         run = sights.filtered(seen, kit.settings_of([f"tracker={name}"]), film)
-        rows[name] = sights.errors(run, film.truth, radius)
+        rows[name] = sights.errors(run, film.truth, radius, since)
     tracked = kit.tracked(film, kit.settings_of(), rig=replace(film.rig, pose=seen.pose))
-    rows["so3"] = sights.errors(tracked.run, film.truth, radius)
-    return {**common, "rows": rows, "bound": kit.bound(film, tracked)}
+    rows["so3"] = sights.errors(tracked.run, film.truth, radius, since)
+    return {**common, "rows": rows, "bound": kit.bound(film, tracked, since)}
 
 
 def _pixels(simulation: Simulation) -> Result:
@@ -225,7 +224,7 @@ def _lost(row: Result | None) -> bool:
     if row is None or row["tracked"] == 0 or row["lost_episodes"] > 0:
         return True
     off = row["attitude_rmse_deg"]["combined"]
-    return off is None or off > _FAR_OFF or row["tracked"] < 0.9 * row["frames"]
+    return off is None or off > FAR_OFF or row["tracked"] < FOLLOWED * row["frames"]
 
 
 def _cases(results: Results, kind: str, names: Any, x: Callable[[str, list[Result]], float]) -> list[Case]:
@@ -249,8 +248,9 @@ def section(request: Request, results: Results) -> Section:
     parts: list[str | Table | Figure] = [
         f"{DISCS} discs before the far camera (640x480), noise of {_NOISE:g} grey values, the camera's pose found from "
         f"each film; medians over up to {seeds} films with other places of the discs. A film counts as lost where the "
-        f"tracker lost the ball, the attitude was off by more than {_FAR_OFF:g}° (RMS), or less than nine tenths were "
-        "tracked. *Wholly in view* are, of the discs on the side towards the camera, those that nothing cuts. "
+        f"tracker lost the ball, the attitude was off by more than {FAR_OFF:g}° (RMS), or less than "
+        f"{100.0 * FOLLOWED:.0f} % of the frames were tracked. *Wholly in view* are, of the discs on the side towards "
+        "the camera, those that nothing cuts. "
         "The bound is that of what `so3` measured."
     ]
     broken = {kind: _broken(results, kind, names) for kind, names in _KINDS.items()}
@@ -438,7 +438,12 @@ def _said_of_hands(cases: list[Case]) -> str:
             said.append(f"{share}: {held[case.name] / plain:.1f} times the error without")
         else:
             said.append(f"{share}: {held[case.name]:.4f}°")
-    text = f"Hands come after {_SETTLE:g} s and stay. Attitude of `so3`: {'; '.join(said)}." if said else ""
+    text = (
+        f"Hands come after {_SETTLE:g} s and stay, and all is judged from half a second later on. Attitude of `so3`: "
+        f"{'; '.join(said)}."
+        if said
+        else ""
+    )
     ordered = sorted(cases, key=lambda c: -c.mean("in_view_share"))
     borne = list(takewhile(lambda c: c.name in held, ordered))
     if not borne:

@@ -108,20 +108,22 @@ def tracked(
     return Tracked(run, found, said)
 
 
-def bound(film: Film, tracked: Tracked) -> Result | None:
+def bound(film: Film, tracked: Tracked, since: float = -np.inf) -> Result | None:
     """RMS of the posterior Cramer-Rao bound for what a run measured, {"attitude_deg", "rate_deg_s"} per axis.
 
-    As `metrics.bound_ratio`, over all frames but the first.
+    As `metrics.bound_ratio`, over all tracked frames but the first, from `since` on, s.
     """
-    return bound_rms(run_bound(tracked.run, film.truth, film.rig))
+    run = tracked.run
+    before = int(np.count_nonzero(run.stamp[run.tracked] < since))
+    return bound_rms(run_bound(run, film.truth, film.rig), max(1, before))
 
 
-def bound_rms(limit: Bound | None) -> Result | None:
-    """Degrees and degrees per second, combined and per axis, over all frames but the first."""
+def bound_rms(limit: Bound | None, first: int = 1) -> Result | None:
+    """Degrees and degrees per second, combined and per axis, over all frames from `first` on."""
     if limit is None:
         return None
     least = {"attitude_deg": limit.attitude, "rate_deg_s": limit.rate}
-    return {k: per_axis(np.degrees(np.sqrt(np.diagonal(P[1:], axis1=1, axis2=2))), "xyz") for k, P in least.items()}
+    return {k: per_axis(np.degrees(np.sqrt(np.diagonal(P[first:], axis1=1, axis2=2))), "xyz") for k, P in least.items()}
 
 
 def compared(film: Film, variants: dict[str, Settings], **how: Any) -> Result:

@@ -917,7 +917,17 @@ def _again_about(good: Results) -> str:
         f"From when the cover goes, as a whole: how long until the attitude is right again (to {_ATTITUDE:g}°, and "
         "stays so "
         f"for {_STAYS:g} s), and the rate (to {_degrees(_RATE):.0f} °/s). A cover goes when it likes: half a frame is "
-        "added everywhere." + check
+        "added everywhere." + _gone_before(good) + check
+    )
+
+
+def _gone_before(good: Results) -> str:
+    """Trials without a wait, by filter: the ball was lost before the cover came."""
+    trials = [r for key, r in good.items() if key.startswith("again-") and not key.endswith("-filmed")]
+    gone = {who: sum("error" in r[who] for r in trials) for who in WHO}
+    said = ", ".join(f"{n} of `{who}`" for who, n in gone.items() if n)
+    return (
+        f" Trials in which it was lost before a cover came have no wait: {said} of {len(trials)} each." if said else ""
     )
 
 

@@ -21,6 +21,7 @@ from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import (
     CLEARLY,
     COLOURS,
+    FOLLOWED,
     SHARE,
     brief,
     filmed,
@@ -421,9 +422,9 @@ def held(cells: list[Result], who: str) -> float | None:
 
 
 def bears(cells: list[Result], who: str) -> bool:
-    """The pointer goes where it is pushed with each of these rigs, and steadily."""
+    """The ball is followed with each of these rigs, and the pointer goes where it is pushed, and steadily."""
     for row in _rows(cells, who):
-        if row is None or row["lost"] or row.get("direction") is None:
+        if row is None or row["lost"] or row.get("direction") is None or row["tracked"] < FOLLOWED * row["frames"]:
             return False
         if row["direction"] > STRAIGHT or row["wobble"] > STEADY:
             return False

@@ -448,9 +448,10 @@ def _named(place: Place) -> str:
 def _agreement(rows: list[tuple[Place, Result]], results: Results) -> str:
     """How far films are from the map."""
     said = []
+    whole = [(p, film) for p, film in rows if film["true pose"]["tracked"] == film["true pose"]["frames"]]
     for quantity, key, word, _, _ in _QUANTITIES:
         ratios = []
-        for place, film in rows:
+        for place, film in whole:
             expected_, found = _expected_at(results, place), film["true pose"][key]["combined"]
             if expected_ is not None and found is not None:
                 ratios.append(found / expected_[quantity])
@@ -459,7 +460,8 @@ def _agreement(rows: list[tuple[Place, Result]], results: Results) -> str:
     if not said:
         return ""
     return (
-        f"Error of `so3` over the map's, median and range over films: {'; '.join(said)}. A map takes one noise for "
+        f"Error of `so3` over the map's, median and range over the {len(whole)} of {len(rows)} films that were tracked "
+        f"from the first frame to the last: {'; '.join(said)}. A map takes one noise for "
         f"discs of a size, wherever the light comes from; films know better.{_without_pose(rows)}{_lost_by_pose(rows)}"
     )
 

@@ -4,11 +4,14 @@ import hashlib
 import json
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache
 from itertools import chain
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +73,7 @@ def _worked(todo: list[Job], cores: int) -> Iterator[tuple[Job, Result]]:
     for name in _THREADS:  # one core each: threads of the linear algebra only wait for each other
         os.environ.setdefault(name, "1")
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(cores, len(todo)), mp_context=context) as pool:
+    with ProcessPoolExecutor(min(cores, len(todo)), mp_context=context, initializer=_obedient) as pool:
         waiting = {pool.submit(_safely, job.work, job.parameters): job for job in todo}
         try:
             for future in as_completed(waiting):
@@ -81,7 +84,22 @@ def _worked(todo: list[Job], cores: int) -> Iterator[tuple[Job, Result]]:
                     yield job, {"error": "its process ended; was there too little memory?"}
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():  # what it works on may take minutes, and is not wanted
+                child.terminate()
             raise
+
+
+def _obedient() -> None:
+    """In each worker: it ends with its parent, however that ends, and only then."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent answers it
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "a worker has one"
+
+    def follow() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
 
 
 def _safely(work: Callable[..., Result], parameters: dict[str, Any]) -> Result:

@@ -3,7 +3,7 @@
 For the classic filters, whose detector looks at whole pictures: what they see does not depend on what they know.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -70,13 +70,19 @@ def filtered(sights: Sights, settings: Settings, film: Film) -> Run:
     return history.run()
 
 
-def errors(run: Run, truth: Reference, radius: float) -> Result:
-    """The part of `metrics.report` that experiments compare; same keys, None where nothing was tracked."""
-    kept, motion = run.tracked, truth.motion
+def errors(run: Run, truth: Reference, radius: float, since: float = -np.inf) -> Result:
+    """The part of `metrics.report` that experiments compare; same keys, None where nothing was tracked.
+
+    Of the frames from `since` on, s; attitudes all the same relative to the first of all. Lost is lost whenever.
+    """
+    motion = truth.motion
     assert motion is not None
     attitude = rate = speed = true = None
+    whole, run = run, _late(run, since)
+    kept = run.tracked
     if len(kept):
-        attitude = attitude_error(run.attitude[kept], motion.attitude[run.frame[kept]])
+        every = whole.tracked
+        attitude = attitude_error(whole.attitude[every], motion.attitude[whole.frame[every]])[-len(kept) :]
         rate = run.rate[kept] - motion.rate[run.frame[kept]]
         speed, true = surface_speeds(run, motion, radius)
     P = run.covariance[kept]
@@ -84,7 +90,7 @@ def errors(run: Run, truth: Reference, radius: float) -> Result:
     return {
         "frames": len(run.frame),
         "tracked": len(kept),
-        "lost_episodes": lost_episodes(run.phase),
+        "lost_episodes": lost_episodes(whole.phase),
         "attitude_rmse_deg": per_axis(None if attitude is None else np.rad2deg(attitude), "xyz"),
         "rate_rmse_deg_s": per_axis(None if rate is None else np.rad2deg(rate), "xyz"),
         "surface_speed_rmse_mm_s": per_axis(None if speed is None or true is None else speed - true, "xy"),
@@ -96,6 +102,20 @@ def errors(run: Run, truth: Reference, radius: float) -> Result:
             "rate": None if rate is None else mean_nees(rate, P[:, 3:, 3:]),
         },
     }
+
+
+def _late(run: Run, since: float) -> Run:
+    """The frames from `since` on, s."""
+    if not np.isfinite(since):
+        return run
+    first = int(np.searchsorted(run.stamp, since))
+    columns = {f.name: getattr(run, f.name) for f in fields(run)}
+    cut = {
+        k: {s: x[first:] for s, x in v.items()} if isinstance(v, dict) else v[first:]
+        for k, v in columns.items()
+        if v is not None
+    }
+    return replace(run, **cut)
 
 
 def bound(film: Film, sigma: float) -> Bound | None:

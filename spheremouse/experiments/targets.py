@@ -33,12 +33,7 @@ TITLE = "Targets on the frame: number, size, kind (Wittich 2017, chapter 5)"
 _USUAL, _NUMBER = 36, 4  # mm, outer radius, and how many, as the thesis has them
 _STRAY = (0.04, np.radians(1.0), np.radians(15.0))  # m, rad, rad about the line of sight: how cameras differ
 _HALF_PIXEL = 0.5  # px: AprilTag's corners count from a pixel's corner, all others from its centre
-_ROUND = (
-    0,
-    3,
-    2,
-    1,
-)  # corners counter-clockwise: OpenCV's pose of coplanar points is a mirrored one where they are not
+_MATCH = 5.0  # px: what is further off is something else
 _SURE = 0.95  # share of targets found that counts as all
 _NEARLY = 1.25  # times the least standard deviation is as good
 _Z = 0.5629  # m, of the targets
@@ -131,8 +126,8 @@ def rig_of(kind: str, scene: Scene, number: int, size: float) -> Rig:
     if kind != "rings":
         codes, radii = tuple(str(i) for i in range(number)), np.full(3, 1e-9)
         if not kind.endswith("centres"):
-            points = tag_corners(points, 1e-3 * size)[:, _ROUND].reshape(-1, 3)
-            codes = tuple(f"{i}.{k}" for i in range(number) for k in _ROUND)
+            points = tag_corners(points, 1e-3 * size).reshape(-1, 3)
+            codes = tuple(f"{i}.{k}" for i in range(number) for k in range(4))
     n = len(points)
     return replace(scene.rig(), targets=Targets(tuple(range(n)), codes, points, np.zeros((3 * n, 3 * n)), radii))
 
@@ -271,7 +266,7 @@ def _off(seen: Iterable[Sighting], rig: Rig, true: Pose) -> Result:
     """RMS per axis of what was measured, px; without those that are something else."""
     expected = dict(zip(rig.targets.codes, predict_targets(true, rig), strict=True))
     errors = np.array([s.centre - expected[s.code] for s in seen if s.code in expected]).reshape(-1, 2)
-    errors = errors[np.linalg.norm(errors, axis=1) < 5.0]
+    errors = errors[np.linalg.norm(errors, axis=1) < _MATCH]
     return {"point_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None}
 
 
@@ -296,7 +291,8 @@ def section(request: Request, results: Results) -> Section:
         f"{CONDITIONS['plain'].noise:g} grey values unless it says otherwise. A tag is as large as a ring target: its "
         "side is the outer diameter. Tags are found by OpenCV, their corners refined by it "
         f"({' or '.join(_REFINED)}: whichever finds more of them). Errors are lengths of error vectors, RMS over "
-        "cameras."
+        "the cameras that had a pose (*poses*); of centres and corners those within "
+        f"{_MATCH:g} px of a true one."
     ]
     if cameras:
         numbers, sizes = _tried_of(cameras, "numbers"), _tried_of(cameras, "sizes")
@@ -526,6 +522,10 @@ def _line(ax: Any, x: list[float], entries: list[list[Result]], kind: str, k: in
         known = [(a, y) for a, y in points if y is not None]
         style = {"linestyle": "-", **how}
         ax.plot([a for a, _ in known], [y for _, y in known], color=f"C{k}", **style)
+    for a, here in zip(x, entries, strict=True):
+        y = _rms(here, "position_mm")
+        if y is not None and any("error" in e for e in here):  # white inside: not the same cameras
+            ax.plot([a], [y], color=f"C{k}", marker=_MARKS[kind], markerfacecolor=ax.get_facecolor(), linestyle="")
 
 
 def _finish(ax: Any) -> None:
@@ -561,7 +561,8 @@ def _figure_numbers(cameras: list[Result], numbers: list[int]) -> Figure:
     return Figure(
         "targets-number",
         "Error of the camera's position (RMS over cameras) against the number of targets, its claimed standard "
-        f"deviation (dashed), and the bound with centres as good as they were (dotted). "
+        f"deviation (dashed), and the bound with centres as good as they were (dotted). Hollow: not all cameras had a "
+        "pose. "
         f"Rings end at {len(CODES)}: there are no more orders of three colours.",
         draw,
         (7.2, 3.3),
@@ -591,8 +592,8 @@ def _figure_sizes(cameras: list[Result], sizes: list[int], scale: float) -> Figu
     return Figure(
         "targets-size",
         f"Left: error of the camera's position from {_NUMBER} targets against their size in the picture, its claimed "
-        "standard deviation (dashed), and the bound with centres as good as they were (dotted). Right: share of the "
-        "targets that is found.",
+        "standard deviation (dashed), and the bound with centres as good as they were (dotted); hollow: not all "
+        "cameras had a pose. Right: share of the targets that is found.",
         draw,
         (7.2, 3.5),
     )

@@ -28,6 +28,7 @@ KNOWN, ESTIMATED, IGNORED = "so3", "so3, estimated", "so3, ignored"  # the reado
 NEAR = 0.1  # °, a good attitude: a millimetre of a ball of 0.6 m radius, one count
 SHARE = 0.05  # of the ball's own rate (RMS), a good rate
 FAR_OFF = 1.0  # °, an attitude that is lost
+FOLLOWED = 0.9  # share of the frames, less of which is a ball that is lost
 _NOISE = 3.0  # grey values
 _FASTEST = 240  # frames per second, of the film from which the slower ones are taken
 _USUAL = 30  # frames per second
@@ -233,8 +234,10 @@ def least(limit: Result | None) -> Result | None:
 
 
 def is_lost(row: Result) -> bool:
-    """The tracker said so, or tracked nothing, or its attitude is no longer the ball's."""
-    return bool(row["lost"] or row["attitude"] is None or row["attitude"] > FAR_OFF)
+    """The tracker said so, or tracked too few frames, or its attitude is no longer the ball's."""
+    if row["attitude"] is None or row["tracked"] < FOLLOWED * row["frames"]:
+        return True
+    return bool(row["lost"] or row["attitude"] > FAR_OFF)
 
 
 # ---- for a reader ----
@@ -301,7 +304,8 @@ def _intro(films: list[Result]) -> str:
         "from the best to the worst of them. `ekf1` and `ekf2` are told the true acceleration as σ_w, "
         f"{np.median([f['moved']['acceleration'] for f in films]):.1f} rad/s² (RMS per axis); the thesis' is "
         f"{kit.settings_of().euler.acceleration_sigma:g} rad/s². A film "
-        f"counts as lost where the tracker said so or the attitude is off by more than {FAR_OFF:g}° (RMS): a cross. "
+        f"counts as lost where the tracker said so, tracked less than {100.0 * FOLLOWED:.0f} % of the frames, or is "
+        f"off by more than {FAR_OFF:g}° (RMS): a cross. "
         "The dotted line is the Cramér-Rao bound of a smooth motion for centres as good as those that `so3` had; "
         "`ekf1` and `ekf2` look at whole pictures and have centres of their own."
     )

@@ -1,5 +1,6 @@
 """The hand-held ball: accuracy, runs that lose it, start without a pose, speed (Grzonka 2005, chapter 4)."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,11 @@ def jobs(request: Request) -> list[Job]:
         Job(job.key, film, {"key": job.key, "quick": request.quick}, cost=_cost(job.film))
         for job in wand.jobs(request.quick)
     ]
+    if request.datasets is not None:
+        path, shared = str(request.datasets / wand.RECORDING), wand.recording_film(request.quick)
+        for k, variant in enumerate(shared.variants):
+            what = {"path": path, "quick": request.quick, "variant": k}
+            films.append(Job(wand.recording_key(variant), recorded, what, cost=6.0 * len(shared.seeds)))
     return [*films, Job(_SPEEDS, speeds, {"frames": 20 if request.quick else 60}, cost=25.0, alone=True)]
 
 
@@ -36,6 +42,12 @@ def film(key: str, quick: bool) -> Result:
     """What the trackers made of one film."""
     (job,) = [job for job in wand.jobs(quick) if job.key == key]
     return wand.work(job)
+
+
+def recorded(path: str, quick: bool, variant: int) -> Result:
+    """What a tracker made of the shared recording, with each seed."""
+    film = wand.recording_film(quick)
+    return wand.work_recording(Path(path), film.variants[variant], film.seeds)
 
 
 def speeds(frames: int) -> Result:
@@ -114,10 +126,10 @@ def section(request: Request, results: Results) -> Section:
 
 def _about() -> str:
     return (
-        "A 10 cm ball with discs in two colours on a robot that drives as in the thesis, and in a hand, all simulated; "
-        "the shared recording is in [wand](wand.md), and so is how we go about it. A run has *lost* the ball where it "
-        f"never had it, is off for more than {RECOVERED:g} s (and two frames), or at the end; off is beside the ball "
-        "by more than its radius across the line of sight, or turned wrongly by more than "
+        "A 10 cm ball with discs in two colours on a robot that drives as in the thesis, and in a hand, all simulated, "
+        "and the shared recording of such a drive; how we go about it is in [wand](wand.md). A run has *lost* the "
+        f"ball where it never had it, is off for more than {RECOVERED:g} s (and two frames), or at the end; off is "
+        "beside the ball by more than its radius across the line of sight, or turned wrongly by more than "
         f"{np.degrees(OFF_ANGLE):.0f}°. Along the line of sight it may be off by any distance and is not lost: that is "
         "what the errors in z are for. *Tracked* is the share of the frames with a pose, right or wrong: a filter that "
         f"has lost the ball may give one in each. *Found in {wand.FOUND_WITHIN}*: runs with a right pose within the "
