@@ -3,6 +3,7 @@
 Run by tests/system/run; the modules lie in /run/cameras (run_in_vm.sh). No deadline here is tight: the guest is slow.
 """
 
+import gc
 import os
 import subprocess
 import threading
@@ -425,8 +426,10 @@ def test_opening_and_closing_leaks_nothing(vivid):
         with pytest.raises(SourceError):
             open_camera(f"{vivid()},format=MJPG", CameraSettings())
 
+    gc.collect()  # what tests before this one still hold is not counted, nor missed afterwards
     once()
     before = open_files()
     for _ in range(5):
         once()
-    assert open_files() == before
+    gc.collect()
+    assert all(after <= kept for after, kept in zip(open_files(), before, strict=True))
