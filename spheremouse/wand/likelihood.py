@@ -193,7 +193,7 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place
     scale_y, shift_y = lens[1] / f, (lens[3] - top + 0.5) / f - 0.5
     # columns: direction, tangent, way out of the disc, rim, far rim, curvature, offset
     column = np.empty((13, number), dtype=np.float32)
-    disc = np.zeros(number, dtype=np.int64)
+    disc = np.zeros(number, dtype=np.uint64)
     last = -1
     for q in range(number):
         for i in range(6):
@@ -213,7 +213,7 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place
     part = np.empty(number, dtype=np.float32)
     veil = np.zeros(number, dtype=np.float32)
     whole = np.empty(number, dtype=np.bool_)
-    index = np.empty(number + 1, dtype=np.int64)
+    index = np.empty(number + 1, dtype=np.uint64)  # as all that is looked up in a loop: an eighth faster
     first = np.flatnonzero(table[:, 9] > 0.0)
     counts_of = np.empty(last + 1)
     product = np.empty(last + 1)
@@ -271,7 +271,7 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place
                 for one in range(count):
                     m = between(weight, one, i, j, px - j, py - i)
                     if m > 0.0:
-                        total += counts * bare[np.int64(m * _TABLE + 0.5)]
+                        total += counts * bare[np.uint64(m * _TABLE + 0.5)]
                         if m > 0.5:
                             asked += counts
                 continue
@@ -291,14 +291,15 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place
                 kept[0, q], kept[1, q], kept[2, q], kept[3, q], kept[4, q], kept[5, q], kept[6, q], kept[7, q]
             )
         for q in range(points):
-            k, m, e, g = colour[index[q]], np.float64(value[q]), np.float64(expected[0, q]), np.float64(expected[1, q])
+            k, m = np.uint64(colour[index[q]]), np.float64(value[q])
+            e, g = np.float64(expected[0, q]), np.float64(expected[1, q])
             r = m - e
             if veil[q] > 0.0 and r < 0.0:
                 r = min(r + veil[q], 0.0)
                 g = g if r < 0.0 else 0.0
-            near = agree[np.int64(min(abs(r), 1.0) * _TABLE + 0.5)]
+            near = agree[np.uint64(min(abs(r), 1.0) * _TABLE + 0.5)]
             # what the ball is taken to show there, e but for glare, is what a picture without it shows by chance
-            ratio = near * other[k, np.int64(min(max(m - r, 0.0), 1.0) * _TABLE + 0.5)] + OUTLIER
+            ratio = near * other[k, np.uint64(min(max(m - r, 0.0), 1.0) * _TABLE + 0.5)] + OUTLIER
             counts = np.float64(part[q])
             if whole[q]:
                 product[disc[index[q]]] *= ratio
@@ -363,8 +364,9 @@ def counted(facing, scale, solid_angle):
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def between(fields, k, i, j, a, b):
     """Bilinear between pixels of field k, 0 to 1."""
-    high = (1.0 - a) * fields[k, i, j] + a * fields[k, i, j + 1]
-    low = (1.0 - a) * fields[k, i + 1, j] + a * fields[k, i + 1, j + 1]
+    k, i, j, one = np.uint64(k), np.uint64(i), np.uint64(j), np.uint64(1)  # signed ones might count from the end
+    high = (1.0 - a) * fields[k, i, j] + a * fields[k, i, j + one]
+    low = (1.0 - a) * fields[k, i + one, j] + a * fields[k, i + one, j + one]
     return ((1.0 - b) * high + b * low) * (1.0 / 255.0)
 
 

@@ -157,7 +157,7 @@ def weigh(position, which, edges, radius, lens, f, out):
     """Add to out, (n,), the log-likelihood ratio of the edges `edges[which]`, (24, 5), for balls at (n, 3) m."""
     variance = (SIGMA * f) ** 2
     for n in range(len(position)):
-        rg, gg, total = 0.0, 0.0, 0.0
+        rg, gg, product = 0.0, 0.0, 1.0  # no smaller than HIDDEN to the number of directions
         found = edges[which[n]]
         for k in range(DIRECTIONS):
             if found[k, 4] == 0.0:
@@ -165,9 +165,10 @@ def weigh(position, which, edges, radius, lens, f, out):
             u, v, _, _, _ = outline(position[n], radius, lens, k)
             r = (found[k, 0] - u) * found[k, 2] + (found[k, 1] - v) * found[k, 3]
             seen = (1.0 - HIDDEN) * np.exp(-0.5 * r * r / variance) / FLAT
-            total += np.log(seen + HIDDEN)
+            product *= seen + HIDDEN
             sure = seen / (seen + HIDDEN)
             rg += sure * r
             gg += sure
         information = 1.0 / (OFFSET * f) ** 2 + gg / variance
-        out[n] += total + 0.5 * (rg / variance) ** 2 / information - 0.5 * np.log(information * (OFFSET * f) ** 2)
+        offset = 0.5 * (rg / variance) ** 2 / information - 0.5 * np.log(information * (OFFSET * f) ** 2)
+        out[n] += np.log(product) + offset

@@ -77,7 +77,7 @@ def estimate(particles: Particles) -> tuple[Array, Array, Array]:
     theta = log(particles.rotation @ R.T)
     for _ in range(3):
         mean = w @ theta
-        if mean @ mean < 1e-20:
+        if mean @ mean < 1e-16:
             break
         R = exp(mean) @ R
         theta = log(particles.rotation @ R.T)
@@ -204,7 +204,7 @@ def _inverse_roots(root: Array) -> tuple[Array, Array]:
     return np.linalg.inv(root).astype(float), -3.0 * _LOG_2PI - log_det
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _difference(c, R, shift, turn, to_c, to_R, spare, spare2, d):
     """The pose (c, R) moved by shift and turn, less (to_c, to_R), into d, (6,)."""
     for i in range(3):
@@ -217,7 +217,7 @@ def _difference(c, R, shift, turn, to_c, to_R, spare, spare2, d):
     log_into(spare2, d[3:])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _square(inverse_root, d):
     """|L^-1 d|² of a lower triangular L^-1."""
     total = 0.0
@@ -229,7 +229,7 @@ def _square(inverse_root, d):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _log_haar(d):
     """Logarithm of the volume of rotations per rad³ at a rotation vector d[3:]: 2 (1 - cos a) / a²."""
     square = d[3] * d[3] + d[4] * d[4] + d[5] * d[5]
@@ -238,7 +238,7 @@ def _log_haar(d):
     return np.log(max(2.0 * (1.0 - np.cos(np.sqrt(square))) / square, 1e-6))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _scores(position, rotation, shift, turn, peak_c, peak_R, outer, outer_log, score, ahead_by):
     m, k = len(shift), len(peak_c)
     spare, spare2, d = np.empty((3, 3)), np.empty((3, 3)), np.empty(6)
@@ -251,7 +251,7 @@ def _scores(position, rotation, shift, turn, peak_c, peak_R, outer, outer_log, s
                 score[n, at] = outer_log[at] - 0.5 * _square(outer[at], d)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _draw(parent, ahead_by, peak_c, peak_R, gain, root, chosen, alone, normal, to_c, to_R):
     k = len(peak_c)
     mk = ahead_by.shape[1]
@@ -279,7 +279,7 @@ def _draw(parent, ahead_by, peak_c, peak_R, gain, root, chosen, alone, normal, t
                 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _densities(
     parent, ahead_by, position, rotation, shift, turn, still, still_log, log_p, birth, peak_c, peak_R, gain, inverse,
     inverse_log, share, blind, to_c, to_R, ratio, nearest,
