@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, fields, reduction, rim_shift, tone
+from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, Tone, fields, reduction, rim_shift, tone
 
 NAMES = ("blue", "red")
 
@@ -88,6 +88,31 @@ def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
     assert found.rim[0] == rim_shift(bounds)
     assert shift == pytest.approx(rim_shift(bounds), abs=0.1)
     assert fields(image, {"red": bounds}, ("red",), None, 2).rim[0] == pytest.approx(0.5 * rim_shift(bounds))
+
+
+@pytest.mark.parametrize(
+    ("print_", "paper", "bound", "within"),
+    [
+        (0.01, 0.8, {"value_max": 75.0}, 0.12),
+        (0.02, 0.5, {"value_max": 75.0}, 0.12),
+        (0.9, 0.01, {"value_min": 215.0}, 0.2),  # at the end of the blur
+    ],
+)
+def test_a_bound_on_brightness_moves_a_rim_by_what_the_picture_shows_beside_it(print_, paper, bound, within):
+    """As above, a disc of one brightness on another: how bright both are is not told."""
+    fine, radius = 12, 14.0
+    at = (np.arange(64 * fine) + 0.5) / fine - 32.0
+    cover = (at[:, None] ** 2 + at[None] ** 2 < radius**2).astype(np.float32)
+    cover = cv2.GaussianBlur(cover, (0, 0), 0.45 * fine).reshape(64, fine, 64, fine).mean(axis=(1, 3))[..., None]
+    grey = np.rint(255.0 * (cover * print_ + (1.0 - cover) * paper) ** (1 / 2.2)).astype(np.uint8)
+    bounds = {"some": ColourSettings(**bound)}
+    mean = 127.0 if "value_max" in bound else 140.0
+    found = fields(np.repeat(grey, 3, axis=2), bounds, ("some",), known=Tone(mean, np.zeros(1)))
+    shift = np.sqrt(np.count_nonzero(found.binary[0]) / np.pi) - radius
+    assert shift < -0.2
+    assert found.rim[0] == pytest.approx(shift, abs=within)
+    nothing = fields(np.full((40, 40, 3), 130, np.uint8), bounds, ("some",))
+    assert nothing.rim[0] == 0.0
 
 
 def glaring(strength, across=20):

@@ -27,6 +27,10 @@ _BRIGHTEST = 250.0  # a pixel this bright is overexposed: bright enough whatever
 _SAMPLE = 16  # every so many rows and columns tell the mean brightness, from thousands of pixels
 _GAMMA = 2.2  # of grey values
 _PRINT = 0.65  # light of a print's greatest channel over that of white paper: 0.58 to 0.7
+_FULL = 255.0  # grey values
+_COVER = 0.1  # and all but this: a rim is not looked for further out, where the lens decides how far the blur reaches
+_NEAR_RIM, _FAR_FROM_RIM = np.ones((5, 5), np.uint8), np.ones((11, 11), np.uint8)  # px: beyond blur; a little further
+_LEVEL_LEAST = 25  # pixels, to tell how bright it is there
 _EDGE = 0.55  # px, blur of an edge in a picture in focus: half a pixel of the lens, a pixel's own width
 # Glare is the sun's mirror image, as wide as the gloss is rough. All is paler around the spot that is overexposed.
 # Print is known to be by its hue without its saturation; of the rest nobody knows.
@@ -124,7 +128,11 @@ def fields(
         cv2.GaussianBlur(one, _KERNEL, 0.0, dst=to, borderType=cv2.BORDER_REPLICATE)
     glare = np.zeros((0, 1, 1), dtype=np.uint8) if white is None else _glare(part, bounds, white, binary)
     share = known.share if region else count / max(binary[0].size, 1)
-    rim = np.array([rim_shift(colours[name]) for name in names]) / factor
+    shift = [
+        rim_shift(colours[name]) or _shift_by_brightness(part, one, bound)
+        for name, one, bound in zip(names, binary, bounds, strict=True)
+    ]
+    rim = np.array(shift) / factor
     return Fields(weight, binary, left, top, factor, share, names, rim, glare)
 
 
@@ -240,8 +248,29 @@ def rim_shift(colour: ColourSettings) -> float:
     if colour.saturation_min <= 0.0:
         return 0.0
     least = (1.0 - colour.saturation_min / 255.0) ** _GAMMA  # light of the least channel over that of the greatest
-    cover = (1.0 - least) / (1.0 - least + least * _PRINT)
-    return float(-_EDGE * NormalDist().inv_cdf(min(max(cover, 0.01), 0.99)))
+    return _outward((1.0 - least) / (1.0 - least + least * _PRINT))
+
+
+def _outward(cover: float) -> float:
+    """Pixels by which a rim is selected outward of where it is, when pixels count from such a cover on."""
+    return float(-_EDGE * NormalDist().inv_cdf(min(max(cover, _COVER), 1.0 - _COVER)))
+
+
+def _shift_by_brightness(image: Image, one: NDArray[np.uint8], bound: NDArray[np.float32]) -> float:
+    """`rim_shift` where a bound on brightness selects: the picture shows how bright it is on either side of rims.
+
+    As there, light mixes: a bound half way between the grey values of print and white lies near all white.
+    """
+    if bound[4] <= 0.0 and bound[5] >= _FULL:
+        return 0.0
+    inside = cv2.erode(one, _NEAR_RIM) > 0
+    outside = cv2.dilate(one, _FAR_FROM_RIM) > cv2.dilate(one, _NEAR_RIM)
+    if min(np.count_nonzero(inside), np.count_nonzero(outside)) < _LEVEL_LEAST:
+        return 0.0
+    value = cv2.max(cv2.max(image[:, :, 0], image[:, :, 1]), image[:, :, 2])
+    ours, theirs = (float(np.median(value[where])) ** _GAMMA for where in (inside, outside))
+    selects = float(bound[4] if ours > theirs else bound[5]) ** _GAMMA
+    return _outward((selects - theirs) / (ours - theirs)) if ours != theirs else 0.0
 
 
 def reduction(diameter: float) -> int:
