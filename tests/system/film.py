@@ -4,6 +4,7 @@
 
 Each film is a folder in OUT: `YUYV` and `MJPG` (pictures one behind the other, with `ends.npy`, the places in bytes
 where those of MJPG end), `attitude.npy` (n, 3, 3) R_obj_ball, `rig.yaml`, and `posed.yaml` with the camera's pose.
+That of the hand-held ball has YUYV alone, `attitude.npy` R_cam_ball, `position.npy` (n, 3) m, and `camera.yaml`.
 QEMU's processor is not the host's: what is compiled for `generic` runs on both.
 """
 
@@ -19,8 +20,13 @@ import numpy as np
 
 from spheremouse.frame import Frame
 from spheremouse.recording import open_dataset, read_frames
-from spheremouse.rig_file import load_rig, rig_text
+from spheremouse.rig_file import load_rig, rig_text, save_camera
 from spheremouse.track import LossSettings, Settings, begin, build, step
+from spheremouse.wand import warm as wand_warm
+from spheremouse.wand.track import begin as begin_wand
+from spheremouse.wand.track import build as build_wand
+from spheremouse.wand.track import step as step_wand
+from spheremouse.wand_recording import open_wand, read_wand_frames
 from spheremouse.warm import warm_up
 
 REFERENCE = Path(os.environ.get("SPHEREMOUSE_DATASETS", Path(__file__).parents[3] / "shared" / "datasets")) / "far26"
@@ -64,12 +70,33 @@ def compile_for(film: Path) -> None:
             state, _ = step(state, Frame(picture[:, :, 0].copy(), 0.2 * k, k), tracker)
 
 
+def convert_wand(dataset: Path, folder: Path) -> None:
+    """A recording of a hand-held ball as a film; the tracker compiled on it, colours as the camera gives them."""
+    recording = open_wand(dataset)
+    assert recording.truth is not None
+    folder.mkdir()
+    wand_warm.warm_up()
+    tracker = build_wand(recording.camera, recording.balls)
+    state = begin_wand(tracker, 1, 0.0)
+    with (folder / "YUYV").open("wb") as plain:
+        for k, frame in enumerate(read_wand_frames(recording)):
+            yuyv = cv2.cvtColor(frame.image, cv2.COLOR_BGR2YUV_YUY2)
+            plain.write(yuyv.tobytes())
+            state, _ = step_wand(state, Frame(cv2.cvtColor(yuyv, cv2.COLOR_YUV2BGR_YUY2), 0.2 * k, k), tracker)
+    np.save(folder / "attitude.npy", recording.truth.rotation)
+    np.save(folder / "position.npy", recording.truth.position)
+    save_camera(folder / "camera.yaml", recording.camera)
+
+
 def main() -> None:
     """The film that somebody plays; without --short also a longer one, and the reference recording where it is."""
     out, short = Path(sys.argv[1]), "--short" in sys.argv
     seconds, fps = (3, 16) if short else (4, 30)
     words = f"simulate {out / 'dataset'} --motion play --seed 7 --seconds {seconds} --fps {fps} --noise 2"
     subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
+    words = f"wand simulate {out / 'hand'} --path hand --seed 1 --seconds {seconds} --fps 10 --size 640x480"
+    subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
+    convert_wand(out / "hand", out / "wand")
     convert(out / "dataset", out / "play")
     compile_for(out / "play")
     if not short and REFERENCE.is_dir():

@@ -1,0 +1,137 @@
+"""A hand-held ball between a camera and a mouse of a real kernel: a film on v4l2loopback; events and axes read back.
+
+Run by tests/system/run after daemon.py, whose camera, mouse and processes it shares. FILMS names what film.py made.
+The camera gives YUYV, in which two columns share a colour: so the pictures are not those of the simulation.
+"""
+
+import signal
+import subprocess
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from daemon import FILMS, INTERVAL, LONGEST, H, Program, Reader, W, Writer, remove, told_at_the_end, until
+from modules import insert
+
+from spheremouse import wand_live, wand_run
+from spheremouse.rotation import log
+from spheremouse.wand import warm
+from spheremouse.wand.pointing import PointingSettings
+
+IMPORTED = (wand_live, wand_run)  # once, before the forks
+
+
+class Hand:
+    """A film that is shown to the camera."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.rotation, self.position = np.load(folder / "attitude.npy"), np.load(folder / "position.npy")
+
+    def __len__(self):
+        return len(self.rotation)
+
+    def pictures(self, name):
+        data = np.memmap(self.folder / name, np.uint8, "r").reshape(len(self), -1)
+        return lambda k: data[k].tobytes()
+
+    def counts(self, way):
+        """(3,) of the true motion along `way`, and (3,) the length of its path."""
+        turns = np.array([log(b @ a.T) for a, b in pairwise(self.rotation[way])])
+        counts = turns @ PointingSettings().matrix().T
+        return counts.sum(axis=0), np.abs(counts).sum(axis=0)
+
+
+class Desk:
+    """A camera, and `spheremouse run` before it."""
+
+    def __init__(self, folder):
+        self.folder, self.film, self.axes = folder, Hand(FILMS / "wand"), folder / "axes.txt"
+        self.writer = Writer(self.film, 9, "YUYV", 0)
+        source = f"v4l2:/dev/video9,width={W},height={H}"
+        words = ["--camera", self.film.folder / "camera.yaml", "--output", "uinput:third=rz", "--axes", self.axes]
+        self.program = Program(folder, "run", "--tracker", "wand", "--source", source, *words)
+        self.reach("tracking")
+        self.mouse = Reader(folder)
+
+    def last(self):
+        """The last whole line of the axes, by column."""
+        if not self.axes.exists():
+            return {}
+        head, *lines = self.axes.read_text().split("\n")[:-1]
+        return dict(zip(head.lstrip("# ").split(), lines[-1].split(), strict=True)) if lines else {}
+
+    def reach(self, state):
+        def there():
+            assert self.program.ended() is None, self.program.said
+            return self.last().get("state") == state
+
+        until(there, lambda: f"not {state} but {self.last()}: {self.program.said}")
+
+    def settle(self, seconds=4.0):
+        """Wait until frames came for so long."""
+        now = float(self.last()["t"])
+        until(lambda: float(self.last()["t"]) > now + seconds, "no frames come")
+
+    def play(self, way):
+        """(3,) events that came for it."""
+        before = self.mouse.counts
+        self.writer.play(way, min(2.0 * INTERVAL, LONGEST))
+        self.settle()
+        return self.mouse.counts - before
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """With the film at rest on its first picture, and the ball found."""
+    with suppress(subprocess.CalledProcessError):
+        insert("v4l2loopback", video_nr=9, max_buffers=8)
+    warm.warm_up()
+    made = Desk(tmp_path_factory.mktemp("desk"))
+    yield made
+    for end in (made.program.kill, made.mouse.close, made.writer.end):
+        with suppress(Exception):
+            end()
+    print(made.program.said)
+    remove("v4l2loopback")
+
+
+def test_the_sum_of_events_is_what_the_hand_has_turned(desk):
+    way = list(range(len(desk.film)))
+    events = desk.play(way)
+    truth, path = desk.film.counts(way)
+    off = events - truth
+    print(f"hand: events {events.tolist()}, off {np.round(off).tolist()} of a path of {np.round(path).tolist()}")
+    # twice the play of 2 standard deviations, and the error of the last pose: a degree is 31 counts
+    assert np.all(np.abs(off) <= 60.0 + 0.01 * path)
+    assert np.any(np.abs(truth) > 300.0), "nothing was asked"
+
+
+def test_axes_say_where_the_ball_is(desk):
+    last = {name: float(value) for name, value in desk.last().items() if name not in ("state", "ball")}
+    off = np.array([last[axis] for axis in "xyz"]) - desk.film.position[-1]
+    print(f"axes: off by {np.round(1e3 * off, 1).tolist()} mm")
+    sigma = np.array([last[f"s{axis}"] for axis in "xyz"])
+    assert np.all(np.abs(off) < 4.0 * sigma + (1e-3, 1e-3, 5e-3))
+    assert np.all(sigma < (3e-3, 3e-3, 3e-2))
+
+
+def test_a_camera_that_goes_is_waited_for_and_moves_nothing(desk):
+    before = desk.mouse.counts
+    desk.writer.end()
+    until(lambda: "no-camera" in desk.program.said, lambda: desk.program.said)
+    desk.writer = Writer(desk.film, 9, "YUYV", 0)  # the ball is elsewhere when it comes back
+    until(lambda: desk.program.said.rstrip().split("\n")[-1].startswith("tracking"), lambda: desk.program.said)
+    desk.settle()
+    assert np.all(np.abs(desk.mouse.counts - before) <= 1), "nothing is sent for what nobody saw"
+    assert desk.mouse.gone is False
+
+
+def test_ended_it_has_sent_what_it_tells(desk):
+    assert desk.program.kill(signal.SIGTERM) == 0
+    until(lambda: desk.mouse.gone, "the mouse is still there")
+    np.testing.assert_array_equal(told_at_the_end(desk.program), desk.mouse.counts)
+    assert "internal error" not in desk.program.said
+    assert Path("/dev/video9").exists()
