@@ -12,7 +12,7 @@ from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
-from spheremouse.wand.likelihood import SIGMA, expected_field, log_likelihood, model, published
+from spheremouse.wand.likelihood import SIGMA, counts, expected_field, log_likelihood, model, published
 from spheremouse.wand.refine import refine
 
 BALL = grzonka_ball()
@@ -66,6 +66,23 @@ def test_hiding_points_does_not_pay(view):
     assert value[0] < at[0] - 50
     assert match[0] < 0.5
     assert values(view, p, away, published)[0][0] < values(view, p, R, published)[0][0]
+
+
+def test_a_pose_may_be_counted_as_another_one(view):
+    """By its own counts it is what it was; by those of a pose nearby a small ball does not gain by being nearer."""
+    seen, m, p, R, _ = view
+    far = replace(m, lens=np.array([0.3 * m.lens[0], 0.3 * m.lens[1], *m.lens[2:]]))  # 19 px across
+    position, rotation = np.array([p, 0.97 * p]), np.array([R, R])
+    own = counts(position, rotation, far, 1)
+    assert own.shape == (2, len(BALL.discs) + 1)
+    assert np.all(own > 0.0)
+    assert np.all(own[1] >= own[0])
+    plain, _ = log_likelihood(position, rotation, far, seen)
+    same, _ = log_likelihood(position, rotation, far, seen, counted_as=(own, np.array([0, 1])))
+    assert same == pytest.approx(plain, rel=1e-5)
+    first, _ = log_likelihood(position, rotation, far, seen, counted_as=(own, np.array([0, 0])))
+    assert first[0] == pytest.approx(plain[0], rel=1e-5)
+    assert abs(first[1]) < abs(plain[1])
 
 
 def test_beside_the_ball_there_is_no_evidence(view):

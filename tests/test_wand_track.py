@@ -35,6 +35,11 @@ def follow(shots, tracker, state=None):
     return state, poses
 
 
+def replace_stamp(shot, k):
+    """The same picture at another time, as the k-th: what is filmed goes to and fro."""
+    return replace(shot, frame=replace(shot.frame, stamp=k / 15.0, sequence=k))
+
+
 def worst(shots, poses, ball=0, skip=0):
     """Largest errors: across, along the line of sight, m, and rotation, rad."""
     errors = []
@@ -105,6 +110,18 @@ def test_a_hidden_ball_is_predicted_for_a_while(hand):
     assert np.all(np.diag(pose.covariance)[:2] > np.diag(poses[-1][0].covariance)[:2])
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_small_ball_that_is_seen_often_is_not_thought_better_known_than_it_is(seed):
+    """25 px across, 30 Hz: what one picture has wrong the next one has, and what is nearer does not gain by size."""
+    camera, balls, shots = film(replace(HAND, distance=2.0, fps=30.0, seconds=1.5, seed=seed))
+    _, poses = follow(shots, build(camera, balls))
+    off = np.array([pose.position - shot.position[0] for shot, (pose,) in zip(shots, poses, strict=True)])
+    nees = [d @ np.linalg.solve(pose.covariance[:3, :3], d) / 3.0 for d, (pose,) in zip(off, poses, strict=True)]
+    assert np.mean(nees) < 2.0
+    assert abs(off[:, 2].mean()) < 0.01
+    assert np.abs(off[:, 2]).max() < 0.05
+
+
 def test_no_ball_in_view_is_said():
     camera, balls, _ = film(replace(HAND, seconds=0.1))
     tracker = build(camera, balls)
@@ -120,6 +137,10 @@ def test_colours_that_match_nothing_or_too_much_are_said(hand):
     nothing = build(camera, balls, colours={"red": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
     _, (pose,) = step(begin(nothing), shots[0].frame, nothing)
     assert "bounds of red match nothing" in pose.event
+    one = build(camera, balls, colours={"blue": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
+    _, poses = follow([replace_stamp(shot, k) for k, shot in enumerate([*shots, *shots[::-1], *shots])], one)
+    assert poses[-1][0].phase == WandPhase.TRACKING  # red is enough, and yet
+    assert "bounds of blue match nothing" in "".join(p.event for (p,) in poses if p.phase == WandPhase.TRACKING)
     half = build(camera, balls, colours={"blue": ColourSettings()})
     _, (pose,) = step(begin(half), shots[0].frame, half)
     assert "bounds of blue match 100 % of the picture" in pose.event

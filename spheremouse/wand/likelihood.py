@@ -48,6 +48,7 @@ _LEAST_ACROSS, _MOST_MOVED, _TINY, _FAR = np.float32(0.02), np.float32(0.8), np.
 _CUBIC = (np.float32(0.7988), np.float32(0.03528), np.float32(0.10584))
 _TANH = tuple(np.float32(c) for c in (135135.0, 17325.0, 378.0, 62370.0, 3150.0, 28.0))
 _ARC = (np.float32(0.1350363), np.float32(0.0472763), np.float32(0.0119235))
+_NO_COUNTS, _NONE_OF_THEM = np.zeros((0, 1)), np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,22 +112,42 @@ def model(ball: WandBall, camera: InteriorOrientation, names: tuple[str, ...] | 
 
 
 def log_likelihood(
-    position: Array, rotation: Array, model: Model, fields: Fields, sigma: float = SIGMA, matches: bool = True
+    position: Array,
+    rotation: Array,
+    model: Model,
+    fields: Fields,
+    sigma: float = SIGMA,
+    matches: bool = True,
+    counted_as: tuple[Array, NDArray[np.int64]] | None = None,
 ) -> tuple[Array, Array]:
     """Of n poses, (n, 3) m and (n, 3, 3) R_cam_ball: log-likelihood ratio, (n,), and match, (n,) or (0,) if not asked.
 
-    `sigma`: of the field, more than `SIGMA` for poses that are only near.
+    `sigma`: of the field, more than `SIGMA` for poses that are only near. `counted_as`: `counts` of some poses, (k, d),
+    and which of them each pose is near to, (n,). By its own counts a ball that shows well would seem nearer than it
+    is: what is nearer is larger, and shows more. That is right between poses far apart, not about a peak.
 
     The match is the part of the coloured points in view that show their colour; points that show it and should not
     count against it.
     """
     out, match = np.empty(len(position)), np.empty(len(position) if matches else 0)
     p = model.points
+    fixed, which = counted_as or (_NO_COUNTS, _NONE_OF_THEM)
     _weigh(
         position, rotation, p.table, p.colour, model.radius, model.lens, fields.weight, fields.glare,
-        fields.place(), shares(fields), fields.rim, sigma, out, match,
+        fields.place(), shares(fields), fields.rim, sigma, fixed, which, out, match,
     )  # fmt: skip
     return out, match
+
+
+def counts(position: Array, rotation: Array, model: Model, factor: int) -> Array:
+    """How far the points of each disc, and the bare ones, count in a picture reduced by `factor`: (k, d) of k poses."""
+    first = model.points.table[model.points.table[:, 9] > 0.0]
+    normal = np.einsum("kij,qj->kqi", rotation, first[:, :3])
+    place = position[:, None] + model.radius * normal
+    length = np.linalg.norm(place, axis=2)
+    facing = -np.sum(normal * place, axis=2) / length
+    scale = model.lens[0] * model.radius / (factor * length)
+    return np.minimum(np.maximum(facing, BEGINS) * scale**2 * first[:, 9] / _KERNEL_AREA, 1.0)
 
 
 def published(position: Array, rotation: Array, model: Model, fields: Fields) -> tuple[Array, Array]:
@@ -170,7 +191,9 @@ def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place, share, rim, sigma, out, match):
+def _weigh(
+    position, rotation, table, colour, radius, lens, weight, glare, place, share, rim, sigma, fixed, which, out, match
+):
     """`log_likelihood` into out, (n,), and match, (n,) or (0,). All points of a pose in plain loops: they vectorise."""
     count, field_h, field_w = weight.shape
     number = len(table)
@@ -247,7 +270,10 @@ def _weigh(position, rotation, table, colour, radius, lens, weight, glare, place
             rg[k] = 0.0
             gg[k] = 0.0
         for k in range(last + 1):
-            counts_of[k] = counted(seen[0, first[k]], seen[5, first[k]], table[first[k], 9])
+            if len(fixed) > 0:
+                counts_of[k] = fixed[which[n], k]
+            else:
+                counts_of[k] = counted(seen[0, first[k]], seen[5, first[k]], table[first[k], 9])
             product[k] = 1.0
         facing_ones = 0
         for q in range(number):  # without a branch, which would be guessed wrong

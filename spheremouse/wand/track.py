@@ -28,7 +28,7 @@ from spheremouse.wand.colour import (
     tone,
 )
 from spheremouse.wand.edge import distances, on_edges
-from spheremouse.wand.likelihood import Model, log_likelihood, model, published
+from spheremouse.wand.likelihood import Model, counts, log_likelihood, model, published
 from spheremouse.wand.particles import (
     Motions,
     Particles,
@@ -162,6 +162,7 @@ class Track:
     velocity: Array = field(default_factory=lambda: np.zeros(6))  # m/s, rad/s, cam axes
     velocity_covariance: Array = field(default_factory=lambda: np.diag([0.04] * 3 + [1.0] * 3))
     motion: Array = field(default_factory=_MIXTURE.copy)  # (3,) probabilities of the motions
+    repeats: Array = field(default_factory=lambda: np.zeros((6, 6)))  # what the last picture had wrong: its covariance
     stamp: float = 0.0  # s, of the particles
     seen: float = -np.inf  # s
     unseen_frames: int = 0
@@ -178,6 +179,7 @@ class WandState:
     looked: float = -np.inf  # s, last search of the whole picture
     waited: int = 0  # frames since
     complaint: str = ""  # of the last search: about colours
+    again: bool = False  # as of the search before it
     seed: int = 0
 
 
@@ -226,7 +228,7 @@ def step(
     scene = _Scene(image, tracker, tone(image, tracker.colours, tracker.names))
     tracks, poses = list(state.tracks), []
     looked = frame.stamp - state.looked >= tracker.settings.look_around and state.waited >= _LOOK_EVERY
-    complaint = state.complaint
+    complaint, again = state.complaint, state.again
     for i in range(len(tracks)):
         track = tracks[i]
         others = [
@@ -240,14 +242,20 @@ def step(
         poses.append(pose)
     if scene.whole is not None:
         complaint = _complaint(scene.whole)
+        again = complaint == state.complaint
     missing = [
         t for t in (*state.tracks, *tracks) if t.phase != WandPhase.TRACKING
     ]  # found at last: still worth a word
-    if complaint and (missing or "%" in complaint):
+    if complaint and (missing or again or "%" in complaint):  # a ball that is followed may hide a colour for once
         poses = [replace(p, event=complaint) if not p.event or p.phase != WandPhase.TRACKING else p for p in poses]
     around = scene.searched
     after = WandState(
-        tuple(tracks), frame.stamp if around else state.looked, 0 if around else state.waited + 1, complaint, state.seed
+        tuple(tracks),
+        frame.stamp if around else state.looked,
+        0 if around else state.waited + 1,
+        complaint,
+        again,
+        state.seed,
     )
     return after, tuple(poses)
 
@@ -304,7 +312,8 @@ def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     angle = np.linalg.norm(shift[1, 3:])
     if angle > 2.5:  # more between two frames is no prediction
         shift[1, 3:] *= 2.5 / angle
-    covariance = np.stack([rest, _limited(on), np.diag(leap**2)])
+    # the next picture has wrong much of what the last one had: no prediction is better than a picture
+    covariance = np.stack([rest + track.repeats, _limited(on + track.repeats), np.diag(leap**2)])
     return Motions(shift, covariance, track.motion * (1.0 - _BIRTH), birth)
 
 
@@ -549,9 +558,9 @@ def _follow(
     peaks = _as_peaks(found)
     drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
     assert found.fields is not None
-    value, _ = log_likelihood(drawn.position, drawn.rotation, tracker.models[index], found.fields, matches=False)
-    edges = np.array([k.edges for k in found.peaks])
-    m = tracker.models[index]
+    m, edges = tracker.models[index], np.array([k.edges for k in found.peaks])
+    counted_as = counts(peaks.position, peaks.rotation, m, found.fields.factor), nearest
+    value, _ = log_likelihood(drawn.position, drawn.rotation, m, found.fields, matches=False, counted_as=counted_as)
     limb.weigh(drawn.position, nearest, edges, m.radius, m.lens, found.fields.factor, value)
     weight, _ = normalised(ratio + value)
     count = effective(weight)
@@ -570,6 +579,7 @@ def _follow(
         seen=stamp,
         unseen_frames=0,
         level=_level(track, found),
+        repeats=_limited(found.peaks[0].covariance),
     )
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
 
@@ -709,7 +719,8 @@ def _acquire(
     d = np.einsum("nij,nj->ni", root[which], rng.standard_normal((s.particles, 6)))
     position, rotation = peaks.position[which] + d[:, :3], exp(d[:, 3:]) @ peaks.rotation[which]
     m = tracker.models[index]
-    value, _ = log_likelihood(position, rotation, m, found.fields, matches=False)
+    counted_as = counts(peaks.position, peaks.rotation, m, found.fields.factor), which
+    value, _ = log_likelihood(position, rotation, m, found.fields, matches=False, counted_as=counted_as)
     limb.weigh(position, which, np.array([k.edges for k in found.peaks]), m.radius, m.lens, found.fields.factor, value)
     gaussian = -0.5 * np.einsum("ni,nij,nj->n", d, np.linalg.inv(peaks.covariance)[which], d)
     weight, _ = normalised(value - gaussian - found.log_likelihood[which])
