@@ -28,6 +28,10 @@ def doctor(
     tracker: Annotated[
         str | None, typer.Option(metavar="so3|ekf1|ekf2|wand", help="As of run; wand looks for balls in a hand.")
     ] = None,
+    balls: Annotated[
+        list[Path] | None,
+        typer.Option("--ball", metavar="FILE", help="As of run, with --tracker wand; may be repeated."),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="As JSON for a bug report: without names, home folder, serial numbers.")
     ] = False,
@@ -44,8 +48,13 @@ def doctor(
     from spheremouse.doctor.finding import Section, Verdict
     from spheremouse.doctor.private import redactor
     from spheremouse.doctor.report import data, show, summary
+    from spheremouse.errors import ConfigurationError
 
-    request = Request(config, () if tracker is None else (f"tracker={tracker}",), source, output, rig, camera)
+    if balls and tracker != "wand":
+        raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")
+    said = [] if tracker is None else [f"tracker={tracker}"]
+    said += [f"wand.balls={json.dumps([str(path.absolute()) for path in balls])}"] if balls else []
+    request = Request(config, tuple(said), source, output, rig, camera)
     console = Console(highlight=False, soft_wrap=False)
     sections: list[Section] = []
     with _waiting(quiet=as_json) as say:

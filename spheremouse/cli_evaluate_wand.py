@@ -3,7 +3,7 @@
 The command line is that of `cli_evaluate`, which hands over here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,17 @@ from spheremouse import config
 from spheremouse.camera import InteriorOrientation
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.evaluate.wand import WandRun, wand_report
+from spheremouse.evaluate.wand import followed, wand_report
 from spheremouse.progress import progress_bar
 from spheremouse.rig_file import load_camera
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandSettings, build
-from spheremouse.wand_plan import read_balls
+from spheremouse.wand_plan import read_balls, told_apart
 from spheremouse.wand_recording import WandRecording, open_wand, read_wand_frames
 from spheremouse.wand_session import Known, WandHistory, track_wand
+
+_NO_TRUTH = "no truth.csv to compare with: no errors are known; frames tracked and times say what can be said without"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +56,8 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
     failed = False
     for recording in recordings:
         try:
-            balls = given or recording.balls
-            runs = [
+            balls = told_apart(given or recording.balls)
+            histories = [
                 _run(recording, balls, settings, colours, camera, seed, asked.known_pose, say)
                 for seed in range(1, asked.runs + 1)
             ]
@@ -63,22 +65,43 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
             say.print(_about(recording, str(e)), markup=False, highlight=False)
             failed = True
             continue
-        report = wand_report(
-            [run[0] for run in runs],
-            recording.truth,
-            dataset=recording.name,
-            frames=recording.frames,
-            radius=balls[0].radius,
-        )
-        for k in range(1, len(balls)):
-            truth = recording.truths[k] if k < len(recording.truths) else None
-            of_ball = [run[k] for run in runs]
-            name = f"{recording.name}, ball {k + 1}"
-            report.setdefault("more_balls", []).append(
-                wand_report(of_ball, truth, dataset=name, frames=recording.frames, radius=balls[k].radius)
-            )
-        results.append(report)
+        first, *more = _reports(recording, balls, histories)
+        results.append({**first, "more_balls": more} if more else first)
+        for line in [*_never_found(balls, histories), *([] if recording.truth is not None else [_NO_TRUTH])]:
+            say.print(_about(recording, line), markup=False, highlight=False)
     return results, failed
+
+
+def _reports(
+    recording: WandRecording, balls: Sequence[WandBall], histories: Sequence[WandHistory]
+) -> list[dict[str, Any]]:
+    """Of each ball, compared with the ball of the film that it follows."""
+    runs = [[history.run(k) for k in range(len(balls))] for history in histories]
+    truths = [followed(each, balls, recording.truths, recording.balls) for each in runs]
+    reports = []
+    for k, ball in enumerate(balls):
+        of_ball = [run[k] for run in runs]
+        true = [truth for each in truths if (truth := each[k]) is not None]
+        reports.append(
+            wand_report(
+                of_ball,
+                true if len(true) == len(of_ball) else None,  # more balls than were filmed
+                dataset=recording.name if k == 0 else f"{recording.name}, ball {k + 1}",
+                frames=recording.frames,
+                radius=ball.radius,
+            )
+        )
+    return reports
+
+
+def _never_found(balls: Sequence[WandBall], histories: Sequence[WandHistory]) -> Iterator[str]:
+    """A line for each ball that a run has not found, with the reason that was given last."""
+    for k, ball in enumerate(balls):
+        vain = [history for history in histories if not history.run(k).found.any()]
+        if vain:
+            events = [poses[k].event for history in vain for poses in history.poses if poses[k].event]
+            runs = "" if len(histories) == 1 else f" in {len(vain)} of {len(histories)} runs"
+            yield f"{ball.name} was never found{runs}: {events[-1] if events else 'nobody knows why'}"
 
 
 def _run(
@@ -90,8 +113,8 @@ def _run(
     seed: int,
     known_pose: bool,
     say: Console,
-) -> list[WandRun]:
-    """One run over a recording: of each ball."""
+) -> WandHistory:
+    """One run over a recording."""
     tracker = build(recording.camera if camera is None else camera, balls, settings, colours)
     known: Known | None = None
     if known_pose:
@@ -106,7 +129,7 @@ def _run(
     if seed == 1:
         for frame, event in history.events()[:10]:
             say.print(_about(recording, f"frame {frame}: {event}"), markup=False, highlight=False)
-    return [history.run(k) for k in range(len(balls))]
+    return history
 
 
 def _about(recording: WandRecording, message: str) -> str:

@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import cv2
 import numpy as np
@@ -18,13 +18,20 @@ from spheremouse.wand_file import WandFile, load_wand, save_wand
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
 
 _DEFAULT = WandOptions()
+_OVERLAY = ".colours.png"  # how pictures end that only `wand colours` makes: they may be replaced
 
 
 @app.command(epilog="Example: spheremouse wand simulate demo/drive --seed 1")
 def simulate(
     folder: Annotated[Path, typer.Argument(metavar="OUT_DIR", help="Folder of the dataset; made, or empty.")],
     motion: Annotated[
-        Motion, typer.Option("--motion", "--path", help="drive: on a robot, as in Grzonka 2005; hand: on a stick.")
+        str,
+        typer.Option(
+            "--motion",
+            "--path",
+            metavar="[drive|hand]",
+            help="drive: on a robot, as in Grzonka 2005; hand: on a stick.",
+        ),
     ] = _DEFAULT.motion,
     seed: Annotated[int, typer.Option(metavar="N", help="Of path, room, paints and noise.")] = _DEFAULT.seed,
     fps: Annotated[
@@ -51,12 +58,16 @@ def simulate(
     dist: Annotated[
         str, typer.Option(metavar="k1,k2,p1,p2,k3", help="Lens distortion in OpenCV's order.")
     ] = "0,0,0,0,0",
-    distance: Annotated[float, typer.Option(metavar="M", help="From the camera to a hand.")] = _DEFAULT.distance,
+    distance: Annotated[
+        float | None, typer.Option(metavar="M", help="From the camera to a hand.  [default: 1]")
+    ] = None,
     wand: Annotated[
         Path | None, typer.Option("--ball", metavar="FILE", help="Another ball than Grzonka's: a wand file.")
     ] = None,
     balls: Annotated[int, typer.Option(metavar="N", help="Balls in view, 1 to 3.")] = _DEFAULT.balls,
-    light: Annotated[Light, typer.Option(help="outdoor: sun, with glare on the ball.")] = _DEFAULT.light,
+    light: Annotated[
+        str, typer.Option(metavar="[indoor|outdoor]", help="outdoor: sun, with glare on the ball.")
+    ] = _DEFAULT.light,
     noise: Annotated[
         float, typer.Option(metavar="LEVELS", help="Standard deviation of the image noise in grey values.")
     ] = _DEFAULT.noise,
@@ -80,8 +91,10 @@ def simulate(
     """
     from spheremouse.wand_recording import write_wand
 
+    if motion == "drive" and distance is not None:
+        raise ConfigurationError("--distance: belongs to a hand; on a drive the robot's way decides")
     options = WandOptions(
-        motion=motion,
+        motion=cast(Motion, motion),  # `prepare_wand` refuses others
         seed=seed,
         fps=fps,
         seconds=seconds,
@@ -91,9 +104,9 @@ def simulate(
         size=parse_size(size, 64, "1280x960"),
         focal=focal,
         dist=parse_distortion(dist, "-0.1,0,0,0,0"),
-        distance=distance,
+        distance=_DEFAULT.distance if distance is None else distance,
         balls=balls,
-        light=light,
+        light=cast(Light, light),
         noise=noise,
         blur=blur,
         hand=hand,
@@ -135,7 +148,8 @@ def colours(
         Path | None, typer.Option(metavar="FILE", help="Write the ball with its bounds.  [default: print them]")
     ] = None,
     show: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="What they select.  [default: beside the picture]")
+        Path | None,
+        typer.Option(metavar="FILE.png", help="What they select.  [default: PICTURE.colours.png, which is replaced]"),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
 ) -> None:
@@ -149,12 +163,15 @@ def colours(
 
     ball = grzonka_ball()
     given = WandFile(ball, {c: DEFAULT_COLOURS[c] for c in ball.colours}) if wand is None else load_wand(wand)
+    if check and out is not None:
+        raise ConfigurationError("--out: does not go with --check, which picks no bounds; leave one of them out")
     if show is None:
-        name = picture.name if picture.is_dir() else picture.stem
-        show = picture.resolve().parent / f"{name}.colours.png"
+        beside = picture.resolve()
+        show = beside.parent / f"{beside.name}{_OVERLAY}"
     if show.suffix.lower() != ".png":
         raise ConfigurationError(f"--show {show}: must end in .png")
-    _refuse([out, show], [picture, wand], force)
+    _refuse(out, [picture, wand], force)
+    _refuse(show, [picture, wand, out], force or show.name.endswith(_OVERLAY))
     image = _image(picture)
     circle = None if at is None else Circle(*_circle(at))
     if check:
@@ -170,8 +187,9 @@ def colours(
         print(
             f"  selects {100 * picked.inside[name]:.1f} % of the ball, {100 * picked.outside[name]:.2f} % of the rest"
         )
-        if picked.outside[name] > 0.02 and name not in ("dark", "light"):
-            print(f"  much beside the ball is {name}: clear it away, or use another background")
+        if name in picked.much():
+            narrower = ", or narrow the bounds" if check else ""
+            print(f"  much beside the ball is {name}: clear it away, or use another background{narrower}")
     print(f"{show}: what they select")
     if out is not None:
         save_wand(out, given.ball, picked.colours, {"colours_from": picture.name})
@@ -209,16 +227,18 @@ def _circle(text: str) -> tuple[float, float, float]:
     return u, v, radius
 
 
-def _refuse(outputs: list[Path | None], inputs: list[Path | None], force: bool) -> None:
-    """What is there is replaced only by --force, and never what is read."""
-    read = {p.resolve() for p in inputs if p is not None}
-    for path in (p for p in outputs if p is not None):
-        if not path.parent.is_dir():
-            raise ConfigurationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
-        if path.resolve() in read:
-            raise ConfigurationError(f"{path}: is read by this very command; name another file to write")
-        if path.exists() and not force:
-            raise ConfigurationError(f"{path}: there already; name another file, or replace it with --force")
+def _refuse(path: Path | None, others: list[Path | None], replace: bool) -> None:
+    """A file is written where nothing is, or where it may `replace` that; never over one of the others."""
+    if path is None:
+        return
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"{path}: there is no folder {path.parent}; make it, or name another file")
+    if path.is_dir():
+        raise ConfigurationError(f"{path}: is a folder; name a file")
+    if path.resolve() in {p.resolve() for p in others if p is not None}:
+        raise ConfigurationError(f"{path}: is another file of this very command; name another one to write")
+    if path.exists() and not replace:
+        raise ConfigurationError(f"{path}: there already; name another file, or replace it with --force")
 
 
 def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
@@ -229,4 +249,4 @@ def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
         made.replace(path)
     except OSError as e:
         made.unlink(missing_ok=True)
-        raise ConfigurationError(f"{path}: cannot be written ({e.strerror})") from None
+        raise ConfigurationError(f"{path}: cannot be written ({e.strerror}); name another with --show") from None

@@ -1,5 +1,6 @@
-"""The six axes of hand-held balls as text: one line per ball and frame, after a header line that begins with `#`.
+"""The six axes of hand-held balls as text: one line per ball and frame, after two lines that begin with `#`.
 
+The first names the columns and nothing else, as `numpy.genfromtxt(names=True)` wants it; the second has their units.
 `t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state`: s, m and degrees (`wand.axes`), standard
 deviations of the six, counts of the pointer (those of the ball that moves it, 0 of others), number of the ball from 1,
 and searching, tracking, hidden (predicted, not seen) or lost. What is not known is nan. Files as in `output.text`.
@@ -17,7 +18,8 @@ from spheremouse.wand.axes import axes_of
 from spheremouse.wand.track import WandPhase, WandPose
 
 NAMES = "# t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state"
-HEADER = f"{NAMES} (s; m and degrees before the camera, their standard deviations; counts)"
+UNITS = "# s; m and degrees before the camera; their standard deviations; counts; number; a word"
+HEADER = f"{NAMES}\n{UNITS}"
 _WAITING = 512  # frames whose motion never came, at most: those of an output that failed
 
 

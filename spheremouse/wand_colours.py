@@ -3,6 +3,7 @@
 The ball is a circle that holds all its colours and a plain body; a person may say where it is. Within it each colour's
 pixels are those near its hue, and the bounds are laid around them: saturation halfway between body and discs, which is
 clear of either; light mixes before the camera's gamma does, so that rims lie some tenths of a pixel within the discs.
+Where much beside the ball would be selected, the bound is narrowed as far as the discs bear it.
 """
 
 from dataclasses import dataclass
@@ -24,10 +25,15 @@ _SPREAD = 8.0  # deg of hue, around what was seen: light changes more than one p
 _INSIDE = 0.93  # of the radius: the ball's edge is mixed with what is behind it
 _RADII = ((8, 20), (16, 40), (32, 80), (64, 160), (128, 320))  # px, searched one after the other
 _TRIED = 12  # candidates, the best first, that are fitted to the edges
+_GRADIENT = 120.0  # Sobel's, 8 per level and pixel: a rim of some 40 levels, blurred
 _CLEAR = 18.0  # levels of Lab across an edge that count as one
 _AROUND = np.stack([np.cos(np.arange(48) * np.pi / 24), np.sin(np.arange(48) * np.pi / 24)])
 _SMALL = 1280  # px, the longer side of the picture in which the ball is looked for
+_EDGES = 16_000  # px of edges along which circles are looked for, some seconds: the time goes with their square
+_DIM = 40.0  # of 255, mean brightness: below, a picture is dark
 _EVERYTHING = 0.5  # share of the picture: bounds that select so much tell nothing
+_MUCH = 0.02  # share of what is not the ball, or of discs: less of it does not matter
+_BESIDE = 1.15  # radii: further out are no rims of the ball
 _MARKS = {"red": (60, 60, 255), "blue": (255, 90, 40), "dark": (255, 0, 255), "light": (255, 0, 255)}  # BGR
 
 
@@ -49,6 +55,10 @@ class Picked:
     inside: dict[str, float]  # share of the ball's pixels that each selects
     outside: dict[str, float]  # share of all other pixels
 
+    def much(self) -> list[str]:
+        """Colours of which much is selected beside the ball."""
+        return [name for name, share in self.outside.items() if share > _MUCH]
+
 
 def pick(image: NDArray[np.uint8], ball: WandBall, circle: Circle | None = None) -> Picked:
     """Bounds for the colours of a ball from a picture, (h, w, 3) BGR; ConfigurationError says what is in the way."""
@@ -56,18 +66,27 @@ def pick(image: NDArray[np.uint8], ball: WandBall, circle: Circle | None = None)
     hue, saturation, value = hsv(image)
     gain = MEAN_BRIGHTNESS / max(tone(image, DEFAULT_COLOURS, ("light",)).mean, 1.0)
     inner = disc_mask(image.shape[:2], circle, _INSIDE)
-    h, s, v = hue[inner], saturation[inner], gain * value[inner]
+    beside = ~disc_mask(image.shape[:2], circle, _BESIDE)
+    ours, rest = ((hue[where], saturation[where], gain * value[where]) for where in (inner, beside))
     colours = {}
     for name in ball.colours:
         if name in ("dark", "light"):
-            colours[name] = _by_brightness(name, v)
+            colours[name] = _by_brightness(name, ours[2], rest[2])
         else:
-            colours[name] = _by_hue(name, h, s, v)
-    return judged(image, colours, circle)
+            colours[name] = _by_hue(name, ours, rest)
+    return judged(image, colours, circle, "take one with more light on the ball, or before another background")
 
 
-def judged(image: NDArray[np.uint8], colours: dict[str, ColourSettings], circle: Circle) -> Picked:
-    """What bounds select inside a circle and elsewhere; ConfigurationError where that is nothing, or half of all."""
+def judged(
+    image: NDArray[np.uint8],
+    colours: dict[str, ColourSettings],
+    circle: Circle,
+    remedy: str = "narrow them, or have others picked without --check",
+) -> Picked:
+    """What bounds select inside a circle and elsewhere; ConfigurationError where that is nothing, or half of all.
+
+    `remedy` is what to do about the latter.
+    """
     selected = fields(image, colours, tuple(colours))
     ball = disc_mask(image.shape[:2], circle, 1.0)
     inside, outside = {}, {}
@@ -78,10 +97,7 @@ def judged(image: NDArray[np.uint8], colours: dict[str, ColourSettings], circle:
         if not np.any(binary[ball]):
             raise ConfigurationError(f"{name}: the bounds select nothing on the ball; pick them from this picture anew")
         if share > _EVERYTHING:
-            raise ConfigurationError(
-                f"{name}: the bounds select {100 * share:.0f} % of the picture; take one with more light on the ball, "
-                "or before another background"
-            )
+            raise ConfigurationError(f"{name}: the bounds select {100 * share:.0f} % of the picture; {remedy}")
     return Picked(circle, colours, inside, outside)
 
 
@@ -109,12 +125,13 @@ def find(image: NDArray[np.uint8], ball: WandBall) -> Circle:
     """The circle that holds the colours of a ball and its body; ConfigurationError where none does."""
     scale = min(1.0, _SMALL / max(image.shape[:2]))
     small = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    grey = cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), (0, 0), 1.0)
+    grey = np.asarray(cv2.GaussianBlur(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), (0, 0), 1.0), dtype=np.uint8)
     masks, body = _kinds(small, ball)
+    threshold = _edge_threshold(grey)
     candidates: list[tuple[float, Circle]] = []
     for least, most in _RADII:
         found = cv2.HoughCircles(
-            grey, cv2.HOUGH_GRADIENT, 1, max(4, least // 2), param1=120, param2=9, minRadius=least, maxRadius=most
+            grey, cv2.HOUGH_GRADIENT, 1, max(4, least // 2), param1=threshold, param2=9, minRadius=least, maxRadius=most
         )
         for u, v, radius in np.zeros((0, 3)) if found is None else found.reshape(-1, 3)[:200]:
             circle = Circle(float(u), float(v), float(radius))
@@ -130,12 +147,30 @@ def find(image: NDArray[np.uint8], ball: WandBall) -> Circle:
         if mark > score:
             best, score = fitted, mark
     if best is None or score < 0.15:
-        names = " and ".join(ball.colours)
         raise ConfigurationError(
-            f"no ball with {names} discs on {ball.body} is in view; turn two discs of each colour to the camera, "
+            f"no ball with {' and '.join(ball.colours)} discs on {ball.body} is in view; "
+            f"{_hindrance(image, threshold)}turn two discs of each colour to the camera, "
             "or say where it is with --at U,V,RADIUS (px)"
         )
     return Circle((best.u + 0.5) / scale - 0.5, (best.v + 0.5) / scale - 0.5, best.radius / scale)
+
+
+def _edge_threshold(grey: NDArray[np.uint8]) -> float:
+    """Gradient from which on edges are followed: higher where there are so many that it would take long."""
+    threshold = _GRADIENT
+    while np.count_nonzero(cv2.Canny(grey, 0.5 * threshold, threshold)) > _EDGES:
+        threshold *= 1.25
+    return threshold
+
+
+def _hindrance(image: NDArray[np.uint8], threshold: float) -> str:
+    """What of the picture as a whole may hide a ball, and what to do about it: an advice begun, or nothing."""
+    brightness = tone(image, DEFAULT_COLOURS, ("light",)).mean
+    if brightness < _DIM:
+        return f"the picture is dark (mean brightness {brightness:.0f} of 255): give more light or a longer exposure, "
+    if threshold > _GRADIENT:
+        return "the picture is full of fine detail: take one before a plainer background, "
+    return ""
 
 
 def _kinds(image: NDArray[np.uint8], ball: WandBall) -> tuple[list[NDArray[np.bool_]], NDArray[np.bool_]]:
@@ -146,7 +181,8 @@ def _kinds(image: NDArray[np.uint8], ball: WandBall) -> tuple[list[NDArray[np.bo
     for name in ball.colours:
         if name in ("dark", "light"):
             plain = saturation < 1.5 * _SATURATED
-            masks.append(value < 0.55 * middle if name == "dark" else (value > 1.35 * middle) & plain)
+            bright = min(1.35 * middle, 0.5 * (middle + 255.0))  # before a white wall nothing is a third brighter
+            masks.append(value < 0.55 * middle if name == "dark" else (value > bright) & plain)
         else:
             _known(name)
             masks.append((saturation > 1.5 * _SATURATED) & (hue_distance(hue, name) < 0.6 * _NEAR))
@@ -229,9 +265,10 @@ def _known(name: str) -> None:
         )
 
 
-def _by_hue(name: str, hue: Array, saturation: Array, value: Array) -> ColourSettings:
-    """Around the pixels near a hue; hue and saturation as `hsv`, brightness normalised."""
+def _by_hue(name: str, ball: tuple[Array, Array, Array], rest: tuple[Array, Array, Array]) -> ColourSettings:
+    """Around the pixels near a hue on the ball; each hue and saturation as `hsv`, and brightness normalised, (n,)."""
     _known(name)
+    hue, saturation, value = ball
     like = (hue_distance(hue, name) < _NEAR) & (saturation > _SATURATED)
     body = float(np.median(saturation))  # most of a ball is not disc; white is not white in every light
     if np.any(like):
@@ -245,16 +282,19 @@ def _by_hue(name: str, hue: Array, saturation: Array, value: Array) -> ColourSet
     deep = like & (saturation > 0.7 * full)
     off = (hue[deep] - HUES[name] + 180.0) % 360.0 - 180.0
     low, high = np.quantile(off, [0.02, 0.98]) + HUES[name]
+    low, high = low - _SPREAD, high + _SPREAD
+    darkest = 0.5 * float(np.quantile(value[deep], 0.02))
+    alike = ((rest[0] - low) % 360.0 <= high - low) & (rest[2] >= darkest)
     return ColourSettings(
-        hue_min=round(float(low - _SPREAD) % 360.0),
-        hue_max=round(float(high + _SPREAD) % 360.0),
-        saturation_min=round(0.5 * (full + body)),
-        value_min=round(0.5 * float(np.quantile(value[deep], 0.02))),
+        hue_min=round(float(low) % 360.0),
+        hue_max=round(float(high) % 360.0),
+        saturation_min=round(_narrowed(0.5 * (full + body), saturation[like], rest[1][alike], len(rest[1]))),
+        value_min=round(darkest),
     )
 
 
-def _by_brightness(name: str, value: Array) -> ColourSettings:
-    """Halfway between discs and body; brightness normalised, (n,)."""
+def _by_brightness(name: str, value: Array, rest: Array) -> ColourSettings:
+    """Halfway between discs and body; brightness normalised, (n,), on the ball and beside it."""
     top = float(value.max())
     levels = np.clip(255.0 * value / max(top, 1.0), 0.0, 255.0).astype(np.uint8)
     cut, _ = cv2.threshold(levels.reshape(-1, 1), 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
@@ -265,9 +305,29 @@ def _by_brightness(name: str, value: Array) -> ColourSettings:
             f"{name}: discs and ball are equally bright in this picture; more light, or other discs"
         )
     if name == "dark":
-        return ColourSettings(value_max=round(0.5 * float(np.median(below) + np.median(above))))
+        halfway = 0.5 * float(np.median(below) + np.median(above))
+        return ColourSettings(value_max=round(-_narrowed(-halfway, -below, -rest, len(rest))))
     # lit discs are the brightest there is: the bound keeps as near to them as their own spread lets it
-    return ColourSettings(value_min=round(0.85 * float(np.quantile(above, 0.2))))
+    near = 0.85 * float(np.quantile(above, 0.2))
+    return ColourSettings(value_min=round(_narrowed(near, above, rest, len(rest))))
+
+
+def _narrowed(loosest: float, disc: Array, rest: Array, pixels: int) -> float:
+    """A lower bound between values (n,) of discs and (m,) of what is not the ball, which has so many `pixels` in all.
+
+    Least is the sum of two shares: of the discs left out, and of the rest selected (Youden 1950). Pixels counted one by
+    one would have any background, which outnumbers the discs a hundredfold, give the discs up. It stays at the loosest
+    where that is as good as the best, and else lies amid what is.
+    """
+    disc, rest = np.sort(disc[disc >= loosest]), np.sort(rest[rest >= loosest])
+    if len(disc) == 0:
+        return loosest
+    bounds = np.linspace(loosest, disc[-1], 256)
+    left_out = np.searchsorted(disc, bounds) / len(disc)
+    selected = 1.0 - np.searchsorted(rest, bounds) / max(len(rest), 1)
+    wrong = left_out + selected * len(rest) / max(pixels, 1)
+    good = np.flatnonzero(wrong <= wrong.min() + _MUCH)
+    return loosest if good[0] == 0 else float(0.5 * (bounds[good[0]] + bounds[good[-1]]))
 
 
 # ---- shown ----

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.evaluate.wand import RECOVERED, WandRun, errors, found_from, is_lost
+from spheremouse.evaluate.wand import RECOVERED, WandRun, errors, followed, found_from, is_lost
 from spheremouse.rotation import Array
 from spheremouse.simulate.wand import WandFilm, WandOptions, WandTruth, prepare_wand, simulate_wand
-from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
+from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.track import WandSettings, begin, build, step
 from spheremouse.wand_recording import open_wand, read_wand_frames
 from spheremouse.wand_session import WandHistory, track_wand
@@ -133,20 +133,25 @@ def work(job: Job) -> dict[str, Any]:
     film = prepare_wand(replace(job.film.options, seed=job.seed), BALLS[job.film.ball]())
     balls = tuple(carried.ball for carried in film.scene.balls)
     truths = [film.truth(k) for k in range(len(balls))]
-    followed = []
+    fed = {}
     for variant in job.film.variants:
         tracker = build(film.scene.camera, balls, variant.settings)
         known = {k: (t.position[0], t.rotation[0]) for k, t in enumerate(truths)} if variant.known else None
-        followed.append((variant, _Fed(lambda frames, t=tracker, p=known: track_wand(frames, t, job.seed, p))))
+        fed[variant.name] = _Fed(lambda frames, t=tracker, p=known: track_wand(frames, t, job.seed, p))
     for shot in simulate_wand(film):
-        for _, fed in followed:
-            fed.feed(shot.frame)
-    return {
-        "variants": {
-            variant.name: [_kept(fed.history.run(k), truths[k], balls[k].radius) for k in range(len(balls))]
-            for variant, fed in followed
-        },
-    }
+        for each in fed.values():
+            each.feed(shot.frame)
+    runs = {name: [each.history.run(k) for k in range(len(balls))] for name, each in fed.items()}
+    return {"variants": {name: kept_of(of_balls, balls, truths) for name, of_balls in runs.items()}}
+
+
+def kept_of(runs: Sequence[WandRun], balls: Sequence[WandBall], truths: Sequence[WandTruth]) -> list[dict[str, Any]]:
+    """What is kept of a run with each of the balls: numbers of balls that look alike are as they were found."""
+    return [
+        _kept(run, truth, ball.radius)
+        for run, ball, truth in zip(runs, balls, followed(runs, balls, truths, balls), strict=True)
+        if truth is not None
+    ]
 
 
 def recording_film(quick: bool) -> Film:

@@ -53,7 +53,7 @@ def wand_tracker(plan: Plan, request: Request, files: list[Path], given: Given |
     if settings.points > len(balls):
         many = "is one ball" if len(balls) == 1 else f"are {len(balls)} balls"
         raise ConfigurationError(f"wand.points: is {settings.points}, but there {many}; balls are counted from 1")
-    return build(camera, _told_apart(balls), settings, colours)
+    return build(camera, told_apart(balls), settings, colours)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def read_balls(files: Iterable[Path]) -> tuple[tuple[WandBall, ...], dict[str, C
     return tuple(balls), colours
 
 
-def _told_apart(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
+def told_apart(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
     """Balls of the same name get numbers, for messages."""
     names = [ball.name for ball in balls]
     return tuple(

@@ -72,6 +72,9 @@ def run_wand(request: Request, plan: Plan, options: WandOptions) -> None:
             failure = e
     if tally.frames or failure is None:
         print(tally if latency is None else f"{tally}; {_words(latency)}", file=sys.stderr)
+    points = plan.configuration.wand.points - 1
+    for line in told.never_found(but=points if failure is not None else None):  # that one may be the failure
+        print(line, file=sys.stderr)
     if failure is not None:
         raise failure
 

@@ -155,9 +155,17 @@ def test_words_are_no_part_of_the_program_and_all_else_is(tmp_path, monkeypatch)
             (tmp_path / "daemon" / "run.py").write_text(shell, encoding="utf-8")
             run_module.program.cache_clear()
             seen.append(run_module.program())
+    (tmp_path / "wand").mkdir()
+    own = set()
+    for text in ("x", "y"):  # the hand-held ball is no part of it but in its own experiment
+        (tmp_path / "wand" / "track.py").write_text(text, encoding="utf-8")
+        run_module.program.cache_clear()
+        seen.append(run_module.program())
+        own.add(run_module.program(wand=True))
     run_module.program.cache_clear()
     assert seen[0] == seen[1] != seen[2]
     assert len(set(seen[2:])) == 1
+    assert len(own) == 2
 
 
 def test_other_parameters_or_another_program_are_another_result(made, tmp_path, monkeypatch):
@@ -166,7 +174,7 @@ def test_other_parameters_or_another_program_are_another_result(made, tmp_path, 
         results = work_all([wanted], tmp_path, 1)
     assert results["a"]["n"] == 5
     assert done(made) == [2, 5]
-    monkeypatch.setattr(run_module, "program", lambda: "another")
+    monkeypatch.setattr(run_module, "program", lambda wand=False: "another")
     work_all([replace(job, parameters={"n": 5, "made": str(made)})], tmp_path, 1)
     assert done(made) == [2, 5, 5]
 

@@ -14,12 +14,12 @@ from spheremouse.cli_evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
 from spheremouse.wand.track import WandSettings
 from spheremouse.wand_colours import Circle, disc_mask, find, judged, pick
 from spheremouse.wand_experiments import Film, Job, Variant, films, jobs, rows, verdicts
-from spheremouse.wand_file import load_wand
+from spheremouse.wand_file import load_wand, save_wand
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")
@@ -83,6 +83,31 @@ def test_a_film_is_made_and_evaluated(run, tmp_path):
     code, said = run("wand", "simulate", out, "--seconds", 1)
     assert code == 2
     assert "is not empty; name another folder or use --force" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--path", "foo"), "--motion: must be drive or hand, is 'foo'"),
+        (("--light", "foo"), "--light: must be indoor or outdoor, is 'foo'"),
+        (("--distance", 4), "--distance: belongs to a hand"),
+        (("--distance", 1), "--distance: belongs to a hand"),
+        (("--rate", 90), "--rate: belongs to a hand"),
+    ],
+)
+def test_a_film_that_makes_no_sense_is_refused_in_one_line(run, tmp_path, words, said):
+    code, output = run("wand", "simulate", tmp_path / "film", *words)
+    assert code == 2
+    assert output.startswith(said)
+    assert "\n" not in output
+    assert not (tmp_path / "film").exists()
+
+
+def test_distance_is_that_of_the_hand(run, tmp_path):
+    words = ("--path", "hand", "--seconds", 0.1, "--size", "320x240", "--distance", 2.5)
+    assert run("wand", "simulate", tmp_path / "film", *words)[0] == 0
+    truth = np.genfromtxt(tmp_path / "film" / "truth.csv", delimiter=",", names=True)
+    assert np.abs(truth["z"] - 2.5) < 0.2 * 2.5
 
 
 @pytest.mark.parametrize(
@@ -155,16 +180,143 @@ def test_the_command_writes_bounds_and_picture(run, picture, tmp_path):
     file = load_wand(out)
     assert file.ball.colours == ("blue", "red")
     assert file.colours["red"] != DEFAULT_COLOURS["red"]
-    shown = cv2.imread(str(tmp_path / "hand.colours.png"))
+    shown = cv2.imread(str(tmp_path / "hand.png.colours.png"))
+    assert shown is not None
     assert shown.shape == (480, 640 + 240, 3)
     red = np.all(shown[:, :640] == (60, 60, 255), axis=2)
     assert 0 < np.count_nonzero(red) < 0.05 * red.size
-    code, said = run("wand", "colours", picture)
-    assert code == 2
-    assert "hand.colours.png: there already; name another file, or replace it with --force" in said
-    code, said = run("wand", "colours", picture, "--check", "--ball", out, "--force")
+    code, said = run("wand", "colours", picture, "--check", "--ball", out)
     assert code == 0
     assert "selects" in said
+
+
+def test_the_next_step_it_names_can_be_taken(run, picture, shot, tmp_path):
+    """The overlay is made anew each time; what may be somebody's own is not touched."""
+    shown, out, own = tmp_path / "hand.png.colours.png", tmp_path / "wand.yaml", tmp_path / "own.png"
+    code, said = run("wand", "colours", picture)
+    assert code == 0
+    assert "next: look at the picture, then write the bounds with --out wand.yaml" in said
+    whole = shown.read_bytes()
+    shown.write_bytes(b"of an earlier picture")
+    assert run("wand", "colours", picture, "--out", out)[0] == 0
+    assert shown.read_bytes() == whole
+    assert run("wand", "colours", picture, "--check", "--ball", out)[0] == 0
+    cv2.imwrite(str(tmp_path / "hand.jpg"), shot[0].frame.image)
+    assert run("wand", "colours", tmp_path / "hand.jpg")[0] == 0
+    assert (tmp_path / "hand.jpg.colours.png").is_file()
+    own.write_bytes(b"a photo")
+    (tmp_path / "folder.colours.png").mkdir()
+    for words, refused in (
+        (("--out", out), "wand.yaml: there already; name another file, or replace it with --force"),
+        (("--show", own), "own.png: there already; name another file, or replace it with --force"),
+        (("--show", tmp_path / "folder.colours.png"), "folder.colours.png: is a folder; name a file"),
+        (("--show", picture, "--force"), "hand.png: is another file of this very command"),
+        (("--show", own, "--out", own, "--force"), "own.png: is another file of this very command"),
+    ):
+        code, said = run("wand", "colours", picture, *words)
+        assert (code, refused in said) == (2, True), said
+    assert own.read_bytes() == b"a photo"
+    overlay = tmp_path / "named.colours.png"
+    picture.rename(overlay)
+    code, said = run("wand", "colours", overlay, "--show", overlay)
+    assert (code, "is another file of this very command" in said) == (2, True)
+
+
+def test_a_check_picks_nothing(run, picture, tmp_path):
+    code, said = run("wand", "colours", picture, "--check", "--out", tmp_path / "q.yaml")
+    assert code == 2
+    assert "--out: does not go with --check" in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["hand.png"]
+
+
+def test_bounds_that_select_everything_are_to_be_narrowed(run, picture, tmp_path):
+    everything = {"blue": ColourSettings(), "red": DEFAULT_COLOURS["red"]}
+    save_wand(tmp_path / "wide.yaml", grzonka_ball(), everything, {})
+    code, said = run("wand", "colours", picture, "--check", "--ball", tmp_path / "wide.yaml")
+    assert code == 2
+    assert said == "blue: the bounds select 100 % of the picture; narrow them, or have others picked without --check"
+
+
+def test_light_is_what_a_dark_picture_lacks(run, tmp_path):
+    for level, dark in ((0, True), (12, True), (128, False)):
+        path = tmp_path / f"{level}.png"
+        cv2.imwrite(str(path), np.full((240, 320, 3), level, np.uint8))
+        code, said = run("wand", "colours", path)
+        assert code == 2
+        assert (f"the picture is dark (mean brightness {level} of 255): give more light" in said) == dark
+
+
+def test_a_picture_full_of_edges_is_searched_with_bounded_effort(run, monkeypatch, tmp_path):
+    """Random pixels: no more edges are handed on than some seconds need, and the line says what to do."""
+    noise = np.random.default_rng(0).integers(0, 256, (480, 640, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "noise.png"), noise)
+    searched = []
+
+    def counted(grey, *given, param1, **named):
+        searched.append(np.count_nonzero(cv2.Canny(grey, param1 / 2, param1)))
+
+    monkeypatch.setattr(cv2, "HoughCircles", counted)
+    code, said = run("wand", "colours", tmp_path / "noise.png")
+    assert code == 2
+    assert "full of fine detail: take one before a plainer background" in said
+    assert "--at U,V,RADIUS" in said
+    assert "\n" not in said
+    assert 0 < max(searched) < 20_000
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_lit_discs_are_told_from_a_bright_room(seed):
+    """Bounds take the discs and little of a floor that is nearly as bright."""
+    film = prepare_wand(WandOptions(motion="hand", seed=seed, seconds=0.5, size=(640, 480)), led_ball())
+    shot = next(simulate_wand(film))
+    true = circle_of(shot, film)
+    picked = pick(shot.frame.image, led_ball())
+    assert np.hypot(picked.circle.u - true.u, picked.circle.v - true.v) < 0.1 * true.radius
+    assert 0.1 < picked.inside["light"] < 0.25
+    assert picked.outside["light"] < 0.02
+    assert picked.much() == []
+
+
+def plain_ball(body, disc, room):
+    """A ball of 40 px radius with four discs before a room, (240, 320, 3): grey levels or BGR."""
+    image = np.empty((240, 320, 3), np.uint8)
+    image[:] = room
+    cv2.circle(image, (160, 120), 40, body, -1)
+    for u, v in ((150, 105), (175, 110), (150, 135), (175, 130)):
+        cv2.circle(image, (u, v), 6, disc, -1)
+    noise = np.random.default_rng(4).normal(0.0, 2.0, image.shape)
+    return np.clip(image + noise, 0, 255).astype(np.uint8), Circle(160.0, 120.0, 40.0)
+
+
+def test_what_is_beside_the_ball_narrows_bounds_only_where_that_gains():
+    """The bound lies between discs and what is nearly like them; what is like them is not gone after, but said."""
+    two = grzonka_ball()
+    ball = replace(two, discs=tuple(replace(disc, colour="blue") for disc in two.discs))
+    white, blue, bluish = (200, 200, 200), (200, 30, 20), (200, 80, 80)  # BGR, the blues of saturation 230 and 153
+    picked = {}
+    for what, room in (("plain", (128, 128, 128)), ("bluish", bluish), ("blue", blue)):
+        image, circle = plain_ball(white, blue, (128, 128, 128))
+        image[:, :80] = plain_ball(room, room, room)[0][:, :80]
+        picked[what] = pick(image, ball, circle)
+    assert picked["plain"].colours["blue"].saturation_min < 153 < picked["bluish"].colours["blue"].saturation_min < 225
+    assert picked["bluish"].outside["blue"] < 0.001
+    assert picked["bluish"].inside["blue"] > 0.8 * picked["plain"].inside["blue"]
+    assert picked["blue"].colours["blue"].saturation_min == picked["plain"].colours["blue"].saturation_min
+    assert picked["blue"].much() == ["blue"]
+    assert picked["plain"].much() == picked["bluish"].much() == []
+
+
+def test_the_hint_is_said_of_brightness_too(run, tmp_path):
+    image, circle = plain_ball((200, 200, 200), (20, 20, 20), (128, 128, 128))
+    image[:, :80] = 20
+    cv2.imwrite(str(tmp_path / "dark.png"), image)
+    save_wand(tmp_path / "ball.yaml", contrast_ball(), {"dark": ColourSettings(value_max=75)}, {})
+    words = ("--ball", tmp_path / "ball.yaml", "--at", f"{circle.u},{circle.v},{circle.radius}")
+    for also in ((), ("--check",)):
+        code, said = run("wand", "colours", tmp_path / "dark.png", *words, *also)
+        assert code == 0
+        assert "much beside the ball is dark: clear it away, or use another background" in said
+        assert ("or narrow the bounds" in said) == bool(also)
 
 
 def test_what_cannot_be_picked_is_said_in_words(run, picture, shot, tmp_path):

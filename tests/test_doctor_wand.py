@@ -1,5 +1,6 @@
 """`spheremouse doctor` for a ball in a hand: its files, and whether it is seen, on films with it and without it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from spheremouse.service import Place
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import build
+from spheremouse.wand_file import save_wand
 from spheremouse.wand_recording import open_wand, read_wand_frames, write_wand
 
 
@@ -60,6 +62,20 @@ def test_a_camera_without_a_file_and_a_ball_file_that_is_missing_are_lines(hand,
     assert found["ball"].verdict is Verdict.WRONG
     assert "mine.yaml: no such file" in found["ball"].text
     assert "sight" not in found
+
+
+def test_balls_may_be_named_on_the_command_line(spheremouse, hand, tmp_path, monkeypatch):
+    save_wand(tmp_path / "my ball.yaml", replace(grzonka_ball(), name="mine"))
+    (tmp_path / "else").mkdir()
+    file = tmp_path / "else" / "config.yaml"  # whose own ball does not count, nor its folder
+    file.write_text("schema: 1\ntracker: wand\nwand: {balls: [none.yaml]}\n")
+    monkeypatch.chdir(tmp_path)
+    words = ("--tracker", "wand", "--source", f"dataset:{hand}", "--json", "--config", file)
+    code, out, err = spheremouse("doctor", *words, "--ball", "my ball.yaml", "--ball", "my ball.yaml")
+    found = {f["name"]: f for f in json.loads(out)["checks"]}
+    assert found["ball"]["text"] == "mine 1, 100 mm across, 8 discs; mine 2, 100 mm across, 8 discs", err
+    code, _, err = spheremouse("doctor", "--ball", "my ball.yaml")
+    assert (code, err) == (2, "spheremouse: --ball: goes with --tracker wand; add that, or leave it out\n")
 
 
 def test_what_is_not_seen_is_said_with_what_to_do(hand):

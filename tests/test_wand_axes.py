@@ -91,8 +91,8 @@ def written(output, *frames):
 
 def test_a_line_per_ball_and_frame_with_as_many_columns_as_the_header_names():
     lines = written(AxesOutput("-", 1), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)))
-    assert lines[0] == HEADER
-    rows = [dict(zip(NAMES.split()[1:], line.split(), strict=True)) for line in lines[1:]]
+    assert lines[:2] == HEADER.splitlines()
+    rows = [dict(zip(NAMES.split()[1:], line.split(), strict=True)) for line in lines[2:]]
     assert [(r["t"], r["ball"], r["state"]) for r in rows] == [
         ("0.1", "1", "tracking"),
         ("0.1", "2", "lost"),
@@ -108,12 +108,24 @@ def test_a_line_per_ball_and_frame_with_as_many_columns_as_the_header_names():
     assert [[int(r[n]) for n in ("dx", "dy", "dz")] for r in rows[:2]] == [[0, 0, 0], [1, -2, 3]]
 
 
+def test_numpy_reads_the_columns_by_their_names():
+    lines = written(AxesOutput("-"), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)))
+    text = "\n".join(lines)
+    table = np.genfromtxt(io.StringIO(text), names=True, dtype=None, encoding="utf-8")
+    assert list(table.dtype.names) == NAMES.split()[1:]
+    assert table["state"].tolist() == ["tracking", "lost", "hidden", "lost"]
+    assert table["ball"].tolist() == [1, 2, 1, 2]
+    assert table["z"] == pytest.approx([1.5, np.nan, 1.5, np.nan], nan_ok=True)
+    assert np.genfromtxt(io.StringIO(text), names=True)["x"] == pytest.approx(table["x"], nan_ok=True)
+    assert np.loadtxt(io.StringIO(text), usecols=range(17)).shape == (4, 17)
+
+
 def test_a_motion_without_poses_writes_nothing_and_poses_without_a_motion_are_forgotten():
     output = AxesOutput("-")
     for k in range(2000):
         output.expect(float(k), (FOUND,))
     assert len(output._poses) < 1000
-    assert written(output, (0.5, (), (0, 0, 0))) == [HEADER]
+    assert written(output, (0.5, (), (0, 0, 0))) == HEADER.splitlines()
 
 
 def test_files_of_another_kind_are_kept(tmp_path):

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spheremouse.evaluate.wand import WandRun, errors, found_from, is_lost, off, wand_report
+from spheremouse.evaluate.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
 from spheremouse.rotation import exp
 from spheremouse.simulate.wand import WandOptions, WandTruth, prepare_wand
+from spheremouse.wand.ball import contrast_ball, grzonka_ball
+from spheremouse.wand_experiments import kept_of
 
 RADIUS = 0.05
 N = 60
@@ -151,3 +153,83 @@ def test_the_truth_may_go_on_after_the_run(truth):
     run = perfect(WandTruth(truth.stamp[:20], truth.position[:20], truth.rotation[:20]))
     assert not is_lost(run, truth, RADIUS)
     assert errors([run], [truth])["position_max_mm"]["z"] == 0.0
+
+
+# ---- which ball of the film is it? ----
+
+BALL, OTHER = grzonka_ball(), contrast_ball()
+
+
+@pytest.fixture(scope="module")
+def three():
+    film = prepare_wand(WandOptions(motion="hand", seconds=4.0, balls=3))
+    return [film.truth(k) for k in range(3)]
+
+
+def swapped(a, b, frame):
+    """A run that goes over to another ball."""
+    return replace(
+        a,
+        position=np.concatenate([a.position[:frame], b.position[frame:]]),
+        rotation=np.concatenate([a.rotation[:frame], b.rotation[frame:]]),
+    )
+
+
+def followed_by_number(runs, balls, truths, filmed):
+    """The truths' indices."""
+    found = followed(runs, balls, truths, filmed)
+    return [None if t is None else next(k for k, true in enumerate(truths) if true is t) for t in found]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 0, 1), (2, 1, 0)])
+def test_alike_balls_are_compared_with_those_they_follow_whatever_their_numbers(three, order):
+    runs = [without(perfect(three[k]), slice(0, 10 * k)) for k in order]
+    assert followed_by_number(runs, [BALL] * 3, three, [BALL] * 3) == list(order)
+    kept = kept_of(runs, [BALL] * 3, three)
+    assert [k["lost"] for k in kept] == [False] * 3
+    assert all(k["position"] == k["true_position"] for k in kept)
+
+
+def test_a_ball_that_was_not_declared_is_nobodys_and_one_too_many_has_no_truth(three):
+    assert followed_by_number([perfect(three[2])], [BALL], three, [BALL] * 3) == [2]
+    runs = [without(perfect(three[0]), slice(None)), perfect(three[0])]
+    assert followed_by_number(runs, [BALL] * 2, three[:1], [BALL]) == [None, 0]
+    assert followed_by_number(runs, [BALL] * 2, [], []) == [None, None]
+    assert followed_by_number(runs, [BALL] * 2, [], [BALL] * 2) == [None, None]  # no truth.csv
+
+
+def test_a_run_that_goes_over_to_the_other_ball_half_way_stays_wrong(three):
+    """It is lost, or, where it was on the other ball for longer, found late: with large errors either way."""
+    for frame, lost, found in ((20, 0, 20), (40, 2, 0)):
+        runs = [swapped(perfect(a), perfect(b), frame) for a, b in (three[:2], three[1::-1])]
+        truths = followed(runs, [BALL] * 2, three[:2], [BALL] * 2)
+        assert [t is three[k] for t, k in zip(truths, (0, 1) if frame == 40 else (1, 0), strict=True)] == [True] * 2
+        report = wand_report(runs, [t for t in truths if t is not None], dataset="x", frames=N, radius=RADIUS)
+        assert (report["lost_runs"], report["found_from_frame"]) == (lost, found)
+        assert report["position_rmse_mm"]["x"] > 100.0
+
+
+def test_balls_of_another_kind_never_change_places(three):
+    runs = [perfect(three[1]), perfect(three[0])]  # each is on the other's ball: both are wrong
+    assert followed_by_number(runs, [BALL, OTHER], three[:2], [BALL, OTHER]) == [0, 1]
+    assert followed_by_number(runs, [OTHER, BALL], three[:2], [BALL, OTHER]) == [1, 0]
+    mine = replace(OTHER, radius=0.048)  # measured by its owner: like none of the film's
+    assert followed_by_number(runs, [mine, BALL], three[:2], [BALL, OTHER]) == [1, 0]
+    assert followed_by_number(runs, [mine, mine], three[:2], [BALL, OTHER]) == [1, 0]
+
+
+def test_each_run_has_its_own_truth(three):
+    runs = [perfect(three[0]), perfect(three[1])]
+    report = wand_report(runs, three[:2], dataset="x", frames=N, radius=RADIUS)
+    assert (report["lost_runs"], report["position_max_mm"]["x"]) == (0, 0.0)
+    assert wand_report(runs, three[0], dataset="x", frames=N, radius=RADIUS)["lost_runs"] == 1
+
+
+def test_names_and_order_of_discs_make_no_other_ball():
+    assert alike(BALL, replace(BALL, name="mine", discs=BALL.discs[::-1]))
+    assert not alike(BALL, replace(BALL, radius=0.051))
+    assert not alike(BALL, replace(BALL, body="black"))
+    assert not alike(BALL, replace(BALL, discs=BALL.discs[:-1]))
+    assert not alike(BALL, replace(BALL, discs=(replace(BALL.discs[0], colour="blue"), *BALL.discs[1:])))
+    assert not alike(BALL, replace(BALL, discs=(replace(BALL.discs[0], angle=0.3), *BALL.discs[1:])))
+    assert not alike(BALL, OTHER)

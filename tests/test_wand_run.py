@@ -17,7 +17,7 @@ from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.axes import UPRIGHT
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import ColourSettings
-from spheremouse.wand_axes import NAMES
+from spheremouse.wand_axes import HEADER, NAMES
 from spheremouse.wand_file import save_wand
 from spheremouse.wand_recording import open_wand, write_wand
 
@@ -52,9 +52,9 @@ def camera(hand):
 def read(text):
     """Columns of what was written, by name: numbers where they are."""
     lines = text.splitlines()
-    assert lines[0].startswith(NAMES + " (")
+    assert lines[:2] == HEADER.splitlines()
     names = NAMES.split()[1:]
-    rows = [line.split() for line in lines[1:]]
+    rows = [line.split() for line in lines[2:]]
     assert {len(row) for row in rows} <= {len(names)}
     return {n: [r[k] for r in rows] if n == "state" else np.array([float(r[k]) for r in rows])
             for k, n in enumerate(names)}  # fmt: skip
@@ -109,7 +109,7 @@ def test_the_pointer_is_the_integral_of_the_true_motion(spheremouse, hand, by):
 def test_every_run_says_the_same(spheremouse, hand):
     words = (*WAND, "--source", f"dataset:{hand}", "--output", "text:-", "--frames", 8)
     first = spheremouse(*words)
-    assert len(first[1].splitlines()) == 9
+    assert len(first[1].splitlines()) == 10
     assert spheremouse(*words)[1] == first[1]
 
 
@@ -126,8 +126,8 @@ def test_axes_may_go_beside_the_pointer_and_the_configuration_may_say_all(sphere
         f"wand: {{balls: [ball.yaml], axes: {log}, pointing: {{by: shift}}}}\n".replace("output: null\n", "")
     )
     assert spheremouse("run", "--config", file, "--frames", 5)[0] == 0
-    poses = [line.split()[:13] for line in log.read_text().splitlines()[1:]]
-    assert poses == [line.split()[:13] for line in out.splitlines()[1:]]
+    poses = [line.split()[:13] for line in log.read_text().splitlines()[2:]]
+    assert poses == [line.split()[:13] for line in out.splitlines()[2:]]
     file.write_text(file.read_text().replace("by: shift", "by: shove"))
     code, _, err = spheremouse("run", "--config", file)
     assert (code, f"{file}:5: wand.pointing.by: must be 'turn' or 'shift'" in err) == (2, True), err
@@ -160,6 +160,20 @@ def test_several_balls_and_which_of_them_points(spheremouse, two, tmp_path):
     code, _, err = spheremouse(*WAND, "--source", f"dataset:{two}", "--output", "null", "--ball", tmp_path / "one.yaml")
     assert code == 0
     assert err.count("a second ball like grzonka is in view: declare it too, or take it away") == 1
+
+
+def test_a_declared_ball_that_is_never_found_is_told_at_the_end(spheremouse, hand, tmp_path):
+    save_wand(tmp_path / "ball.yaml", grzonka_ball())
+    two = ("--ball", tmp_path / "ball.yaml") * 2
+    words = (*WAND, "--source", f"dataset:{hand}", "--output", "null", "--frames", 3, *two)
+    code, _, err = spheremouse(*words)
+    assert code == 0, err
+    last = err.splitlines()[-1]
+    assert last.startswith("grzonka 2 was never found: no ball like grzonka 2 in view: hold it into the picture")
+    code, _, err = spheremouse(*words, "--set", "wand.points=2")
+    assert code == 2
+    assert "was never found" not in err  # the error says so
+    assert err.splitlines()[-1].startswith(f"spheremouse: dataset:{hand}: no ball like grzonka 2 in view")
 
 
 def test_held_to_its_stamps_it_tracks_the_same_ball(spheremouse, hand, tmp_path):

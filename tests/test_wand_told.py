@@ -76,3 +76,15 @@ def test_several_balls_are_told_apart():
     told.frame(0.1, (LOST, replace(TRACKING, name="other")), COLOUR, 0)
     assert told.found == {0, 1}
     assert told.why == LOST.event
+
+
+def test_a_ball_that_was_never_seen_is_told_at_the_end():
+    other = replace(SEARCHING, name="other")
+    told = Told()
+    assert told.never_found() == []
+    told.frame(0.0, (SEARCHING, other), COLOUR, 0)
+    assert told.never_found() == [f"{p.name} was never found: {p.event}" for p in (SEARCHING, other)]
+    assert told.never_found(but=0) == [f"other was never found: {other.event}"]
+    told.frame(0.1, (TRACKING, replace(other, event="bounds that match nothing")), COLOUR, 0)
+    told.frame(0.2, (LOST, replace(other, event="bounds that match nothing")), COLOUR, 0)  # it was found once
+    assert told.never_found() == ["other was never found: bounds that match nothing"]

@@ -10,16 +10,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from spheremouse.evaluate.metrics import mean_nees
 from spheremouse.rotation import Array, log
 from spheremouse.simulate.wand import WandTruth
+from spheremouse.wand.ball import WandBall
 
 # Beside the ball, or another side of it taken for this one (the pattern repeats after 90 degrees, but for its colours)
 OFF_ANGLE = np.radians(45.0)
 RECOVERED = 1.0  # s: a distractor is to be recovered from within a second
 _GRACE = 2  # frames, where a second is less than that
+_ALIKE = 1e-5  # m and rad by which one ball's descriptions differ, which files round
+_FAR, _NEVER = 1e3, 1e6  # m: further than any ball is, of a run that found nothing; and of what may not be
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,51 @@ def rotation_error(run: WandRun, truth: WandTruth) -> Array:
     k = np.flatnonzero(run.found)
     error[k] = log(run.rotation[k] @ truth.rotation[k].transpose(0, 2, 1))
     return error
+
+
+def followed(
+    runs: Sequence[WandRun], balls: Sequence[WandBall], truths: Sequence[WandTruth], filmed: Sequence[WandBall]
+) -> list[WandTruth | None]:
+    """The truth that each run is to be compared with: `runs` are of `balls`, `truths` are those of the `filmed` balls.
+
+    Balls that look alike get their numbers as they are found, so which of them a run is about is told by where it was:
+    among the filmed balls of its description the assignment is chosen whose distances, medians over the frames tracked,
+    have the least sum. It holds for the whole film: a run that changes from one ball to another half way is wrong in
+    the other half. A ball like none in the film is one of those that nobody described; None where there is none left.
+    """
+    may = np.array([[alike(ball, other) for other in filmed[: len(truths)]] for ball in balls], dtype=bool)
+    may = may.reshape(len(balls), len(truths))
+    may[~may.any(axis=1)] = ~may.any(axis=0)
+    cost = np.array([[_distance(run, truth) for truth in truths] for run in runs]).reshape(may.shape)
+    found: list[WandTruth | None] = [None] * len(runs)
+    for i, k in zip(*linear_sum_assignment(np.where(may, cost, _NEVER)), strict=True):
+        found[i] = truths[k] if may[i, k] else None
+    return found
+
+
+def alike(a: WandBall, b: WandBall) -> bool:
+    """Do two balls look the same? Their names do not count, nor the order of their discs."""
+    if (a.body, len(a.discs)) != (b.body, len(b.discs)) or abs(a.radius - b.radius) > _ALIKE:
+        return False
+    left = list(b.discs)
+    for disc in a.discs:
+        same = [
+            k
+            for k, other in enumerate(left)
+            if disc.colour == other.colour
+            and abs(disc.angle - other.angle) < _ALIKE
+            and np.linalg.norm(disc.direction - other.direction) < _ALIKE
+        ]
+        if not same:
+            return False
+        del left[same[0]]
+    return True
+
+
+def _distance(run: WandRun, truth: WandTruth) -> float:
+    """m, the median over the tracked frames."""
+    distance = np.linalg.norm(position_error(run, truth)[run.found], axis=1)
+    return min(float(np.median(distance)), _FAR) if len(distance) else _FAR
 
 
 def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:
@@ -88,11 +137,17 @@ def found_from(run: WandRun, truth: WandTruth, radius: float) -> int | None:
 
 
 def wand_report(
-    runs: Sequence[WandRun], truth: WandTruth | None, *, dataset: str, frames: int, radius: float
+    runs: Sequence[WandRun],
+    truth: WandTruth | Sequence[WandTruth] | None,
+    *,
+    dataset: str,
+    frames: int,
+    radius: float,
 ) -> dict[str, Any]:
     """All metrics of one or several runs over a recording (other seeds), as `evaluate --json` writes them.
 
-    Errors are over the frames in which the tracker gave a pose, of all runs; 95th percentiles of absolute values.
+    `truth`: of the ball, or of each run its own (`followed`). Errors are over the frames in which the tracker gave a
+    pose, of all runs; 95th percentiles of absolute values.
     `fps` is frames per second of the tracker's own time, which hides neither the first frame nor a search.
     """
     tracked = [int(run.found.sum()) for run in runs]
@@ -110,10 +165,12 @@ def wand_report(
     }
     if truth is None:
         return report
-    report["lost_runs"] = sum(is_lost(run, truth, radius) for run in runs)
-    firsts = [first for run in runs if (first := found_from(run, truth, radius)) is not None]
+    truths = [truth] * len(runs) if isinstance(truth, WandTruth) else list(truth)
+    pairs = list(zip(runs, truths, strict=True))
+    report["lost_runs"] = sum(is_lost(run, true, radius) for run, true in pairs)
+    firsts = [first for run, true in pairs if (first := found_from(run, true, radius)) is not None]
     report["found_from_frame"] = max(firsts) if len(firsts) == len(runs) and firsts else None
-    return {**report, **errors(runs, [truth] * len(runs))}
+    return {**report, **errors(runs, truths)}
 
 
 def errors(runs: Sequence[WandRun], truths: Sequence[WandTruth]) -> dict[str, Any]:

@@ -20,16 +20,20 @@ from spheremouse.experiments.experiment import Job, Result
 from spheremouse.yaml_file import write_atomically
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_WAND = "wand/"  # how keys of its jobs begin
 _FOR_A_READER = b"\n# ---- for a reader ----\n"  # what stands below only says and draws what jobs gave
 _SHELL = ("daemon", "calibrate", "doctor", "output", "source")  # folders that no experiment's figure depends on
 
 
 @cache
-def program() -> str:
-    """Fingerprint of the code that films, tracks and compares: of all but what surrounds it or puts it into words."""
+def program(wand: bool = False) -> str:
+    """Fingerprint of the code that films, tracks and compares: of all but what surrounds it or puts it into words.
+
+    That of the hand-held ball, which nothing else knows of, belongs to its own experiment alone.
+    """
     root = Path(spheremouse.__file__).parent
     files = [p for p in sorted(root.rglob("*.py")) if p.relative_to(root).parts[0] not in _SHELL]
-    kept = [p for p in files if not p.name.startswith("cli")]
+    kept = [p for p in files if not p.name.startswith("cli") and (wand or "wand" not in str(p.relative_to(root)))]
     return hashlib.sha256(b"".join(p.read_bytes().partition(_FOR_A_READER)[0] for p in kept)).hexdigest()[:16]
 
 
@@ -49,7 +53,10 @@ def work_all(
         if "error" not in result:
             path = folder / f"{job.key}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_atomically(path, json.dumps({"program": program(), "recipe": job.recipe, "result": result}))
+            write_atomically(
+                path,
+                json.dumps({"program": program(job.key.startswith(_WAND)), "recipe": job.recipe, "result": result}),
+            )
         done(job)
     return {job.key: results[job.key] for job in wanted}
 
@@ -62,7 +69,8 @@ def _kept(folder: Path, wanted: list[Job]) -> dict[str, Result]:
             kept = json.loads((folder / f"{job.key}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             continue
-        if isinstance(kept, dict) and kept.get("recipe") == job.recipe and kept.get("program") == program():
+        same = program(job.key.startswith(_WAND))
+        if isinstance(kept, dict) and kept.get("recipe") == job.recipe and kept.get("program") == same:
             found[job.key] = kept["result"]
     return found
 

@@ -61,6 +61,7 @@ class Desk:
         if not self.axes.exists():
             return {}
         head, *lines = self.axes.read_text().split("\n")[:-1]
+        lines = [line for line in lines if not line.startswith("#")]  # units
         return dict(zip(head.lstrip("# ").split(), lines[-1].split(), strict=True)) if lines else {}
 
     def reach(self, state):
