@@ -21,7 +21,7 @@ class Told:
         self._complained = False
         self.found: set[int] = set()  # balls that have been seen
         self.why = ""  # the first ball is not seen; empty while it is
-        self._unseen: dict[int, str] = {}  # balls that have never been seen: why not, in words
+        self._unseen: dict[int, str] = {}  # balls until they are found: why not, in words
 
     def camera(self, trouble: str) -> list[str]:
         """Why no frame can be used; empty where they can."""
@@ -42,7 +42,6 @@ class Told:
                 self._unseen[k] = f"{pose.name} was never found: {pose.event}"
             if pose.phase is WandPhase.TRACKING:
                 self.found.add(k)
-                self._unseen.pop(k, None)
                 if before is not pose.phase:
                     lines.append(f"tracking: {pose.name} is followed")
                 if self._is_news(k, pose):
@@ -60,7 +59,7 @@ class Told:
 
     def never_found(self, but: int | None = None) -> list[str]:
         """A line for each ball that has never been seen, at the end; `but` the one of that index, told otherwise."""
-        return [line for k, line in self._unseen.items() if k != but]
+        return [line for k, line in self._unseen.items() if k != but and k not in self.found]
 
     def _is_news(self, k: int, pose: WandPose) -> bool:
         """Is it worth a word? A ball that is hidden for a moment is not."""

@@ -16,9 +16,9 @@ from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import MIN_AREA
 from spheremouse.experiments import kit, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.plot import BOUND, decades
 from spheremouse.experiments.report import failures, value
-from spheremouse.experiments.viewing import FAR_OFF, FOLLOWED, films_cell
+from spheremouse.experiments.viewing import FAR_OFF, FOLLOWED, brief, films_cell, is_lost
 from spheremouse.rotation import Array, exp
 from spheremouse.simulate import HandVisit, Simulation, prepare
 from spheremouse.simulate.profile import Gesture, Gestures
@@ -221,10 +221,7 @@ class Case:
 
 
 def _lost(row: Result | None) -> bool:
-    if row is None or row["tracked"] == 0 or row["lost_episodes"] > 0:
-        return True
-    off = row["attitude_rmse_deg"]["combined"]
-    return off is None or off > FAR_OFF or row["tracked"] < FOLLOWED * row["frames"]
+    return row is None or is_lost(brief(row))
 
 
 def _cases(results: Results, kind: str, names: Any, x: Callable[[str, list[Result]], float]) -> list[Case]:
@@ -491,7 +488,7 @@ def _figure_layouts(cases: list[Case]) -> Figure:
                 if least is not None:
                     ax.plot([least, least], [row - 0.35, row + 0.35], color="0.5", **BOUND)
             ax.set(xscale="log", xlabel=f"{word} RMSE, {unit}", ylim=(-0.6, len(cases) - 0.4))
-            _plain_numbers(ax.xaxis, (1.0,))
+            decades(ax.xaxis, (1.0,))
             ax.grid(visible=False, axis="y")
         axes[0].set_yticks(range(len(cases)), [c.name for c in reversed(cases)])
         canvas.legend(handles=_handles(), loc="outside upper center", ncols=4)
@@ -539,18 +536,9 @@ def _panels(canvas: Any, cases: list[Case], label: str, log: bool) -> Any:
             high = [0.98 - 0.05 * k] * len(nothing)
             ax.plot(nothing, high, color=f"C{k}", marker="x", linestyle="", transform=ax.get_xaxis_transform())
         ax.set(xscale="log" if log else "linear", yscale="log", xlabel=label, ylabel=f"{word} RMSE, {unit}")
-        _plain_numbers(ax.yaxis)
+        decades(ax.yaxis)
     canvas.legend(handles=_handles(), loc="outside upper center", ncols=4)
     return axes
-
-
-def _plain_numbers(axis: Any, within: tuple[float, ...] = (1.0, 3.0)) -> None:
-    """0.01 and not 10^-2, at some places of each decade."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    axis.set_major_locator(LogLocator(subs=within))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _handles() -> list[Any]:

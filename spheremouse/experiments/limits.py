@@ -16,7 +16,7 @@ from spheremouse.camera import project, unproject
 from spheremouse.detect.detections import Detections
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import TRACKERS, settings_of
-from spheremouse.experiments.plot import BOUND
+from spheremouse.experiments.plot import BOUND, decades
 from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
 from spheremouse.frame import Frame
@@ -1066,11 +1066,7 @@ def those(values: Sequence[float], tried: Sequence[float]) -> str:
 
 def plain(axis: Any) -> None:
     """Numbers as they are on a logarithmic axis."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=15))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    decades(axis, (1.0, 2.0, 5.0), 15)
 
 
 def rate_axis(ax: Any, rates: Sequence[float]) -> None:

@@ -122,3 +122,12 @@ def plain_numbers(axis: Any) -> None:
 
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(Few(minor_thresholds=(1.5, 0.7)))
+
+
+def decades(axis: Any, within: tuple[float, ...] = (1.0, 3.0), most: int | None = None) -> None:
+    """The same, at these places of each decade and no others; at most so many."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=within, numticks=most))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -18,7 +18,7 @@ from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.errors import PoseError
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND, THESIS
+from spheremouse.experiments.plot import BOUND, THESIS, decades
 from spheremouse.experiments.report import failures
 from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.rig import CODES, Rig, Targets
@@ -529,12 +529,8 @@ def _line(ax: Any, x: list[float], entries: list[list[Result]], kind: str, k: in
 
 
 def _finish(ax: Any) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     ax.set_yscale("log")
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-    ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
+    decades(ax.yaxis)
 
 
 def _handles(claimed: bool = True) -> list[Any]:

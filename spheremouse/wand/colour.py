@@ -129,7 +129,7 @@ def fields(
     glare = np.zeros((0, 1, 1), dtype=np.uint8) if white is None else _glare(part, bounds, white, binary)
     share = known.share if region else count / max(binary[0].size, 1)
     shift = [
-        rim_shift(colours[name]) or _shift_by_brightness(part, one, bound)
+        rim_shift(colours[name]) if colours[name].saturation_min > 0.0 else _shift_by_brightness(part, one, bound)
         for name, one, bound in zip(names, binary, bounds, strict=True)
     ]
     rim = np.array(shift) / factor
