@@ -115,6 +115,63 @@ def test_a_bound_on_brightness_moves_a_rim_by_what_the_picture_shows_beside_it(p
     assert nothing.rim[0] == 0.0
 
 
+def discs_on(radius, light, ground, n=3, beside=None, side=48):
+    """Grey values of n discs, their light averaged and blurred as a lens does, and by how much their area is off."""
+    fine, rng, tiles = 12, np.random.default_rng(4), []
+    at = (np.arange(side * fine) + 0.5) / fine - side / 2
+    for _ in range(n):
+        u, v = rng.uniform(-0.5, 0.5, 2)
+        cover = ((at[:, None] - v) ** 2 + (at[None] - u) ** 2 < radius**2).astype(np.float32)
+        cover = cv2.GaussianBlur(cover, (0, 0), 0.45 * fine)
+        tiles.append(cover.reshape(side, fine, side, fine).mean(axis=(1, 3)))
+    cover = np.hstack(tiles)
+    grey = 255.0 * np.clip(cover * light + (1.0 - cover) * ground, 0.0, 1.0) ** (1 / 2.2)
+    if beside is not None:
+        grey = np.vstack([grey, beside(grey.shape[1])])
+    grey = np.clip(np.rint(grey + rng.normal(0.0, 1.5, grey.shape)), 0, 255).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def shift_of(found, radius, n=3, rows=48):
+    return np.sqrt(np.count_nonzero(found.binary[0][:rows]) / (n * np.pi)) - radius
+
+
+@pytest.mark.parametrize("radius", [2.0, 3.0, 5.0])
+def test_small_dark_discs_have_their_rims_told(radius):
+    dark = {"dark": ColourSettings(value_max=75.0)}
+    found = fields(discs_on(radius, 0.01, 0.7), dark, ("dark",), known=Tone(127.0, np.zeros(1)))
+    assert shift_of(found, radius) < -0.2
+    assert found.rim[0] == pytest.approx(shift_of(found, radius), abs=0.15)
+
+
+def test_a_large_dark_thing_does_not_tell_where_the_rims_of_discs_are():
+    """A dark piece of furniture on a grey wall: rims on grey lie elsewhere than rims on white."""
+    dark, known = {"dark": ColourSettings(value_max=75.0)}, Tone(127.0, np.zeros(1))
+
+    def furniture(width):
+        wall = np.full((120, width), 110.0)
+        wall[20:, 20:-20] = 30.0
+        return wall
+
+    found = fields(discs_on(4.0, 0.01, 0.8, beside=furniture), dark, ("dark",), known=known)
+    assert found.rim[0] == pytest.approx(shift_of(found, 4.0), abs=0.1)
+    alone = fields(np.repeat(furniture(144).astype(np.uint8)[..., None], 3, axis=2), dark, ("dark",), known=known)
+    assert alone.rim[0] == 0.0  # no disc at all
+
+
+@pytest.mark.parametrize("radius", [2.0, 4.0, 12.0])
+@pytest.mark.parametrize("light", [1.0, 1.5, 3.0, 8.0])
+def test_overexposed_discs_have_their_rims_told_by_how_wide_these_seem(radius, light):
+    """Light that grey values do not show puts the rim outward: from 0.6 px within to as much beyond."""
+    found = fields(
+        discs_on(radius, light, 0.02), {"light": ColourSettings(value_min=215.0)}, ("light",),
+        known=Tone(140.0, np.zeros(1)),
+    )  # fmt: skip
+    true = shift_of(found, radius)
+    assert found.rim[0] == pytest.approx(true, abs=0.2 if light < 4.0 else 0.4)
+    assert np.sign(found.rim[0]) == np.sign(true)
+
+
 def glaring(strength, across=20):
     """A white ball's patch with a red disc, 24 px across, and the sun's image at its rim: linear light, developed."""
     v, u = np.mgrid[0:96, 0:128]

@@ -190,6 +190,14 @@ def test_alike_balls_are_compared_with_those_they_follow_whatever_their_numbers(
     assert all(k["position"] == k["true_position"] for k in kept)
 
 
+def test_a_few_good_frames_do_not_win_a_truth_from_many_fair_ones(three):
+    """A run of three frames exactly on a ball, and one that follows it throughout, a finger's breadth beside it."""
+    short = without(perfect(three[0]), slice(3, None))
+    whole = beside(perfect(three[0]), slice(None), (0.01, 0.0, 0.0))
+    assert followed_by_number([short, whole], [BALL] * 2, three[:2], [BALL] * 2) == [1, 0]
+    assert followed_by_number([whole, short], [BALL] * 2, three[:2], [BALL] * 2) == [0, 1]
+
+
 def test_a_ball_that_was_not_declared_is_nobodys_and_one_too_many_has_no_truth(three):
     assert followed_by_number([perfect(three[2])], [BALL], three, [BALL] * 3) == [2]
     runs = [without(perfect(three[0]), slice(None)), perfect(three[0])]

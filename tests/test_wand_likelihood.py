@@ -83,6 +83,8 @@ def test_a_pose_may_be_counted_as_another_one(view):
     first, _ = log_likelihood(position, rotation, far, seen, counted_as=(own, np.array([0, 0])))
     assert first[0] == pytest.approx(plain[0], rel=1e-5)
     assert abs(first[1]) < abs(plain[1])
+    none, _ = log_likelihood(position, rotation, far, seen, counted_as=(own, np.array([-1, -1])))
+    np.testing.assert_array_equal(none, plain)
 
 
 def test_beside_the_ball_there_is_no_evidence(view):

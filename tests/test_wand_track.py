@@ -8,6 +8,7 @@ import pytest
 from spheremouse.frame import Frame
 from spheremouse.rotation import log
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.wand import track
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, fields
 from spheremouse.wand.start import hypotheses, spots
@@ -110,6 +111,39 @@ def test_a_hidden_ball_is_predicted_for_a_while(hand):
     assert np.all(np.diag(pose.covariance)[:2] > np.diag(poses[-1][0].covariance)[:2])
 
 
+def test_a_ball_that_is_hidden_for_long_is_as_uncertain_as_a_walk_is_long():
+    """Ten frames without a picture add what the random walk does; what pictures have wrong has no part in it."""
+    camera, balls, shots = film(replace(HAND, distance=2.0, fps=30.0, seconds=0.4))
+    settings = WandSettings(particles=4000)
+    tracker = build(camera, balls, settings)
+    state, poses = follow(shots, tracker)
+    empty = np.full_like(shots[0].frame.image, 128)
+    for k in range(1, 11):
+        state, (pose,) = step(state, Frame(empty, shots[-1].frame.stamp + 0.04 * k, 100 + k), tracker)
+    assert not pose.seen
+    walk = np.array([settings.sigma_x, settings.sigma_y, settings.sigma_z]) ** 2 * (0.4 / 1.25)
+    gained = np.diag(pose.covariance - poses[-1][0].covariance)[:3]
+    assert gained == pytest.approx(walk, rel=0.15)
+
+
+def test_the_velocity_is_that_of_the_hand(hand):
+    """To a tenth of the greatest, from three frames on."""
+    camera, balls, shots = hand
+    tracker = build(camera, balls)
+    state, off = begin(tracker, 1), []
+    for k, shot in enumerate(shots[:-1]):
+        state, _ = step(state, shot.frame, tracker)
+        if k > 3:
+            a, b = shots[k - 1], shots[k + 1]
+            dt = b.frame.stamp - a.frame.stamp
+            true = np.concatenate([b.position[0] - a.position[0], log(b.rotation[0] @ a.rotation[0].T)]) / dt
+            off.append(state.tracks[0].velocity - true)
+    rms = np.sqrt(np.mean(np.square(off), axis=0))
+    assert np.all(rms[:2] < 0.03)
+    assert rms[2] < 0.1
+    assert np.all(rms[3:] < 0.3)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_small_ball_that_is_seen_often_is_not_thought_better_known_than_it_is(seed):
     """25 px across, 30 Hz: what one picture has wrong the next one has, and what is nearer does not gain by size."""
@@ -144,6 +178,37 @@ def test_colours_that_match_nothing_or_too_much_are_said(hand):
     half = build(camera, balls, colours={"blue": ColourSettings()})
     _, (pose,) = step(begin(half), shots[0].frame, half)
     assert "bounds of blue match 100 % of the picture" in pose.event
+
+
+@pytest.mark.parametrize(("first", "after"), [(0, 10.0), (10, 1.0)])
+def test_a_colour_is_missed_after_a_second_or_ten_where_the_pose_does_without(hand, first, after):
+    """However many pictures are searched. With wrong bounds for blue, another side of the ball is taken for this."""
+    camera, balls, shots = hand
+    bounds = {"blue": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)}
+    tracker = build(camera, balls, WandSettings(region=False), bounds)
+    shot = shots[first]
+    begun = begin(tracker, poses={0: (shot.position[0], shot.rotation[0])})
+    settled, _ = follow([replace_stamp(shot, k) for k in range(4)], tracker, begun)
+    pose = settled.tracks[0].pose
+    assert pose is not None
+    state, said = begin(tracker, poses={0: pose[:2]}), []
+    for k in range(160 if after > 1.0 else 20):
+        state, (pose,) = step(state, replace_stamp(shot, k).frame, tracker)
+        assert pose.phase == WandPhase.TRACKING
+        said.append("bounds of blue match nothing" in pose.event)
+    assert said.index(True) / 15.0 == pytest.approx(after, abs=0.1)
+    assert all(said[said.index(True) :])
+
+
+def test_a_colour_that_a_followed_ball_turns_away_is_known(hand):
+    camera, balls, shots = hand
+    discs = tuple(replace(disc, colour="red") for disc in balls[0].discs)
+    pole = replace(discs[0], colour="blue", direction=np.array([0.0, 0.0, -1.0]))  # below, where nobody sees it
+    tracker = build(camera, (replace(balls[0], discs=(*discs, pole)),))
+    state = begin(tracker, poses={0: (shots[0].position[0], shots[0].rotation[0])})
+    assert (shots[0].rotation[0] @ pole.direction) @ shots[0].position[0] > 0.0
+    assert track._turned_away(tracker, list(state.tracks)) == {"blue"}
+    assert track._turned_away(tracker, [replace(t, phase=WandPhase.LOST) for t in state.tracks]) == set()
 
 
 def test_two_balls_are_followed_and_a_second_one_that_is_not_declared_is_said():

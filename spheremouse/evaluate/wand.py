@@ -23,7 +23,7 @@ OFF_ANGLE = np.radians(45.0)
 RECOVERED = 1.0  # s: a distractor is to be recovered from within a second
 _GRACE = 2  # frames, where a second is less than that
 _ALIKE = 1e-5  # m and rad by which one ball's descriptions differ, which files round
-_FAR, _NEVER = 1e3, 1e6  # m: further than any ball is, of a run that found nothing; and of what may not be
+_FAR, _NEVER = 1.0, 1e6  # m: an arm's length and more, which is another ball; and of what may not be
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +61,10 @@ def followed(
     """The truth that each run is to be compared with: `runs` are of `balls`, `truths` are those of the `filmed` balls.
 
     Balls that look alike get their numbers as they are found, so which of them a run is about is told by where it was:
-    among the filmed balls of its description the assignment is chosen whose distances, medians over the frames tracked,
-    have the least sum. It holds for the whole film: a run that changes from one ball to another half way is wrong in
-    the other half. A ball like none in the film is one of those that nobody described; None where there is none left.
+    among the filmed balls of its description the assignment is chosen whose distances, means over all frames, have the
+    least sum; a frame without a pose, or one further off than a metre, counts as a metre. It holds for the whole film:
+    a run that changes from one ball to another half way is wrong in the other half. A ball like none in the film is one
+    of those that nobody described; None where there is none left.
     """
     may = np.array([[alike(ball, other) for other in filmed[: len(truths)]] for ball in balls], dtype=bool)
     may = may.reshape(len(balls), len(truths))
@@ -95,9 +96,9 @@ def alike(a: WandBall, b: WandBall) -> bool:
 
 
 def _distance(run: WandRun, truth: WandTruth) -> float:
-    """m, the median over the tracked frames."""
-    distance = np.linalg.norm(position_error(run, truth)[run.found], axis=1)
-    return min(float(np.median(distance)), _FAR) if len(distance) else _FAR
+    """m, the mean over the frames, each no more than `_FAR`."""
+    distance = np.linalg.norm(position_error(run, truth), axis=1)
+    return float(np.mean(np.fmin(distance, _FAR))) if len(distance) else _FAR
 
 
 def off(run: WandRun, truth: WandTruth, radius: float) -> NDArray[np.bool_]:

@@ -30,7 +30,11 @@ _PRINT = 0.65  # light of a print's greatest channel over that of white paper: 0
 _FULL = 255.0  # grey values
 _COVER = 0.1  # and all but this: a rim is not looked for further out, where the lens decides how far the blur reaches
 _NEAR_RIM, _FAR_FROM_RIM = np.ones((5, 5), np.uint8), np.ones((11, 11), np.uint8)  # px: beyond blur; a little further
-_LEVEL_LEAST = 25  # pixels, to tell how bright it is there
+_WITHIN = _NEAR_RIM, np.ones((3, 3), np.uint8), np.ones((1, 1), np.uint8)  # px: what small discs have of that
+_LEVEL_LEAST = 9  # pixels, to tell how bright it is there
+_ACROSS_RIM = 0.2, 0.9  # of the light between ground and the most that a picture shows: how wide a rim is
+_LIGHTS = 2.0 ** np.arange(0.0, 4.1, 0.25)  # that overexposed discs may have, of that most
+_DISC_MOST = 64  # px across: half of the greatest ball in a picture that is not reduced; more is no disc
 _EDGE = 0.55  # px, blur of an edge in a picture in focus: half a pixel of the lens, a pixel's own width
 # Glare is the sun's mirror image, as wide as the gloss is rough. All is paler around the spot that is overexposed.
 # Print is known to be by its hue without its saturation; of the rest nobody knows.
@@ -263,14 +267,38 @@ def _shift_by_brightness(image: Image, one: NDArray[np.uint8], bound: NDArray[np
     """
     if bound[4] <= 0.0 and bound[5] >= _FULL:
         return 0.0
-    inside = cv2.erode(one, _NEAR_RIM) > 0
-    outside = cv2.dilate(one, _FAR_FROM_RIM) > cv2.dilate(one, _NEAR_RIM)
-    if min(np.count_nonzero(inside), np.count_nonzero(outside)) < _LEVEL_LEAST:
+    n, label, stats, _ = cv2.connectedComponentsWithStats(one, connectivity=8)
+    small = (stats[:n, cv2.CC_STAT_WIDTH] <= _DISC_MOST) & (stats[:n, cv2.CC_STAT_HEIGHT] <= _DISC_MOST)
+    small[0] = False
+    discs = small.astype(np.uint8)[np.asarray(label, dtype=np.int32)]
+    value = np.asarray(cv2.max(cv2.max(image[:, :, 0], image[:, :, 1]), image[:, :, 2]), dtype=np.uint8)
+    near, far = (np.asarray(cv2.dilate(discs, k)) for k in (_NEAR_RIM, _FAR_FROM_RIM))
+    beside = value[(far > near) & (one == 0)]
+    within = next((v for k in _WITHIN if len(v := value[np.asarray(cv2.erode(discs, k)) > 0]) >= _LEVEL_LEAST), None)
+    if within is None or len(beside) < _LEVEL_LEAST:
         return 0.0
-    value = cv2.max(cv2.max(image[:, :, 0], image[:, :, 1]), image[:, :, 2])
-    ours, theirs = (float(np.median(value[where])) ** _GAMMA for where in (inside, outside))
-    selects = float(bound[4] if ours > theirs else bound[5]) ** _GAMMA
-    return _outward((selects - theirs) / (ours - theirs)) if ours != theirs else 0.0
+    grey, ground = float(np.median(within)), _light(float(np.median(beside)))
+    ours = _beyond(value, discs, ground) if grey >= _BRIGHTEST else _light(grey)
+    if ours == ground:
+        return 0.0
+    selects = _light(float(bound[4] if ours > ground else bound[5]))
+    return _outward((selects - ground) / (ours - ground))
+
+
+def _light(grey: float) -> float:
+    """Light of a grey value; 1 is the most that a picture shows."""
+    return float((grey / _FULL) ** _GAMMA)
+
+
+def _beyond(value: NDArray[np.uint8], discs: NDArray[np.uint8], ground: float) -> float:
+    """Light of overexposed discs on a ground of so much light: the brighter, the narrower their rims seem."""
+    near = value[np.asarray(cv2.dilate(discs, _FAR_FROM_RIM)) > 0]
+    begins, ends = (ground + part * (1.0 - ground) for part in _ACROSS_RIM)
+    rim = sum(np.count_nonzero(near >= _FULL * x ** (1.0 / _GAMMA)) * sign for x, sign in ((begins, 1), (ends, -1)))
+    n, _, stats, _ = cv2.connectedComponentsWithStats(discs, connectivity=8)
+    width = rim / np.sum(2.0 * np.sqrt(np.pi * stats[1:n, cv2.CC_STAT_AREA]))
+    expected = [_outward((begins - ground) / (x - ground)) - _outward((ends - ground) / (x - ground)) for x in _LIGHTS]
+    return float(_LIGHTS[int(np.argmin(np.abs(np.array(expected) - width)))])
 
 
 def reduction(diameter: float) -> int:

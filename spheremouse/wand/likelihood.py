@@ -123,8 +123,9 @@ def log_likelihood(
     """Of n poses, (n, 3) m and (n, 3, 3) R_cam_ball: log-likelihood ratio, (n,), and match, (n,) or (0,) if not asked.
 
     `sigma`: of the field, more than `SIGMA` for poses that are only near. `counted_as`: `counts` of some poses, (k, d),
-    and which of them each pose is near to, (n,). By its own counts a ball that shows well would seem nearer than it
-    is: what is nearer is larger, and shows more. That is right between poses far apart, not about a peak.
+    and which of them each pose is near to, (n,), -1 for none. By its own counts a ball that shows well would seem
+    nearer than it is: what is nearer is larger, and shows more. That is right between poses far apart, not about a
+    peak.
 
     The match is the part of the coloured points in view that show their colour; points that show it and should not
     count against it.
@@ -270,7 +271,7 @@ def _weigh(
             rg[k] = 0.0
             gg[k] = 0.0
         for k in range(last + 1):
-            if len(fixed) > 0:
+            if len(fixed) > 0 and which[n] >= 0:
                 counts_of[k] = fixed[which[n], k]
             else:
                 counts_of[k] = counted(seen[0, first[k]], seen[5, first[k]], table[first[k], 9])

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.camera import InteriorOrientation, project
 from spheremouse.frame import Frame
@@ -27,8 +28,9 @@ from spheremouse.wand.colour import (
     reduction,
     tone,
 )
+from spheremouse.wand.course import Course, begun, measured, predicted, speed_covariance, told
 from spheremouse.wand.edge import distances, on_edges
-from spheremouse.wand.likelihood import Model, counts, log_likelihood, model, published
+from spheremouse.wand.likelihood import FULLY, Model, counts, log_likelihood, model, published
 from spheremouse.wand.particles import (
     Motions,
     Particles,
@@ -65,8 +67,10 @@ _STEEP = 0.5  # `Peak.slope` above which a pose is still on its way: half a stan
 _LEVEL_GAIN = 0.2  # the level follows the ball's turning within five frames
 _BLIND = 0.1  # part of the particles that know nothing of the peaks
 _BIRTH = 1e-3  # probability per frame that the ball is somewhere else altogether
+_ABOUT = 0.3  # rad about a peak: the same discs show, with as much of each to a tenth
 _REDRAW = 0.5  # of the particles that count, below which they are resampled
 _PREDICTED = 48  # predicted particles that are tried for a peak
+_AWAY = 10.0  # searches in which no hand holds one side towards the camera
 _SECOND = "a second ball like"
 _SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
 _DISCS = 3  # that show of a pose nothing led to: any two spots are explained by some pose
@@ -159,8 +163,7 @@ class Track:
     phase: WandPhase = WandPhase.SEARCHING
     particles: Particles | None = None
     pose: tuple[Array, Array, Array] | None = None  # position, rotation, covariance
-    velocity: Array = field(default_factory=lambda: np.zeros(6))  # m/s, rad/s, cam axes
-    velocity_covariance: Array = field(default_factory=lambda: np.diag([0.04] * 3 + [1.0] * 3))
+    course: Course | None = None  # of the peak that it follows; while it is tracked
     motion: Array = field(default_factory=_MIXTURE.copy)  # (3,) probabilities of the motions
     repeats: Array = field(default_factory=lambda: np.zeros((6, 6)))  # what the last picture had wrong: its covariance
     stamp: float = 0.0  # s, of the particles
@@ -169,6 +172,11 @@ class Track:
     level: float = 0.0  # log-likelihood ratio that this ball's pose has had of late
     turn: int = 0  # spot with which the next search begins, where a picture has too many for one
     second: tuple[int, Array] | None = None  # pictures in a row with another ball like it, and where, (3,) m
+
+    @property
+    def velocity(self) -> Array:
+        """(6,) m/s, rad/s in cam axes; zero where it is not known."""
+        return np.zeros(6) if self.course is None else self.course.velocity
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +187,7 @@ class WandState:
     looked: float = -np.inf  # s, last search of the whole picture
     waited: int = 0  # frames since
     complaint: str = ""  # of the last search: about colours
-    again: bool = False  # as of the search before it
+    due: float = 0.0  # s, from when on it is worth a word though all balls are followed
     seed: int = 0
 
 
@@ -210,7 +218,8 @@ def begin(
             p, R = poses[i]
             covariance = np.diag([0.02**2] * 2 + [0.05**2] + [0.1**2] * 3)
             cloud = scatter(p, R, covariance, tracker.settings.particles, rng)
-            track = Track(WandPhase.TRACKING, cloud, (p, R, covariance), stamp=stamp, seen=stamp)
+            course = begun(stamp, p, R, covariance)
+            track = Track(WandPhase.TRACKING, cloud, (p, R, covariance), course, stamp=stamp, seen=stamp)
         tracks.append(track)
     return WandState(tuple(tracks), seed=seed)
 
@@ -228,25 +237,26 @@ def step(
     scene = _Scene(image, tracker, tone(image, tracker.colours, tracker.names))
     tracks, poses = list(state.tracks), []
     looked = frame.stamp - state.looked >= tracker.settings.look_around and state.waited >= _LOOK_EVERY
-    complaint, again = state.complaint, state.again
+    complaint, due = state.complaint, state.due
     for i in range(len(tracks)):
         track = tracks[i]
         others = [
             t.pose[0] for j, t in enumerate(tracks) if j != i and t.pose is not None and t.phase == WandPhase.TRACKING
         ]
-        if command is not None:
-            track = replace(track, velocity=command, velocity_covariance=np.diag([1e-4] * 3 + [1e-3] * 3))
+        if command is not None and track.course is not None:
+            track = replace(track, course=told(track.course, command, np.diag([1e-4] * 3 + [1e-3] * 3)))
         tracks[i], pose = _follow(track, frame.stamp, scene, i, others, looked, rng)
         if pose.event.startswith(_SECOND) and len(others) < len(tracks) - 1:
             pose = replace(pose, event="")  # it may be a declared one that is not found yet
         poses.append(pose)
     if scene.whole is not None:
-        complaint = _complaint(scene.whole)
-        again = complaint == state.complaint
+        complaint, patience = _complaint(scene.whole, _turned_away(tracker, tracks))
+        due = frame.stamp + patience * tracker.settings.look_around
+        due = min(due, state.due) if complaint == state.complaint else due
     missing = [
         t for t in (*state.tracks, *tracks) if t.phase != WandPhase.TRACKING
     ]  # found at last: still worth a word
-    if complaint and (missing or again or "%" in complaint):  # a ball that is followed may hide a colour for once
+    if complaint and (missing or frame.stamp >= due):
         poses = [replace(p, event=complaint) if not p.event or p.phase != WandPhase.TRACKING else p for p in poses]
     around = scene.searched
     after = WandState(
@@ -254,7 +264,7 @@ def step(
         frame.stamp if around else state.looked,
         0 if around else state.waited + 1,
         complaint,
-        again,
+        due,
         state.seed,
     )
     return after, tuple(poses)
@@ -281,17 +291,31 @@ class _Scene:
         return fields(self.image, self.tracker.colours, self.tracker.names, region, factor, self.tone)
 
 
-def _complaint(whole: Fields) -> str:
-    """What is wrong with the colours, in words."""
+def _turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
+    """Colours that all balls that have them are known to hide."""
+    away = set(tracker.names)
+    for ball, discs, track in zip(tracker.balls, tracker.discs, tracks, strict=True):
+        facing = np.ones(len(discs))
+        if track.phase == WandPhase.TRACKING and track.pose is not None:
+            p, R, _ = track.pose
+            facing = -(discs[:, :3] @ R.T) @ p / np.linalg.norm(p) - ball.radius / np.linalg.norm(p)
+        away -= {disc.colour for disc, faces in zip(ball.discs, facing, strict=True) if faces > FULLY}
+    return away
+
+
+def _complaint(whole: Fields, away: set[str]) -> tuple[str, float]:
+    """What is wrong with the colours, in words, and for how long it should be, in searches a second apart.
+
+    `away`: colours that are turned away, or else their bounds are wrong and the pose is one that does without.
+    """
     for name, share in zip(whole.colours, whole.share, strict=True):
         if share < _NOTHING:
-            return f"the bounds of {name} match nothing in the picture: pick them with `spheremouse wand colours`"
+            words = f"the bounds of {name} match nothing in the picture: pick them with `spheremouse wand colours`"
+            return words, _AWAY if name in away else 1.0
         if share > _TOO_MUCH and name not in ("dark", "light"):
-            return (
-                f"the bounds of {name} match {100 * share:.0f} % of the picture: "
-                "narrow them with `spheremouse wand colours`"
-            )
-    return ""
+            words = f"the bounds of {name} match {100 * share:.0f} % of the picture"
+            return f"{words}: narrow them with `spheremouse wand colours`", 0.0
+    return "", 0.0
 
 
 def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
@@ -302,10 +326,9 @@ def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     camera = tracker.camera
     volume = camera.width * camera.height / (camera.fx * camera.fy) * (s.farthest**3 - s.nearest**3) / 3.0
     birth = _BIRTH / (volume * 8.0 * np.pi**2)
-    if not s.adaptive or s.proposal == "motion":
+    if not s.adaptive or s.proposal == "motion" or track.course is None:
         return Motions(np.zeros((1, 6)), rest[None], np.array([1.0 - _BIRTH]), birth)
-    kick = np.array([min(0.5 * s.acceleration * dt**2, 0.3)] * 3 + [min(0.5 * s.turn_acceleration * dt**2, 0.8)] * 3)
-    on = track.velocity_covariance * dt**2 + np.diag(kick**2)
+    on = dt**2 * speed_covariance(track.course, track.stamp + dt, _acceleration(s))
     leap = np.array([min(0.01 + s.fastest * dt, 0.5)] * 3 + [min(0.05 + s.fastest_turn * dt, 1.2)] * 3)
     shift = np.zeros((3, 6))
     shift[1] = track.velocity * dt
@@ -315,6 +338,10 @@ def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     # the next picture has wrong much of what the last one had: no prediction is better than a picture
     covariance = np.stack([rest + track.repeats, _limited(on + track.repeats), np.diag(leap**2)])
     return Motions(shift, covariance, track.motion * (1.0 - _BIRTH), birth)
+
+
+def _acceleration(s: WandSettings) -> Array:
+    return np.array([s.acceleration] * 3 + [s.turn_acceleration] * 3)
 
 
 def _limited(covariance: Array) -> Array:
@@ -553,33 +580,35 @@ def _follow(
         first = found.peaks[0].position if _good(found, s, track.level) else None
         track, event = _second(track, far, first, dt, scene, index)
     if not _good(found, s, track.level):
-        return _unseen(track, stamp, dt, motions, scene, index, rng, found)
+        return _unseen(track, stamp, dt, scene, index, rng, found)
     assert track.particles is not None
     peaks = _as_peaks(found)
     drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
     assert found.fields is not None
     m, edges = tracker.models[index], np.array([k.edges for k in found.peaks])
-    counted_as = counts(peaks.position, peaks.rotation, m, found.fields.factor), nearest
+    counted_as = counts(peaks.position, peaks.rotation, m, found.fields.factor), _about(drawn, peaks, nearest)
     value, _ = log_likelihood(drawn.position, drawn.rotation, m, found.fields, matches=False, counted_as=counted_as)
     limb.weigh(drawn.position, nearest, edges, m.radius, m.lens, found.fields.factor, value)
     weight, _ = normalised(ratio + value)
     count = effective(weight)
     particles = Particles(drawn.position, drawn.rotation, weight)
     p, R, sample = estimate(particles)
-    pose = p, R, steadied(sample, count, found.peaks[0].covariance)
+    followed = found.peaks[int(np.bincount(nearest, weight).argmax())]
+    pose = p, R, steadied(sample, count, followed.covariance)
     if count < _REDRAW * len(weight):
         particles = _some(particles, len(weight), rng)
-    moved_track = _adapted(track, pose, motions, dt)
     after = replace(
-        moved_track,
+        track,
         phase=WandPhase.TRACKING,
         particles=particles,
         pose=pose,
+        course=_course(track, followed, stamp, s),
+        motion=_motion(track, pose, motions),
         stamp=stamp,
         seen=stamp,
         unseen_frames=0,
         level=_level(track, found),
-        repeats=_limited(found.peaks[0].covariance),
+        repeats=_limited(followed.covariance),
     )
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
 
@@ -612,6 +641,12 @@ def _some(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
     """n particles drawn by weight, of equal weight."""
     i = low_variance(particles.weight, n, rng.random())
     return Particles(particles.position[i], particles.rotation[i], np.full(n, 1.0 / n))
+
+
+def _about(particles: Particles, peaks: Peaks, nearest: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The nearest peak of each particle, (n,); -1 where not even about that one the same side of the ball shows."""
+    trace = np.einsum("nij,nij->n", particles.rotation, peaks.rotation[nearest])
+    return np.where(trace > 1.0 + 2.0 * np.cos(_ABOUT), nearest, -1)
 
 
 def _as_peaks(found: _Found) -> Peaks:
@@ -672,9 +707,8 @@ def _second(
 
 
 def _unseen(
-    track: Track, stamp: float, dt: float, motions: Motions, scene: _Scene, index: int, rng: np.random.Generator,
-    found: _Found,
-) -> tuple[Track, WandPose]:  # fmt: skip
+    track: Track, stamp: float, dt: float, scene: _Scene, index: int, rng: np.random.Generator, found: _Found
+) -> tuple[Track, WandPose]:
     """The ball does not show: the particles go on unweighted, for a while."""
     assert track.particles is not None
     s, ball = scene.tracker.settings, scene.tracker.balls[index]
@@ -683,8 +717,11 @@ def _unseen(
     if stamp - track.seen > s.lost_after and frames > 1:
         lost = Track(WandPhase.LOST, stamp=stamp, seen=track.seen, level=track.level)
         return lost, WandPose(ball.name, None, None, None, WandPhase.LOST, _missing(ball, track.seen), match)
+    cloud = track.particles
+    track = replace(track, repeats=np.zeros((6, 6)))  # no picture, nothing that the next one repeats
+    motions = _motions(track, dt, scene.tracker)
     quiet = replace(motions, shift=motions.shift[:1], covariance=motions.covariance[:1], probability=np.ones(1))
-    particles = moved(track.particles, quiet, rng)
+    particles = moved(cloud, quiet, rng)
     pose = estimate(particles)
     after = replace(track, particles=particles, pose=pose, stamp=stamp, unseen_frames=frames)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
@@ -727,9 +764,19 @@ def _acquire(
     count = effective(weight)
     particles = Particles(position, rotation, weight)
     p, R, sample = estimate(particles)
-    pose = p, R, steadied(sample, count, found.peaks[0].covariance)
+    followed = found.peaks[int(np.bincount(which, weight).argmax())]
+    pose = p, R, steadied(sample, count, followed.covariance)
     level = float(found.log_likelihood[0])
-    after = Track(WandPhase.TRACKING, _some(particles, s.particles, rng), pose, stamp=stamp, seen=stamp, level=level)
+    after = Track(
+        WandPhase.TRACKING,
+        _some(particles, s.particles, rng),
+        pose,
+        begun(stamp, followed.position, followed.rotation, followed.covariance),
+        repeats=_limited(followed.covariance),
+        stamp=stamp,
+        seen=stamp,
+        level=level,
+    )
     after, event = _second(after, found, found.peaks[0].position, 0.0, scene, index)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
 
@@ -758,28 +805,25 @@ def _by_motion(
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, "", float(weight @ match), count, True)
 
 
-def _adapted(track: Track, pose: tuple[Array, Array, Array], motions: Motions, dt: float) -> Track:
-    """Velocity and probabilities of the motions after a frame: a Kalman filter on the velocity, and Bayes' rule."""
+def _course(track: Track, peak: Peak, stamp: float, s: WandSettings) -> Course:
+    """Pose and velocity after a frame in which a peak has been followed."""
+    R = _limited(peak.covariance)
+    if track.course is None:
+        return begun(stamp, peak.position, peak.rotation, R)
+    return measured(predicted(track.course, stamp, _acceleration(s)), peak.position, peak.rotation, R)
+
+
+def _motion(track: Track, pose: tuple[Array, Array, Array], motions: Motions) -> Array:
+    """Probabilities of the motions after a frame, (3,), by Bayes' rule."""
     assert track.pose is not None
+    if len(motions.probability) < 3:
+        return track.motion
     p, R, covariance = track.pose
     way = np.concatenate([pose[0] - p, log(pose[1] @ R.T)])
-    if len(motions.probability) < 3:
-        return track
-    noise = (pose[2] + covariance) / dt**2
-    prior = motions.covariance[1] / dt**2
-    gain = np.linalg.solve(prior + noise, prior).T
-    velocity = track.velocity + gain @ (way / dt - track.velocity)
-    A = np.eye(6) - gain
-    after = A @ prior @ A.T + gain @ noise @ gain.T
     fit = np.empty(3)
     for m in range(3):
         S = motions.covariance[m] + pose[2] + covariance
         d = way - motions.shift[m]
         fit[m] = np.log(motions.probability[m]) - 0.5 * (d @ np.linalg.solve(S, d) + np.linalg.slogdet(S)[1])
     share, _ = normalised(fit)
-    return replace(
-        track,
-        velocity=velocity,
-        velocity_covariance=_limited(0.5 * (after + after.T)),
-        motion=_STAYS * share + (1.0 - _STAYS) * _MIXTURE,
-    )
+    return _STAYS * share + (1.0 - _STAYS) * _MIXTURE
