@@ -92,7 +92,7 @@ def evaluate(
         try:
             run, found = _run(recording, used_rig, settings, noise, brightness, disc_map, err)
         except SpheremouseError as e:
-            typer.echo(_about(recording, str(e)), err=True)
+            _complain(_about(recording, str(e)))
             failed = True
             continue
         reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
@@ -111,7 +111,7 @@ def evaluate(
             if plot_file is not None:
                 _plot(run, recording, plot_file)
         except SpheremouseError as e:
-            typer.echo(str(e), err=True)
+            _complain(str(e))
             failed = True
     if results:
         out.print(_table(results, settings, pose))
@@ -201,8 +201,12 @@ def _about(recording: Recording, message: str) -> str:
     return message if str(recording.path) in message else f"{recording.path}: {message}"
 
 
+def _complain(message: str) -> None:
+    typer.echo(f"spheremouse: {message}", err=True)
+
+
 def _fail(message: str) -> NoReturn:
-    typer.echo(message, err=True)
+    _complain(message)
     raise typer.Exit(2)
 
 

@@ -62,7 +62,7 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
                 for seed in range(1, asked.runs + 1)
             ]
         except SpheremouseError as e:
-            say.print(_about(recording, str(e)), markup=False, highlight=False)
+            say.print(f"spheremouse: {_about(recording, str(e))}", markup=False, highlight=False)
             failed = True
             continue
         first, *more = _reports(recording, balls, histories)

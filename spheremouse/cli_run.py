@@ -136,11 +136,9 @@ def run(
     shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
     wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
     if of_wand:
-        if overlay is not None:
-            raise ConfigurationError("--overlay: does not go with --tracker wand; leave it out")
         from spheremouse.wand_run import WandOptions, run_wand
 
-        run_wand(request, plan, WandOptions(tuple(balls or ()), realtime, wanted, frames))
+        run_wand(request, plan, WandOptions(tuple(balls or ()), realtime, wanted, overlay, frames))
         return
     for name, value in (("--ball", balls), ("--axes", axes)):
         if value:

@@ -6,6 +6,7 @@ Detected contours white, targets green, discs of the map where they are predicte
 
 import os
 from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,12 +79,9 @@ class Overlay:
 
     def draw(self, epoch: Epoch, counts: tuple[int, int, int]) -> Image:
         """The epoch that was remembered last, with the sum of counts so far."""
-        image, state = epoch.frame.image, epoch.state
-        canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-        if self._scale != 1:
-            canvas = cv2.resize(canvas, None, fx=self._scale, fy=self._scale, interpolation=cv2.INTER_CUBIC)
-        canvas = np.ascontiguousarray(canvas, dtype=np.uint8)
-        pen = _Pen(canvas, self._scale)
+        state = epoch.state
+        canvas = canvas_of(epoch.frame.image, self._scale)
+        pen = Pen(canvas, self._scale)
         pen.outline(self._outline)
         pen.trace(list(self._trace))
         used = np.zeros(len(state.points), dtype=bool)
@@ -93,12 +91,20 @@ class Overlay:
             pen.target(mark)
         for centre in _masked(state, self._tracker):
             pen.cross(centre)
-        _caption(canvas, pen.width, epoch, counts)
+        pen.caption(_cells(epoch, counts))
         return canvas
 
 
+def canvas_of(image: Image, scale: int) -> Image:
+    """A copy of a frame, grey or BGR, in colour and enlarged."""
+    canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    if scale != 1:
+        canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    return np.ascontiguousarray(canvas, dtype=np.uint8)
+
+
 class OverlayFile:
-    """A picture of the last epoch, or a video of all, under its name only when it is complete. A context manager."""
+    """A picture of the last drawing, or a video of all, under its name only when it is complete. A context manager."""
 
     def __init__(self, path: Path, fps: float | None) -> None:
         """`fps` is what a video plays at. Raises OutputError where nothing can be written there."""
@@ -108,7 +114,7 @@ class OverlayFile:
         self._part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
         self._video: cv2.VideoWriter | None = None
         self._overlay: Overlay | None = None
-        self._last: tuple[Epoch, tuple[int, int, int]] | None = None
+        self._last: Callable[[], Image] | None = None
         if not self._picture and path.suffix.lower() not in _CODECS:
             known = ", ".join((*_CODECS, *_PICTURES))
             raise OutputError(f"{path}: unknown kind of overlay; end the name in one of {known}")
@@ -120,17 +126,25 @@ class OverlayFile:
 
     def begin(self, tracker: Tracker, targets: tuple[Mark, ...]) -> None:
         """What will be drawn: known only once the camera's pose is."""
-        enlarge = max(1, round(1280 / tracker.rig.camera.width)) if self._picture else 1
-        self._overlay = Overlay(tracker, targets, enlarge)
+        self._overlay = Overlay(tracker, targets, self.scale(tracker.rig.camera.width))
 
     def add(self, epoch: Epoch, counts: tuple[int, int, int]) -> None:
         """One more epoch."""
-        assert self._overlay is not None
-        self._overlay.remember(epoch.state)
-        self._last = (epoch, counts)
+        overlay = self._overlay
+        assert overlay is not None
+        overlay.remember(epoch.state)
+        self.show(lambda: overlay.draw(epoch, counts))
+
+    def scale(self, width: int) -> int:
+        """By how much frames of a width, px, are to be enlarged: pictures are looked at on their own."""
+        return max(1, round(1280 / width)) if self._picture else 1
+
+    def show(self, draw: Callable[[], Image]) -> None:
+        """One more drawing: made now for a video, and only if it is the last for a picture."""
+        self._last = draw
         if self._picture:
             return
-        image = self._overlay.draw(epoch, counts)
+        image = draw()
         if self._video is None:
             self._video = _open_video(self._part, self._fps, (image.shape[1], image.shape[0]))
         self._video.write(image)
@@ -144,9 +158,9 @@ class OverlayFile:
         try:
             if self._video is not None:
                 self._video.release()
-            if self._last is not None and self._overlay is not None:
+            if self._last is not None:
                 if self._picture:
-                    write_picture(self.path, self._overlay.draw(*self._last))
+                    write_picture(self.path, self._last())
                 else:
                     self._publish()
         finally:
@@ -205,7 +219,7 @@ def _masked(state: TrackState, tracker: Tracker) -> Array:
     return state.detections.centre[near.any(axis=1)]
 
 
-def _draw_detections(pen: "_Pen", state: TrackState, tracker: Tracker, used: NDArray[np.bool_]) -> None:
+def _draw_detections(pen: "Pen", state: TrackState, tracker: Tracker, used: NDArray[np.bool_]) -> None:
     """Contours as detected; where the detector fits ellipses and has none, the ellipse of the disc seen there."""
     weights = np.where(used, 1.0, 0.45)
     if state.detections.contours:
@@ -219,22 +233,29 @@ def _draw_detections(pen: "_Pen", state: TrackState, tracker: Tracker, used: NDA
         pen.ellipse(centre[which[k]], seen.shape[k], WHITE, float(weights[which[k]]))
 
 
-class _Pen:
-    """Draws in the frame's pixels on a canvas `scale` times as large."""
+class Pen:
+    """Draws in the frame's pixels on a canvas `scale` times as large. Lines that leave the picture are cut."""
 
     def __init__(self, canvas: Image, scale: int) -> None:
         self._canvas, self._scale = canvas, scale
         self.width = max(1, round(min(canvas.shape[:2]) / 480))  # of a thin line, px
 
     def outline(self, points: Array) -> None:
+        """A ball's outline, (n, 2) px: thin, as it is not detected but known."""
         layer = self._canvas.copy()
         cv2.polylines(layer, [self._fixed(points)], True, OUTLINE, self.width, cv2.LINE_AA, _SHIFT)
         cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
 
     def contour(self, points: NDArray[np.int32], weight: float) -> None:
+        """A contour as OpenCV gives it; a `weight` below 1 makes it greyer."""
         self._closed(points.reshape(-1, 2).astype(float), WHITE, weight)
 
+    def line(self, points: Array, colour: Colour, weight: float = 1.0, width: int = 1) -> None:
+        """A line through (n, 2) px, so many times as wide as a thin one."""
+        self._stroke(points, _dull(colour, weight), width * self.width)
+
     def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
+        """An ellipse of a shape, (2, 2) px²."""
         angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
         rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
         self._closed(rim, colour, weight)
@@ -266,14 +287,27 @@ class _Pen:
         across = np.sqrt(np.diag(mark.shape))
         for arm in 1.75 * np.diag(across):
             self._stroke(np.array([mark.centre - arm, mark.centre + arm]), GREEN, self.width)
-        x, y = np.rint((mark.centre + (1.5, -1.1) * across) * self._scale).astype(int).tolist()
-        _text(self._canvas, mark.code, (x + self.width, y + self.width), 11 * self.width, SHADOW)
-        _text(self._canvas, mark.code, (x, y), 11 * self.width, GREEN)
+        self.label(mark.code, mark.centre + (1.5, -1.1) * across, GREEN)
+
+    def label(self, text: str, at: Array, colour: Colour) -> None:
+        """Words that begin at a place, (2,) px, with a shadow."""
+        x, y = np.rint(at * self._scale).astype(int).tolist()
+        _text(self._canvas, text, (x + self.width, y + self.width), 11 * self.width, SHADOW)
+        _text(self._canvas, text, (x, y), 11 * self.width, colour)
+
+    def caption(self, cells: Sequence[tuple[str, float]], height: int = 11) -> None:
+        """A strip along the lower edge: words, each from a share of the width on, so that numbers do not dance."""
+        h, w = self._canvas.shape[:2]
+        size = height * self.width
+        top = h - 2 * size
+        self._canvas[top:] = self._canvas[top:] // 4
+        for text, place in cells:
+            _text(self._canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))
 
     def _closed(self, points: Array, colour: Colour, weight: float) -> None:
-        """A closed line; a `weight` below 1 makes it greyer."""
-        dull = tuple(round(weight * c + (1.0 - weight) * 110) for c in colour)
-        cv2.polylines(self._canvas, [self._fixed(points)], True, dull, self.width, cv2.LINE_AA, _SHIFT)
+        """A closed line."""
+        fixed = [self._fixed(points)]
+        cv2.polylines(self._canvas, fixed, True, _dull(colour, weight), self.width, cv2.LINE_AA, _SHIFT)
 
     def _stroke(self, points: Array, colour: Colour, width: int) -> None:
         cv2.polylines(self._canvas, [self._fixed(points)], False, colour, width, cv2.LINE_AA, _SHIFT)
@@ -287,24 +321,22 @@ class _Pen:
 _LETTERS = 22.0  # px high at font scale 1
 
 
+def _dull(colour: Colour, weight: float) -> Colour:
+    b, g, r = (round(weight * c + (1.0 - weight) * 110) for c in colour)
+    return b, g, r
+
+
 def _text(image: Image, text: str, at: tuple[int, int], height: float, colour: Colour) -> None:
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, height / _LETTERS, colour, 1, cv2.LINE_AA)
 
 
-def _caption(canvas: Image, width: int, epoch: Epoch, counts: tuple[int, int, int]) -> None:
-    """A strip along the lower edge: time, phase, rate, counts, discs."""
-    h, w = canvas.shape[:2]
-    size = 11 * width
-    top = h - 2 * size
-    canvas[top:] = canvas[top:] // 4
+def _cells(epoch: Epoch, counts: tuple[int, int, int]) -> tuple[tuple[str, float], ...]:
+    """Time, phase, rate, counts, discs."""
     state = epoch.state
     rate = "  ".join(f"{n} {np.rad2deg(v):+.1f}" for n, v in zip("XYZ", state.filter.rate, strict=True))
-    cells = (
-        f"{epoch.frame.stamp:.2f} s  {state.phase}",
-        f"{rate} deg/s",
-        f"counts {counts[0]:+d} {counts[1]:+d} {counts[2]:+d}",
-        f"discs {len(epoch.state.filter.used)} of {len(state.filter.discs)}",
+    return (
+        (f"{epoch.frame.stamp:.2f} s  {state.phase}", 0.012),
+        (f"{rate} deg/s", 0.2),
+        (f"counts {counts[0]:+d} {counts[1]:+d} {counts[2]:+d}", 0.55),
+        (f"discs {len(epoch.state.filter.used)} of {len(state.filter.discs)}", 0.86),
     )
-    # fixed places, so that the numbers do not dance from frame to frame
-    for text, place in zip(cells, (0.012, 0.2, 0.55, 0.86), strict=True):
-        _text(canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))

@@ -5,6 +5,7 @@ Recordings are tracked frame by frame, deterministically; cameras, and recording
 
 import sys
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import islice
@@ -19,7 +20,7 @@ from spheremouse.stopping import Stopping
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_board import WandBoard
 from spheremouse.wand_live import WandLive
-from spheremouse.wand_plan import Outputs, open_given, wand_outputs, wand_tracker
+from spheremouse.wand_plan import Given, Outputs, open_given, wand_outputs, wand_tracker
 from spheremouse.wand_session import Hand, Moved, WandEpoch, track_wand
 from spheremouse.wand_told import Told
 
@@ -31,6 +32,7 @@ class WandOptions:
     balls: tuple[Path, ...] = ()  # wand files
     realtime: bool = False
     table: bool = False
+    overlay: Path | None = None
     frames: int | None = None
 
 
@@ -45,12 +47,14 @@ def run_wand(request: Request, plan: Plan, options: WandOptions) -> None:
         tracker = wand_tracker(plan, request, list(options.balls), given)
         outputs = wand_outputs(plan.output, plan.configuration.wand)
         board = stack.enter_context(WandBoard(options.table, tally))
+        draw = _drawing(stack, options.overlay, tracker, plan, given, tally)
         for ball in tracker.balls:
             board.say(f"ball: {ball.name}, {2e3 * ball.radius:g} mm across, {len(ball.discs)} discs")
 
         def show(epoch: WandEpoch, made: Moved) -> None:
             _count(tally, epoch, made)
             board.show(epoch.frame.stamp, epoch.poses)
+            draw(epoch)
 
         try:
             if given is None or options.realtime:
@@ -67,7 +71,9 @@ def run_wand(request: Request, plan: Plan, options: WandOptions) -> None:
                     _refuse_unseen(plan, tally, told)
             else:
                 source = stack.enter_context(given.source)
-                _follow(source, tracker, plan, outputs, stopping, board, tally, told, options.frames)
+                _follow(source, tracker, plan, outputs, stopping, board, told, show, options.frames)
+                if not stopping.asked:
+                    _refuse_unseen(plan, tally, told)
         except SpheremouseError as e:
             failure = e
     if tally.frames or failure is None:
@@ -86,8 +92,8 @@ def _follow(
     outputs: Outputs,
     stopping: Stopping,
     board: WandBoard,
-    tally: Tally,
     told: Told,
+    show: Callable[[WandEpoch, Moved], None],
     frames: int | None,
 ) -> None:
     """A recording: every frame, one after the other."""
@@ -103,10 +109,27 @@ def _follow(
                 board.say(f"{stamp:9.3f} s  {line}")
             for sink in sinks:
                 sink.send(made.motion)
-            _count(tally, epoch, made)
-            board.show(stamp, epoch.poses)
-        if not stopping.asked:
-            _refuse_unseen(plan, tally, told)
+            show(epoch, made)
+
+
+def _drawing(
+    stack: ExitStack, path: Path | None, tracker: WandTracker, plan: Plan, given: Given | None, tally: Tally
+) -> Callable[[WandEpoch], None]:
+    """Draws each epoch into the overlay's file, where one is wanted."""
+    if path is None:
+        return lambda _: None
+    from spheremouse.overlay import OverlayFile
+    from spheremouse.wand_overlay import WandOverlay
+
+    file = stack.enter_context(OverlayFile(path, None if given is None else given.source.fps))
+    overlay = WandOverlay(tracker, plan.configuration.wand.points - 1, file.scale(tracker.camera.width))
+
+    def draw(epoch: WandEpoch) -> None:
+        overlay.remember(epoch)
+        counts = tally.counts
+        file.show(lambda: overlay.draw(epoch, counts))
+
+    return draw
 
 
 def _count(tally: Tally, epoch: WandEpoch, made: Moved) -> None:
