@@ -85,7 +85,7 @@ def run(
         typer.Option(
             metavar="FILE",
             help="What the tracker sees: a video of all frames (.mkv, .mp4, .avi) "
-            "or a picture of the last one (.png, .jpg).",
+            "or a picture of the last one (.png, .jpg). An earlier one is replaced.",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N tracked frames.")] = None,
@@ -132,6 +132,8 @@ def run(
     request = Request(config, (*(assignments or ()), *said), source, to, rig, camera, map_file, no_map)
     plan = read_plan(request)
     check_kinds(plan)
+    if overlay is not None:
+        _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
     of_wand = plan.configuration.tracker == "wand"
     shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
     wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
@@ -145,13 +147,13 @@ def run(
             raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
     tally = Tally()
     failure: SpheremouseError | None = None
+    picture = None
     with ExitStack() as stack:
         stopping = stack.enter_context(Stopping())
         given = None if is_camera(plan.source) else open_source(plan.source, realtime=realtime)
         board = stack.enter_context(Board(plan.source, wanted, tally))
         if given is not None and given.rig is not None and map_file is None and plan.configuration.map is None:
             plan = without_map(plan)
-        picture = None
         if overlay is not None:
             picture = stack.enter_context(OverlayFile(overlay, None if given is None else given.fps))
         try:
@@ -163,10 +165,25 @@ def run(
             failure = None if stopping.asked else e  # asked to stop: no frame came any more
         except SpheremouseError as e:
             failure = e
+    if picture is not None and picture.written:
+        print(f"overlay: {overlay}", file=sys.stderr)
     if tally.frames or failure is None:
         print(tally, file=sys.stderr)
     if failure is not None:
         raise failure
+
+
+def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) -> None:
+    """ConfigurationError where the overlay would replace what the run reads, or writes besides."""
+    _, _, source = plan.source.partition(":")
+    kind, _, output = plan.output.partition(":")
+    others = [path for path in (*given, plan.rig_path, plan.camera_path, plan.map_path) if path is not None]
+    others += [Path(name) for name in (source, output if kind == "text" else "", plan.configuration.wand.axes) if name]
+    here = overlay.resolve()
+    if any(here == other.resolve() for other in others):
+        raise ConfigurationError(f"--overlay: {overlay} is read or written by this run besides; name another file")
+    if source and overlay.exists() and here.parent == Path(source).resolve():
+        raise ConfigurationError(f"--overlay: {overlay} belongs to the recording; name another file")
 
 
 def _serve(

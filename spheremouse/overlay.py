@@ -115,6 +115,9 @@ class OverlayFile:
         self._video: cv2.VideoWriter | None = None
         self._overlay: Overlay | None = None
         self._last: Callable[[], Image] | None = None
+        self.written = False  # at the end, where there was anything to draw
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; name a file in it")
         if not self._picture and path.suffix.lower() not in _CODECS:
             known = ", ".join((*_CODECS, *_PICTURES))
             raise OutputError(f"{path}: unknown kind of overlay; end the name in one of {known}")
@@ -136,8 +139,8 @@ class OverlayFile:
         self.show(lambda: overlay.draw(epoch, counts))
 
     def scale(self, width: int) -> int:
-        """By how much frames of a width, px, are to be enlarged: pictures are looked at on their own."""
-        return max(1, round(1280 / width)) if self._picture else 1
+        """By how much frames of a width, px, are to be enlarged: pictures more, they are looked at on their own."""
+        return max(1, round((1280 if self._picture else 640) / width))
 
     def show(self, draw: Callable[[], Image]) -> None:
         """One more drawing: made now for a video, and only if it is the last for a picture."""
@@ -163,6 +166,7 @@ class OverlayFile:
                     write_picture(self.path, self._last())
                 else:
                     self._publish()
+                self.written = True
         finally:
             with suppress(OSError):
                 self._part.unlink()
@@ -252,7 +256,8 @@ class Pen:
 
     def line(self, points: Array, colour: Colour, weight: float = 1.0, width: int = 1) -> None:
         """A line through (n, 2) px, so many times as wide as a thin one."""
-        self._stroke(points, _dull(colour, weight), width * self.width)
+        if len(points) > 1:
+            self._stroke(points, _dull(colour, weight), width * self.width)
 
     def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
         """An ellipse of a shape, (2, 2) px²."""
@@ -260,7 +265,7 @@ class Pen:
         rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
         self._closed(rim, colour, weight)
 
-    def trace(self, epochs: list[Array]) -> None:
+    def trace(self, epochs: list[Array], colour: Colour = RED) -> None:
         """Dots at (m, 2) px of each epoch, the newest last: older ones smaller and fainter."""
         alpha = np.zeros(self._canvas.shape[:2], np.uint8)
         for age, points in reversed(list(enumerate(reversed(epochs)))):
@@ -272,7 +277,7 @@ class Pen:
                 cv2.circle(alpha, (x, y), round(radius * 2**_SHIFT), level, -1, cv2.LINE_AA, _SHIFT)
         rows, columns = np.nonzero(alpha)
         share = alpha[rows, columns, None].astype(np.float32) / 255.0
-        mixed = self._canvas[rows, columns] * (1.0 - share) + np.array(RED, np.float32) * share
+        mixed = self._canvas[rows, columns] * (1.0 - share) + np.array(colour, np.float32) * share
         self._canvas[rows, columns] = np.rint(mixed).astype(np.uint8)
 
     def cross(self, centre: Array) -> None:
@@ -290,8 +295,11 @@ class Pen:
         self.label(mark.code, mark.centre + (1.5, -1.1) * across, GREEN)
 
     def label(self, text: str, at: Array, colour: Colour) -> None:
-        """Words that begin at a place, (2,) px, with a shadow."""
-        x, y = np.rint(at * self._scale).astype(int).tolist()
+        """Words that begin at a place, (2,) px, or as near to it as they are in the picture; with a shadow."""
+        h, w = self._canvas.shape[:2]
+        (long, high), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 11 * self.width / _LETTERS, 1)
+        x, y = np.rint(np.nan_to_num(at) * self._scale).tolist()
+        x, y = int(min(max(x, 0), w - long - 1)), int(min(max(y, high), h - 3 * high))
         _text(self._canvas, text, (x + self.width, y + self.width), 11 * self.width, SHADOW)
         _text(self._canvas, text, (x, y), 11 * self.width, colour)
 

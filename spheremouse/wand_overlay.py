@@ -1,7 +1,7 @@
 """What the tracker of hand-held balls sees, drawn on the frame: a picture or a video to judge by eye.
 
-Each ball's outline thin and its discs' rims white where they face the camera, grey where the pose is only predicted;
-a green pin in its pole; where its centre was in the last half second in red; a strip with numbers below.
+Each ball's outline thin, its discs' rims white where they face the camera and grey where the pose is only predicted, a
+green pin in its pole, its way in the last half second yellow; a strip with the numbers of the ball that points below.
 """
 
 from collections import deque
@@ -9,7 +9,7 @@ from collections import deque
 import numpy as np
 
 from spheremouse.camera import InteriorOrientation, project
-from spheremouse.overlay import GREEN, WHITE, Image, Pen, canvas_of
+from spheremouse.overlay import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
 from spheremouse.rotation import Array, tangent_basis
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall
@@ -17,9 +17,10 @@ from spheremouse.wand.track import WandPhase, WandPose, WandTracker
 from spheremouse.wand_session import WandEpoch
 
 _STEPS = 96  # points along a rim and the outline
-_EPOCHS = 15  # epochs that fade, as of the ball in its frame
+_TRACE = 0.5  # s
 _PIN = 0.6  # radii that the pin stands out
 _PREDICTED = 0.45  # weight of what was not seen
+_YELLOW: Colour = (30, 210, 255)  # no disc's colour: blue, green, red
 
 
 class WandOverlay:
@@ -28,21 +29,25 @@ class WandOverlay:
     def __init__(self, tracker: WandTracker, points: int = 0, scale: int = 1) -> None:
         """`points` is the index of the ball that the numbers are about; `scale` enlarges the frame."""
         self._tracker, self._points, self._scale = tracker, points, scale
-        self._trace: deque[Array] = deque(maxlen=_EPOCHS)  # (balls, 2) px each, the newest last
+        self._trace: deque[tuple[float, Array]] = deque()  # s; (balls, 2) px; the newest last
 
     def remember(self, epoch: WandEpoch) -> None:
         """Where the balls are, for the traces; `draw` does not."""
-        known = [p.position for p in epoch.poses if p.position is not None]
-        at = project(np.array(known).reshape(-1, 3), self._tracker.camera)[0]
-        self._trace.append(at[np.isfinite(at).all(axis=1)])
+        seen = [p.position for p in epoch.poses if p.position is not None and p.seen]
+        at = project(np.array(seen).reshape(-1, 3), self._tracker.camera)[0]
+        self._trace.append((epoch.frame.stamp, at[np.isfinite(at).all(axis=1)]))
+        while epoch.frame.stamp - self._trace[0][0] > _TRACE:
+            self._trace.popleft()
 
     def draw(self, epoch: WandEpoch, counts: tuple[int, int, int]) -> Image:
         """The epoch that was remembered last, with the sum of counts so far."""
         canvas = canvas_of(epoch.frame.image, self._scale)
         pen = Pen(canvas, self._scale)
-        pen.trace(list(self._trace))
-        for ball, pose in zip(self._tracker.balls, epoch.poses, strict=True):
-            _draw(pen, ball, pose, self._tracker.camera)
+        pen.trace([at for _, at in self._trace], _YELLOW)
+        several = len(epoch.poses) > 1
+        for k, (ball, pose) in enumerate(zip(self._tracker.balls, epoch.poses, strict=True)):
+            name = f"{ball.name} (points)" if several and k == self._points else ball.name
+            _draw(pen, ball, name, pose, self._tracker.camera)
         pen.caption(_cells(epoch, epoch.poses[self._points], counts), 9)
         return canvas
 
@@ -74,7 +79,18 @@ def rims(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrien
     return arcs
 
 
-def _draw(pen: Pen, ball: WandBall, pose: WandPose, camera: InteriorOrientation) -> None:
+def pin(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrientation) -> Array:
+    """What shows of a pin in the pole of a ball, (n, 2) px: of one behind the ball, what reaches past its outline."""
+    away = float(np.linalg.norm(position))
+    place = position + np.linspace(1.0, 1.0 + _PIN, 16)[:, None] * ball.radius * rotation[:, 2]
+    far = np.linalg.norm(place, axis=1)
+    limb = np.sqrt(away**2 - ball.radius**2)
+    shows = (place @ position < far * limb) | (far <= limb)
+    uv = project(place, camera)[0]
+    return uv[shows & np.isfinite(uv).all(axis=1)]
+
+
+def _draw(pen: Pen, ball: WandBall, name: str, pose: WandPose, camera: InteriorOrientation) -> None:
     """One ball, where its pose is known and all of it lies before the camera."""
     p, R = pose.position, pose.rotation
     if p is None or R is None or p[2] <= ball.radius:
@@ -84,13 +100,14 @@ def _draw(pen: Pen, ball: WandBall, pose: WandPose, camera: InteriorOrientation)
     if not np.all(np.isfinite(around)):
         return
     pen.outline(around)
-    for arc in rims(ball, p, R, camera):
+    arcs = rims(ball, p, R, camera)
+    for arc in arcs:
+        pen.line(arc, SHADOW, width=3)  # an edge: on lit discs white alone does not show
+    for arc in arcs:
         pen.line(arc, WHITE, weight)
-    pin = p + np.outer([ball.radius, (1.0 + _PIN) * ball.radius], R[:, 2])
-    hidden = R[:, 2] @ p > 0.0  # behind the ball, but for its tip
-    pen.line(project(pin, camera)[0], GREEN, _PREDICTED if hidden else weight, 2)
-    words = ball.name if pose.seen else f"{ball.name}: predicted"
-    pen.label(words, np.array([np.max(around[:, 0]) + 4.0, np.min(around[:, 1]) + 8.0]), GREEN)
+    pen.line(pin(ball, p, R, camera), GREEN, weight, 2)
+    where = np.array([np.max(around[:, 0]) + 4.0, np.min(around[:, 1]) + 8.0])
+    pen.label(name if pose.seen else f"{name}: predicted", where, GREEN if pose.seen else (150, 190, 150))
 
 
 def _cells(epoch: WandEpoch, pose: WandPose, counts: tuple[int, int, int]) -> tuple[tuple[str, float], ...]:

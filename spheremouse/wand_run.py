@@ -15,12 +15,14 @@ from spheremouse.daemon.cameras import is_camera, opener, refuse_if_taken
 from spheremouse.daemon.plan import Plan, Request
 from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.live import Tally
+from spheremouse.overlay import OverlayFile
 from spheremouse.source import Source
 from spheremouse.stopping import Stopping
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_board import WandBoard
 from spheremouse.wand_live import WandLive
-from spheremouse.wand_plan import Given, Outputs, open_given, wand_outputs, wand_tracker
+from spheremouse.wand_overlay import WandOverlay
+from spheremouse.wand_plan import Outputs, open_given, wand_outputs, wand_tracker
 from spheremouse.wand_session import Hand, Moved, WandEpoch, track_wand
 from spheremouse.wand_told import Told
 
@@ -41,13 +43,16 @@ def run_wand(request: Request, plan: Plan, options: WandOptions) -> None:
     tally, told = Tally(), Told()
     failure: SpheremouseError | None = None
     latency: tuple[float, float] | None = None
+    file: OverlayFile | None = None
     with ExitStack() as stack:
         stopping = stack.enter_context(Stopping())
         given = None if is_camera(plan.source) else open_given(plan.source, options.realtime)
         tracker = wand_tracker(plan, request, list(options.balls), given)
         outputs = wand_outputs(plan.output, plan.configuration.wand)
         board = stack.enter_context(WandBoard(options.table, tally))
-        draw = _drawing(stack, options.overlay, tracker, plan, given, tally)
+        if options.overlay is not None:
+            file = stack.enter_context(OverlayFile(options.overlay, None if given is None else given.source.fps))
+        draw = _drawing(file, tracker, plan, tally)
         for ball in tracker.balls:
             board.say(f"ball: {ball.name}, {2e3 * ball.radius:g} mm across, {len(ball.discs)} discs")
 
@@ -76,6 +81,8 @@ def run_wand(request: Request, plan: Plan, options: WandOptions) -> None:
                     _refuse_unseen(plan, tally, told)
         except SpheremouseError as e:
             failure = e
+    if file is not None and file.written:
+        print(f"overlay: {file.path}", file=sys.stderr)
     if tally.frames or failure is None:
         print(tally if latency is None else f"{tally}; {_words(latency)}", file=sys.stderr)
     points = plan.configuration.wand.points - 1
@@ -112,16 +119,10 @@ def _follow(
             show(epoch, made)
 
 
-def _drawing(
-    stack: ExitStack, path: Path | None, tracker: WandTracker, plan: Plan, given: Given | None, tally: Tally
-) -> Callable[[WandEpoch], None]:
+def _drawing(file: OverlayFile | None, tracker: WandTracker, plan: Plan, tally: Tally) -> Callable[[WandEpoch], None]:
     """Draws each epoch into the overlay's file, where one is wanted."""
-    if path is None:
+    if file is None:
         return lambda _: None
-    from spheremouse.overlay import OverlayFile
-    from spheremouse.wand_overlay import WandOverlay
-
-    file = stack.enter_context(OverlayFile(path, None if given is None else given.source.fps))
     overlay = WandOverlay(tracker, plan.configuration.wand.points - 1, file.scale(tracker.camera.width))
 
     def draw(epoch: WandEpoch) -> None:

@@ -172,6 +172,29 @@ def test_overexposed_discs_have_their_rims_told_by_how_wide_these_seem(radius, l
     assert np.sign(found.rim[0]) == np.sign(true)
 
 
+@pytest.mark.parametrize("factor", [1, 2, 3])
+@pytest.mark.parametrize(("light", "ground"), [(0.01, 0.7), (1.0, 0.02), (1.5, 0.02)])
+def test_in_reduced_pictures_rims_are_told_in_their_own_pixels(factor, light, ground):
+    radius, side = 6.0 * factor, 48 * factor
+    lit = light > ground
+    bounds = {"some": ColourSettings(value_min=215.0) if lit else ColourSettings(value_max=75.0)}
+    image = discs_on(radius, light, ground, side=side)
+    found = fields(image, bounds, ("some",), None, factor, Tone(140.0 if lit else 127.0, np.zeros(1)))
+    assert found.rim[0] == pytest.approx(shift_of(found, radius / factor), abs=0.12)
+
+
+def test_where_brightness_does_not_tell_a_colour_from_the_rest_no_rim_is_moved():
+    """A hue with a bound on brightness that all of the picture meets; and a ground that is overexposed as well."""
+    image = np.full((60, 60, 3), (200, 190, 185), np.uint8)
+    cv2.circle(image, (30, 30), 10, (20, 20, 190), -1)
+    red = {"red": ColourSettings(hue_min=340.0, hue_max=14.0, value_min=40.0)}
+    assert fields(image, red, ("red",), known=Tone(127.0, np.zeros(1))).rim[0] == 0.0
+    image[:] = 255
+    cv2.circle(image, (30, 30), 10, (20, 20, 255), -1)
+    with np.errstate(all="raise"):
+        assert fields(image, red, ("red",), known=Tone(127.0, np.zeros(1))).rim[0] == 0.0
+
+
 def glaring(strength, across=20):
     """A white ball's patch with a red disc, 24 px across, and the sun's image at its rim: linear light, developed."""
     v, u = np.mgrid[0:96, 0:128]

@@ -9,13 +9,16 @@ from typer.testing import CliRunner
 
 from spheremouse.camera import InteriorOrientation, unproject
 from spheremouse.cli import app
+from spheremouse.errors import SpheremouseError
 from spheremouse.frame import Frame
-from spheremouse.overlay import GREEN, RED, WHITE
+from spheremouse.overlay import GREEN, WHITE
 from spheremouse.rotation import exp
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build
-from spheremouse.wand_overlay import WandOverlay, outline, rims
+from spheremouse.wand_file import save_wand
+from spheremouse.wand_overlay import WandOverlay, outline, pin, rims
+from spheremouse.wand_recording import write_wand
 from spheremouse.wand_session import WandEpoch
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 505.0, 322.0, 238.0, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
@@ -58,6 +61,22 @@ def test_the_outline_touches_the_ball():
     np.testing.assert_allclose(off, BALL.radius, rtol=1e-6)
 
 
+@pytest.mark.parametrize("lean", [-2.8, -1.2, 0.0, 1.2])
+def test_of_the_pin_only_what_the_ball_does_not_hide_is_drawn(lean):
+    """Lines of sight to all of it pass the ball, or end before it."""
+    R = exp(np.array([lean, 0.0, 0.0]))
+    shown = pin(BALL, PLACE, R, CAMERA)
+    whole = PLACE + np.linspace(1.0, 1.6, 16)[:, None] * BALL.radius * R[:, 2]
+    hidden = 0
+    for X in whole:
+        d = X / np.linalg.norm(X)
+        enters = d @ PLACE - np.sqrt(max((d @ PLACE) ** 2 - PLACE @ PLACE + BALL.radius**2, 0.0))
+        passes = np.linalg.norm(np.cross(d, PLACE)) >= BALL.radius - 1e-9
+        hidden += not passes and np.linalg.norm(X) > enters + 1e-9
+    assert len(shown) == 16 - hidden
+    assert (hidden > 0) == (R[:, 2] @ PLACE > 0.0)
+
+
 @pytest.mark.parametrize("turn", [0.0, 1.0, 2.5])
 def test_rims_are_where_discs_end_on_the_near_side(turn):
     R = exp(np.array([0.0, turn, 0.3])) @ ATTITUDE
@@ -78,21 +97,24 @@ def test_what_is_seen_is_white_and_what_is_predicted_is_grey_and_what_is_lost_is
     assert count(seen, WHITE) > 40
     assert count(hidden, WHITE) < 0.05 * count(seen, WHITE)
     assert count(seen, GREEN) > 10
-    assert count(seen, RED) > 3
+    assert count(seen, (30, 210, 255)) > 3
     assert len(np.unique(lost[:440].reshape(-1, 3), axis=0)) == 1
     assert len(np.unique(lost[460:].reshape(-1, 3), axis=0)) > 2  # the strip says so
 
 
-def test_the_trace_fades_and_ends():
+def test_the_trace_is_half_a_second_long_at_any_rate():
     tracker, first = epoch(pose())
     overlay = WandOverlay(tracker)
     overlay.remember(first)
-    gone = WandEpoch(first.frame, (pose(position=None, rotation=None, covariance=None, seen=False),), first.state, 0.0)
-    for _ in range(3):
-        overlay.remember(gone)
+    gone = WandEpoch(
+        replace(first.frame, stamp=first.frame.stamp + 0.4),
+        (pose(position=None, rotation=None, covariance=None, seen=False),),
+        first.state,
+        0.0,
+    )
+    overlay.remember(gone)
     assert count(overlay.draw(gone, (0, 0, 0)), (90, 90, 90), 1) < 440 * 640
-    for _ in range(15):
-        overlay.remember(gone)
+    overlay.remember(replace(gone, frame=replace(first.frame, stamp=first.frame.stamp + 0.6)))
     assert count(overlay.draw(gone, (0, 0, 0)), (90, 90, 90), 1) == 440 * 640
 
 
@@ -100,14 +122,15 @@ def test_the_trace_fades_and_ends():
     "place", [(0.0, 0.0, 0.06), (0.0, 0.0, 0.02), (0.5, 0.0, 0.07), (0.0, 0.0, -1.0), (3.0, 2.0, 1.0)]
 )
 def test_balls_at_the_camera_or_out_of_view_do_no_harm(place):
-    image = drawn(pose(position=np.array(place)))
+    towards = exp(np.array([np.pi, 0.0, 0.0]))  # the pole at the camera, and the pin's end behind it
+    with np.errstate(all="raise"):
+        image = drawn(pose(position=np.array(place), rotation=towards))
     assert image.shape == (480, 640, 3)
+    assert count(image, GREEN) < 1500
 
 
 @pytest.mark.parametrize("name", ["seen.png", "seen.mp4"])
 def test_run_draws_a_recording(tmp_path, name):
-    from spheremouse.wand_recording import write_wand
-
     film = prepare_wand(WandOptions(motion="hand", size=(320, 240), seconds=0.4, seed=2))
     list(write_wand(tmp_path / "film", film))
     path = tmp_path / name
@@ -121,5 +144,23 @@ def test_run_draws_a_recording(tmp_path, name):
     while (read := capture.read())[0]:
         shots, image = shots + 1, read[1]
     assert shots == (1 if name.endswith("png") else 6)
-    assert image.shape[:2] == ((960, 1280) if name.endswith("png") else (240, 320))
+    assert image.shape[:2] == ((960, 1280) if name.endswith("png") else (480, 640))
+    assert told.stderr.splitlines()[-2] == f"overlay: {path}"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["film", name]
+
+
+@pytest.mark.parametrize("name", ["film/video.mkv", "film/scene.json", "axes.png", "out.mp4", "ball.avi", "folder.mp4"])
+def test_an_overlay_destroys_nothing_that_the_run_needs(tmp_path, name):
+    film = prepare_wand(WandOptions(motion="hand", size=(320, 240), seconds=0.2, seed=2))
+    list(write_wand(tmp_path / "film", film))
+    save_wand(tmp_path / "ball.avi", BALL)
+    (tmp_path / "folder.mp4").mkdir()
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    words = ["--output", f"text:{tmp_path / 'out.mp4'}", "--axes", str(tmp_path / "axes.png")]
+    told = CliRunner().invoke(
+        app, ["run", "--tracker", "wand", "--source", f"dataset:{tmp_path / 'film'}", *words,
+              "--ball", str(tmp_path / "ball.avi"), "--overlay", str(tmp_path / name)],
+    )  # fmt: skip
+    assert isinstance(told.exception, SpheremouseError)
+    assert str(tmp_path / name) in str(told.exception)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before

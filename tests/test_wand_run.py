@@ -240,7 +240,7 @@ def test_what_does_not_go_together_is_refused(spheremouse, hand, camera, tmp_pat
         (source, "no output: give --output"),
         (("--source", "synthetic", "--output", "null"), "synthetic: simulates no wand; film one with"),
         ((*source, "--output", "null", "--map", "m.yaml"), "--map: tracker wand keeps no map"),
-        ((*source, "--output", "null", "--overlay", "o.png"), "--overlay: does not go with --tracker wand"),
+        ((*source, "--output", "null", "--overlay", "o.gif"), "o.gif: unknown kind of overlay"),
         ((*source, "--output", "null", "--set", "wand.points=2"), "wand.points: is 2, but there is one ball"),
         ((*source, "--output", "null", "--set", "wand.particles=3"), "--set wand.particles: must be at least 10"),
         (("--source", f"dataset:{tmp_path}", "--output", "null"), f"{tmp_path / 'scene.json'}: missing"),

@@ -127,10 +127,10 @@ def test_a_ball_that_is_hidden_for_long_is_as_uncertain_as_a_walk_is_long():
 
 
 def test_the_velocity_is_that_of_the_hand(hand):
-    """To a tenth of the greatest, from three frames on."""
+    """From three frames on, to less than half of it along the line of sight too, where a pose is off by 5 mm."""
     camera, balls, shots = hand
     tracker = build(camera, balls)
-    state, off = begin(tracker, 1), []
+    state, off, speed = begin(tracker, 1), [], []
     for k, shot in enumerate(shots[:-1]):
         state, _ = step(state, shot.frame, tracker)
         if k > 3:
@@ -138,10 +138,9 @@ def test_the_velocity_is_that_of_the_hand(hand):
             dt = b.frame.stamp - a.frame.stamp
             true = np.concatenate([b.position[0] - a.position[0], log(b.rotation[0] @ a.rotation[0].T)]) / dt
             off.append(state.tracks[0].velocity - true)
-    rms = np.sqrt(np.mean(np.square(off), axis=0))
-    assert np.all(rms[:2] < 0.03)
-    assert rms[2] < 0.1
-    assert np.all(rms[3:] < 0.3)
+            speed.append(true)
+    for part in (slice(0, 2), slice(2, 3), slice(3, 6)):
+        assert np.linalg.norm(np.array(off)[:, part]) < 0.4 * np.linalg.norm(np.array(speed)[:, part])
 
 
 @pytest.mark.parametrize("seed", [1, 2])

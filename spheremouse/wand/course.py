@@ -12,10 +12,12 @@ import numpy as np
 from spheremouse.rotation import Array, exp, left_jacobian, log
 
 _LASTS = 0.2  # s, that a hand's acceleration lasts: to and fro once a second, it is over half its height for a third
+_STEPS = 10  # of so long at most: after two seconds nothing is known of a velocity any more
 _PART = 0.5  # of the greatest acceleration: the standard deviation, half to all of it (ibid.)
 # m/s, rad/s: of a ball at first sight, along each axis; a hand that goes to and fro at up to 0.4 m/s and 180 °/s has as
 _SPEED = np.repeat([0.2, 1.0], 3)  # much in the mean
-_REACHED = 36.0  # d² of six standard deviations: farther off is another ball, or another side of it
+_FASTEST = np.repeat([3.0, 20.0], 3)  # m/s, rad/s: no hand moves faster
+_REACHED = 36.0  # d² of six standard deviations: farther off is a sudden start, another ball, or another side of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,56 @@ def told(course: Course, velocity: Array, covariance: Array) -> Course:
 
 
 def predicted(course: Course, stamp: float, acceleration: Array) -> Course:
-    """The course later; `acceleration`, (6,) m/s² and rad/s²: the greatest there is."""
-    dt = stamp - course.stamp
+    """The course later; `acceleration`, (6,) m/s² and rad/s²: the greatest there is, another in every 0.2 s."""
+    number = _steps(stamp - course.stamp)
+    dt = (stamp - course.stamp) / number
+    gained = _gained(dt, acceleration)
+    for _ in range(number):
+        course = _moved(course, dt, gained)
+    return replace(course, stamp=stamp)
+
+
+def speed_covariance(course: Course, stamp: float, acceleration: Array) -> Array:
+    """Covariance of the velocity at a later time, (6, 6)."""
+    number = _steps(stamp - course.stamp)
+    return course.covariance[6:, 6:] + number * np.diag(_gained((stamp - course.stamp) / number, acceleration))
+
+
+def measured(
+    course: Course, stamp: float, position: Array, rotation: Array, covariance: Array, acceleration: Array
+) -> Course:
+    """The course after a pose has been seen, with its covariance, (6, 6).
+
+    From one that is too far off it begins anew: with the velocity that leads there, or, where no hand is as fast, rest.
+    """
+    before, dt = course, stamp - course.stamp
+    if dt > _STEPS * _LASTS:
+        return begun(stamp, position, rotation, covariance)
+    course = predicted(course, stamp, acceleration)
+    P, d = course.covariance, _between(course, position, rotation)
+    solved = np.linalg.solve(P[:6, :6] + covariance, np.column_stack([P[:6], d]))
+    if d @ solved[:, 12] > _REACHED:
+        velocity = _between(before, position, rotation) / dt if dt > 0.0 else np.full(6, np.inf)
+        new = begun(stamp, position, rotation, covariance)
+        if np.any(np.abs(velocity) > _FASTEST):
+            return new
+        P = np.kron([[1.0, 1.0 / dt], [1.0 / dt, 1.0 / dt**2]], covariance)
+        P[6:, 6:] += before.covariance[:6, :6] / dt**2 + np.diag(_gained(dt, acceleration))
+        return replace(new, velocity=velocity, covariance=P)
+    x = P[:, :6] @ solved[:, 12]
+    P = P - P[:, :6] @ solved[:, :12]
+    return Course(
+        stamp, course.position + x[:3], exp(x[3:6]) @ course.rotation, course.velocity + x[6:], 0.5 * (P + P.T)
+    )
+
+
+def _between(course: Course, position: Array, rotation: Array) -> Array:
+    """The way from a course to a pose, (6,) m, rad in cam."""
+    return np.concatenate([position - course.position, log(rotation @ course.rotation.T)])
+
+
+def _moved(course: Course, dt: float, gained: Array) -> Course:
+    """The course after a step in which the acceleration stays as it is."""
     way = course.velocity * dt
     turn = exp(way[3:])
     F = np.eye(12)
@@ -53,33 +103,18 @@ def predicted(course: Course, stamp: float, acceleration: Array) -> Course:
     F[range(3), range(6, 9)] = dt
     F[3:6, 9:] = dt * left_jacobian(way[3:])
     P = F @ course.covariance @ F.T
-    gained, k = _gained(dt, acceleration), np.arange(6)
+    k = np.arange(6)
     P[k, k] += 0.25 * dt**2 * gained
     P[k, k + 6] += 0.5 * dt * gained
     P[k + 6, k] += 0.5 * dt * gained
     P[k + 6, k + 6] += gained
-    return Course(stamp, course.position + way[:3], turn @ course.rotation, course.velocity, P)
+    return Course(course.stamp, course.position + way[:3], turn @ course.rotation, course.velocity, P)
 
 
-def speed_covariance(course: Course, stamp: float, acceleration: Array) -> Array:
-    """Covariance of the velocity at a later time, (6, 6)."""
-    return course.covariance[6:, 6:] + np.diag(_gained(stamp - course.stamp, acceleration))
-
-
-def measured(course: Course, position: Array, rotation: Array, covariance: Array) -> Course:
-    """A course as predicted, after a pose has been seen, with its covariance, (6, 6): anew from one too far off."""
-    P = course.covariance
-    d = np.concatenate([position - course.position, log(rotation @ course.rotation.T)])
-    solved = np.linalg.solve(P[:6, :6] + covariance, np.column_stack([P[:6], d]))
-    if d @ solved[:, 12] > _REACHED:
-        return begun(course.stamp, position, rotation, covariance)
-    x = P[:, :6] @ solved[:, 12]
-    P = P - P[:, :6] @ solved[:, :12]
-    return Course(
-        course.stamp, course.position + x[:3], exp(x[3:6]) @ course.rotation, course.velocity + x[6:], 0.5 * (P + P.T)
-    )
+def _steps(dt: float) -> int:
+    return min(max(int(np.ceil(dt / _LASTS - 1e-9)), 1), _STEPS)
 
 
 def _gained(dt: float, acceleration: Array) -> Array:
-    """Variance of the velocity that comes with a frame, (6,)."""
+    """Variance of the velocity that comes with a step, (6,)."""
     return np.asarray((_PART * acceleration * min(dt, _LASTS)) ** 2)

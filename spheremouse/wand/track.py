@@ -70,6 +70,7 @@ _BIRTH = 1e-3  # probability per frame that the ball is somewhere else altogethe
 _ABOUT = 0.3  # rad about a peak: the same discs show, with as much of each to a tenth
 _REDRAW = 0.5  # of the particles that count, below which they are resampled
 _PREDICTED = 48  # predicted particles that are tried for a peak
+_WORTH = 1.0 - 1e-6
 _AWAY = 10.0  # searches in which no hand holds one side towards the camera
 _SECOND = "a second ball like"
 _SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
@@ -187,7 +188,8 @@ class WandState:
     looked: float = -np.inf  # s, last search of the whole picture
     waited: int = 0  # frames since
     complaint: str = ""  # of the last search: about colours
-    due: float = 0.0  # s, from when on it is worth a word though all balls are followed
+    worth: float = 0.0  # at 1, it is worth a word though all balls are followed
+    heard: float = -np.inf  # s, of the last search
     seed: int = 0
 
 
@@ -237,7 +239,7 @@ def step(
     scene = _Scene(image, tracker, tone(image, tracker.colours, tracker.names))
     tracks, poses = list(state.tracks), []
     looked = frame.stamp - state.looked >= tracker.settings.look_around and state.waited >= _LOOK_EVERY
-    complaint, due = state.complaint, state.due
+    complaint, worth, heard = state.complaint, state.worth, state.heard
     for i in range(len(tracks)):
         track = tracks[i]
         others = [
@@ -251,12 +253,13 @@ def step(
         poses.append(pose)
     if scene.whole is not None:
         complaint, patience = _complaint(scene.whole, _turned_away(tracker, tracks))
-        due = frame.stamp + patience * tracker.settings.look_around
-        due = min(due, state.due) if complaint == state.complaint else due
+        before, ago = (worth, frame.stamp - heard) if complaint == state.complaint else (0.0, 0.0)
+        worth = before + ago / (patience * tracker.settings.look_around) if patience else 1.0
+        heard = frame.stamp
     missing = [
         t for t in (*state.tracks, *tracks) if t.phase != WandPhase.TRACKING
     ]  # found at last: still worth a word
-    if complaint and (missing or frame.stamp >= due):
+    if complaint and (missing or worth > _WORTH):
         poses = [replace(p, event=complaint) if not p.event or p.phase != WandPhase.TRACKING else p for p in poses]
     around = scene.searched
     after = WandState(
@@ -264,7 +267,8 @@ def step(
         frame.stamp if around else state.looked,
         0 if around else state.waited + 1,
         complaint,
-        due,
+        worth,
+        heard,
         state.seed,
     )
     return after, tuple(poses)
@@ -304,18 +308,19 @@ def _turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
 
 
 def _complaint(whole: Fields, away: set[str]) -> tuple[str, float]:
-    """What is wrong with the colours, in words, and for how long it should be, in searches a second apart.
+    """What is wrong with the colours, in words, and for how long it should be before a word: in searches.
 
     `away`: colours that are turned away, or else their bounds are wrong and the pose is one that does without.
     """
+    found: list[tuple[str, float]] = []
     for name, share in zip(whole.colours, whole.share, strict=True):
         if share < _NOTHING:
             words = f"the bounds of {name} match nothing in the picture: pick them with `spheremouse wand colours`"
-            return words, _AWAY if name in away else 1.0
+            found.append((words, _AWAY if name in away else 1.0))
         if share > _TOO_MUCH and name not in ("dark", "light"):
             words = f"the bounds of {name} match {100 * share:.0f} % of the picture"
-            return f"{words}: narrow them with `spheremouse wand colours`", 0.0
-    return "", 0.0
+            found.append((f"{words}: narrow them with `spheremouse wand colours`", 0.0))
+    return min(found, key=lambda one: one[1], default=("", 0.0))
 
 
 def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
@@ -723,7 +728,8 @@ def _unseen(
     quiet = replace(motions, shift=motions.shift[:1], covariance=motions.covariance[:1], probability=np.ones(1))
     particles = moved(cloud, quiet, rng)
     pose = estimate(particles)
-    after = replace(track, particles=particles, pose=pose, stamp=stamp, unseen_frames=frames)
+    course = None if track.course is None else predicted(track.course, stamp, _acceleration(s))
+    after = replace(track, particles=particles, pose=pose, course=course, stamp=stamp, unseen_frames=frames)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
 
 
@@ -810,7 +816,7 @@ def _course(track: Track, peak: Peak, stamp: float, s: WandSettings) -> Course:
     R = _limited(peak.covariance)
     if track.course is None:
         return begun(stamp, peak.position, peak.rotation, R)
-    return measured(predicted(track.course, stamp, _acceleration(s)), peak.position, peak.rotation, R)
+    return measured(track.course, stamp, peak.position, peak.rotation, R, _acceleration(s))
 
 
 def _motion(track: Track, pose: tuple[Array, Array, Array], motions: Motions) -> Array:
