@@ -574,6 +574,7 @@ def _follow(
     position = np.concatenate([p + motions.shift[:, :3], ahead.position])
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
     found = _climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
+    found = _credible(found, track, motions, scene, index)
     if not _good(found, s, track.level) or found.match[0] < _SURE or found.log_likelihood[0] < _DOUBT * track.level:
         near = _credible(_from_spots(scene, index, seen, 6, others), track, motions, scene, index)
         found = _joined(found, near, ball.radius)
@@ -619,7 +620,11 @@ def _follow(
 
 
 def _credible(found: _Found, track: Track, motions: Motions, scene: _Scene, index: int) -> _Found:
-    """Of peaks, those that the ball can have moved to, or that are a ball and show as much of it as it did of late."""
+    """Of peaks, those that the ball can have moved to, or that are a ball and show as much of it as it did of late.
+
+    One that starts all of a sudden is not half hidden as well: where a ball is hidden, other things of its colours are
+    all that is left to see.
+    """
     assert track.pose is not None
     p, R, covariance = track.pose
     reached, elsewhere = [], []
@@ -629,7 +634,8 @@ def _credible(found: _Found, track: Track, motions: Motions, scene: _Scene, inde
             (way - d) @ np.linalg.solve(S + covariance, way - d)
             for d, S in zip(motions.shift, motions.covariance, strict=True)
         ]
-        if min(gaps) < _REACHED:
+        sudden = min(gaps[:2]) >= _REACHED
+        if min(gaps) < _REACHED and not (sudden and found.log_likelihood[i] < _HIDDEN_LEVEL * track.level):
             reached.append(i)
         elif found.log_likelihood[i] >= _ELSEWHERE * track.level:
             elsewhere.append(i)
