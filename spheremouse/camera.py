@@ -237,6 +237,14 @@ def project_sphere(centre: Array, radius: float) -> tuple[Array, Array]:
     return c[0], S[0]
 
 
+def sphere_outline(centre: Array, radius: float, camera: InteriorOrientation, points: int = 180) -> Array:
+    """Outline in the image, (points, 2) px, of a sphere as of `project_sphere`, all of it before the camera."""
+    middle, shape = project_sphere(centre, radius)
+    angle = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
+    rim = middle + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
+    return reduced_to_pixel(rim, camera)[0]
+
+
 def ellipse_to_pixel(centre: Array, shape: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
     """Centroid, (n, 2) px, and shape, (n, 2, 2) px², of ellipses given in reduced coordinates, (n, 2), (n, 2, 2).
 

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from typer.core import TyperGroup
 
 from spheremouse import __version__
+from spheremouse.complaint import complain
 from spheremouse.errors import SpheremouseError
 
 _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
@@ -126,10 +127,10 @@ def main() -> NoReturn:
         with threadpool_limits(1):  # our matrices are small: threads of the linear algebra only wait for each other
             app(prog_name="spheremouse")
     except SpheremouseError as e:
-        _complain(str(e))
+        complain(str(e))
         sys.exit(_USERS_ERROR)
     except KeyboardInterrupt:
-        _complain("interrupted")
+        complain("interrupted")
         sys.exit(128 + signal.SIGINT)
     except BrokenPipeError:  # whoever read us has gone
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  until the end
@@ -138,11 +139,6 @@ def main() -> NoReturn:
         if _debug:
             raise
         what = " ".join(f"{type(e).__name__}: {e}".split())
-        _complain(f"internal error, please report it with what `spheremouse --debug ...` prints: {what}")
+        complain(f"internal error, please report it with what `spheremouse --debug ...` prints: {what}")
         sys.exit(_OUR_ERROR)
     sys.exit(0)
-
-
-def _complain(message: str) -> None:
-    for line in message.splitlines():
-        print(f"spheremouse: {line}", file=sys.stderr)

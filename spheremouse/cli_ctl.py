@@ -5,7 +5,6 @@ Exit codes: 0 done, 1 the daemon refuses (its reason is on standard error), 2 wr
 
 import contextlib
 import json
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +16,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from spheremouse.complaint import complain
 from spheremouse.daemon.client import Client, NoDaemonError
 from spheremouse.errors import ControlError
 
@@ -286,7 +286,7 @@ def _failing() -> Iterator[None]:
 
 
 def _fail(error: ControlError) -> NoReturn:
-    print(f"spheremouse: {error}", file=sys.stderr)
+    complain(str(error))
     raise typer.Exit(NO_DAEMON if isinstance(error, NoDaemonError) else REFUSED)
 
 

@@ -13,6 +13,7 @@ from rich.table import Table
 from spheremouse import config
 from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.cli_evaluate_wand import WandEvaluation, evaluate_wands, wand_table
+from spheremouse.complaint import complain
 from spheremouse.daemon.settings import Configuration
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
@@ -92,7 +93,7 @@ def evaluate(
         try:
             run, found = _run(recording, used_rig, settings, noise, brightness, disc_map, err)
         except SpheremouseError as e:
-            _complain(_about(recording, str(e)))
+            complain(_about(recording, str(e)))
             failed = True
             continue
         reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
@@ -111,7 +112,7 @@ def evaluate(
             if plot_file is not None:
                 _plot(run, recording, plot_file)
         except SpheremouseError as e:
-            _complain(str(e))
+            complain(str(e))
             failed = True
     if results:
         out.print(_table(results, settings, pose))
@@ -201,12 +202,8 @@ def _about(recording: Recording, message: str) -> str:
     return message if str(recording.path) in message else f"{recording.path}: {message}"
 
 
-def _complain(message: str) -> None:
-    typer.echo(f"spheremouse: {message}", err=True)
-
-
 def _fail(message: str) -> NoReturn:
-    _complain(message)
+    complain(message)
     raise typer.Exit(2)
 
 

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from spheremouse import config
 from spheremouse.camera import InteriorOrientation
+from spheremouse.complaint import complain
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.wand import followed, wand_report
@@ -62,7 +63,7 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
                 for seed in range(1, asked.runs + 1)
             ]
         except SpheremouseError as e:
-            say.print(f"spheremouse: {_about(recording, str(e))}", markup=False, highlight=False)
+            complain(_about(recording, str(e)))
             failed = True
             continue
         first, *more = _reports(recording, balls, histories)

@@ -182,7 +182,7 @@ def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) ->
     here = overlay.resolve()
     if any(here == other.resolve() for other in others):
         raise ConfigurationError(f"--overlay: {overlay} is read or written by this run besides; name another file")
-    if source and overlay.exists() and here.parent == Path(source).resolve():
+    if source and overlay.exists() and Path(source).resolve() in here.parents:
         raise ConfigurationError(f"--overlay: {overlay} belongs to the recording; name another file")
 
 

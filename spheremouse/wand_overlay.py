@@ -8,7 +8,7 @@ from collections import deque
 
 import numpy as np
 
-from spheremouse.camera import InteriorOrientation, project
+from spheremouse.camera import InteriorOrientation, project, sphere_outline
 from spheremouse.overlay import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
 from spheremouse.rotation import Array, tangent_basis
 from spheremouse.wand.axes import axes_of
@@ -16,7 +16,7 @@ from spheremouse.wand.ball import WandBall
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker
 from spheremouse.wand_session import WandEpoch
 
-_STEPS = 96  # points along a rim and the outline
+_STEPS = 96  # points along a rim
 _TRACE = 0.5  # s
 _PIN = 0.6  # radii that the pin stands out
 _PREDICTED = 0.45  # weight of what was not seen
@@ -50,16 +50,6 @@ class WandOverlay:
             _draw(pen, ball, name, pose, self._tracker.camera)
         pen.caption(_cells(epoch, epoch.poses[self._points], counts), 9)
         return canvas
-
-
-def outline(position: Array, radius: float, camera: InteriorOrientation) -> Array:
-    """Outline of a ball at a position, (3,) m in cam, (n, 2) px: where lines of sight touch it."""
-    away = float(np.linalg.norm(position))
-    sight = position / away
-    angle = np.linspace(0.0, 2.0 * np.pi, _STEPS, endpoint=False)
-    across = tangent_basis(sight) @ np.stack([np.cos(angle), np.sin(angle)])
-    rays = np.sqrt(1.0 - (radius / away) ** 2) * sight + radius / away * across.T
-    return project(rays, camera)[0]
 
 
 def rims(ball: WandBall, position: Array, rotation: Array, camera: InteriorOrientation) -> list[Array]:
@@ -96,9 +86,7 @@ def _draw(pen: Pen, ball: WandBall, name: str, pose: WandPose, camera: InteriorO
     if p is None or R is None or p[2] <= ball.radius:
         return
     weight = 1.0 if pose.seen else _PREDICTED
-    around = outline(p, ball.radius, camera)
-    if not np.all(np.isfinite(around)):
-        return
+    around = sphere_outline(p, ball.radius, camera)
     pen.outline(around)
     arcs = rims(ball, p, R, camera)
     for arc in arcs:
@@ -111,7 +99,7 @@ def _draw(pen: Pen, ball: WandBall, name: str, pose: WandPose, camera: InteriorO
 
 
 def _cells(epoch: WandEpoch, pose: WandPose, counts: tuple[int, int, int]) -> tuple[tuple[str, float], ...]:
-    """Time, state, position, angles, counts."""
+    """Time and state, counts; position and angles where they are known."""
     state = "hidden" if pose.phase is WandPhase.TRACKING and not pose.seen else str(pose.phase)
     cells = [
         (f"{epoch.frame.stamp:.2f} s  {state}", 0.012),
@@ -121,6 +109,6 @@ def _cells(epoch: WandEpoch, pose: WandPose, counts: tuple[int, int, int]) -> tu
         axes = axes_of(pose.position, pose.rotation, pose.covariance)
         x, y, z = axes.position
         yaw, pitch, roll = np.rad2deg(axes.angles)
-        cells.insert(1, (f"x {x:+.3f}  y {y:+.3f}  z {z:.3f} m", 0.17))
-        cells.insert(2, (f"yaw {yaw:+.1f}  pitch {pitch:+.1f}  roll {roll:+.1f} deg", 0.42))
+        cells.append((f"x {x:+.3f}  y {y:+.3f}  z {z:.3f} m", 0.17))
+        cells.append((f"yaw {yaw:+.1f}  pitch {pitch:+.1f}  roll {roll:+.1f} deg", 0.42))
     return tuple(cells)

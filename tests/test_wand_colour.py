@@ -73,14 +73,20 @@ def test_large_balls_are_looked_at_reduced():
     assert half.binary[1, 15, 15] == 255
 
 
+def covered(radius, side, u=0.0, v=0.0):
+    """Part of each pixel, (side, side), that a disc covers: drawn fine, its light blurred as by a lens and averaged."""
+    fine = 12
+    at = (np.arange(side * fine) + 0.5) / fine - side / 2
+    cover = ((at[:, None] - v) ** 2 + (at[None] - u) ** 2 < radius**2).astype(np.float32)
+    return cv2.GaussianBlur(cover, (0, 0), 0.45 * fine).reshape(side, fine, side, fine).mean(axis=(1, 3))
+
+
 @pytest.mark.parametrize("saturation", [60.0, 95.0, 150.0])
 def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
     """A disc drawn fine, its light averaged and blurred as a lens does, then made grey values: its area tells."""
-    fine, radius = 12, 14.0
-    at = (np.arange(48 * fine) + 0.5) / fine - 24.0
-    cover = (at[:, None] ** 2 + at[None] ** 2 < radius**2).astype(np.float32)
+    radius = 14.0
+    cover = covered(radius, 48)[..., None]
     white, red = np.array([0.75, 0.77, 0.78]), np.array([0.014, 0.012, 0.51])
-    cover = cv2.GaussianBlur(cover, (0, 0), 0.45 * fine).reshape(48, fine, 48, fine).mean(axis=(1, 3))[..., None]
     image = np.rint(255.0 * (cover * red + (1.0 - cover) * white) ** (1 / 2.2)).astype(np.uint8)
     bounds = ColourSettings(hue_min=340.0, hue_max=14.0, saturation_min=saturation)
     found = fields(image, {"red": bounds}, ("red",))
@@ -100,10 +106,8 @@ def test_a_bound_on_saturation_moves_a_rim_by_what_mixed_light_says(saturation):
 )
 def test_a_bound_on_brightness_moves_a_rim_by_what_the_picture_shows_beside_it(print_, paper, bound, within):
     """As above, a disc of one brightness on another: how bright both are is not told."""
-    fine, radius = 12, 14.0
-    at = (np.arange(64 * fine) + 0.5) / fine - 32.0
-    cover = (at[:, None] ** 2 + at[None] ** 2 < radius**2).astype(np.float32)
-    cover = cv2.GaussianBlur(cover, (0, 0), 0.45 * fine).reshape(64, fine, 64, fine).mean(axis=(1, 3))[..., None]
+    radius = 14.0
+    cover = covered(radius, 64)[..., None]
     grey = np.rint(255.0 * (cover * print_ + (1.0 - cover) * paper) ** (1 / 2.2)).astype(np.uint8)
     bounds = {"some": ColourSettings(**bound)}
     mean = 127.0 if "value_max" in bound else 140.0
@@ -116,15 +120,9 @@ def test_a_bound_on_brightness_moves_a_rim_by_what_the_picture_shows_beside_it(p
 
 
 def discs_on(radius, light, ground, n=3, beside=None, side=48):
-    """Grey values of n discs, their light averaged and blurred as a lens does, and by how much their area is off."""
-    fine, rng, tiles = 12, np.random.default_rng(4), []
-    at = (np.arange(side * fine) + 0.5) / fine - side / 2
-    for _ in range(n):
-        u, v = rng.uniform(-0.5, 0.5, 2)
-        cover = ((at[:, None] - v) ** 2 + (at[None] - u) ** 2 < radius**2).astype(np.float32)
-        cover = cv2.GaussianBlur(cover, (0, 0), 0.45 * fine)
-        tiles.append(cover.reshape(side, fine, side, fine).mean(axis=(1, 3)))
-    cover = np.hstack(tiles)
+    """A picture of n discs on a ground, of so much light each, side by side; `beside` gives grey values for below."""
+    rng = np.random.default_rng(4)
+    cover = np.hstack([covered(radius, side, *rng.uniform(-0.5, 0.5, 2)) for _ in range(n)])
     grey = 255.0 * np.clip(cover * light + (1.0 - cover) * ground, 0.0, 1.0) ** (1 / 2.2)
     if beside is not None:
         grey = np.vstack([grey, beside(grey.shape[1])])

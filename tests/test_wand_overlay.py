@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse.camera import InteriorOrientation, unproject
+from spheremouse.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.cli import app
 from spheremouse.errors import SpheremouseError
 from spheremouse.frame import Frame
@@ -17,7 +17,7 @@ from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build
 from spheremouse.wand_file import save_wand
-from spheremouse.wand_overlay import WandOverlay, outline, pin, rims
+from spheremouse.wand_overlay import WandOverlay, pin, rims
 from spheremouse.wand_recording import write_wand
 from spheremouse.wand_session import WandEpoch
 
@@ -56,7 +56,7 @@ def count(image, colour, off=60):
 
 
 def test_the_outline_touches_the_ball():
-    d = rays(outline(PLACE, BALL.radius, CAMERA))
+    d = rays(sphere_outline(PLACE, BALL.radius, CAMERA))
     off = np.linalg.norm(np.cross(d, PLACE), axis=1)
     np.testing.assert_allclose(off, BALL.radius, rtol=1e-6)
 
@@ -149,10 +149,15 @@ def test_run_draws_a_recording(tmp_path, name):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["film", name]
 
 
-@pytest.mark.parametrize("name", ["film/video.mkv", "film/scene.json", "axes.png", "out.mp4", "ball.avi", "folder.mp4"])
+@pytest.mark.parametrize(
+    "name",
+    ["film/video.mkv", "film/scene.json", "film/frames/000000.png", "axes.png", "out.mp4", "ball.avi", "folder.mp4"],
+)
 def test_an_overlay_destroys_nothing_that_the_run_needs(tmp_path, name):
     film = prepare_wand(WandOptions(motion="hand", size=(320, 240), seconds=0.2, seed=2))
     list(write_wand(tmp_path / "film", film))
+    (tmp_path / "film" / "frames").mkdir()  # as recordings of single frames have it
+    (tmp_path / "film" / "frames" / "000000.png").write_bytes(b"a frame")
     save_wand(tmp_path / "ball.avi", BALL)
     (tmp_path / "folder.mp4").mkdir()
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, distorted, project_sphere, reduced_to_pixel
+from spheremouse.camera import Pose, distorted, sphere_outline
 from spheremouse.detect.detections import Image
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
@@ -167,10 +167,7 @@ def seen_into(directions, to_centre, R, rotation, intrinsic, k, uv):
 
 def ball_outline(rig: Rig, pose: Pose, points: int = 180) -> Array:
     """The ball's outline in the image, (points, 2) px."""
-    centre, shape = project_sphere(pose.to_cam(rig.ball.centre), rig.ball.radius)
-    angle = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
-    rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
-    return reduced_to_pixel(rim, rig.camera)[0]
+    return sphere_outline(pose.to_cam(rig.ball.centre), rig.ball.radius, rig.camera, points)
 
 
 def ball_mask(rig: Rig, pose: Pose) -> Image:

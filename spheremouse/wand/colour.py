@@ -134,14 +134,13 @@ def fields(
         cv2.GaussianBlur(one, _KERNEL, 0.0, dst=to, borderType=cv2.BORDER_REPLICATE)
     glare = np.zeros((0, 1, 1), dtype=np.uint8) if white is None else _glare(part, bounds, white, binary)
     share = known.share if region else count / max(binary[0].size, 1)
-    shift = [
+    rim = [
         rim_shift(colours[name]) / factor
         if colours[name].saturation_min > 0.0
         else _shift_by_brightness(part, one, bound, factor)
         for name, one, bound in zip(names, binary, bounds, strict=True)
     ]
-    rim = np.array(shift)
-    return Fields(weight, binary, left, top, factor, share, names, rim, glare)
+    return Fields(weight, binary, left, top, factor, share, names, np.array(rim), glare)
 
 
 def _bounds(colours: dict[str, ColourSettings], names: tuple[str, ...], mean: float) -> NDArray[np.float32]:
@@ -347,10 +346,10 @@ def _beyond(rims: _Rims, low: float, factor: int) -> float:
     begins, ends = (low + part * (1.0 - low) for part in _ACROSS_RIM)
     first, last = (_FULL * x ** (1.0 / _GAMMA) for x in (begins, ends))
     width = np.count_nonzero((rims.across >= first) & (rims.across < last)) / rims.length
-    light = np.array(
+    expected = np.array(
         [_outward((begins - low) / (x - low), factor) - _outward((ends - low) / (x - low), factor) for x in _LIGHTS]
     )
-    return float(_LIGHTS[int(np.argmin(np.abs(light - width)))])
+    return float(_LIGHTS[int(np.argmin(np.abs(expected - width)))])
 
 
 def reduction(diameter: float) -> int:

@@ -72,16 +72,16 @@ def measured(
     if dt > _STEPS * _LASTS:
         return begun(stamp, position, rotation, covariance)
     course = predicted(course, stamp, acceleration)
-    P, d = course.covariance, _between(course, position, rotation)
+    P, d = course.covariance, between(course.position, course.rotation, position, rotation)
     solved = np.linalg.solve(P[:6, :6] + covariance, np.column_stack([P[:6], d]))
     if d @ solved[:, 12] > _REACHED:
-        velocity = _between(before, position, rotation) / dt if dt > 0.0 else np.full(6, np.inf)
         new = begun(stamp, position, rotation, covariance)
-        if np.any(np.abs(velocity) > _FASTEST):
+        way = between(before.position, before.rotation, position, rotation)
+        if np.any(np.abs(way) > _FASTEST * dt):
             return new
         P = np.kron([[1.0, 1.0 / dt], [1.0 / dt, 1.0 / dt**2]], covariance)
         P[6:, 6:] += before.covariance[:6, :6] / dt**2 + np.diag(_gained(dt, acceleration))
-        return replace(new, velocity=velocity, covariance=P)
+        return replace(new, velocity=way / dt, covariance=P)
     x = P[:, :6] @ solved[:, 12]
     P = P - P[:, :6] @ solved[:, :12]
     return Course(
@@ -89,9 +89,9 @@ def measured(
     )
 
 
-def _between(course: Course, position: Array, rotation: Array) -> Array:
-    """The way from a course to a pose, (6,) m, rad in cam."""
-    return np.concatenate([position - course.position, log(rotation @ course.rotation.T)])
+def between(position: Array, rotation: Array, to_position: Array, to_rotation: Array) -> Array:
+    """The way from one pose to another, (6,) m, rad: position + d, exp(theta) @ rotation, in cam."""
+    return np.concatenate([to_position - position, log(to_rotation @ rotation.T)])
 
 
 def _moved(course: Course, dt: float, gained: Array) -> Course:

@@ -13,6 +13,7 @@ import numpy as np
 from spheremouse.motion import Motion, Remainder, to_counts
 from spheremouse.rotation import Array, log
 from spheremouse.settings import param
+from spheremouse.wand.course import between
 from spheremouse.wand.track import WandPhase, WandPose
 
 _NOISE = 3.0  # standard deviations by which a pose may be off, besides what a hand does
@@ -144,6 +145,6 @@ def taken_up(slack: Array, way: Array, play: Array) -> tuple[Array, Array]:
 def _is_leap(before: Held, after: Held, settings: PointingSettings) -> bool:
     """Is it further than a hand gets in that time, and the filter may be off?"""
     dt = after.stamp - before.stamp
-    way = np.concatenate([after.position - before.position, log(after.rotation @ before.rotation.T)])
+    way = between(before.position, before.rotation, after.position, after.rotation)
     reach = np.repeat([settings.fastest * dt, settings.fastest_turn * dt], 3)
     return bool(dt <= 0.0 or (np.abs(way) > reach + _NOISE * np.sqrt(before.variance + after.variance)).any())

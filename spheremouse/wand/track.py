@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.camera import InteriorOrientation, project
 from spheremouse.frame import Frame
-from spheremouse.rotation import Array, exp, log
+from spheremouse.rotation import Array, exp
 from spheremouse.settings import param
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
@@ -28,7 +28,7 @@ from spheremouse.wand.colour import (
     reduction,
     tone,
 )
-from spheremouse.wand.course import Course, begun, measured, predicted, speed_covariance, told
+from spheremouse.wand.course import Course, begun, between, measured, predicted, speed_covariance, told
 from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import FULLY, Model, counts, log_likelihood, model, published
 from spheremouse.wand.particles import (
@@ -70,7 +70,7 @@ _BIRTH = 1e-3  # probability per frame that the ball is somewhere else altogethe
 _ABOUT = 0.3  # rad about a peak: the same discs show, with as much of each to a tenth
 _REDRAW = 0.5  # of the particles that count, below which they are resampled
 _PREDICTED = 48  # predicted particles that are tried for a peak
-_WORTH = 1.0 - 1e-6
+_WORTH = 1.0 - 1e-6  # of a complaint: frames' parts of a second do not add up to one exactly
 _AWAY = 10.0  # searches in which no hand holds one side towards the camera
 _SECOND = "a second ball like"
 _SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
@@ -326,13 +326,13 @@ def _complaint(whole: Fields, away: set[str]) -> tuple[str, float]:
 def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     """Rest, go on, free, over dt."""
     s = tracker.settings
-    walk = np.array([s.sigma_x, s.sigma_y, s.sigma_z, s.sigma_pitch, s.sigma_yaw, s.sigma_roll])
-    rest = np.diag(walk**2 * (dt / _THESIS_DT))
+    rest = _rest(dt, s)
     camera = tracker.camera
     volume = camera.width * camera.height / (camera.fx * camera.fy) * (s.farthest**3 - s.nearest**3) / 3.0
     birth = _BIRTH / (volume * 8.0 * np.pi**2)
-    if not s.adaptive or s.proposal == "motion" or track.course is None:
+    if not s.adaptive or s.proposal == "motion":
         return Motions(np.zeros((1, 6)), rest[None], np.array([1.0 - _BIRTH]), birth)
+    assert track.course is not None
     on = dt**2 * speed_covariance(track.course, track.stamp + dt, _acceleration(s))
     leap = np.array([min(0.01 + s.fastest * dt, 0.5)] * 3 + [min(0.05 + s.fastest_turn * dt, 1.2)] * 3)
     shift = np.zeros((3, 6))
@@ -343,6 +343,12 @@ def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     # the next picture has wrong much of what the last one had: no prediction is better than a picture
     covariance = np.stack([rest + track.repeats, _limited(on + track.repeats), np.diag(leap**2)])
     return Motions(shift, covariance, track.motion * (1.0 - _BIRTH), birth)
+
+
+def _rest(dt: float, s: WandSettings) -> Array:
+    """Covariance of the random walk of a ball at rest, (6, 6)."""
+    walk = np.array([s.sigma_x, s.sigma_y, s.sigma_z, s.sigma_pitch, s.sigma_yaw, s.sigma_roll])
+    return np.diag(walk**2 * (dt / _THESIS_DT))
 
 
 def _acceleration(s: WandSettings) -> Array:
@@ -588,6 +594,7 @@ def _follow(
     if not _good(found, s, track.level):
         return _unseen(track, stamp, dt, scene, index, rng, found)
     assert track.particles is not None
+    assert track.course is not None
     peaks = _as_peaks(found)
     drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
     assert found.fields is not None
@@ -600,6 +607,7 @@ def _follow(
     particles = Particles(drawn.position, drawn.rotation, weight)
     p, R, sample = estimate(particles)
     followed = found.peaks[int(np.bincount(nearest, weight).argmax())]
+    wrong = _limited(followed.covariance)  # what this picture has, as far as it says so
     pose = p, R, steadied(sample, count, followed.covariance)
     if count < _REDRAW * len(weight):
         particles = _some(particles, len(weight), rng)
@@ -608,13 +616,13 @@ def _follow(
         phase=WandPhase.TRACKING,
         particles=particles,
         pose=pose,
-        course=_course(track, followed, stamp, s),
+        course=measured(track.course, stamp, followed.position, followed.rotation, wrong, _acceleration(s)),
         motion=_motion(track, pose, motions),
         stamp=stamp,
         seen=stamp,
         unseen_frames=0,
         level=_level(track, found),
-        repeats=_limited(followed.covariance),
+        repeats=wrong,
     )
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
 
@@ -629,7 +637,7 @@ def _credible(found: _Found, track: Track, motions: Motions, scene: _Scene, inde
     p, R, covariance = track.pose
     reached, elsewhere = [], []
     for i, k in enumerate(found.peaks):
-        way = np.concatenate([k.position - p, log(k.rotation @ R.T)])
+        way = between(p, R, k.position, k.rotation)
         gaps = [
             (way - d) @ np.linalg.solve(S + covariance, way - d)
             for d, S in zip(motions.shift, motions.covariance, strict=True)
@@ -722,20 +730,24 @@ def _unseen(
 ) -> tuple[Track, WandPose]:
     """The ball does not show: the particles go on unweighted, for a while."""
     assert track.particles is not None
+    assert track.course is not None
     s, ball = scene.tracker.settings, scene.tracker.balls[index]
     frames = track.unseen_frames + 1
     match = float(found.match[0]) if found.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
         lost = Track(WandPhase.LOST, stamp=stamp, seen=track.seen, level=track.level)
         return lost, WandPose(ball.name, None, None, None, WandPhase.LOST, _missing(ball, track.seen), match)
-    cloud = track.particles
-    track = replace(track, repeats=np.zeros((6, 6)))  # no picture, nothing that the next one repeats
-    motions = _motions(track, dt, scene.tracker)
-    quiet = replace(motions, shift=motions.shift[:1], covariance=motions.covariance[:1], probability=np.ones(1))
-    particles = moved(cloud, quiet, rng)
+    particles = moved(track.particles, Motions(np.zeros((1, 6)), _rest(dt, s)[None], np.ones(1), 0.0), rng)
     pose = estimate(particles)
-    course = None if track.course is None else predicted(track.course, stamp, _acceleration(s))
-    after = replace(track, particles=particles, pose=pose, course=course, stamp=stamp, unseen_frames=frames)
+    after = replace(
+        track,
+        particles=particles,
+        pose=pose,
+        course=predicted(track.course, stamp, _acceleration(s)),
+        repeats=np.zeros((6, 6)),  # no picture, nothing that the next one repeats
+        stamp=stamp,
+        unseen_frames=frames,
+    )
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
 
 
@@ -817,21 +829,13 @@ def _by_motion(
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, "", float(weight @ match), count, True)
 
 
-def _course(track: Track, peak: Peak, stamp: float, s: WandSettings) -> Course:
-    """Pose and velocity after a frame in which a peak has been followed."""
-    R = _limited(peak.covariance)
-    if track.course is None:
-        return begun(stamp, peak.position, peak.rotation, R)
-    return measured(track.course, stamp, peak.position, peak.rotation, R, _acceleration(s))
-
-
 def _motion(track: Track, pose: tuple[Array, Array, Array], motions: Motions) -> Array:
     """Probabilities of the motions after a frame, (3,), by Bayes' rule."""
     assert track.pose is not None
     if len(motions.probability) < 3:
         return track.motion
     p, R, covariance = track.pose
-    way = np.concatenate([pose[0] - p, log(pose[1] @ R.T)])
+    way = between(p, R, *pose[:2])
     fit = np.empty(3)
     for m in range(3):
         S = motions.covariance[m] + pose[2] + covariance
