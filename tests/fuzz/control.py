@@ -1,0 +1,93 @@
+"""Messages to the control socket, and bytes in pieces to a server."""
+
+import contextlib
+import json
+import socket
+from functools import cache
+from pathlib import Path
+
+from hypothesis import strategies as st
+
+from spheremouse.daemon.client import Client
+from spheremouse.daemon.control import ControlServer, Limits
+from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.daemon.protocol import COMMANDS, BadRequestError, encode
+from spheremouse.daemon.protocol import parse as parse_request
+from spheremouse.daemon.protocol import refused as refused_reply
+from tests.fuzz.strategies import mutated, mutated_json, words
+from tests.fuzz.targets import target
+
+MESSAGES = (
+    '{"command": "status", "id": 7}',
+    '{"command": "set", "id": "a", "assignments": ["motion.scale_x=2", "so3.acceleration_sigma=0.5"]}',
+    '{"command": "record", "seconds": 60.0, "folder": "bug-1", "everything": false}',
+    '{"command": "record", "stop": true}',
+    '{"command": "snapshot", "file": "a.png"}',
+    '{"command": "watch", "interval": 0.5}',
+)
+
+
+@target(
+    "control messages",
+    lambda: st.one_of(
+        st.binary(max_size=60),
+        st.sampled_from(MESSAGES).flatmap(lambda m: mutated_json(json.loads(m)).map(json.dumps)),
+        st.sampled_from(MESSAGES).flatmap(mutated),
+        st.builds("{}{}{}".format, st.sampled_from(["[", '{"a":', '{"command":']), words, st.just("]" * 3)),
+        st.builds(
+            lambda part, n: part * n, st.sampled_from(["[", '{"a":', "9", "\\", '"', "[[],"]), st.integers(1, 60000)
+        ),
+    ),
+)
+def check_message(content: str | bytes) -> None:
+    line = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
+    try:
+        request = parse_request(line)
+    except BadRequestError as e:
+        reply = refused_reply(str(e), e.id)
+    else:
+        assert request.command in COMMANDS
+        for name in (getattr(request, "folder", None), getattr(request, "file", None)):
+            assert name is None or Path("/x", name).resolve().parent == Path("/x"), "a name that leads elsewhere"
+        return
+    assert encode(reply).count(b"\n") == 1, "a message of several lines"
+    assert reply["error"]
+
+
+@target(
+    "control socket",
+    lambda: st.lists(
+        st.one_of(
+            st.binary(max_size=30),
+            st.sampled_from([b"\n", b'{"command": "status"}\n', b'{"command": "sta', b"[", b"\xff", b"\x00" * 5000]),
+            st.sampled_from(MESSAGES).flatmap(mutated).map(lambda m: m.encode("utf-8", "surrogatepass") + b"\n"),
+        ),
+        max_size=10,
+    ),
+)
+def check_socket(chunks: list[bytes]) -> None:
+    """Whatever one client sends, in whatever pieces, the next one is answered."""
+    server = _control_server()
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as hostile:
+        hostile.settimeout(10.0)
+        hostile.connect(str(server.path))
+        with contextlib.suppress(ConnectionError):
+            for chunk in chunks:
+                hostile.sendall(chunk)
+        with Client(server.path) as client:
+            assert client.ask("status") == {"state": "tracking"}
+    assert not _SAID, _SAID
+
+
+_SAID: list[str] = []
+
+
+@cache
+def _control_server() -> ControlServer:
+    return ControlServer(
+        Path("control.sock").absolute(),
+        ControlSettings(),
+        lambda request, reply: reply({"state": "tracking"}),
+        _SAID.append,
+        Limits(pace=1e6, burst=1e6),
+    )

@@ -1,0 +1,150 @@
+"""Configuration, rigs, parameters, and names of sources and outputs."""
+
+import contextlib
+import io
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from spheremouse import config
+from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.detect.rings import detect_targets
+from spheremouse.output import open_output
+from spheremouse.rig_file import load_camera, load_rig, rig_text
+from spheremouse.source import open_source
+from spheremouse.track import Settings
+from spheremouse.yaml_file import parse_document
+from tests.fuzz.scene import film, known, small_rig, use
+from tests.fuzz.strategies import letters, mutated, numbers, words
+from tests.fuzz.targets import file, refused, target
+
+
+@target(
+    "configuration",
+    lambda: st.one_of(
+        st.binary(max_size=60),
+        st.text(max_size=60),
+        st.text("schema: 1\n-{}[]#&*!|>'\"%@`,?tracker so3.", max_size=40),
+        mutated(config.dump_commented(Settings())),
+        mutated(config.dump(Settings(), Settings())),
+    ),
+)
+def check_configuration(content: str | bytes) -> None:
+    path = file(content)
+    refused(lambda: config.load(path, Settings))
+    refused(lambda: load_rig(path))
+
+
+@target(
+    "daemon's configuration",
+    lambda: st.one_of(st.text("schema: 1\n-{}[]null.controlcord'/", max_size=60), mutated(whole_configuration())),
+)
+def check_whole_configuration(content: str | bytes) -> None:
+    path = file(content)
+    found = refused(lambda: config.load(path, whole()))
+    if found is not None:
+        assert config.loads(parse_document(config.dump(found, whole()()), "again"), whole()) == found
+
+
+@cache
+def whole() -> type[Any]:
+    """The settings of the daemon's file; those of the control socket while there are no others."""
+    try:
+        from spheremouse.daemon.settings import Configuration
+    except ImportError:
+        return ControlSettings
+    return Configuration
+
+
+@cache
+def whole_configuration() -> str:
+    return config.dump_commented(whole()())
+
+
+@target("rig", lambda: st.one_of(st.binary(max_size=60), mutated(rig_text(known())), mutated(rig_text(small_rig()))))
+def check_rig(content: str | bytes) -> None:
+    path = file(content)
+    refused(lambda: load_camera(path))
+    rig = refused(lambda: load_rig(path))
+    if rig is not None and max(rig.camera.width, rig.camera.height) <= 640:
+        images = [np.full((rig.camera.height, rig.camera.width, 3), 128, np.uint8)]
+        if (rig.camera.width, rig.camera.height) == (640, 480):
+            images = [f.image for f in film()[:2]]
+        refused(lambda: use(rig, replace(Settings(), pose=replace(Settings().pose, frames=1)), images))
+
+
+@cache
+def _keys() -> list[str]:
+    return [".".join(str(k) for k in key) for key, _ in config.parameters(Settings())]
+
+
+@target(
+    "--set",
+    lambda: st.lists(
+        st.one_of(
+            st.text(max_size=30),
+            st.builds(
+                "{}={}".format, st.sampled_from(_keys()), st.one_of(words, numbers, st.lists(numbers, max_size=5))
+            ),
+        ),
+        min_size=1,
+        max_size=3,
+    ),
+)
+def check_set(assignments: list[str]) -> None:
+    chosen: Settings | None = Settings()
+    for assignment in assignments:
+        chosen = refused(lambda a=assignment, c=chosen: config.override(c, a))
+        if chosen is None:
+            return
+    sizes = (chosen.pose.frames, chosen.blobs.masks, chosen.rings.median, chosen.rings.opening, chosen.blobs.median)
+    if max(sizes) > 1000 or chosen.blobs.opening > 1000:
+        return  # a user's wish for a long wait
+    values = [v for _, value in config.parameters(chosen) for v in (value if isinstance(value, tuple) else (value,))]
+    if any(isinstance(v, int | float) and v and not 1e-6 <= abs(v) <= 1e6 for v in values):
+        return  # double precision ends somewhere: 1e200 squared is no number
+    image = film()[0].image
+    refused(lambda: use(known(), chosen, [f.image for f in film()[:3]]))
+    refused(lambda: detect_targets(image, known().targets.radii, chosen.rings))
+
+
+@target(
+    "source and output",
+    lambda: st.one_of(
+        st.text(letters, max_size=20),
+        st.builds(
+            "{}:{}".format,
+            st.sampled_from(["video", "dataset", "text", "null", "spec", "__init__", "_capture"]),
+            st.text(letters, max_size=12),
+        ),
+        st.builds("opencv:{}".format, st.one_of(st.text(letters.filter(lambda c: not c.isdigit()), max_size=8))),
+        st.builds(
+            "synthetic:{}".format,
+            st.lists(
+                st.builds(
+                    "{}={}".format,
+                    st.sampled_from(
+                        ["motion", "seconds", "noise", "size", "dist", "hands", "dim", "fps", "view", "blur"]
+                    ),
+                    st.one_of(words, numbers),
+                ),
+                max_size=3,
+            ).map(",".join),
+        ),
+    ).filter(lambda s: not s.startswith("uinput") and s.partition(":")[2] not in (".", "..")),
+)
+def check_spec(spec: str) -> None:
+    def source() -> None:
+        with open_source(spec) as s:
+            assert s.live in (True, False)
+
+    def output() -> None:
+        with open_output(spec):
+            pass
+
+    refused(source)
+    with contextlib.redirect_stdout(io.StringIO()):
+        refused(output)
