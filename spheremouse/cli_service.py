@@ -6,6 +6,8 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -37,18 +39,9 @@ def install(
     A file that was edited is kept as FILE.bak; a configuration that is there is not touched, but brought to the form
     this version reads where it is of an older one (the original stays as FILE.schemaN.bak).
     """
-    from spheremouse import migrate
-
     place = _place(root, user)
     program = service.executable(place)
-    deeds = list(service.install(place, program, _systemd_version()))
-    files = sorted(place.configuration.glob("*.yaml")) if place.configuration.is_dir() else []
-    files += sorted(place.state.glob("*.yaml")) if os.access(place.state, os.R_OK) else []
-    deeds += [
-        service.Deed("convert", path, lambda p=path: migrate.migrate_file(p), words)
-        for path in files
-        if (words := migrate.due(path))
-    ]
+    deeds = [*service.install(place, program, _systemd_version()), *_conversions(place)]
     if dry_run:
         _would(deeds)
     else:
@@ -104,7 +97,7 @@ def uninstall(
         again = "" if user else f", and the user {USER}"
         typer.echo(f"stays{again}; --purge removes it, too:")
         for path in stays:
-            typer.echo(f"  {path}")
+            typer.echo(f"  {service.shown(path)}")
     typer.echo("the service is gone" if deeds else "there was no service")
 
 
@@ -157,6 +150,25 @@ def _place(root: Path, user: bool) -> Place:
     if not root.is_dir():
         raise ServiceError(f"--root: {root} is no directory; make it first")
     return Place(root.resolve(), user)
+
+
+def _conversions(place: Place) -> Iterator[service.Deed]:
+    """Files of an older schema, to be brought to this one's: each as the owner of its folder, who may lay traps there.
+
+    What another user's folder refuses is no reason to stop.
+    """
+    from spheremouse import migrate
+    from spheremouse.files.as_owner import as_owner
+
+    for folder in (place.configuration, place.state):
+        try:
+            found = as_owner(folder, partial(migrate.due_in, folder)) if folder.is_dir() else []
+        except (OSError, ServiceError) as e:
+            typer.echo(f"nothing converted: {service.shown(e)}")
+            continue
+        for name, words in found:
+            do = partial(as_owner, folder, partial(migrate.migrate_file, folder / name))
+            yield service.Deed("convert", folder / name, do, words, must=folder == place.configuration)
 
 
 def _again(place: Place, command: str) -> str:

@@ -5,17 +5,20 @@ changes a schema writes it; a number shared by several kinds (`yaml_file.SCHEMA`
 which nothing happened gets `unchanged`. The original stays beside the file.
 """
 
+import os
+from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML, YAMLError
 from ruamel.yaml.constructor import RoundTripConstructor
 from ruamel.yaml.representer import RoundTripRepresenter
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.yaml_file import Document, Problem, parse_document, read_document, write_atomically
+from spheremouse.files.atomic import open_to_read, replace
+from spheremouse.yaml_file import MAX_BYTES, Document, Problem, parse_bytes, parse_document
 
 Step = Callable[[MutableMapping[str, Any]], None]
 
@@ -64,7 +67,7 @@ def converted(document: Document) -> Document:
 def due(path: Path) -> str:
     """What `migrate_file` would do to a file, in words; empty where it would do nothing."""
     try:
-        document = read_document(path)
+        document = _read(path).document
     except ConfigurationError:
         return ""  # whoever reads it says what is wrong
     if not isinstance(document.data, dict) or (version := _version(document.data)) is None:
@@ -72,9 +75,15 @@ def due(path: Path) -> str:
     wanted = newest(kind_of(document.data))
     if version < wanted:
         return f"from schema {version} to {wanted}, the original stays as {backup_path(path, version).name}"
-    if version > wanted and (older := _readable_backup(path, wanted)) is not None:
+    if version > wanted and os.path.lexists(older := backup_path(path, wanted)):
         return f"back from schema {version}: {older.name} is what this version reads"
     return ""
+
+
+def due_in(folder: Path) -> list[tuple[str, str]]:
+    """Name and what `due` says, of each file of a folder where there is something to do."""
+    found = ((path.name, due(path)) for path in sorted(folder.glob("*.yaml")) if path.name.isprintable())
+    return [(name, words) for name, words in found if words]
 
 
 def migrate_file(path: Path) -> bool:
@@ -83,20 +92,24 @@ def migrate_file(path: Path) -> bool:
     A file from a newer version, of which an original that this version reads was kept, changes places with it: that is
     what going back to the last version needs. Without one it is refused.
     """
-    document = read_document(path)
+    there = _read(path)
+    document = there.document
     if not isinstance(document.data, dict) or (version := _version(document.data)) is None:
         return False
     kind = kind_of(document.data)
     if version == newest(kind):
         return False
-    original = path.read_text(encoding="utf-8-sig")
-    older = _readable_backup(path, newest(kind)) if version > newest(kind) else None
-    text = _rewritten(original, kind, version, document) if older is None else older.read_text(encoding="utf-8")
-    backup = backup_path(path, version)
-    if not backup.exists() or version > newest(kind):  # of several, the first is what nobody has converted
-        write_atomically(backup, original)
-        backup.chmod(path.stat().st_mode & 0o777)
-    write_atomically(path, text)
+    older, backup = backup_path(path, newest(kind)), backup_path(path, version)
+    if version > newest(kind) and os.path.lexists(older):
+        wanted = _read(older).raw
+    else:
+        wanted = _rewritten(there.raw.removeprefix(BOM_UTF8).decode("utf-8"), kind, version, document).encode("utf-8")
+    try:
+        if version > newest(kind) or not os.path.lexists(backup):  # of several, the first is what nobody has converted
+            replace(backup, there.raw, there.mode)
+        replace(path, wanted)
+    except OSError as e:
+        raise ConfigurationError(f"{path}: cannot be converted: {e.strerror or e}") from None
     return True
 
 
@@ -169,9 +182,22 @@ def _version(data: Mapping[str, Any]) -> int | None:
     return version if type(version) is int and version >= 1 else None
 
 
-def _readable_backup(path: Path, wanted: int) -> Path | None:
-    backup = backup_path(path, wanted)
-    return backup if backup.exists() else None
+class _There(NamedTuple):
+    """What a file holds, as it is and as it reads."""
+
+    raw: bytes
+    mode: int
+    document: Document
+
+
+def _read(path: Path) -> _There:
+    """A file, where others may write beside it; ConfigurationError for what is no file, or no plain YAML."""
+    try:
+        with open_to_read(path) as file:
+            raw, mode = file.read(MAX_BYTES + 1), os.fstat(file.fileno()).st_mode & 0o777
+    except OSError as e:
+        raise ConfigurationError(f"{path}: cannot be read: {e.strerror or e}") from None
+    return _There(raw, mode, parse_bytes(raw, str(path)))
 
 
 def _copied(value: Any) -> Any:

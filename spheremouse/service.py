@@ -8,7 +8,6 @@ import contextlib
 import hashlib
 import os
 import re
-import shutil
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from spheremouse.errors import ConfigurationError, ServiceError
-from spheremouse.yaml_file import write_atomically
+from spheremouse.files.atomic import open_to_read, remove_tree, replace
 
 UNIT = "spheremouse.service"
 USER = "spheremouse"  # and its group
@@ -113,9 +112,15 @@ class Deed:
     path: Path
     do: Callable[[], object]
     note: str = ""
+    must: bool = True  # what follows is not done unless this is
 
     def __str__(self) -> str:
-        return f"{self.what} {self.path}{f' ({self.note})' if self.note else ''}"
+        return shown(f"{self.what} {self.path}{f' ({self.note})' if self.note else ''}")
+
+
+def shown(thing: object) -> str:
+    """As a message says it: names in folders of others, and errors about them, shall not steer the terminal."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(thing))
 
 
 def folder() -> Path:
@@ -181,13 +186,13 @@ def uninstall(place: Place, purge: bool) -> Iterator[Deed]:
         for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
             yield Deed("remove", backup, backup.unlink)
     if place.cache.exists():
-        yield Deed("remove", place.cache, partial(shutil.rmtree, place.cache), "compiled code")
+        yield Deed("remove", place.cache, partial(remove_tree, place.cache), "compiled code")
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
         yield Deed("remove", config, config.unlink, "as it was placed")
     for path in (place.configuration, place.state, place.changes) if purge else ():
         if path.exists():
-            yield Deed("remove", path, partial(shutil.rmtree, path))
+            yield Deed("remove", path, partial(remove_tree, path))
 
 
 def left(place: Place) -> list[Path]:
@@ -245,9 +250,13 @@ def carry_out(deeds: Iterator[Deed] | list[Deed]) -> Iterator[str]:
     for deed in list(deeds):
         try:
             deed.do()
-        except (OSError, ConfigurationError) as e:
-            raise ServiceError(f"{deed}: {e.strerror if isinstance(e, OSError) and e.strerror else e}") from None
-        yield str(deed)
+        except (OSError, RecursionError, ConfigurationError, ServiceError) as e:
+            why = f"{deed}: {shown(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
+            if deed.must:
+                raise ServiceError(why) from None
+            yield f"did not work: {why}"
+        else:
+            yield str(deed)
 
 
 def may(place: Place) -> bool:
@@ -270,10 +279,7 @@ def _digest(text: str) -> str:
 
 def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.is_symlink():  # to /dev/null, for instance: write_atomically asks for the mode of what it leads to
-        path.unlink()
-    write_atomically(path, text)
-    path.chmod(0o644)  # whatever the account's umask: systemd, udev and desktops read them
+    replace(path, text.encode("utf-8"), 0o644)  # whatever the account's umask: systemd, udev and desktops read them
 
 
 def _link(place: Place) -> None:
@@ -283,12 +289,17 @@ def _link(place: Place) -> None:
 
 def _backup(path: Path) -> Deed:
     names = (path.with_name(f"{path.name}.bak{n or ''}") for n in range(1000))
-    free = next(p for p in names if not p.exists())
-    return Deed("keep", free, partial(shutil.copy2, path, free), f"{path.name} as it was edited")
+    free = next(p for p in names if not os.path.lexists(p))
+    return Deed("keep", free, partial(_copy, path, free), f"{path.name} as it was edited")
+
+
+def _copy(path: Path, free: Path) -> None:
+    with open_to_read(path) as file:
+        replace(free, file.read(), os.fstat(file.fileno()).st_mode & 0o777)
 
 
 def _below(folder: Path) -> list[Path]:
     try:
         return [p for p in folder.rglob("*") if not p.is_dir()]
-    except OSError:
-        return []
+    except (OSError, RecursionError):  # it is there, and no more can be said
+        return [folder]

@@ -5,9 +5,8 @@ that no file can run code or blow up in memory. Problems read `FILE:LINE: key: w
 """
 
 import json
-import os
 import re
-import tempfile
+from codecs import BOM_UTF8
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEv
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.files import atomic
 
 SCHEMA = 1
 MAX_BYTES = 1_000_000
@@ -82,14 +82,19 @@ def read_document(path: Path) -> Document:
         raise ConfigurationError(f"{path}: cannot be read: {e.strerror or e}") from None
     except ValueError as e:  # a NUL in the name
         raise ConfigurationError(f"{str(path)!r}: cannot be read: {e}") from None
+    return parse_bytes(raw, str(path))
+
+
+def parse_bytes(raw: bytes, name: str) -> Document:
+    """The document in the bytes of a file; `name` is what messages call it."""
     if len(raw) > MAX_BYTES:
-        raise ConfigurationError(f"{path}: larger than {MAX_BYTES} bytes; this is not a file of spheremouse")
+        raise ConfigurationError(f"{name}: larger than {MAX_BYTES} bytes; this is not a file of spheremouse")
     try:
-        text = raw.decode("utf-8-sig")
+        text = raw.removeprefix(BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as e:
         line = raw.count(b"\n", 0, e.start) + 1
-        raise ConfigurationError(f"{path}:{line}: not UTF-8 text; name a YAML file, saved as UTF-8") from None
-    return parse_document(text, str(path))
+        raise ConfigurationError(f"{name}:{line}: not UTF-8 text; name a YAML file, saved as UTF-8") from None
+    return parse_document(text, name)
 
 
 def parse_document(text: str, name: str) -> Document:
@@ -147,24 +152,10 @@ def write_json(path: Path, data: Any) -> bool:
 def write_atomically(path: Path, text: str) -> None:
     """Write a text file so that at any moment either the old or the new one is there, whole.
 
-    A device or a pipe is written to, never replaced.
+    A device or a pipe is written to, never replaced: see `files.atomic`.
     """
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            path.write_text(text, encoding="utf-8")
-            return
-        mode = path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~_umask()
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".new")
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(temporary).chmod(mode)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        atomic.write(path, text.encode("utf-8"))
     except OSError as e:
         raise ConfigurationError(f"{path}: cannot be written: {e.strerror or e}") from None
 
@@ -186,12 +177,6 @@ def shown(value: Any) -> str:
 def one_line(text: str) -> str:
     """Any text as one short line."""
     return " ".join(text.split())[:120]
-
-
-def _umask() -> int:
-    value = os.umask(0o077)
-    os.umask(value)
-    return value
 
 
 def _compose(text: str, name: str) -> Node | None:

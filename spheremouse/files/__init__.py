@@ -1,0 +1,1 @@
+"""All that is read from a disk or written to it."""

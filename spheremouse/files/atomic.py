@@ -1,0 +1,310 @@
+"""Files written whole or not at all, in folders that other people may write to, too.
+
+A name is looked up in an open folder, so that what was looked at is what is written. A new file is made beside its
+place, under a hidden name that nothing had before, and is given mode and owner by its descriptor. What stands at the
+place is replaced; nothing behind a link, a second name, a device or a pipe is touched.
+
+Root follows no link that another user made, wherever in a path. What is no file (`/dev/null`, a named pipe) is written
+through where a person named it, and by root only in a folder where nobody else may write.
+"""
+
+import contextlib
+import errno
+import os
+import re
+import secrets
+import shutil
+import stat
+import sys
+import time
+from collections.abc import Iterator
+from io import BufferedWriter
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+OLD = 3600.0  # s since the last byte: longer than any file of ours takes between that and its name
+_LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789_"
+_RANDOM = 8  # of them: 41 bits
+_LEFT = re.compile(rf"\.(?P<name>.+)\.[{_LETTERS}]{{{_RANDOM}}}\.new", re.S)
+_LINKS = 40  # in one path, as the kernel has it
+_STREAMS = {"stdin": 0, "stdout": 1, "stderr": 2}
+_STREAM = re.compile(r"/dev/(std(?:in|out|err))|/(?:dev|proc/self)/fd/(\d{1,9})")
+
+_CLOSED = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+_NO_WAIT = getattr(os, "O_NONBLOCK", 0)
+_PLACE = getattr(os, "O_PATH", os.O_RDONLY) | getattr(os, "O_DIRECTORY", 0) | _CLOSED
+_FOLDERS = os.open in os.supports_dir_fd and hasattr(os, "O_DIRECTORY")  # not on Windows: paths there
+
+
+def replace(path: Path, data: bytes, mode: int | None = None) -> None:
+    """Put a file of this content at `path`, whole or not at all, in place of what is there; OSError where it cannot be.
+
+    Without a `mode`, a file that is there gives its own, and its owner; a new one is made as the umask wants.
+    """
+    with NewFile(path, mode) as new:
+        new.file.write(data)
+
+
+def write(path: Path, data: bytes) -> None:
+    """`replace` what a person named; a stream, device or pipe is written to instead. OSError where it cannot be."""
+    descriptor = _beyond(path)
+    if descriptor is None:
+        replace(path, data)
+        return
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(data)
+
+
+def open_to_read(path: Path) -> BinaryIO:
+    """A regular file to read, opened without waiting; OSError for anything else.
+
+    Root does not read what another user's link leads to, nor a file that has a second name where others may write.
+    """
+    with contextlib.ExitStack() as stack:
+        folder = None
+        if _root():
+            folder, name = _reach(path, follow=True)
+            stack.callback(os.close, folder)
+            descriptor = os.open(name, os.O_RDONLY | _NO_WAIT | _NO_LINK | _CLOSED, dir_fd=folder)
+        else:
+            descriptor = os.open(path, os.O_RDONLY | _NO_WAIT | _CLOSED)
+        try:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode):
+                raise OSError(errno.EISDIR if stat.S_ISDIR(found.st_mode) else errno.EINVAL, "is no file", str(path))
+            if folder is not None and found.st_nlink > 1 and not _ours_alone(folder):
+                raise OSError(errno.EPERM, "has a second name, where another user may write", str(path))
+            return os.fdopen(descriptor, "rb")
+        except BaseException:
+            os.close(descriptor)
+            raise
+
+
+def remove_tree(folder: Path) -> None:
+    """Remove a folder and all in it; links in it are removed, not followed, whoever changes it meanwhile.
+
+    OSError where something stays. Where the system has no descriptors of folders, as `shutil.rmtree` can.
+    """
+    if not _FOLDERS:
+        shutil.rmtree(folder)
+        return
+    place, name = _reach(folder, follow=False)
+    try:
+        shutil.rmtree(name, dir_fd=place)
+    finally:
+        os.close(place)
+
+
+def clear_left(folder: Path, name: str | None = None) -> int:
+    """Remove what killed processes of this user left half-written in a folder (of the file `name`); how many files.
+
+    What somebody is still at is locked, and a moment before that too new: OLD.
+    """
+    removed = 0
+    with contextlib.suppress(OSError), _opened(folder) as place:
+        for there in os.listdir(folder if place is None else place):
+            found = _LEFT.fullmatch(there)
+            if found and name in (None, found["name"]):
+                with contextlib.suppress(OSError):
+                    removed += _removed(there if place is not None else str(folder / there), place)
+    return removed
+
+
+class NewFile:
+    """A file under a hidden name beside its place; `finish` gives it its name, `discard` removes it."""
+
+    def __init__(self, path: Path, mode: int | None = None) -> None:
+        """`mode`: as of `replace`. OSError where no file can be made there."""
+        self._parent = path.parent
+        self._folder, self._name = _reach(path, follow=False) if _FOLDERS else (None, path.name)
+        try:
+            self._old = None if mode is not None else self._there()
+            self._mode = mode if self._old is None else stat.S_IMODE(self._old.st_mode) & 0o777
+            self._temporary = f".{self._name}.{''.join(secrets.choice(_LETTERS) for _ in range(_RANDOM))}.new"
+            self.file = self._made()
+        except BaseException:
+            self._leave()
+            raise
+
+    def finish(self) -> None:
+        """Give it its name, once all is on the disk."""
+        self.file.flush()
+        descriptor = self.file.fileno()
+        if self._old is not None and hasattr(os, "fchown"):
+            with contextlib.suppress(OSError):  # others than root may give files to few, if any
+                os.fchown(descriptor, self._old.st_uid, self._old.st_gid)
+        if self._mode is not None and hasattr(os, "fchmod"):
+            os.fchmod(descriptor, self._mode)
+        os.fsync(descriptor)
+        self.file.close()
+        os.replace(self._at(self._temporary), self._at(self._name), src_dir_fd=self._folder, dst_dir_fd=self._folder)
+        self._leave()
+        clear_left(self._parent, self._name)
+
+    def discard(self) -> None:
+        """Remove it, unless it has its name."""
+        with contextlib.suppress(OSError):
+            self.file.close()
+        if self._temporary:
+            with contextlib.suppress(OSError):
+                os.unlink(self._at(self._temporary), dir_fd=self._folder)
+        self._leave()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self.finish()
+        finally:
+            self.discard()
+
+    def _made(self) -> BufferedWriter:
+        at_first = 0o666 if self._mode is None else 0o600  # nobody reads more of it than of what it becomes
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_LINK | _CLOSED
+        descriptor = os.open(self._at(self._temporary), flags, at_first, dir_fd=self._folder)
+        if fcntl is not None:
+            with contextlib.suppress(OSError):  # not every file system can
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return os.fdopen(descriptor, "wb")
+
+    def _there(self) -> os.stat_result | None:
+        """The file that will be replaced, if it is one whose mode may be taken over."""
+        try:  # root's links may be somebody's trap, others' are their own
+            found = os.stat(self._at(self._name), dir_fd=self._folder, follow_symlinks=not _root())
+        except FileNotFoundError:
+            return None
+        return found if stat.S_ISREG(found.st_mode) and (found.st_nlink == 1 or not _root()) else None
+
+    def _at(self, name: str) -> str:
+        return name if self._folder is not None else str(self._parent / name)
+
+    def _leave(self) -> None:
+        self._temporary = ""
+        if self._folder is not None:
+            os.close(self._folder)
+            self._folder = None
+
+
+# ---- within ----
+
+
+def _root() -> bool:
+    return hasattr(os, "geteuid") and os.geteuid() == 0 and hasattr(os, "O_PATH")
+
+
+def _ours_alone(folder: int) -> bool:
+    """May root alone make and remove names in an open folder?"""
+    found = os.fstat(folder)
+    return found.st_uid == 0 and not found.st_mode & 0o022
+
+
+def _reach(path: Path, *, follow: bool) -> tuple[int, str]:
+    """Descriptor of the folder of a path, and the name to look up in it; for root, if `follow`, where links end."""
+    if not _root():
+        return os.open(path.parent, _PLACE), path.name
+    path = path.absolute()
+    here, steps, links = os.open("/", _PLACE), list(path.parts[1:]) or ["."], 0
+    try:
+        while True:
+            name = steps.pop(0)
+            if not steps and not follow:
+                return here, name
+            try:
+                step = os.open(name, os.O_PATH | _NO_LINK | _CLOSED, dir_fd=here)
+            except FileNotFoundError:
+                if not steps:
+                    return here, name
+                raise
+            try:
+                found = os.fstat(step)
+                if stat.S_ISLNK(found.st_mode):
+                    links += 1
+                    if found.st_uid != 0:
+                        text = f"root does not follow {name}, a link that another user made; name what it leads to"
+                        raise OSError(errno.ELOOP, text, str(path))
+                    if links > _LINKS:
+                        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
+                    target = Path(os.readlink("", dir_fd=step))
+                    steps = [*(target.parts[1:] if target.is_absolute() else target.parts), *steps] or ["."]
+                    if target.is_absolute():
+                        os.close(here)
+                        here = os.open("/", _PLACE)
+                elif not steps:
+                    return here, name
+                elif not stat.S_ISDIR(found.st_mode):
+                    raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path))
+                else:
+                    here, step = step, here
+            finally:
+                os.close(step)
+    except BaseException:
+        os.close(here)
+        raise
+
+
+@contextlib.contextmanager
+def _opened(folder: Path) -> Iterator[int | None]:
+    """A folder, open to be listed; None where names in it can only be given as paths."""
+    if not _FOLDERS:
+        yield None
+        return
+    place, _ = _reach(folder / "x", follow=False)
+    try:
+        listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY | _CLOSED, dir_fd=place)
+    finally:
+        os.close(place)
+    try:
+        yield listed
+    finally:
+        os.close(listed)
+
+
+def _beyond(path: Path) -> int | None:
+    """Descriptor to write to what is no file; None where there is none, or a file."""
+    if (stream := _STREAM.fullmatch(str(path))) is not None:  # the program's own, whatever the path would open
+        for ours in (sys.stdout, sys.stderr):
+            ours.flush()
+        return os.dup(_STREAMS[stream[1]] if stream[1] else int(stream[2]))
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return None
+    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
+        return None
+    flags = os.O_WRONLY | _CLOSED
+    if not _root():
+        return os.open(path, flags)
+    folder, name = _reach(path, follow=True)
+    try:
+        if not _ours_alone(folder):
+            raise OSError(errno.EPERM, "is no file, and another user may write beside it: not for root", str(path))
+        return os.open(name, flags | _NO_LINK, dir_fd=folder)
+    finally:
+        os.close(folder)
+
+
+def _removed(name: str, folder: int | None) -> bool:
+    """Remove a file that was left, if it is one, ours, old and nobody's any more."""
+    found = os.stat(name, dir_fd=folder, follow_symlinks=False)
+    ours = not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
+    if not (stat.S_ISREG(found.st_mode) and ours and found.st_nlink == 1 and time.time() - found.st_mtime > OLD):
+        return False
+    if fcntl is not None:
+        descriptor = os.open(name, os.O_RDONLY | _NO_LINK | _NO_WAIT | _CLOSED, dir_fd=folder)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        finally:
+            os.close(descriptor)
+    os.unlink(name, dir_fd=folder)
+    return True
