@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from spheremouse.camera_options import parse_distortion, parse_size
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.atomic import replace
 from spheremouse.progress import progress_bar
 from spheremouse.simulate.wand import Light, Motion, WandOptions, prepare_wand
 from spheremouse.wand_file import WandFile, load_wand, save_wand
@@ -243,10 +244,7 @@ def _refuse(path: Path | None, others: list[Path | None], replace: bool) -> None
 
 def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
     """Whole or not at all."""
-    made = path.with_name(f".{path.name}.new")
     try:
-        made.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-        made.replace(path)
+        replace(path, cv2.imencode(".png", image)[1].tobytes())
     except OSError as e:
-        made.unlink(missing_ok=True)
         raise ConfigurationError(f"{path}: cannot be written ({e.strerror}); name another with --show") from None

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from spheremouse.errors import OutputError
+from spheremouse.files.atomic import open_to_read, replace
 
 FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last: the board runs it when it changes
 MARK = "boot_out.txt"
@@ -59,10 +60,7 @@ def load_protocol() -> ModuleType:
 
 def version_of(path: Path) -> Version | None:
     """The version that a folder's protocol.py has; None where there is none."""
-    try:
-        found = _VERSION.search((path / "protocol.py").read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError):
-        return None
+    found = _VERSION.search((_bytes(path / "protocol.py") or b"").decode("utf-8", "replace"))
     return None if found is None else (int(found[1]), int(found[2]), int(found[3]))
 
 
@@ -76,17 +74,17 @@ def words(version: Version | None) -> str:
 
 def read_drive(path: Path) -> Drive:
     """What a drive says of its board."""
-    try:
-        text = (path / MARK).read_text(encoding="utf-8", errors="replace")
-    except OSError:
+    told = _bytes(path / MARK)
+    if told is None:
         if (path / BOOT_LOADER).exists():
             raise OutputError(
                 f"{path}: this is the boot loader; copy CircuitPython's .uf2 file for your board there "
                 "(https://circuitpython.org/downloads), and name the drive CIRCUITPY that comes then"
-            ) from None
+            )
         raise OutputError(
             f"{path}: no {MARK} in it, so this is no board with CircuitPython; name the drive called CIRCUITPY"
-        ) from None
+        )
+    text = told.decode("utf-8", "replace")
     found = _IDENTITY.search(text)
     if found is None:
         raise OutputError(f"{path / MARK}: says nothing of CircuitPython; install CircuitPython on the board first")
@@ -158,17 +156,11 @@ def _is_ours(there: bytes, here: bytes) -> bool:
 def copy(source: Path, target: Path, names: list[str]) -> None:
     """Copy files so that each is the old or the new one, never half; read back what arrived."""
     for name in names:
-        data, part = (source / name).read_bytes(), target / f"{name}.part"
+        data = (source / name).read_bytes()
         try:
-            with part.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, target / name)
+            replace(target / name, data)
             _sync(target)
         except OSError as e:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
             raise OutputError(
                 f"{target / name}: cannot be written: {e.strerror or e}; see that the drive is neither full nor "
                 "write-protected, pull the board, plug it in again and repeat"
@@ -190,6 +182,7 @@ def _sync(path: Path) -> None:
 
 def _bytes(path: Path) -> bytes | None:
     try:
-        return path.read_bytes()
+        with open_to_read(path) as file:
+            return file.read()
     except OSError:
         return None

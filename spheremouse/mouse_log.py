@@ -12,16 +12,17 @@ import os
 import re
 import select
 import struct
-import tempfile
 import time
 from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from io import TextIOWrapper
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from spheremouse.errors import DatasetError, SourceError
+from spheremouse.files.atomic import NewFile
 
 if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
     from spheremouse.simulate.trackball import MouseLog
@@ -108,12 +109,10 @@ class LogFile:
     def __enter__(self) -> Self:
         self._refuse()
         try:
-            handle, self._name = tempfile.mkstemp(
-                dir=self.path.parent, prefix=f".{self.path.name}.", suffix=".new", text=True
-            )
-            self._file = os.fdopen(handle, "w", encoding="utf-8", newline="\n")
+            self._new = NewFile(self.path)
         except OSError as e:
             raise DatasetError(f"{self.path}: cannot be written: {e.strerror or e}") from None
+        self._file = TextIOWrapper(self._new.file, encoding="utf-8", newline="\n")
         about = " ".join(self._about.split())
         self._file.write(f"# spheremouse log-mouse; {about}; t in s of the monotonic clock, dx and dy in counts\n")
         self._file.write(",".join(COLUMNS) + "\n")
@@ -135,20 +134,14 @@ class LogFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        temporary = Path(self._name)
         try:
-            with self._file as file:
-                file.flush()
-                os.fsync(file.fileno())
+            self._file.flush()
             self._refuse()  # once more: somebody may have come first
-            mask = os.umask(0o077)
-            os.umask(mask)
-            temporary.chmod(0o666 & ~mask)
-            temporary.replace(self.path)
+            self._new.finish()
         except OSError as e:
             raise DatasetError(f"{self.path}: cannot be written: {e.strerror or e}") from None
         finally:
-            temporary.unlink(missing_ok=True)
+            self._new.discard()
 
     def _refuse(self) -> None:
         if self.path.is_dir():

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from spheremouse.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.detect.cap import appearance, ball_outline
 from spheremouse.errors import OutputError
+from spheremouse.files.atomic import exchangeable, replace
 from spheremouse.resect import Resection, predict_targets
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
@@ -122,6 +123,9 @@ class OverlayFile:
             known = ", ".join((*_CODECS, *_PICTURES))
             raise OutputError(f"{path}: unknown kind of overlay; end the name in one of {known}")
         try:
+            if not self._picture and exchangeable(path.parent):
+                text = "another user may change what is in that folder; root writes no video there: name another one"
+                raise OutputError(f"{path}: {text}")
             self._part.touch()
             self._part.unlink()
         except OSError as e:
@@ -186,18 +190,13 @@ class OverlayFile:
 
 def write_picture(path: Path, image: Image) -> None:
     """Write an image under its name only when it is complete; OutputError where that fails."""
-    part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    good, data = cv2.imencode(path.suffix, image)
+    if not good:
+        raise OutputError(f"{path}: OpenCV cannot write such a picture; use .png")
     try:
-        good, data = cv2.imencode(path.suffix, image)
-        if not good:
-            raise OutputError(f"{path}: OpenCV cannot write such a picture; use .png")
-        part.write_bytes(data.tobytes())
-        os.replace(part, path)
+        replace(path, data.tobytes())
     except OSError as e:
         raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from None
-    finally:
-        with suppress(OSError):
-            part.unlink()
 
 
 def _open_video(path: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:

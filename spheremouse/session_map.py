@@ -17,6 +17,7 @@ import numpy as np
 
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.files.atomic import clear_left
 from spheremouse.map_compare import compare, compare_at, in_words, turned, variances
 from spheremouse.map_file import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.rig import Rig
@@ -98,6 +99,7 @@ class MapKeeper:
         self._frame = np.eye(3)  # rotation of the run's maps into the frame of the file's
         self._aside = False
         self._writable = os.access(path.parent, os.W_OK)
+        clear_left(path.parent)
         self._state: TrackState | None = None
         self._due = time.monotonic() + every
         self._thread: threading.Thread | None = None

@@ -4,8 +4,6 @@ A view is taken when the board stands still and shows what no view has shown: a 
 folder is the session: what is in it counts, so a session can be left and continued.
 """
 
-import os
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +30,7 @@ from spheremouse.calibrate.photos import ENDINGS, image, read_photos
 from spheremouse.camera import InteriorOrientation
 from spheremouse.detect.board import Pattern, Sighting, find_board
 from spheremouse.errors import CalibrationError
+from spheremouse.files.atomic import replace
 from spheremouse.rotation import Array
 from spheremouse.source import open_source
 from spheremouse.stopping import Stopping
@@ -169,19 +168,10 @@ def _store(picture: NDArray[np.uint8], folder: Path) -> Path:
     number = 0
     while (path := folder / f"view_{number:03d}.png").exists():
         number += 1
-    descriptor, temporary = tempfile.mkstemp(dir=folder, prefix=".view_", suffix=".new")
     try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(cv2.imencode(".png", picture)[1].tobytes())
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).replace(path)
+        replace(path, cv2.imencode(".png", picture)[1].tobytes(), 0o600)  # of people, perhaps
     except OSError as e:
-        Path(temporary).unlink(missing_ok=True)
         raise CalibrationError(f"{path}: cannot be written: {e.strerror or e}") from None
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
     return path
 
 

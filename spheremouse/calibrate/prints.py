@@ -1,8 +1,6 @@
 """`spheremouse calibrate print`: what calibration needs on paper, at true scale, into a folder."""
 
-import os
 import re
-import tempfile
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +20,7 @@ from spheremouse.calibrate.prints_sheets import (
     target_pages,
 )
 from spheremouse.errors import CalibrationError
+from spheremouse.files.atomic import replace
 from spheremouse.plot import require_matplotlib
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
@@ -123,22 +122,7 @@ def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
                 f"{folder / differ[0]}{other}: differs from what would be written; use --force or another --out"
             )
         for name, data in made.items():
-            _replace(folder / name, data)
+            replace(folder / name, data)
             typer.echo(f"{folder / name}")
     except OSError as e:
         raise CalibrationError(f"{e.filename or folder}: cannot be written: {e.strerror or e}") from None
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """The old file or the new one, whole, at any moment."""
-    umask = os.umask(0o077)
-    os.umask(umask)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".new")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(data)
-        Path(temporary).chmod(0o666 & ~umask)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

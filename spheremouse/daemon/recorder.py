@@ -26,6 +26,8 @@ from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.dataset_writer import FilmWriter
 from spheremouse.detect.detections import Image
 from spheremouse.errors import DatasetError, SpheremouseError
+from spheremouse.files.atomic import clear_left
+from spheremouse.folders import clear_left_folders
 from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 
@@ -298,7 +300,7 @@ def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "
 
 def tidy(folder: Path) -> int:
     """Remove what a crash left half written in the folder of recordings; how many. What is being written stays."""
-    removed = 0
+    removed = clear_left(folder) + clear_left_folders(folder)
     with contextlib.suppress(OSError):
         for left in sorted(folder.iterdir()):
             if left.name.startswith(".") and not left.is_symlink() and (left / _MARK).is_file():

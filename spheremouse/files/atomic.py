@@ -34,7 +34,7 @@ _RANDOM = 8  # of them: 41 bits
 _LEFT = re.compile(rf"\.(?P<name>.+)\.[{_LETTERS}]{{{_RANDOM}}}\.new", re.S)
 _LINKS = 40  # in one path, as the kernel has it
 _STREAMS = {"stdin": 0, "stdout": 1, "stderr": 2}
-_STREAM = re.compile(r"/dev/(std(?:in|out|err))|/(?:dev|proc/self)/fd/(\d{1,9})")
+_STREAM = re.compile(r"/dev/(stdin|stdout|stderr)|/(?:dev|proc/self)/fd/(\d{1,9})")
 
 _CLOSED = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -48,43 +48,39 @@ def replace(path: Path, data: bytes, mode: int | None = None) -> None:
 
     Without a `mode`, a file that is there gives its own, and its owner; a new one is made as the umask wants.
     """
-    with NewFile(path, mode) as new:
-        new.file.write(data)
+    try:
+        with NewFile(path, mode) as new:
+            new.file.write(data)
+    except OSError as e:
+        e.filename = str(path)  # not the hidden name
+        raise
 
 
 def write(path: Path, data: bytes) -> None:
     """`replace` what a person named; a stream, device or pipe is written to instead. OSError where it cannot be."""
-    descriptor = _beyond(path)
-    if descriptor is None:
+    if not (_STREAM.fullmatch(str(path)) or _is_beyond(path)):
         replace(path, data)
         return
-    with os.fdopen(descriptor, "wb") as file:
+    with os.fdopen(_open(path, os.O_WRONLY), "wb") as file:
         file.write(data)
 
 
-def open_to_read(path: Path) -> BinaryIO:
-    """A regular file to read, opened without waiting; OSError for anything else.
+def open_to_write(path: Path) -> BinaryIO:
+    """What a person named, made where it is not there, to be written from its beginning; OSError where it cannot be."""
+    file = os.fdopen(_open(path, os.O_WRONLY | os.O_CREAT), "wb")
+    if stat.S_ISREG(os.fstat(file.fileno()).st_mode) and not _STREAM.fullmatch(str(path)):
+        file.truncate(0)
+    return file
 
-    Root does not read what another user's link leads to, nor a file that has a second name where others may write.
-    """
-    with contextlib.ExitStack() as stack:
-        folder = None
-        if _root():
-            folder, name = _reach(path, follow=True)
-            stack.callback(os.close, folder)
-            descriptor = os.open(name, os.O_RDONLY | _NO_WAIT | _NO_LINK | _CLOSED, dir_fd=folder)
-        else:
-            descriptor = os.open(path, os.O_RDONLY | _NO_WAIT | _CLOSED)
-        try:
-            found = os.fstat(descriptor)
-            if not stat.S_ISREG(found.st_mode):
-                raise OSError(errno.EISDIR if stat.S_ISDIR(found.st_mode) else errno.EINVAL, "is no file", str(path))
-            if folder is not None and found.st_nlink > 1 and not _ours_alone(folder):
-                raise OSError(errno.EPERM, "has a second name, where another user may write", str(path))
-            return os.fdopen(descriptor, "rb")
-        except BaseException:
-            os.close(descriptor)
-            raise
+
+def open_to_read(path: Path) -> BinaryIO:
+    """A regular file to read, opened without waiting; OSError for anything else."""
+    descriptor = _open(path, os.O_RDONLY | _NO_WAIT)
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        raise OSError(errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL, "is no file", str(path))
+    return os.fdopen(descriptor, "rb")
 
 
 def remove_tree(folder: Path) -> None:
@@ -100,6 +96,18 @@ def remove_tree(folder: Path) -> None:
         shutil.rmtree(name, dir_fd=place)
     finally:
         os.close(place)
+
+
+def exchangeable(folder: Path) -> bool:
+    """Could another user put something else in place of what root makes in a folder, while root is at it?
+
+    For what can only be written by its path, such as videos. Who has called sudo is no other user.
+    """
+    if not _root():
+        return False
+    found = folder.stat()
+    open_to_all = found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX
+    return bool(open_to_all) or str(found.st_uid) not in ("0", os.environ.get("SUDO_UID"))
 
 
 def clear_left(folder: Path, name: str | None = None) -> int:
@@ -270,28 +278,36 @@ def _opened(folder: Path) -> Iterator[int | None]:
         os.close(listed)
 
 
-def _beyond(path: Path) -> int | None:
-    """Descriptor to write to what is no file; None where there is none, or a file."""
+def _open(path: Path, flags: int) -> int:
+    """Descriptor of what is there; for root of nothing that another user may have put there in place of a file."""
     if (stream := _STREAM.fullmatch(str(path))) is not None:  # the program's own, whatever the path would open
         for ours in (sys.stdout, sys.stderr):
             ours.flush()
         return os.dup(_STREAMS[stream[1]] if stream[1] else int(stream[2]))
+    if not _root():
+        return os.open(path, flags | _CLOSED, 0o666)
+    folder, name = _reach(path, follow=True)
+    try:
+        alone = _ours_alone(folder)
+        waits = 0 if alone else _NO_WAIT
+        descriptor = os.open(name, flags | waits | _NO_LINK | _CLOSED, 0o666, dir_fd=folder)
+    finally:
+        os.close(folder)
+    found = os.fstat(descriptor)
+    if not alone and (found.st_nlink > 1 if stat.S_ISREG(found.st_mode) else not stat.S_ISDIR(found.st_mode)):
+        os.close(descriptor)
+        text = "is no file, or has a second name, and another user may write beside it: root leaves it alone"
+        raise OSError(errno.EPERM, text, str(path))
+    return descriptor
+
+
+def _is_beyond(path: Path) -> bool:
+    """Is it there, and no file?"""
     try:
         mode = path.stat().st_mode
     except OSError:
-        return None
-    if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
-        return None
-    flags = os.O_WRONLY | _CLOSED
-    if not _root():
-        return os.open(path, flags)
-    folder, name = _reach(path, follow=True)
-    try:
-        if not _ours_alone(folder):
-            raise OSError(errno.EPERM, "is no file, and another user may write beside it: not for root", str(path))
-        return os.open(name, flags | _NO_LINK, dir_fd=folder)
-    finally:
-        os.close(folder)
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
 def _removed(name: str, folder: int | None) -> bool:

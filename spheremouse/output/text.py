@@ -9,11 +9,13 @@ import contextlib
 import os
 import stat
 import sys
+from io import TextIOWrapper
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TextIO
 
 from spheremouse.errors import OutputError
+from spheremouse.files.atomic import open_to_write
 from spheremouse.motion import Motion
 from spheremouse.output import OutputClosed
 
@@ -82,7 +84,7 @@ def begin(argument: str, names: str) -> tuple[TextIO, str]:
     try:
         if _is_something_else(path, names):
             raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
-        return path.open("w", encoding="utf-8"), str(path)
+        return TextIOWrapper(open_to_write(path), encoding="utf-8"), str(path)
     except (OSError, ValueError) as e:
         reason = (e.strerror if isinstance(e, OSError) else None) or e
         raise OutputError(f"{path}: cannot be written: {reason}") from None
