@@ -15,6 +15,7 @@ import typer
 
 from spheremouse import service
 from spheremouse.errors import ServiceError
+from spheremouse.files.atomic import exchangeable
 from spheremouse.service import UNIT, USER, Place
 
 app = typer.Typer(no_args_is_help=True, help="Start with the computer: install, uninstall, status.")
@@ -149,6 +150,8 @@ def _place(root: Path, user: bool) -> Place:
         raise ServiceError("--user is for your own account: repeat it without sudo")
     if not root.is_dir():
         raise ServiceError(f"--root: {root} is no directory; make it first")
+    if exchangeable(root):
+        raise ServiceError(f"--root: another user may change what is in {root}; do it as that user, or on a copy")
     return Place(root.resolve(), user)
 
 

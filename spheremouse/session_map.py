@@ -17,13 +17,12 @@ import numpy as np
 
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, SpheremouseError
-from spheremouse.files.atomic import clear_left
+from spheremouse.files.atomic import clear_left, open_to_read, replace
 from spheremouse.map_compare import compare, compare_at, in_words, turned, variances
 from spheremouse.map_file import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import TrackState, disc_map
-from spheremouse.yaml_file import write_atomically
 
 EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost
 _AS_GOOD = 0.8  # part of the saved discs that a map of the same ball must know to take their place
@@ -185,7 +184,8 @@ class MapKeeper:
     def _set_aside(self) -> Path:
         """The map the run began with, under another name; the file itself stays until it is replaced whole."""
         old = old_path(self.path)
-        write_atomically(old, self.path.read_text(encoding="utf-8"))
+        with open_to_read(self.path) as file:
+            replace(old, file.read())
         self._aside = True
         return old
 

@@ -99,15 +99,17 @@ def remove_tree(folder: Path) -> None:
 
 
 def exchangeable(folder: Path) -> bool:
-    """Could another user put something else in place of what root makes in a folder, while root is at it?
+    """Could another user put something else in place of what root makes in a folder, or of the folder?
 
     For what can only be written by its path, such as videos. Who has called sudo is no other user.
     """
     if not _root():
         return False
-    found = folder.stat()
-    open_to_all = found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX
-    return bool(open_to_all) or str(found.st_uid) not in ("0", os.environ.get("SUDO_UID"))
+    trusted = ("0", os.environ.get("SUDO_UID"))
+    folder = folder.resolve()
+    found = [there.stat() for there in (folder, *folder.parents)]
+    to_all = any(s.st_mode & stat.S_IWOTH and not s.st_mode & stat.S_ISVTX for s in found)
+    return to_all or any(str(s.st_uid) not in trusted for s in found)
 
 
 def clear_left(folder: Path, name: str | None = None) -> int:

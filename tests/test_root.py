@@ -1,0 +1,407 @@
+"""What root does where another user has laid traps: that user, played by `nobody`, gets nothing that was not theirs.
+
+Each test has a folder of its own that both can reach; only root can give folders away, so the others are skipped.
+"""
+
+import contextlib
+import os
+import pwd
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from spheremouse import firmware, migrate, service
+from spheremouse.cli_service import app
+from spheremouse.daemon import control_socket
+from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
+from spheremouse.files import atomic
+from spheremouse.files.as_owner import as_owner
+from spheremouse.folders import begin_folder
+from spheremouse.output import text
+from spheremouse.overlay import OverlayFile
+from spheremouse.yaml_file import write_atomically
+
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux") or os.geteuid() != 0, reason="only root can be lured, and give folders away"
+)
+OLD, NEW = "schema: 1\nso3: {sigma: 1.0e-05}  # as measured\n", "schema: 2\n"
+SECRET = "schema: 1\nsecret: yes\n"
+
+
+@pytest.fixture(autouse=True)
+def no_sudo(monkeypatch):
+    monkeypatch.delenv("SUDO_UID", raising=False)
+
+
+@pytest.fixture
+def nobody():
+    return pwd.getpwnam("nobody")
+
+
+@pytest.fixture
+def root():
+    """A system below a root of its own."""
+    path = Path(tempfile.mkdtemp(prefix="spheremouse-root-"))
+    path.chmod(0o755)
+    yield path
+    shutil.rmtree(path)
+
+
+@pytest.fixture
+def state(root, nobody):
+    """The folder that belongs to the service's user."""
+    path = root / "var/lib/spheremouse"
+    path.mkdir(parents=True)
+    os.chown(path, nobody.pw_uid, nobody.pw_gid)
+    return path
+
+
+@pytest.fixture
+def secret(root):
+    """A file of root's that nobody else may read."""
+    path = root / "secret"
+    path.write_text(SECRET)
+    path.chmod(0o600)
+    return path
+
+
+@pytest.fixture
+def own(nobody):
+    """Give a path to the other user."""
+    return lambda path: os.chown(path, nobody.pw_uid, nobody.pw_gid, follow_symlinks=False)
+
+
+@pytest.fixture
+def planted(own):
+    """A file, made by the other user."""
+
+    def plant(path, content):
+        path.write_text(content)
+        own(path)
+        return path
+
+    return plant
+
+
+@pytest.fixture
+def linked(own):
+    """A link, made by the other user."""
+
+    def link(path, target):
+        path.symlink_to(target)
+        own(path)
+        return path
+
+    return link
+
+
+def install(root):
+    """What `service install` says; it must come to an end, and well."""
+    with limited(30):
+        result = CliRunner().invoke(app, ["install", "--root", str(root)])
+    assert result.exit_code == 0, (result.output, result.exception)
+    return result.output
+
+
+@contextlib.contextmanager
+def limited(seconds):
+    """No waiting for ever."""
+
+    def late(number, frame):
+        pytest.fail("it waits for ever")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def as_user(user, work):
+    """Do it as another user, in a process of its own; whether it went well."""
+    child = os.fork()
+    if child == 0:
+        done = 1
+        with contextlib.suppress(BaseException):
+            os.setgroups([])
+            os.setresgid(user.pw_gid, user.pw_gid, user.pw_gid)
+            os.setresuid(user.pw_uid, user.pw_uid, user.pw_uid)
+            work()
+            done = 0
+        os._exit(done)
+    return os.waitpid(child, 0)[1] == 0
+
+
+# ---- `service install` ----
+
+
+@pytest.mark.parametrize("trap", ["link", "second name"])
+def test_no_secret_comes_back_as_the_original_of_a_converted_file(root, state, secret, planted, linked, trap):
+    file = planted(state / "x.yaml", NEW)
+    backup = migrate.backup_path(file, 1)
+    if trap == "link":
+        linked(backup, secret)
+    else:
+        os.link(secret, backup)
+    assert "did not work" in install(root)
+    assert file.read_text() == NEW
+    assert secret.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize("kind", ["device", "file"])
+def test_nothing_is_written_where_a_planted_link_leads(root, state, secret, planted, linked, kind):
+    aim = secret
+    if kind == "device":
+        aim = root / "node"
+        os.mknod(aim, 0o600 | stat.S_IFCHR, os.makedev(1, 3))  # as /dev/null: what is written does no harm
+    file = planted(state / "x.yaml", NEW)
+    file.chmod(0o666)
+    planted(migrate.backup_path(file, 1), OLD)
+    linked(migrate.backup_path(file, 2), aim)
+    install(root)
+    assert file.read_text() == OLD
+    assert migrate.backup_path(file, 2).read_text() == NEW
+    assert aim.stat().st_mode & 0o777 == 0o600
+    assert kind == "device" or aim.read_text() == SECRET
+
+
+@pytest.mark.parametrize("way", ["install", "write"])
+def test_a_temporary_exchanged_before_it_gets_its_mode_gives_no_file_away(
+    root, state, secret, planted, monkeypatch, way
+):
+    """The moment is between writing and chmod: whoever asks for fsync there finds the exchange done."""
+    file = planted(state / "x.yaml", NEW)
+    file.chmod(0o666)
+    planted(migrate.backup_path(file, 1), OLD)
+    real, swapped = os.fsync, root / "swapped"
+    swapped.touch()
+    swapped.chmod(0o666)
+
+    def exchanged(descriptor):
+        real(descriptor)
+        for there in state.glob(".*.new"):
+            there.rename(state / f"{there.name}.gone")
+            there.symlink_to(secret)
+            swapped.write_text("yes")
+
+    monkeypatch.setattr(os, "fsync", exchanged)
+    if way == "install":
+        install(root)
+    else:
+        write_atomically(file, "schema: 1\n")
+    assert swapped.read_text() == "yes"
+    assert secret.stat().st_mode & 0o777 == 0o600
+    assert secret.stat().st_uid == 0
+
+
+@pytest.mark.parametrize("name", ["x.yaml", "y.yaml.schema1.bak"])
+def test_a_pipe_among_the_files_does_not_hold_the_installation_up(root, state, own, planted, name):
+    planted(state / "y.yaml", NEW)
+    os.mkfifo(state / name)
+    own(state / name)
+    install(root)
+
+
+def test_files_are_converted_and_stay_their_users(root, state, nobody, planted, monkeypatch):
+    monkeypatch.setitem(migrate.STEPS, "configuration", (migrate.unchanged,))
+    (root / "etc/spheremouse").mkdir(parents=True)
+    roots = root / "etc/spheremouse/config.yaml"
+    roots.write_text(OLD)
+    theirs = planted(state / "x.yaml", OLD)
+    theirs.chmod(0o640)
+    said = install(root)
+    for path, owner in ((roots, 0), (theirs, nobody.pw_uid)):
+        backup = migrate.backup_path(path, 1)
+        assert f"convert {path} (from schema 1 to 2" in said
+        assert path.read_text() == OLD.replace("schema: 1", "schema: 2")
+        assert backup.read_text() == OLD
+        assert {p.stat().st_uid for p in (path, backup)} == {owner}
+    assert {p.stat().st_mode & 0o777 for p in (theirs, migrate.backup_path(theirs, 1))} == {0o640}
+
+
+def test_where_the_owner_is_no_user_here_nothing_is_converted_and_that_is_said(root, state):
+    """As in an image of another system."""
+    unknown = next(n for n in range(3_000_000, 3_001_000) if not known(n))
+    (state / "x.yaml").write_text(NEW)
+    migrate.backup_path(state / "x.yaml", 1).write_text(OLD)
+    os.chown(state, unknown, unknown)
+    assert f"belongs to user {unknown}, whom this system does not know" in install(root)
+    assert (state / "x.yaml").read_text() == NEW
+
+
+def known(uid):
+    try:
+        return bool(pwd.getpwuid(uid))
+    except KeyError:
+        return False
+
+
+def test_an_edited_unit_is_kept_beside_a_link_not_where_it_leads(root, secret):
+    install(root)
+    unit = service.Place(root).unit
+    unit.write_text("# mine\n")
+    unit.with_name(f"{unit.name}.bak").symlink_to(root / "not there")
+    install(root)
+    assert not (root / "not there").exists()
+    assert unit.with_name(f"{unit.name}.bak1").read_text() == "# mine\n"
+
+
+# ---- as the owner ----
+
+
+def test_work_in_a_users_folder_has_that_users_rights_and_no_others(state, nobody, secret):
+    told = as_owner(state, lambda: [*os.getresuid(), *os.getresgid(), os.getgroups()])
+    assert told == [nobody.pw_uid] * 3 + [nobody.pw_gid] * 3 + [[]]
+    with pytest.raises(ServiceError, match="Permission denied"):
+        as_owner(state, secret.read_text)
+    assert as_owner(secret.parent, secret.read_text) == SECRET  # root's own folder
+    assert os.geteuid() == 0
+
+
+def test_a_user_who_stops_or_kills_that_work_does_not_stop_root(state):
+    for number in (signal.SIGSTOP, signal.SIGKILL):
+        with limited(30), pytest.raises(ServiceError, match="did not come to an end"):
+            as_owner(state, lambda number=number: os.kill(os.getpid(), number), patience=0.5)
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)  # none is left
+
+
+# ---- `service uninstall` ----
+
+
+def test_purging_removes_links_and_not_what_they_lead_to(root, state, linked):
+    kept = root / "kept"
+    kept.mkdir()
+    (kept / "file").write_text("")
+    install(root)
+    linked(state / "recordings", kept)
+    assert shutil.rmtree.avoids_symlink_attacks  # nor what is exchanged meanwhile
+    assert CliRunner().invoke(app, ["uninstall", "--purge", "--root", str(root)]).exit_code == 0
+    assert not state.exists()
+    assert [p.name for p in kept.iterdir()] == ["file"]
+
+
+def test_an_image_of_another_user_does_not_lead_out_of_itself(root, own, linked, monkeypatch, nobody):
+    """With a link where a folder of the system is to be. Not even if that user may call sudo."""
+    image, outside = root / "image", root / "outside"
+    for path in (image, outside / "spheremouse"):
+        path.mkdir(parents=True)
+    (outside / "spheremouse/rig.yaml").write_text("rig")
+    own(image)
+    linked(image / "etc", outside)
+    reasons = (None, "another user may change"), (str(nobody.pw_uid), "root does not follow etc, a link that another")
+    for caller, reason in reasons:
+        if caller is not None:
+            monkeypatch.setenv("SUDO_UID", caller)
+        for command in (["install"], ["uninstall", "--purge"]):
+            with pytest.raises(ServiceError, match=reason):
+                CliRunner().invoke(app, [*command, "--root", str(image)], catch_exceptions=False)
+    assert [p.name for p in outside.rglob("*") if p.is_file()] == ["rig.yaml"]
+
+
+def test_names_that_a_user_gave_do_not_steer_roots_terminal(root, state, planted):
+    planted(state / "\x1b[2Jnothing\nshadow", "")
+    planted(state / "\x1b[2J.yaml", NEW)
+    said = install(root) + CliRunner().invoke(app, ["uninstall", "--root", str(root)]).output
+    assert "\x1b" not in said
+    assert "\nshadow" not in said
+
+
+# ---- every writer ----
+
+
+@pytest.mark.parametrize(
+    "write", [lambda p: write_atomically(p, "ours"), lambda p: text.begin(str(p), "# ours")[0].close()]
+)
+def test_root_goes_through_no_link_of_another_user(root, state, secret, linked, write):
+    """Neither at the end of a path nor on the way; its own links it follows."""
+    kept = root / "kept"
+    kept.mkdir()
+    linked(state / "sub", kept)
+    with pytest.raises((ConfigurationError, OutputError), match="root does not follow sub, a link that another"):
+        write(state / "sub" / "x")
+    linked(state / "x", kept / "new")
+    with contextlib.suppress(OutputError):  # replaced, or refused
+        write(state / "x")
+    assert list(kept.iterdir()) == []
+    (root / "way").symlink_to(kept)
+    write(root / "way" / "x")
+    assert [p.name for p in kept.iterdir()] == ["x"]
+
+
+def test_what_is_no_file_is_written_through_by_its_user_and_by_root_only_in_a_folder_of_roots(root, state, own, nobody):
+    (root / "pipes").mkdir()
+    for folder in (state, root / "pipes"):
+        os.mkfifo(folder / "pipe")
+    own(state / "pipe")
+    for folder, writer, well in ((state, None, False), (state, nobody, True), (root / "pipes", None, True)):
+        reader = os.open(folder / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+        try:
+            if writer is not None:
+                assert as_user(writer, lambda: write_atomically(state / "pipe", "words"))
+            elif well:
+                write_atomically(folder / "pipe", "words")
+            else:
+                with pytest.raises(ConfigurationError, match="another user may write beside it"):
+                    write_atomically(folder / "pipe", "words")
+            assert os.read(reader, 100) == (b"words" if well else b"")
+        finally:
+            os.close(reader)
+        assert stat.S_ISFIFO((folder / "pipe").stat().st_mode)
+
+
+def test_a_file_that_root_replaces_stays_its_owners(state, planted, nobody):
+    file = planted(state / "x.yaml", NEW)
+    file.chmod(0o640)
+    write_atomically(file, OLD)
+    found = file.stat()
+    assert (found.st_uid, found.st_gid, found.st_mode & 0o777) == (nobody.pw_uid, nobody.pw_gid, 0o640)
+
+
+def test_root_reads_no_file_with_a_second_name_where_others_write(state, secret):
+    os.link(secret, state / "x")
+    with pytest.raises(OSError, match="has a second name"):
+        atomic.open_to_read(state / "x")
+
+
+def test_what_can_only_be_written_by_its_path_root_writes_to_no_folder_of_another_user(state, monkeypatch, nobody):
+    with pytest.raises(DatasetError, match="another user may change what is in that folder"):
+        begin_folder(state / "r", DatasetError)
+    with pytest.raises(OutputError, match="another user may change what is in that folder"):
+        OverlayFile(state / "film.mkv", 30.0)
+    with pytest.raises(ControlError, match="is another user's"):
+        control_socket.lock(state / "socket")
+    assert list(state.iterdir()) == []
+    monkeypatch.setenv("SUDO_UID", str(nobody.pw_uid))  # who may become root at any time
+    assert begin_folder(state / "r", DatasetError).is_dir()
+
+
+def test_installing_the_firmware_writes_through_nothing_on_the_drive(root, state, secret, linked):
+    source = firmware.folder()
+    for ending in ("", ".part"):
+        linked(state / f"code.py{ending}", secret)
+    os.mkfifo(state / "boot.py")
+    with limited(30):
+        assert firmware.stale(source, state) == list(firmware.FILES)
+        firmware.copy(source, state, list(firmware.FILES))
+        assert firmware.stale(source, state) == []
+    assert secret.read_text() == SECRET
+
+
+def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
+    """/dev/stdout and /dev/fd/N, when they are files too: for root, /dev/stdout itself could be replaced."""
+    out = root / "out"
+    code = "from pathlib import Path; from spheremouse.yaml_file import write_atomically as w; print('one'); "
+    code += "w(Path('/dev/fd/1'), 'two\\n'); print('three')"
+    with out.open("w") as file:
+        subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)
+    assert out.read_text() == "one\ntwo\nthree\n"
