@@ -3,7 +3,6 @@
 import csv
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +15,7 @@ import numpy as np
 from spheremouse.camera import Pose
 from spheremouse.dataset_format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS
 from spheremouse.errors import DatasetError
-from spheremouse.folders import begin_folder, finish_folder
+from spheremouse.folders import NewFolder
 from spheremouse.frame import Frame
 from spheremouse.picture_writer import FAST, PictureWriter
 from spheremouse.rig import Rig
@@ -47,7 +46,8 @@ class DatasetWriter:
 
     def __enter__(self) -> Self:
         refuse_to_overwrite(self._path, self._replace)
-        self._folder = begin_folder(self._path, DatasetError)
+        self._new = NewFolder(self._path, DatasetError)
+        self._folder = self._new.path
         try:
             self._folder.chmod(0o755)
             self._pictures = PictureWriter(self._folder, self._size, float(self._scene["fps"]))
@@ -58,7 +58,7 @@ class DatasetWriter:
             self._truth_rows.writerow((*TRUTH_COLUMNS, *CENTRE_COLUMNS) if self._centres else TRUTH_COLUMNS)
             self._disc_rows.writerow(DISC_COLUMNS)
         except BaseException:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._new.discard()
             raise
         return self
 
@@ -98,13 +98,13 @@ class DatasetWriter:
             raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
         finally:
             self._pictures.release()
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._new.discard()
 
     def _publish(self) -> None:
         finish_pictures(self._pictures, self._path)
         write_scene(self._folder, {**self._scene, "frames": self._pictures.written})
         refuse_to_overwrite(self._path, self._replace)  # once more: somebody may have come first
-        finish_folder(self._folder, self._path)
+        self._new.finish()
 
 
 class FilmWriter:
@@ -123,7 +123,8 @@ class FilmWriter:
         self._stamps: list[float] = []
         self._pictures: PictureWriter | None = None
         refuse_to_overwrite(self._path, False)
-        self.folder = begin_folder(self._path, DatasetError)  # until it takes its name
+        self._new = NewFolder(self._path, DatasetError)
+        self.folder = self._new.path  # until it takes its name
 
     def open(self, fps: float) -> None:
         """Find out how to write, which takes some tenths of a second; `fps` is what a player of the video goes by."""
@@ -170,7 +171,7 @@ class FilmWriter:
                 _sync(file)
             self.folder.chmod(0o750)  # of people, perhaps: not for everybody
             refuse_to_overwrite(self._path, False)
-            finish_folder(self.folder, self._path)
+            self._new.finish()
             _sync(self._path.parent)
         except OSError as e:
             raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
@@ -180,7 +181,7 @@ class FilmWriter:
         if self._pictures is not None:
             self._pictures.release()
             self._file.close()
-        shutil.rmtree(self.folder, ignore_errors=True)
+        self._new.discard()
 
 
 def finish_pictures(pictures: PictureWriter, path: Path) -> None:

@@ -7,7 +7,6 @@ Detected contours white, targets green, discs of the map where they are predicte
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -20,7 +19,8 @@ from numpy.typing import NDArray
 from spheremouse.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.detect.cap import appearance, ball_outline
 from spheremouse.errors import OutputError
-from spheremouse.files.atomic import exchangeable, replace
+from spheremouse.files.atomic import replace
+from spheremouse.folders import NewFolder
 from spheremouse.resect import Resection, predict_targets
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
@@ -112,7 +112,6 @@ class OverlayFile:
         self.path = path
         self._picture = path.suffix.lower() in _PICTURES
         self._fps = fps or 30.0
-        self._part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
         self._video: cv2.VideoWriter | None = None
         self._overlay: Overlay | None = None
         self._last: Callable[[], Image] | None = None
@@ -122,14 +121,10 @@ class OverlayFile:
         if not self._picture and path.suffix.lower() not in _CODECS:
             known = ", ".join((*_CODECS, *_PICTURES))
             raise OutputError(f"{path}: unknown kind of overlay; end the name in one of {known}")
-        try:
-            if not self._picture and exchangeable(path.parent):
-                text = "another user may change what is in that folder; root writes no video there: name another one"
-                raise OutputError(f"{path}: {text}")
-            self._part.touch()
-            self._part.unlink()
-        except OSError as e:
-            raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from None
+        if not path.parent.is_dir():
+            raise OutputError(f"{path}: cannot be written: there is no folder {path.parent}")
+        self._new = NewFolder(path.with_name(f"{path.name}.part"), OutputError)  # that it can be made is known at once
+        self._part = self._new.path / path.name
 
     def begin(self, tracker: Tracker, targets: tuple[Mark, ...]) -> None:
         """What will be drawn: known only once the camera's pose is."""
@@ -172,8 +167,7 @@ class OverlayFile:
                     self._publish()
                 self.written = True
         finally:
-            with suppress(OSError):
-                self._part.unlink()
+            self._new.discard()
 
     def _publish(self) -> None:
         """OpenCV's writer reports no errors: look whether the file can be read before it gets its name."""

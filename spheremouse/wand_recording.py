@@ -7,7 +7,6 @@ columns x_1, y_1, ... of the second, and so on.
 
 import csv
 import json
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,7 +33,7 @@ from spheremouse.dataset_format import (
 )
 from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, write_scene
 from spheremouse.errors import DatasetError
-from spheremouse.folders import begin_folder, finish_folder
+from spheremouse.folders import NewFolder
 from spheremouse.frame import Frame
 from spheremouse.picture_writer import PictureWriter
 from spheremouse.rotation import Array
@@ -242,7 +241,8 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
     """
     path = Path(path).absolute()
     refuse_to_overwrite(path, replace)
-    folder = begin_folder(path, DatasetError)
+    new = NewFolder(path, DatasetError)
+    folder = new.path
     camera = film.scene.camera
     pictures: PictureWriter | None = None
     try:
@@ -260,13 +260,13 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
         finish_pictures(pictures, path)
         write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
         refuse_to_overwrite(path, replace)  # once more: somebody may have come first
-        finish_folder(folder, path)
+        new.finish()
     except OSError as e:
         raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None
     finally:
         if pictures is not None:
             pictures.release()
-        shutil.rmtree(folder, ignore_errors=True)
+        new.discard()
 
 
 def _poses(position: Array, rotation: Array) -> list[float]:

@@ -151,9 +151,10 @@ def test_empty_folders_of_killed_recordings_are_removed_once_they_are_old(tmp_pa
 @posix
 def test_the_names_that_are_removed_are_the_names_that_are_made(tmp_path):
     from spheremouse.errors import DatasetError
-    from spheremouse.folders import begin_folder
+    from spheremouse.folders import NewFolder
 
-    made = begin_folder(tmp_path / "r.1", DatasetError)
+    NewFolder(tmp_path / "r.1", DatasetError)
+    (made,) = tmp_path.iterdir()
     aged(made)
     assert clear_left_folders(tmp_path) == 1
     assert not made.exists()

@@ -14,18 +14,22 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from spheremouse import firmware, migrate, service
 from spheremouse.cli_service import app
 from spheremouse.daemon import control_socket
+from spheremouse.dataset_writer import write_simulation
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
 from spheremouse.files import atomic
 from spheremouse.files.as_owner import as_owner
-from spheremouse.folders import begin_folder
+from spheremouse.folders import NewFolder
 from spheremouse.output import text
 from spheremouse.overlay import OverlayFile
+from spheremouse.recording import open_dataset
+from spheremouse.simulate import SimulationOptions, prepare
 from spheremouse.yaml_file import write_atomically
 
 pytestmark = pytest.mark.skipif(
@@ -373,16 +377,40 @@ def test_root_reads_no_file_with_a_second_name_where_others_write(state, secret)
         atomic.open_to_read(state / "x")
 
 
-def test_what_can_only_be_written_by_its_path_root_writes_to_no_folder_of_another_user(state, monkeypatch, nobody):
-    with pytest.raises(DatasetError, match="another user may change what is in that folder"):
-        begin_folder(state / "r", DatasetError)
-    with pytest.raises(OutputError, match="another user may change what is in that folder"):
-        OverlayFile(state / "film.mkv", 30.0)
+def test_a_recording_that_another_user_exchanges_goes_where_root_began_it(root, state, linked):
+    """The folder under its hidden name is moved away, and a link to a folder of root's is put there."""
+    kept = root / "kept"
+    kept.mkdir()
+    new = NewFolder(state / "r", DatasetError)
+    (hidden,) = state.iterdir()
+    hidden.rename(state / "moved")
+    linked(hidden, kept)
+    (new.path / "stamps.csv").write_text("rows")
+    assert list(kept.iterdir()) == []
+    assert (state / "moved/stamps.csv").read_text() == "rows"
+    new.discard()
+    assert kept.is_dir()
+
+
+def test_root_records_and_films_in_another_users_folder_too(state):
+    write_dataset(state / "r")
+    assert open_dataset(state / "r").frames == 2
+    with OverlayFile(state / "film.mkv", 30.0) as film:
+        for _ in range(3):
+            film.show(lambda: np.zeros((48, 64, 3), np.uint8))
+    assert film.written
+    assert sorted(p.name for p in state.iterdir()) == ["film.mkv", "r"]
+
+
+def write_dataset(path):
+    film = prepare(SimulationOptions(motion="roll", seconds=0.05))
+    assert len(list(write_simulation(path, film))) == 2
+
+
+def test_a_socket_is_made_by_root_in_no_folder_of_another_user(state):
     with pytest.raises(ControlError, match="is another user's"):
         control_socket.lock(state / "socket")
     assert list(state.iterdir()) == []
-    monkeypatch.setenv("SUDO_UID", str(nobody.pw_uid))  # who may become root at any time
-    assert begin_folder(state / "r", DatasetError).is_dir()
 
 
 def test_installing_the_firmware_writes_through_nothing_on_the_drive(root, state, secret, linked):

@@ -4,7 +4,6 @@ The folder has board/*.jpg, device/*.jpg, device.yaml (what a person would know 
 """
 
 import json
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,7 @@ import typer
 from spheremouse.calibrate.outputs import copyable
 from spheremouse.camera_options import parse_distortion, parse_size
 from spheremouse.errors import CalibrationError
-from spheremouse.folders import begin_folder, finish_folder
+from spheremouse.folders import NewFolder
 from spheremouse.progress import progress_bar
 from spheremouse.recording import open_dataset
 from spheremouse.rotation import Array
@@ -185,16 +184,16 @@ def _new_folder(path: Path, replace: bool) -> Iterator[Path]:
     """A folder beside `path` that takes its name at the end, or vanishes after an exception."""
     path = path.absolute()
     _refuse(path, replace)
-    made = begin_folder(path, CalibrationError)
+    made = NewFolder(path, CalibrationError)
     try:
-        made.chmod(0o755)
-        yield made
+        made.path.chmod(0o755)
+        yield made.path
         _refuse(path, replace)  # once more: somebody may have come first
-        finish_folder(made, path)
+        made.finish()
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be written ({e.strerror})") from None
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        made.discard()
 
 
 def _refuse(path: Path, replace: bool) -> None:
