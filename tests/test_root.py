@@ -259,12 +259,32 @@ def test_an_edited_unit_is_kept_beside_a_link_not_where_it_leads(root, secret):
     assert unit.with_name(f"{unit.name}.bak1").read_text() == "# mine\n"
 
 
+@pytest.mark.parametrize("trap", ["link", "second name"])
+def test_a_group_that_may_write_the_configuration_gets_nothing_by_it(root, secret, nobody, planted, linked, trap):
+    """Its files are root's to convert; a trap among them ends the installation in a line."""
+    place = root / "etc/spheremouse"
+    place.mkdir(parents=True)
+    os.chown(place, 0, nobody.pw_gid)
+    place.chmod(0o775)
+    file = planted(place / "x.yaml", NEW)
+    backup = migrate.backup_path(file, 1)
+    if trap == "link":
+        linked(backup, secret)
+    else:
+        os.link(secret, backup)
+    with pytest.raises(ServiceError, match=r"root does not follow x\.yaml\.schema1\.bak|has a second name"):
+        CliRunner().invoke(app, ["install", "--root", str(root)], catch_exceptions=False)
+    assert file.read_text() == NEW
+
+
 # ---- as the owner ----
 
 
 def test_work_in_a_users_folder_has_that_users_rights_and_no_others(state, nobody, secret):
     told = as_owner(state, lambda: [*os.getresuid(), *os.getresgid(), os.getgroups()])
     assert told == [nobody.pw_uid] * 3 + [nobody.pw_gid] * 3 + [[]]
+    if Path("/proc/sys/fs/suid_dumpable").read_text().strip() != "1":  # and that user may not look into it
+        assert as_owner(state, lambda: Path("/proc/self/environ").stat().st_uid) == 0
     with pytest.raises(ServiceError, match="Permission denied"):
         as_owner(state, secret.read_text)
     assert as_owner(secret.parent, secret.read_text) == SECRET  # root's own folder
