@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from spheremouse.errors import OutputError
-from spheremouse.files.atomic import open_to_read, replace
+from spheremouse.files.atomic import replace
 
 FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last: the board runs it when it changes
 MARK = "boot_out.txt"
@@ -182,7 +182,6 @@ def _sync(path: Path) -> None:
 
 def _bytes(path: Path) -> bytes | None:
     try:
-        with open_to_read(path) as file:
-            return file.read()
+        return path.read_bytes() if path.is_file() else None  # a pipe on a drive would never end
     except OSError:
         return None

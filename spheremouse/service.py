@@ -294,6 +294,9 @@ def _backup(path: Path) -> Deed:
 
 
 def _copy(path: Path, free: Path) -> None:
+    if path.is_symlink():  # to /dev/null, for instance: masked
+        free.symlink_to(os.readlink(path))
+        return
     with open_to_read(path) as file:
         replace(free, file.read(), os.fstat(file.fileno()).st_mode & 0o777)
 

@@ -150,6 +150,17 @@ def test_a_file_of_another_version_is_updated_without_a_copy(root):
     assert not list(root.rglob("*.bak*"))
 
 
+def test_a_masked_unit_is_replaced_and_the_link_kept(root):
+    """`systemctl mask` makes a link to /dev/null."""
+    call("install", root=root)
+    (root / UNIT).unlink()
+    (root / UNIT).symlink_to("/dev/null")
+    call("install", root=root)
+    assert (root / UNIT).read_text().startswith("# Placed by")
+    assert not (root / UNIT).is_symlink()
+    assert os.readlink(f"{root / UNIT}.bak") == "/dev/null"
+
+
 def test_a_service_that_was_disabled_stays_disabled(root):
     call("install", root=root)
     Place(root).link.unlink()
