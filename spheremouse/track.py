@@ -35,7 +35,7 @@ from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consid
 from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
-from spheremouse.resect import PoseSettings, gather, predict_targets, resect
+from spheremouse.resect import PoseSettings, find_pose, predict_targets
 from spheremouse.rig import Rig, considered_covariance
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -434,8 +434,8 @@ def _by_colour(frame: Frame, tracker: Tracker) -> tuple[Tracker, Array | None] |
     if frame.image.ndim != 3:
         return None
     try:
-        sightings = gather([detect_targets(frame.image, rig.targets.radii, settings.rings)], settings.pose)
-        pose = resect(sightings, rig, frame.image).pose
+        seen = detect_targets(frame.image, rig.targets.radii, settings.rings)
+        pose = find_pose([seen], rig, frame.image, settings.pose).pose
         shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
         return (
             (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * settings.watch.match_sigma) else None

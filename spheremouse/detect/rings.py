@@ -11,14 +11,15 @@ from itertools import chain, permutations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from spheremouse.detect.detections import Image
 from spheremouse.rig import COLOURS
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 
-_MOST = 10**9
+MOST = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few
+_PICTURES = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
 _BAND = 2.0  # px, half width of the band in which an edge is measured: blur of lens and demosaicing
 
 
@@ -54,6 +55,7 @@ class TargetDetections:
     centre: Array  # (n, 2) px, mean centroid of the three filled ellipses: eccentricity not yet corrected
     radius: Array  # (n,) px, of the outer ring, geometric mean of the semi-axes
     contours: tuple[Image, ...]  # outer outlines, for the overlay
+    crowded: bool = False  # there was more than is measured: the best were
 
     def __len__(self) -> int:
         return len(self.codes)
@@ -71,31 +73,57 @@ class _Spots:
         return len(self.contours)
 
 
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """Circles that lie as a target's do, still to be measured."""
+
+    code: str
+    outline: Image  # (k, 2) px, of the outer circle
+    middle: Array  # (2,) px, its centroid
+    half: Array  # (2,) px, semi-axes
+    axes: Array  # (2, 2) their directions, in rows
+    window: tuple[int, int, int, int]  # px that are looked at: first column and row, and those after the last
+
+    @property
+    def area(self) -> int:
+        """px² of the window."""
+        x0, y0, x1, y1 = self.window
+        return (x1 - x0) * (y1 - y0)
+
+
 _Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]  # indices of spots, and of those they lie in
+_NONE = np.zeros(0, dtype=np.intp)
 
 
 def detect_targets(image: Image, radii: Array, settings: RingSettings) -> TargetDetections:
     """All targets in a BGR image, (h, w, 3). `radii` (3,) are the rig's circles, in any unit.
 
     Single discs, rings within rings of two colours, and nestings whose circles are not concentric or not in
-    proportion are ignored.
+    proportion are ignored. Of more than `MOST` with one code the best are measured, and of what together is larger than
+    two pictures the smallest; that there was more is said.
     """
     spots = {c: _spots(m, settings) for c, m in zip(COLOURS, _masks(image, settings), strict=True)}
     proportion = np.asarray(radii, dtype=float) / radii[-1]
-    codes: list[str] = []
-    centres, sizes, contours = [], [], []
+    candidates: list[_Candidate] = []
+    crowded = False
     for code in permutations(COLOURS):
-        nests, _ = _nests((spots[code[0]], spots[code[1]], spots[code[2]]), proportion, settings)
-        outer = spots[code[2]]
+        nests, more = _nests((spots[code[0]], spots[code[1]], spots[code[2]]), proportion, settings)
+        outer, crowded = spots[code[2]], crowded or more
         for k in nests:
-            measured = _measure(image, outer.contours[k], outer.centre[k], proportion)
-            if measured is not None:
-                codes.append("".join(code))
-                centres.append(measured[0])
-                sizes.append(measured[1])
-                contours.append(outer.contours[k])
+            candidate = _candidate("".join(code), outer.contours[k], outer.centre[k], image.shape)
+            if candidate is not None:
+                candidates.append(candidate)
+    areas = np.array([c.area for c in candidates])
+    smaller = np.argsort(areas, kind="stable")
+    room = np.cumsum(areas[smaller]) <= _PICTURES * image.shape[0] * image.shape[1]  # as many as possible
+    measured = [(c, _measure(image, c, proportion)) for c in (candidates[k] for k in np.sort(smaller[room]))]
+    seen = [(c, *m) for c, m in measured if m is not None]
     return TargetDetections(
-        tuple(codes), np.array(centres).reshape(-1, 2), np.array(sizes, dtype=float), tuple(contours)
+        tuple(c.code for c, _, _ in seen),
+        np.array([centre for _, centre, _ in seen]).reshape(-1, 2),
+        np.array([radius for _, _, radius in seen], dtype=float),
+        tuple(c.outline for c, _, _ in seen),
+        crowded or not room.all(),
     )
 
 
@@ -147,18 +175,20 @@ def _nests(
 ) -> tuple[NDArray[np.intp], bool]:
     """Outer circles of the triples (inner, middle, outer) that lie in one another, concentric and in proportion.
 
-    The best of each place, best first, and whether there were more than `_MOST`.
+    The best of each place, best first, and whether there were more than `MOST`.
     """
     inner, middle, outer = layers
     least = settings.min_radius / proportion[0] / settings.ratio  # no smaller outer ring holds a large enough disc
     large = np.flatnonzero(outer.radius >= least)
     around = _within(middle, outer, large, proportion[1], settings)
     within = _within(inner, outer, np.unique(around[1]), proportion[0], settings)
+    if not len(within[0]):
+        return within[0], False
     misfit = _misfits(inner.radius, within, middle.radius, around, outer.radius, proportion)
     left = np.flatnonzero(np.isfinite(misfit))
     left = left[np.argsort(misfit[left], kind="stable")]
     best: list[np.intp] = []
-    while len(left) and len(best) < _MOST:  # a hole's outline repeats its ring's
+    while len(left) and len(best) < MOST:  # a hole's outline repeats its ring's
         best.append(left[0])
         offset = np.linalg.norm(outer.centre[left] - outer.centre[left[0]], axis=1)
         left = left[offset > outer.radius[left[0]]]
@@ -172,12 +202,12 @@ def _within(inside: _Spots, outer: _Spots, which: NDArray[np.intp], share: float
     has room for is limited, how many small ones lie within a large one is not.
     """
     if not len(which) or not len(inside):
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+        return _NONE, _NONE
     least, most = share / settings.ratio, share * settings.ratio
     stretch = 2.0 * settings.concentric / (most - least)
     reach = np.maximum(settings.concentric * outer.radius[which], 1.0)
     at = np.column_stack((outer.centre[which], 0.5 * stretch * (least + most) * outer.radius[which]))
-    tree = cKDTree(np.column_stack((inside.centre, stretch * inside.radius)))
+    tree = KDTree(np.column_stack((inside.centre, stretch * inside.radius)))
     near = tree.query_ball_point(at, reach * (1.0 + 1e-9), p=np.inf)
     counts = np.fromiter(map(len, near), np.intp, len(near))
     one = np.fromiter(chain.from_iterable(near), np.intp, int(counts.sum()))
@@ -212,25 +242,31 @@ def _misfits(inner: Array, within: _Pairs, middle: Array, around: _Pairs, outer:
     return misfit
 
 
-def _measure(image: Image, outline: Image, middle: Array, proportion: Array) -> tuple[Array, float] | None:
-    """Sub-pixel centre (2,) px and radius of the outer circle.
-
-    Each edge separates two flat colours A and B; a pixel near it is covered by (I - B)(A - B) / |A - B|^2 parts of the
-    inside. Coverage, not a threshold, is what the lens integrates: its centroid is the ellipse's centre.
-    """
+def _candidate(code: str, outline: Image, middle: Array, shape: tuple[int, ...]) -> _Candidate | None:
+    """What is to be measured of a nest in a picture of that shape; None where its outline is no ellipse's."""
     ellipse = cv2.fitEllipse(outline) if len(outline) >= 5 else None
     if ellipse is None or min(ellipse[1]) <= 0 or not np.all(np.isfinite((*ellipse[0], *ellipse[1]))):
         return None
     margin = max(ellipse[1]) / 2 + 6.0
     x0, y0 = (max(int(np.floor(c - margin)), 0) for c in middle)
-    x1, y1 = (int(np.ceil(c + margin)) + 1 for c in middle)
-    patch = image[y0:y1, x0:x1].astype(float)
-    grid = np.stack(np.meshgrid(np.arange(patch.shape[1]) + x0, np.arange(patch.shape[0]) + y0), axis=-1)
-    half = np.array(ellipse[1]) / 2 + 0.5
+    x1, y1 = (min(int(np.ceil(c + margin)) + 1, end) for c, end in zip(middle, (shape[1], shape[0]), strict=True))
     turn = np.deg2rad(ellipse[2])
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return _Candidate(code, outline, middle, np.array(ellipse[1]) / 2 + 0.5, axes, (x0, y0, x1, y1))
+
+
+def _measure(image: Image, nest: _Candidate, proportion: Array) -> tuple[Array, float] | None:
+    """Sub-pixel centre (2,) px and radius of the outer circle.
+
+    Each edge separates two flat colours A and B; a pixel near it is covered by (I - B)(A - B) / |A - B|^2 parts of the
+    inside. Coverage, not a threshold, is what the lens integrates: its centroid is the ellipse's centre.
+    """
+    x0, y0, x1, y1 = nest.window
+    half, axes = nest.half, nest.axes
+    patch = image[y0:y1, x0:x1].astype(float)
+    grid = np.stack(np.meshgrid(np.arange(patch.shape[1]) + x0, np.arange(patch.shape[0]) + y0), axis=-1)
     scale = float(np.sqrt(half[0] * half[1]))
-    centre = middle
+    centre = nest.middle
     centres = []
     area = 0.0
     for _ in range(2):  # the second pass places the bands by the first one's centre
