@@ -336,7 +336,7 @@ def _distinct(fits: list[Resection]) -> list[Resection]:
     kept: list[Resection] = []
     near = [k for k in sorted(range(len(full)), key=cost.__getitem__) if cost[k] - min(cost) < 16.0 * scale]
     place = np.array([full[k].pose.position for k in near]).reshape(-1, 3)
-    while len(near):
+    while near:
         kept.append(full[near[0]])
         other = np.flatnonzero(np.linalg.norm(place - place[0], axis=1) > 1e-3)
         near, place = [near[k] for k in other], place[other]
