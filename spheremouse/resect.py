@@ -7,6 +7,7 @@ carried to the pose: a target field that is shifted against the ball shifts the 
 
 from dataclasses import dataclass
 from itertools import product
+from math import prod
 
 import cv2
 import numpy as np
@@ -23,11 +24,17 @@ from spheremouse.camera import (
     unproject,
 )
 from spheremouse.detect.detections import Image
-from spheremouse.detect.rings import TargetDetections
+from spheremouse.detect.rings import MOST, TargetDetections
 from spheremouse.errors import PoseError
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp, hat
 from spheremouse.settings import param
+
+_CHOICES = 250  # of one copy of each target that are tried: each is a resection of its own and takes milliseconds
+_CROWDED = (
+    f"the picture shows more that looks like targets than is looked at ({MOST} of a kind): cover or move what is "
+    "colourful, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +76,19 @@ class Resection:
     variance_factor: float  # a posteriori, 1 where there is no redundancy
 
 
+def find_pose(views: list[TargetDetections], rig: Rig, image: Image, settings: PoseSettings) -> Resection:
+    """Pose of the camera from what is seen of the targets in some views of a still scene; `image` is any of them.
+
+    Raises PoseError as `resect` does; where a view showed too much that looks like targets, that is said.
+    """
+    try:
+        return resect(gather(views, settings), rig, image)
+    except PoseError as e:
+        if any(view.crowded for view in views):
+            raise PoseError(f"{e}; {_CROWDED}") from None
+        raise
+
+
 def gather(views: list[TargetDetections], settings: PoseSettings) -> list[Sighting]:
     """Targets that keep their place over the views; a thing seen now and then, or that moves, is left out.
 
@@ -79,8 +99,8 @@ def gather(views: list[TargetDetections], settings: PoseSettings) -> list[Sighti
     for view in views:
         for code, centre, radius in zip(view.codes, view.centre, view.radius, strict=True):
             places = groups.setdefault(code, [])
-            near = [g for g in places if np.linalg.norm(g[0] - centre) < radius]
-            (near[0] if near else places.append([]) or places[-1]).append(centre)
+            near = next((g for g in places if np.linalg.norm(g[0] - centre) < radius), None)
+            (places.append([]) or places[-1] if near is None else near).append(centre)
     sightings = []
     for code, places in groups.items():
         for group in places:
@@ -117,12 +137,17 @@ def resect(sightings: list[Sighting], rig: Rig, image: Image) -> Resection:
             f"the targets found ({', '.join(seen)}) lie in a line in the rig, which leaves the turn about it open: "
             "uncover one beside that line"
         )
+    _refuse_many(seen, prod(len(options) for options in seen.values()))
     fits: list[Resection] = []
-    chosen = [[*options, None] if len(options) > 1 else options for options in seen.values()]
-    for combination in product(*chosen):
-        used = [s for s in combination if s is not None]
-        if len(used) >= 3:
-            fits += _candidates(used, np.array([known[s.code] for s in used]), rig)
+    for combination in product(*seen.values()):
+        fits += _candidates(list(combination), np.array([known[s.code] for s in combination]), rig)
+    if not _settled(fits):
+        chosen = [[*options, None] if len(options) > 1 else options for options in seen.values()]
+        _refuse_many(seen, prod(len(options) for options in chosen))
+        for combination in product(*chosen):
+            used = [s for s in combination if s is not None]
+            if 3 <= len(used) < len(combination):
+                fits += _candidates(used, np.array([known[s.code] for s in used]), rig)
     fits = _distinct(fits)
     if not fits:
         raise PoseError(
@@ -280,6 +305,20 @@ def _possible(pose: Pose, rig: Rig, which: NDArray[np.intp]) -> bool:
     )
 
 
+def _refuse_many(seen: dict[str, list[Sighting]], choices: int) -> None:
+    if choices > _CHOICES:
+        copies = ", ".join(f"{len(options)} of {code}" for code, options in seen.items() if len(options) > 1)
+        raise PoseError(f"too many copies of targets in the picture to tell which are the rig's ({copies}): cover them")
+
+
+def _settled(fits: list[Resection]) -> bool:
+    """Fits of all targets that are seen, one copy of each: does one say that no target of the rig is missing there?"""
+    if not fits:
+        return False
+    best = min(np.sqrt(np.mean(f.residual**2)) for f in fits)
+    return best <= 2.0 or len(fits[0].codes) == 3
+
+
 def _distinct(fits: list[Resection]) -> list[Resection]:
     """The fits the residuals cannot tell from the best: most targets first, then chi-square within 4 sigma."""
     if not fits:
@@ -288,16 +327,19 @@ def _distinct(fits: list[Resection]) -> list[Resection]:
     limit = 30.0  # px RMS of a fit that means anything at all
     fits = [f for f in fits if np.sqrt(np.mean(f.residual**2)) < limit]
     full = [f for f in fits if len(f.codes) == most]
-    if full and min(np.sqrt(np.mean(f.residual**2)) for f in full) > 2.0 and most > 3:
+    if full and not _settled(full):
         full = [f for f in fits if np.sqrt(np.mean(f.residual**2)) < 2.0]  # a copy of a target was among them
     if not full:
         return []
     cost = [f.variance_factor * max(2 * len(f.codes) - 6, 0) for f in full]
     scale = max(min(cost) / max(2 * most - 6, 1), 1.0)
     kept: list[Resection] = []
-    for c, f in sorted(zip(cost, full, strict=True), key=lambda pair: pair[0]):
-        if c - min(cost) < 16.0 * scale and all(np.linalg.norm(f.pose.position - k.pose.position) > 1e-3 for k in kept):
-            kept.append(f)
+    near = [k for k in sorted(range(len(full)), key=cost.__getitem__) if cost[k] - min(cost) < 16.0 * scale]
+    place = np.array([full[k].pose.position for k in near]).reshape(-1, 3)
+    while near:
+        kept.append(full[near[0]])
+        other = np.flatnonzero(np.linalg.norm(place - place[0], axis=1) > 1e-3)
+        near, place = [near[k] for k in other], place[other]
     return kept
 
 
@@ -306,7 +348,9 @@ def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
 
     Three targets always fit: even a single pose of them is to be believed only where the ball is seen in its place.
     """
-    scores = [_outline_score(f.pose, rig, image) for f in fits]
+    grey = cv2.GaussianBlur(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0)
+    floor = 4.0 * float(np.median(np.abs(np.diff(grey.astype(float), axis=1)))) + 4.0
+    scores = [_outline_score(f.pose, rig, grey, floor) for f in fits]
     order = np.argsort(scores)[::-1]
     best = scores[order[0]]
     second = scores[order[1]] if len(fits) > 1 else 0.0
@@ -324,9 +368,8 @@ def _by_outline(fits: list[Resection], rig: Rig, image: Image) -> Resection:
     return fits[int(order[0])]
 
 
-def _outline_score(pose: Pose, rig: Rig, image: Image) -> float:
-    """Part of the visible outline, 0..1, that lies within 2 px of an edge running along it."""
-    grey = cv2.GaussianBlur(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), (0, 0), 1.0)
+def _outline_score(pose: Pose, rig: Rig, grey: Image, floor: float) -> float:
+    """Part of the visible outline, 0..1, that lies within 2 px of an edge running along it, steeper than `floor`."""
     centre, shape = project_sphere(pose.to_cam(rig.ball.centre), rig.ball.radius)
     angle = np.linspace(0.0, 2.0 * np.pi, 240, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -348,7 +391,6 @@ def _outline_score(pose: Pose, rig: Rig, image: Image) -> float:
     slope = np.abs(profile[:, 4:] - profile[:, :-4])  # over 2 px
     strongest = slope.max(axis=1)
     offset = np.abs(reach[2:-2][slope.argmax(axis=1)])
-    floor = 4.0 * float(np.median(np.abs(np.diff(grey.astype(float), axis=1)))) + 4.0
     # by chance the strongest edge of 13 px lies within 2 px in 3 of 10 cases: count only what is beyond that
     hit = float(np.mean((offset <= 2.0) & (strongest > floor)))
     return max(0.0, (hit - 0.3) / 0.7)

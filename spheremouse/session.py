@@ -22,7 +22,7 @@ from spheremouse.evaluate.metrics import Run
 from spheremouse.filters.so3_state import So3State
 from spheremouse.frame import Frame
 from spheremouse.motion import Motion
-from spheremouse.resect import Resection, gather, resect
+from spheremouse.resect import Resection, find_pose
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step
@@ -117,7 +117,7 @@ def initialise(
             check_size(view, rig)
         try:
             seen = [detect_targets(_colour(view), rig.targets.radii, settings.rings) for view in views]
-            resection = resect(gather(seen, settings.pose), rig, views[0].image)
+            resection = find_pose(seen, rig, views[0].image, settings.pose)
         except PoseError as e:
             if str(e) != said:
                 said = str(e)

@@ -35,7 +35,7 @@ from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consid
 from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
-from spheremouse.resect import PoseSettings, gather, predict_targets, resect
+from spheremouse.resect import PoseSettings, find_pose, predict_targets
 from spheremouse.rig import Rig, considered_covariance
 from spheremouse.rotation import Array
 from spheremouse.settings import param
@@ -251,27 +251,52 @@ def current(state: TrackState, tracker: Tracker) -> Tracker:
     return tracker if state.rebuilt is None else state.rebuilt
 
 
+Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
+Seek = Callable[[Frame, Tracker], Moved | None]
+
+
+def seek_by_colour(frame: Frame, tracker: Tracker) -> Moved | None:
+    """The tracker for the pose that the whole picture tells; None where it tells none, or the one that is known."""
+    rig, settings = tracker.rig, tracker.settings
+    if frame.image.ndim != 3:
+        return None
+    try:
+        seen = detect_targets(frame.image, rig.targets.radii, settings.rings)
+        pose = find_pose([seen], rig, frame.image, settings.pose).pose
+        shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
+        return (
+            (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * settings.watch.match_sigma) else None
+        )
+    except PoseError:
+        return None
+
+
 def step(
-    state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
+    state: TrackState,
+    frame: Frame,
+    tracker: Tracker,
+    detected: Callable[[], None] = lambda: None,
+    seek: Seek = seek_by_colour,
 ) -> tuple[TrackState, Motion]:
     """One frame. Raises SourceError when the frame has another size than the camera was calibrated for.
 
     Where the targets say that the camera was moved, the pose is estimated anew and the frame is done with that.
-    `detected` is called between detection and what follows: whoever measures times needs to know.
+    `detected` is called between detection and what follows: whoever measures times needs to know. `seek` looks for the
+    camera by the targets' colours, which takes long: whoever has no time does that elsewhere, and uses `posed_anew`.
     """
     check_size(frame, tracker.rig)
     tracker = current(state, tracker)
     if state.watch is None:
         return _stages(state, frame, tracker, detected)
     if state.watch.away is not None:
-        return _attend(state, None, frame, tracker)
+        return _attend(state, None, frame, tracker, seek)
     new, motion = _stages(state, frame, tracker, detected)
     watch = _with_references(state.watch, frame, tracker)
     watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, _surprised(new))
     if watch is not new.watch:
         new = replace(new, watch=watch)
     if odd or watch.asked or _out_of_sight(new, frame.stamp):
-        new, motion = _attend(replace(state, watch=watch), (new, motion), frame, tracker)
+        new, motion = _attend(replace(state, watch=watch), (new, motion), frame, tracker, seek)
     if state.phase is Phase.TRACKING and new.phase is Phase.LOST and _hidden(new.watch):
         return replace(
             new, event=f"{new.event}; the targets are out of sight: if the camera was moved, initialise again"
@@ -295,6 +320,17 @@ def posed_anew(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) ->
     """
     tracker = current(state, tracker)
     return _from_there(state, build(tracker.rig, pose, tracker.settings), None, frame, tracker)
+
+
+def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
+    """Does a frame still look as from a pose that was found for one before: three targets in their places there?"""
+    watch = watching.begin(tracker.rig, pose)
+    if watch is None:
+        return True  # too near the edge of the picture to be watched
+    every = np.arange(len(watch), dtype=np.intp)
+    return bool(
+        np.count_nonzero(watching.take(watch, frame.image, every, tracker.rig, tracker.settings.rings).seen) >= 3
+    )
 
 
 def retuned(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
@@ -377,7 +413,7 @@ def _out_of_sight(state: TrackState, stamp: float) -> bool:
 
 
 def _attend(
-    state: TrackState, done: tuple[TrackState, Motion] | None, frame: Frame, tracker: Tracker
+    state: TrackState, done: tuple[TrackState, Motion] | None, frame: Frame, tracker: Tracker, seek: Seek
 ) -> tuple[TrackState, Motion]:
     """All targets are looked at: is the camera where it was, does it swing, or stand elsewhere?
 
@@ -392,7 +428,7 @@ def _attend(
     if moved is None:
         moved = watching.displaced(shift, 3.0 * s.match_sigma)
     if moved and watching.stands(before, shift, s):
-        anew = _relative(on_rings, shift, tracker) or _by_colour(frame, tracker)
+        anew = _relative(on_rings, shift, tracker) or seek(frame, tracker)
         if anew is not None:
             return _from_there(state, *anew, frame, tracker)
     if moved:
@@ -404,7 +440,7 @@ def _attend(
     watch = replace(watch, asked=False)
     if moved is None and done is not None and _out_of_sight(replace(done[0], watch=watch), frame.stamp):
         watch = replace(watch, tried=frame.stamp)
-        anew = _by_colour(frame, tracker)
+        anew = seek(frame, tracker)
         if anew is not None:
             return _from_there(state, *anew, frame, tracker)
     if moved is False:  # then a target out of its place was moved by itself, or is in another light
@@ -414,7 +450,7 @@ def _attend(
     return replace(new, watch=watch), motion
 
 
-def _relative(on_rings: Array, shift: Array, tracker: Tracker) -> tuple[Tracker, Array | None] | None:
+def _relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
     """The tracker for the pose that the shifts of the targets, (n, 2) px, tell, and what that adds to the pose's
     covariance; None where they tell none. Measured on the rings, or else by correlation."""
     rig, settings = tracker.rig, tracker.settings
@@ -426,22 +462,6 @@ def _relative(on_rings: Array, shift: Array, tracker: Tracker) -> tuple[Tracker,
             except PoseError:
                 continue
     return None
-
-
-def _by_colour(frame: Frame, tracker: Tracker) -> tuple[Tracker, Array | None] | None:
-    """The tracker for the pose that the whole picture tells; None where it tells none, or the one that is known."""
-    rig, settings = tracker.rig, tracker.settings
-    if frame.image.ndim != 3:
-        return None
-    try:
-        sightings = gather([detect_targets(frame.image, rig.targets.radii, settings.rings)], settings.pose)
-        pose = resect(sightings, rig, frame.image).pose
-        shift = predict_targets(pose, rig) - predict_targets(tracker.pose, rig)
-        return (
-            (build(rig, pose, settings), None) if watching.displaced(shift, 3.0 * settings.watch.match_sigma) else None
-        )
-    except PoseError:
-        return None
 
 
 def _from_there(

@@ -530,7 +530,7 @@ def test_an_error_of_ours_in_the_estimate_is_answered_and_does_not_stay(playing,
     def wrong(*_):
         raise ZeroDivisionError("as if")
 
-    monkeypatch.setattr("spheremouse.daemon.worker.gather", wrong)
+    monkeypatch.setattr("spheremouse.daemon.worker.find_pose", wrong)
     assert "internal error (ZeroDivisionError: as if)" in refused(playing, "reinit")
     monkeypatch.undo()
     playing.settle()

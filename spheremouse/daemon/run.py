@@ -14,6 +14,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -109,7 +110,8 @@ class Daemon:
         self._listen_at = 0.0  # s, when the socket is tried for again
         self._notifier = Notifier()
         self._keeper = self._new_keeper(plan, self._rig)
-        self._worker = Worker(self._rig, plan.configuration, self._known(), self.say)
+        self._looking = ThreadPoolExecutor(1, "targets")
+        self._worker = self._new_worker()
         self._ring = Newest()
         self._capture = Capture(open_camera, self._ring, self.say)
         self._cured = self._began
@@ -335,6 +337,7 @@ class Daemon:
             if self._keeper is not None:
                 last.callback(self._keeper.__exit__, None, None, None)
             last.callback(self._background.join)
+            last.callback(self._looking.shutdown, wait=False, cancel_futures=True)
             last.callback(self._archive.close)
             last.callback(self._reporter.close)
             last.callback(self._capture.close)
@@ -534,7 +537,7 @@ class Daemon:
     def _change_worker(self) -> None:
         before = self._worker
         before.interrupted("another rig is in use now")
-        self._worker = Worker(self._rig, self._plan.configuration, self._known(), self.say)
+        self._worker = self._new_worker()
         self._worker.carry_on(before)
 
     def _change_output(self) -> None:
@@ -630,6 +633,9 @@ class Daemon:
 
     def _new_keeper(self, plan: Plan, rig: Rig, say: Callable[[str], None] | None = None) -> MapKeeper | None:
         return None if plan.map_path is None else MapKeeper(plan.map_path, rig, say or self.say)
+
+    def _new_worker(self) -> Worker:
+        return Worker(self._rig, self._plan.configuration, self._known(), self.say, self._looking.submit)
 
     def _known(self) -> DiscMap | None:
         return None if self._keeper is None else self._keeper.known

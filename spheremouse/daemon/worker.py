@@ -11,14 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from spheremouse.camera import Pose
+from spheremouse.daemon.looking import Elsewhere, FirstPose, Seeker, at_once
 from spheremouse.daemon.owned import Owned
 from spheremouse.daemon.ring import Arrival
-from spheremouse.detect.rings import TargetDetections, detect_targets
+from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
 from spheremouse.frame import Frame
 from spheremouse.motion import Motion
-from spheremouse.resect import Resection, describe, gather, resect
+from spheremouse.resect import Resection, describe, find_pose
 from spheremouse.rig import Rig
 from spheremouse.session import Epoch
 from spheremouse.timing import FrameTimes
@@ -33,6 +34,7 @@ from spheremouse.track import (
     current,
     posed_anew,
     retuned,
+    shows_targets,
     step,
     wants_colour,
 )
@@ -54,8 +56,17 @@ class Step:
 class Worker:
     """Frames in, motion out, for a device and its settings."""
 
-    def __init__(self, rig: Rig, settings: Settings, known: DiscMap | None, say: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        settings: Settings,
+        known: DiscMap | None,
+        say: Callable[[str], None],
+        elsewhere: Elsewhere = at_once,
+    ) -> None:
+        """`elsewhere` has done by another thread what may take longer than a frame."""
         self.rig, self.settings, self._known, self._say = rig, settings, known, say
+        self._elsewhere = elsewhere
         self.pose: Pose | None = None
         self.posed = 0.0  # s, time.monotonic() when the pose was found
         self.state: TrackState | None = None
@@ -68,8 +79,7 @@ class Worker:
         self.damaged = 0
         self.lost = 0  # times
         self._tracker: Tracker | None = None
-        self._views: list[TargetDetections] = []
-        self._first: Frame | None = None  # of the views
+        self._forget_views()
         self._anew: _Reinitialisation | None = None
         self._own = Owned()
         self._faults: deque[float] = deque(maxlen=_FAULTS)
@@ -129,7 +139,7 @@ class Worker:
 
     def interrupted(self, reason: str) -> None:
         """No frames come: what has been begun with those before is void, for the camera may be moved meanwhile."""
-        self._views, self._first = [], None
+        self._forget_views()
         if self._anew is not None:
             self._anew.give_up(f"{reason}; the pose before stays")
             self._anew = None
@@ -148,6 +158,7 @@ class Worker:
         if settings.tracker != self.settings.tracker:
             self.ball = "another filter begins"
         self.settings = settings
+        self._forget_views()
 
     def reinitialise(self, answer: Callable[[str | None, str], None]) -> None:
         """Estimate the camera's pose anew while the ball is tracked on by the one before; `answer` (error, text)."""
@@ -167,21 +178,19 @@ class Worker:
             return True
         return self.state is None or wants_colour(self.state, stamp)
 
+    def _forget_views(self) -> None:
+        """What has been begun with the frames before says nothing of those to come."""
+        self._first_pose = FirstPose(self.rig, self.settings, self._elsewhere)
+        self._seeker = Seeker(self._elsewhere)
+
     def _look_for_targets(self, frame: Frame) -> None:
         """One view more; the pose once there are enough, or why not."""
         try:
-            if frame.image.ndim != 3:
-                raise PoseError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
-            if self._first is None:
-                self._first = replace(frame, image=frame.image.copy())
-            self._views.append(detect_targets(frame.image, self.rig.targets.radii, self.settings.rings))
-            if len(self._views) < self.settings.pose.frames:
-                return
-            found = resect(gather(self._views, self.settings.pose), self.rig, self._first.image)
-            self._stands(found.pose, f"camera pose: {_in_a_line(found, self.rig)}")
+            found = self._first_pose.look(frame)
+            if found is not None:
+                self._stands(found.pose, f"camera pose: {_in_a_line(found, self.rig)}")
         except PoseError as e:
             self.targets = str(e)
-        self._views, self._first = [], None
 
     def _stands(self, pose: Pose, text: str) -> None:
         self._tracker = build(self.rig, pose, self.settings)
@@ -193,10 +202,13 @@ class Worker:
         before = self.state or begin(self._tracker, frame.stamp, known=self._known)
         self._detected = begun
         found = None if self._anew is None else self._anew.look(frame)
-        if found is None:
-            state, motion = step(before, frame, self._tracker, self._note_detected)
-        else:
+        sought = self._seeker.found(current(before, self._tracker))
+        if found is not None:
             state, motion = self._with_pose(before, frame, found)
+        elif sought is not None and shows_targets(frame, self._tracker, sought):
+            state, motion = posed_anew(before, frame, self._tracker, sought)
+        else:
+            state, motion = step(before, frame, self._tracker, self._note_detected, self._seeker)
         done = time.monotonic()
         seconds = {"detect": self._detected - begun, "filter": done - self._detected}
         for name, time_taken in seconds.items():
@@ -221,7 +233,7 @@ class Worker:
             new, motion = posed_anew(state, frame, self._tracker, found.pose)
         except PoseError as e:
             anew.give_up(f"{e}; the pose before stays")
-            return step(state, frame, self._tracker, self._note_detected)
+            return step(state, frame, self._tracker, self._note_detected, self._seeker)
         except Exception:
             anew.give_up("internal error; the ball is looked for anew")
             raise
@@ -245,7 +257,7 @@ class Worker:
         """An error of our own: told with its traceback, the ball looked for anew. Are there so many that we give up?"""
         self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
         self.state, self.ball = None, "an internal error; the ball is looked for anew"
-        self._views, self._first = [], None
+        self._forget_views()
         self._faults.append(now)
         return len(self._faults) == _FAULTS and now - self._faults[0] < _FAULTS_WITHIN
 
@@ -295,7 +307,7 @@ class _Reinitialisation:
             if any(f.image.ndim != 3 for f in self._frames):
                 raise PoseError("the frames are grey: the ring targets need colour")
             seen = [detect_targets(f.image, self._rig.targets.radii, self._settings.rings) for f in self._frames]
-            found = resect(gather(seen, self._settings.pose), self._rig, self._frames[0].image)
+            found = find_pose(seen, self._rig, self._frames[0].image, self._settings.pose)
         except SpheremouseError as e:
             self.give_up(f"{e}; the pose before stays")
         except Exception as e:

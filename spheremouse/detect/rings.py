@@ -6,16 +6,20 @@ three filled circles, weighted by how much of each pixel they cover.
 """
 
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import chain, permutations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from spheremouse.detect.detections import Image
 from spheremouse.rig import COLOURS
 from spheremouse.rotation import Array
 from spheremouse.settings import param
 
+MOST = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few
+_PICTURES = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
 _BAND = 2.0  # px, half width of the band in which an edge is measured: blur of lens and demosaicing
 
 
@@ -51,38 +55,75 @@ class TargetDetections:
     centre: Array  # (n, 2) px, mean centroid of the three filled ellipses: eccentricity not yet corrected
     radius: Array  # (n,) px, of the outer ring, geometric mean of the semi-axes
     contours: tuple[Image, ...]  # outer outlines, for the overlay
+    crowded: bool = False  # there was more than is measured: the best were
 
     def __len__(self) -> int:
         return len(self.codes)
 
 
 @dataclass(frozen=True, slots=True)
-class _Blob:
-    contour: Image  # (k, 2) px
-    centre: Array  # (2,) px
-    radius: float  # px, of the circle of equal area
+class _Spots:
+    """What has one of the colours."""
+
+    contours: tuple[Image, ...]  # (k, 2) px each
+    centre: Array  # (n, 2) px
+    radius: Array  # (n,) px, of the circle of equal area
+
+    def __len__(self) -> int:
+        return len(self.contours)
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """Circles that lie as a target's do, still to be measured."""
+
+    code: str
+    outline: Image  # (k, 2) px, of the outer circle
+    middle: Array  # (2,) px, its centroid
+    half: Array  # (2,) px, semi-axes
+    axes: Array  # (2, 2) their directions, in rows
+    window: tuple[int, int, int, int]  # px that are looked at: first column and row, and those after the last
+
+    @property
+    def area(self) -> int:
+        """px² of the window."""
+        x0, y0, x1, y1 = self.window
+        return (x1 - x0) * (y1 - y0)
+
+
+_Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]  # indices of spots, and of those they lie in
+_NONE = np.zeros(0, dtype=np.intp)
 
 
 def detect_targets(image: Image, radii: Array, settings: RingSettings) -> TargetDetections:
     """All targets in a BGR image, (h, w, 3). `radii` (3,) are the rig's circles, in any unit.
 
     Single discs, rings within rings of two colours, and nestings whose circles are not concentric or not in
-    proportion are ignored.
+    proportion are ignored. Of more than `MOST` with one code the best are measured, and of what together is larger than
+    two pictures the smallest; that there was more is said.
     """
-    blobs = {c: _colour_blobs(m, settings) for c, m in zip(COLOURS, _masks(image, settings), strict=True)}
+    spots = {c: _spots(m, settings) for c, m in zip(COLOURS, _masks(image, settings), strict=True)}
     proportion = np.asarray(radii, dtype=float) / radii[-1]
-    codes: list[str] = []
-    centres, sizes, contours = [], [], []
+    candidates: list[_Candidate] = []
+    crowded = False
     for code in permutations(COLOURS):
-        for nest in _nests([blobs[c] for c in code], proportion, settings):
-            measured = _measure(image, nest, proportion)
-            if measured is not None:
-                codes.append("".join(code))
-                centres.append(measured[0])
-                sizes.append(measured[1])
-                contours.append(nest[-1].contour)
+        nests, more = _nests((spots[code[0]], spots[code[1]], spots[code[2]]), proportion, settings)
+        outer, crowded = spots[code[2]], crowded or more
+        for k in nests:
+            candidate = _candidate("".join(code), outer.contours[k], outer.centre[k], image.shape)
+            if candidate is not None:
+                candidates.append(candidate)
+    areas = np.array([c.area for c in candidates])
+    smaller = np.argsort(areas, kind="stable")
+    room = np.cumsum(areas[smaller]) <= _PICTURES * image.shape[0] * image.shape[1]  # as many as possible
+    measured = [(c, _measure(image, c, proportion)) for c in (candidates[k] for k in np.sort(smaller[room]))]
+    seen = [(c, *m) for c, m in measured if m is not None]
     return TargetDetections(
-        tuple(codes), np.array(centres).reshape(-1, 2), np.array(sizes, dtype=float), tuple(contours)
+        tuple(c.code for c, _, _ in seen),
+        np.array([centre for _, centre, _ in seen]).reshape(-1, 2),
+        np.array([radius for _, _, radius in seen], dtype=float),
+        tuple(c.outline for c, _, _ in seen),
+        crowded or not room.all(),
     )
 
 
@@ -100,74 +141,132 @@ def _masks(image: Image, settings: RingSettings) -> list[Image]:
     return masks
 
 
-def _colour_blobs(mask: Image, settings: RingSettings) -> list[_Blob]:
+def _spots(mask: Image, settings: RingSettings) -> _Spots:
     """Outlines of the connected regions of a mask, filled: their moments are those of discs, not of rings."""
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    blobs = []
-    for contour in contours:
-        if len(contour) < 4 * settings.min_radius:
-            continue
-        m = cv2.moments(contour)
-        # the contour runs through pixel centres: half a pixel is missing all round
-        radius = np.sqrt(m["m00"] / np.pi) + 0.5
-        if radius >= settings.min_radius and m["m00"] > 0:
-            blobs.append(_Blob(contour[:, 0], np.array([m["m10"], m["m01"]]) / m["m00"], radius))
-    return blobs
+    outlines = [c[:, 0] for c in contours if len(c) >= 4 * settings.min_radius]
+    if not outlines:
+        return _Spots((), np.zeros((0, 2)), np.zeros(0))
+    area, centre = _filled(outlines)
+    radius = np.sqrt(area / np.pi) + 0.5  # the contour runs through pixel centres: half a pixel is missing all round
+    good = np.flatnonzero((radius >= settings.min_radius) & (area > 0))
+    return _Spots(tuple(outlines[k] for k in good), centre[good], radius[good])
 
 
-def _nests(layers: list[list[_Blob]], proportion: Array, settings: RingSettings) -> list[tuple[_Blob, ...]]:
-    """Triples (inner, middle, outer) that lie in one another, concentric and in proportion; the best of each place."""
-    found = []
+def _filled(outlines: list[Image]) -> tuple[Array, Array]:
+    """Area, (n,) px², and centroid, (n, 2) px, within closed outlines, (k, 2) px each; 0 and anything within a line.
+
+    To the last bit what `cv2.moments` says of each, by the same sums over whole numbers, for all of them at once.
+    """
+    point = np.concatenate(outlines).astype(np.int64)
+    length = np.fromiter(map(len, outlines), np.intp, len(outlines))
+    first = np.cumsum(length) - length
+    before = np.empty_like(point)
+    before[1:] = point[:-1]
+    before[first] = point[first + length - 1]
+    cross = before[:, 0] * point[:, 1] - point[:, 0] * before[:, 1]
+    area = 0.5 * np.add.reduceat(cross, first)
+    moment = (1.0 / 6.0) * np.add.reduceat(cross[:, None] * (before + point), first)
+    return np.abs(area), moment / np.where(area == 0.0, 1.0, area)[:, None]
+
+
+def _nests(
+    layers: tuple[_Spots, _Spots, _Spots], proportion: Array, settings: RingSettings
+) -> tuple[NDArray[np.intp], bool]:
+    """Outer circles of the triples (inner, middle, outer) that lie in one another, concentric and in proportion.
+
+    The best of each place, best first, and whether there were more than `MOST`.
+    """
+    inner, middle, outer = layers
     least = settings.min_radius / proportion[0] / settings.ratio  # no smaller outer ring holds a large enough disc
-    for outer in layers[2]:
-        if outer.radius < least:
-            continue
-        inside = [
-            [b for b in layer if _fits(b, outer, expected, settings)]
-            for layer, expected in zip(layers[:2], proportion[:2], strict=True)
-        ]
-        pairs = [(a, b) for a in inside[0] for b in inside[1] if a.radius < b.radius]
-        if pairs:
-            found.append((*min(pairs, key=lambda p: _misfit((*p, outer), proportion)), outer))
-    best: list[tuple[_Blob, ...]] = []
-    for nest in sorted(found, key=lambda n: _misfit(n, proportion)):  # a hole's outline repeats its ring's
-        if all(np.linalg.norm(nest[2].centre - other[2].centre) > other[2].radius for other in best):
-            best.append(nest)
-    return best
+    large = np.flatnonzero(outer.radius >= least)
+    around = _within(middle, outer, large, proportion[1], settings)
+    within = _within(inner, outer, np.unique(around[1]), proportion[0], settings)
+    if not len(within[0]):
+        return within[0], False
+    misfit = _misfits(inner.radius, within, middle.radius, around, outer.radius, proportion)
+    left = np.flatnonzero(np.isfinite(misfit))
+    left = left[np.argsort(misfit[left], kind="stable")]
+    best: list[np.intp] = []
+    while len(left) and len(best) < MOST:  # a hole's outline repeats its ring's
+        best.append(left[0])
+        offset = np.linalg.norm(outer.centre[left] - outer.centre[left[0]], axis=1)
+        left = left[offset > outer.radius[left[0]]]
+    return np.array(best, dtype=np.intp), len(left) > 0
 
 
-def _fits(blob: _Blob, outer: _Blob, expected: float, settings: RingSettings) -> bool:
-    ratio = blob.radius / (outer.radius * expected)
-    offset = np.linalg.norm(blob.centre - outer.centre)
-    near = offset < max(settings.concentric * outer.radius, 1.0)
-    return bool(near and 1.0 / settings.ratio < ratio < settings.ratio)
+def _within(inside: _Spots, outer: _Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
+    """Spots `inside` those of `which` in `outer`, concentric and of about that `share` of the radius: both's indices.
+
+    Place and size are sought as one box, with sizes stretched to its shape: how many outlines of about one size a place
+    has room for is limited, how many small ones lie within a large one is not.
+    """
+    if not len(which) or not len(inside):
+        return _NONE, _NONE
+    least, most = share / settings.ratio, share * settings.ratio
+    stretch = 2.0 * settings.concentric / (most - least)
+    reach = np.maximum(settings.concentric * outer.radius[which], 1.0)
+    at = np.column_stack((outer.centre[which], 0.5 * stretch * (least + most) * outer.radius[which]))
+    tree = KDTree(np.column_stack((inside.centre, stretch * inside.radius)))
+    near = tree.query_ball_point(at, reach * (1.0 + 1e-9), p=np.inf)
+    counts = np.fromiter(map(len, near), np.intp, len(near))
+    one = np.fromiter(chain.from_iterable(near), np.intp, int(counts.sum()))
+    other = np.repeat(which, counts)
+    offset = np.linalg.norm(inside.centre[one] - outer.centre[other], axis=1)
+    ratio = inside.radius[one] / (outer.radius[other] * share)
+    good = (offset < np.repeat(reach, counts)) & (1.0 / settings.ratio < ratio) & (ratio < settings.ratio)
+    return one[good], other[good]
 
 
-def _misfit(nest: tuple[_Blob, ...], proportion: Array) -> float:
-    ratios = np.array([b.radius for b in nest]) / proportion
-    return float(np.ptp(np.log(ratios)))
+def _misfits(inner: Array, within: _Pairs, middle: Array, around: _Pairs, outer: Array, proportion: Array) -> Array:
+    """How far the radii of the best triple about each outer circle are from the proportions, (n,); inf without one.
+
+    That is the range of the three log ratios, for the best of the smaller circles `within` and `around` it: to an inner
+    circle belongs the least middle one that reaches the range of the other two, or the next smaller.
+    """
+    misfit = np.full(len(outer), np.inf)
+    span = (
+        2.0 * float(outer.max(initial=0.0)) * max(1.0, *(1.0 / proportion))
+    )  # above all radii, to sort them by circle
+    order = np.argsort(span * around[1] + middle[around[0]], kind="stable")
+    b, whose = middle[around[0]][order], around[1][order]
+    key = span * whose + b
+    a, k = inner[within[0]], within[1]
+    larger = np.searchsorted(key, span * k + a, side="right")
+    reaches = np.searchsorted(key, span * k + proportion[1] * np.minimum(a / proportion[0], outer[k]))
+    for j in (np.maximum(larger, reaches), np.maximum(larger, reaches) - 1):
+        good = (j >= larger) & (j < len(b))
+        good[good] = whose[j[good]] == k[good]
+        ratios = np.column_stack((a[good], b[j[good]], outer[k[good]])) / proportion
+        np.minimum.at(misfit, k[good], np.ptp(np.log(ratios), axis=1))
+    return misfit
 
 
-def _measure(image: Image, nest: tuple[_Blob, ...], proportion: Array) -> tuple[Array, float] | None:
+def _candidate(code: str, outline: Image, middle: Array, shape: tuple[int, ...]) -> _Candidate | None:
+    """What is to be measured of a nest in a picture of that shape; None where its outline is no ellipse's."""
+    ellipse = cv2.fitEllipse(outline) if len(outline) >= 5 else None
+    if ellipse is None or min(ellipse[1]) <= 0 or not np.all(np.isfinite((*ellipse[0], *ellipse[1]))):
+        return None
+    margin = max(ellipse[1]) / 2 + 6.0
+    x0, y0 = (max(int(np.floor(c - margin)), 0) for c in middle)
+    x1, y1 = (min(int(np.ceil(c + margin)) + 1, end) for c, end in zip(middle, (shape[1], shape[0]), strict=True))
+    turn = np.deg2rad(ellipse[2])
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    return _Candidate(code, outline, middle, np.array(ellipse[1]) / 2 + 0.5, axes, (x0, y0, x1, y1))
+
+
+def _measure(image: Image, nest: _Candidate, proportion: Array) -> tuple[Array, float] | None:
     """Sub-pixel centre (2,) px and radius of the outer circle.
 
     Each edge separates two flat colours A and B; a pixel near it is covered by (I - B)(A - B) / |A - B|^2 parts of the
     inside. Coverage, not a threshold, is what the lens integrates: its centroid is the ellipse's centre.
     """
-    outer = nest[2]
-    ellipse = cv2.fitEllipse(outer.contour) if len(outer.contour) >= 5 else None
-    if ellipse is None or min(ellipse[1]) <= 0 or not np.all(np.isfinite((*ellipse[0], *ellipse[1]))):
-        return None
-    margin = max(ellipse[1]) / 2 + 6.0
-    x0, y0 = (max(int(np.floor(c - margin)), 0) for c in outer.centre)
-    x1, y1 = (int(np.ceil(c + margin)) + 1 for c in outer.centre)
+    x0, y0, x1, y1 = nest.window
+    half, axes = nest.half, nest.axes
     patch = image[y0:y1, x0:x1].astype(float)
     grid = np.stack(np.meshgrid(np.arange(patch.shape[1]) + x0, np.arange(patch.shape[0]) + y0), axis=-1)
-    half = np.array(ellipse[1]) / 2 + 0.5
-    turn = np.deg2rad(ellipse[2])
-    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     scale = float(np.sqrt(half[0] * half[1]))
-    centre = outer.centre
+    centre = nest.middle
     centres = []
     area = 0.0
     for _ in range(2):  # the second pass places the bands by the first one's centre

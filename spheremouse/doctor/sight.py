@@ -14,7 +14,7 @@ from spheremouse.detect.rings import detect_targets
 from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import SpheremouseError
 from spheremouse.frame import Frame
-from spheremouse.resect import gather, resect
+from spheremouse.resect import find_pose, gather
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import Settings, build
@@ -51,11 +51,11 @@ def targets(views: tuple[Frame, ...], rig: Rig, settings: Settings) -> tuple[Pos
     colour = [v.image for v in views if v.image.ndim == 3]
     if not colour:
         return None, unchecked("targets", "the pictures are grey", "choose a format with colour: YUYV or MJPG")
-    sightings = gather([detect_targets(i, rig.targets.radii, settings.rings) for i in colour], settings.pose)
-    seen = sorted({s.code for s in sightings} & set(rig.targets.codes))
+    looked = [detect_targets(i, rig.targets.radii, settings.rings) for i in colour]
+    seen = sorted({s.code for s in gather(looked, settings.pose)} & set(rig.targets.codes))
     numbers: dict[str, Any] = {"seen": len(seen), "of": len(rig.targets.codes), "codes": seen}
     try:
-        found = resect(sightings, rig, colour[0])
+        found = find_pose(looked, rig, colour[0], settings.pose)
     except SpheremouseError as e:
         return None, refused("targets", e, **numbers)
     residual = float(np.sqrt(np.mean(found.residual**2)))

@@ -1,0 +1,110 @@
+"""The targets looked for in whole pictures: by another thread, for it may take longer than a frame lasts.
+
+A piece of work is begun with one frame and asked for with the next ones; nobody waits for it. Where `elsewhere` does it
+at once, what comes of it is there at once: then the same frames give the same.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import TypeVar
+
+from spheremouse.camera import Pose
+from spheremouse.detect.detections import Image
+from spheremouse.detect.rings import TargetDetections, detect_targets
+from spheremouse.errors import PoseError
+from spheremouse.frame import Frame
+from spheremouse.resect import Resection, find_pose
+from spheremouse.rig import Rig
+from spheremouse.track import Moved, Settings, Tracker, seek_by_colour
+
+Elsewhere = Callable[[Callable[[], None]], object]  # has something done, one after the other
+
+T = TypeVar("T")
+
+
+def at_once(work: Callable[[], None]) -> None:
+    """Do it here and now."""
+    work()
+
+
+class FirstPose:
+    """Views for the first pose: the newest frame is looked through as soon as the one before has been."""
+
+    def __init__(self, rig: Rig, settings: Settings, elsewhere: Elsewhere) -> None:
+        self._rig, self._settings, self._elsewhere = rig, settings, elsewhere
+        self._views: list[TargetDetections] = []
+        self._first: Image | None = None
+        self._looking: Future[Resection | None] | None = None
+
+    def look(self, frame: Frame) -> Resection | None:
+        """The pose, once there are views enough. PoseError where they tell none, and where the frame is grey."""
+        found = self._come_of()
+        if self._looking is None and found is None:
+            self._begin(frame)
+            found = self._come_of()
+        return found
+
+    def _begin(self, frame: Frame) -> None:
+        if frame.image.ndim != 3:
+            self._views, self._first = [], None
+            raise PoseError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
+        image = frame.image.copy()
+        first = self._first = image if self._first is None else self._first
+        self._looking = _begun(lambda: self._look(image, first), self._elsewhere)
+
+    def _look(self, image: Image, first: Image) -> Resection | None:
+        self._views.append(detect_targets(image, self._rig.targets.radii, self._settings.rings))
+        if len(self._views) < self._settings.pose.frames:
+            return None
+        views, self._views, self._first = self._views, [], None
+        return find_pose(views, self._rig, first, self._settings.pose)
+
+    def _come_of(self) -> Resection | None:
+        if self._looking is None or not self._looking.done():
+            return None
+        done, self._looking = self._looking, None
+        return done.result()
+
+
+class Seeker:
+    """The camera sought by the targets' colours while it is tracked, after it was moved or the targets were hidden."""
+
+    def __init__(self, elsewhere: Elsewhere) -> None:
+        self._elsewhere = elsewhere
+        self._seeking: Future[Moved | None] | None = None
+        self._tracker: Tracker | None = None  # in use when it began
+
+    def __call__(self, frame: Frame, tracker: Tracker) -> Moved | None:
+        """What `seek_by_colour` finds, where that is known at once; else `found` has it with one of the next frames."""
+        if self._seeking is not None:
+            return None
+        kept = replace(frame, image=frame.image.copy())
+        self._tracker = tracker
+        self._seeking = _begun(lambda: seek_by_colour(kept, tracker), self._elsewhere)
+        if not self._seeking.done():
+            return None
+        done, self._seeking = self._seeking, None
+        return done.result()
+
+    def found(self, tracker: Tracker | None) -> Pose | None:
+        """The pose that was found since, if the tracker in use is still the same."""
+        if self._seeking is None or not self._seeking.done():
+            return None
+        done, self._seeking = self._seeking, None
+        moved = done.result()
+        return None if moved is None or tracker is not self._tracker else moved[0].pose
+
+
+def _begun(work: Callable[[], T], elsewhere: Elsewhere) -> Future[T]:
+    """What will come of the work, or its error."""
+    future: Future[T] = Future()
+
+    def do() -> None:
+        try:
+            future.set_result(work())
+        except Exception as e:
+            future.set_exception(e)
+
+    elsewhere(do)
+    return future

@@ -1,0 +1,290 @@
+"""Pictures full of what has the targets' colours: the same targets as by trying every pair, for bounded work."""
+
+import threading
+import time
+from dataclasses import replace
+from itertools import product
+
+import cv2
+import numpy as np
+import pytest
+from test_rings import INK, RADII, SETTINGS, blank, photo, target
+from test_worker import SETTINGS as TWO_VIEWS
+from test_worker import Shot
+
+from spheremouse.daemon.ring import Arrival
+from spheremouse.daemon.worker import Worker
+from spheremouse.detect import rings
+from spheremouse.detect.rings import MOST, TargetDetections, detect_targets
+from spheremouse.errors import PoseError
+from spheremouse.resect import PoseSettings, Sighting, find_pose, predict_targets, resect
+from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
+
+PROPORTION = RADII / RADII[-1]
+PATIENCE = 30.0  # s, for what takes a fraction of one
+
+
+def spots(rng, n, size=100.0, places=8):
+    """Spots about a few places, so that many lie in one another; some share centre and radius."""
+    at = rng.uniform(0.0, size, (places, 2))[rng.integers(0, places, n)] + rng.normal(0.0, 1.0, (n, 2)).round(1)
+    radius = rng.uniform(1.5, 30.0, n).round(rng.integers(0, 3))
+    return rings._Spots((np.zeros((4, 2), np.int32),) * n, at, radius)
+
+
+def every_pair(layers, s):
+    """The outer circles of nests, best first, by the definition: the loops of the first version of this module."""
+    inner, middle, outer = layers
+    found = []
+    for k, (centre, radius) in enumerate(zip(outer.centre, outer.radius, strict=True)):
+        if radius < s.min_radius / PROPORTION[0] / s.ratio:
+            continue
+        inside = [
+            [
+                r
+                for c, r in zip(layer.centre, layer.radius, strict=True)
+                if np.linalg.norm(c - centre) < max(s.concentric * radius, 1.0)
+                and 1.0 / s.ratio < r / (radius * share) < s.ratio
+            ]
+            for layer, share in zip((inner, middle), PROPORTION[:2], strict=True)
+        ]
+        fits = [np.ptp(np.log(np.array([a, b, radius]) / PROPORTION)) for a, b in product(*inside) if a < b]
+        if fits:
+            found.append((min(fits), k))
+    best = []
+    for _, k in sorted(found):
+        if all(np.linalg.norm(outer.centre[k] - outer.centre[o]) > outer.radius[o] for o in best):
+            best.append(k)
+    return best
+
+
+@pytest.mark.parametrize("ratio", [1.5, 4.0])
+@pytest.mark.parametrize("seed", range(40))
+def test_nests_are_those_of_every_pair(seed, ratio):
+    """With a wide `ratio` a middle circle may be smaller than the inner one: such a pair is none."""
+    rng = np.random.default_rng(seed)
+    settings = rings.RingSettings(ratio=ratio)
+    layers = tuple(spots(np.random.default_rng((seed, 7 * (k < 2))), int(rng.integers(0, 40))) for k in range(3))
+    nests, more = rings._nests(layers, PROPORTION, settings)
+    best = every_pair(layers, settings)
+    assert nests.tolist() == best[:MOST]
+    assert more == (len(best) > MOST)
+
+
+def test_some_of_those_have_nests():
+    """What the test above compares is not nothing."""
+    counts = [len(every_pair([spots(np.random.default_rng((s, 0)), 40) for _ in range(3)], SETTINGS)) for s in range(5)]
+    assert min(counts) > 0
+
+
+def test_filled_outlines_have_the_moments_of_opencv_to_the_last_bit():
+    noise = np.random.default_rng(0).integers(0, 256, (300, 400), dtype=np.uint8)
+    mask = np.asarray(cv2.GaussianBlur(noise, (0, 0), 2.0) > 127, dtype=np.uint8)
+    outlines = [c[:, 0] for c in cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[0]]
+    area, centre = rings._filled(outlines)
+    assert len(outlines) > 200
+    for a, c, m in zip(area, centre, map(cv2.moments, outlines), strict=True):
+        assert a == m["m00"]
+        assert a == 0.0 or (c[0], c[1]) == (m["m10"] / m["m00"], m["m01"] / m["m00"])
+
+
+def dotted(rng, height, width, n):
+    image = np.full((height, width, 3), 200, np.uint8)
+    for _ in range(n):
+        colour = INK["CMY"[rng.integers(0, 3)]].tolist()
+        at = (int(rng.integers(0, width)), int(rng.integers(0, height)))
+        cv2.circle(image, at, int(rng.integers(2, 5)), colour, -1, cv2.LINE_AA)
+    return image
+
+
+class Counted(rings.KDTree):
+    """A tree that counts what it gives for a look."""
+
+    given = 0
+
+    def query_ball_point(self, *args, **kwargs):
+        near = super().query_ball_point(*args, **kwargs)
+        Counted.given += sum(map(len, near))
+        return near
+
+
+def bullseye(height, width, step=2):
+    image = np.full((height, width, 3), 200, np.uint8)
+    for k, radius in enumerate(range(height // 2 - 2, 1, -step)):
+        cv2.circle(image, (width // 2, height // 2), radius, INK["CMY"[k % 3]].tolist(), -1)
+    return image
+
+
+@pytest.mark.parametrize("kind", ["dots", "cells", "within one another", "dots within a ring"])
+def test_the_pairs_that_are_looked_at_are_in_proportion_to_the_picture(kind, monkeypatch):
+    """Not to the square of the spots: as many of one size as a place has room for, whatever else lies there."""
+    monkeypatch.setattr(rings, "KDTree", Counted)
+    shares = []
+    for height, width in ((240, 320), (480, 640), (960, 1280)):
+        rng = np.random.default_rng(0)
+        if kind == "cells":
+            cells = np.array([INK[c] for c in "CMYW"], np.uint8)[rng.integers(0, 4, (height // 5, width // 5))]
+            image = np.repeat(np.repeat(cells, 5, axis=0), 5, axis=1)
+        elif kind == "within one another":
+            image = bullseye(height, width)
+        else:
+            image = dotted(rng, height, width, height * width // 300)
+            if kind == "dots within a ring":
+                cv2.circle(image, (width // 2, height // 2), height // 2 - 5, INK["C"].tolist(), 9)
+        Counted.given = 0
+        detect_targets(image, RADII, SETTINGS)
+        shares.append(Counted.given / (height * width))
+    assert max(shares) < 0.1
+    assert shares[-1] < 2.0 * shares[0] + 1e-3
+
+
+def test_targets_among_a_thousand_dots_are_found_and_measured():
+    image = dotted(np.random.default_rng(1), 480, 640, 1000).astype(float)
+    truth = {"CMY": (100.2, 90.4), "MYC": (500.7, 120.1), "YCM": (320.3, 400.8), "CYM": (560.5, 390.2)}
+    for code, centre in truth.items():
+        cv2.circle(image, (round(centre[0]), round(centre[1])), 24, (200.0, 200.0, 200.0), -1)
+        target(image, code, centre, 16.0)
+    seen = detect_targets(photo(image), RADII, SETTINGS)
+    assert sorted(seen.codes) == sorted(truth)
+    assert not seen.crowded
+    for code, centre in zip(seen.codes, seen.centre, strict=True):
+        assert np.abs(centre - truth[code]).max() < 0.03
+
+
+def test_of_many_copies_the_best_are_measured_and_that_there_are_more_is_said(monkeypatch):
+    image = blank(260, 320)
+    for k in range(MOST + 5):
+        target(image, "CMY", (30.0 + 60 * (k % 5), 30.0 + 60 * (k // 5)), 16.0)
+    target(image, "YMC", (30.0, 230.0), 16.0)
+    seen = detect_targets(photo(image), RADII, SETTINGS)
+    assert seen.codes == ("CMY",) * MOST + ("YMC",)
+    assert seen.crowded
+    few = detect_targets(photo(image[180:]), RADII, SETTINGS)
+    assert few.codes == ("YMC",)
+    assert not few.crowded
+
+
+def test_what_is_measured_is_no_more_than_two_pictures(monkeypatch):
+    """Circles within circles are targets of all codes, each as large as the picture: the smaller ones are measured."""
+    looked, measure = [], rings._measure
+
+    def counted(image, nest, proportion):
+        looked.append(nest.area)
+        return measure(image, nest, proportion)
+
+    monkeypatch.setattr(rings, "_measure", counted)
+    image = np.concatenate([bullseye(240, 240, 3)[8:-8, 8:-8]] * 2, axis=1)
+    seen = detect_targets(image, RADII, SETTINGS)
+    assert seen.crowded
+    assert len(looked) > 1
+    assert sum(looked) <= 2 * image.shape[0] * image.shape[1]
+
+
+# --- the pose --------------------------------------------------------------------------------------------------------
+
+
+def sightings(copies):
+    """Targets of the default scene, and copies elsewhere in the picture."""
+    scene, rng = default_scene(), np.random.default_rng(0)
+    rig = scene.rig()
+    places = predict_targets(scene.pose, rig)
+    made = [
+        Sighting(code, place + (rng.uniform(-150, 150, 2) if k else 0.0), 0.0025 * np.eye(2), 30)
+        for code, place in zip(rig.targets.codes, places, strict=True)
+        for k in range(copies)
+    ]
+    return rig, scene.pose, made
+
+
+def test_copies_of_every_target_are_told_from_the_real_ones():
+    rig, pose, made = sightings(3)
+    found = resect(made, rig, np.zeros((480, 640), np.uint8))
+    assert np.linalg.norm(found.pose.position - pose.position) < 1e-3
+
+
+def test_more_copies_than_can_be_tried_are_refused_at_once(monkeypatch):
+    rig, _, made = sightings(10)
+    monkeypatch.setattr("spheremouse.resect._candidates", lambda *_: pytest.fail("one was tried"))
+    with pytest.raises(PoseError, match=r"too many copies of targets .*10 of .*cover them"):
+        resect(made, rig, np.zeros((480, 640), np.uint8))
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_a_crowded_picture_is_why_targets_are_missing(crowded):
+    view = TargetDetections((), np.zeros((0, 2)), np.zeros(0), (), crowded)
+    with pytest.raises(PoseError) as refused:
+        find_pose([view], default_scene().rig(), np.zeros((480, 640), np.uint8), PoseSettings())
+    assert ("cover or move what is colourful, or narrow the hues" in str(refused.value)) == crowded
+
+
+# --- the worker ------------------------------------------------------------------------------------------------------
+
+
+class Elsewhere:
+    """Another thread's work, done when the test says so."""
+
+    def __init__(self):
+        self.waiting = []
+
+    def __call__(self, work):
+        self.waiting.append(work)
+
+    def do(self):
+        for work in self.waiting:
+            thread = threading.Thread(target=work)
+            thread.start()
+            thread.join(PATIENCE)
+        self.waiting.clear()
+
+
+def film(seconds, **options):
+    """Shots of a simulated ball, and of what scene the last is."""
+    sim = prepare(SimulationOptions(motion="roll", turns=1.0, noise=3.0, seconds=seconds, **options))
+    shots = []
+    for k, made in enumerate(simulate(sim)):
+        colour = made.frame.image
+        shots.append(Shot(colour, np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY), dtype=np.uint8), k))
+    return sim, shots
+
+
+def work(worker, shot):
+    return worker.work(Arrival(shot, time.monotonic()))
+
+
+def test_whole_pictures_are_looked_through_elsewhere_and_the_pose_is_that_of_here():
+    sim, shots = film(0.1)
+    here, elsewhere = Worker(sim.scene.rig(), TWO_VIEWS, None, lambda _: None), Elsewhere()
+    for _ in range(2):
+        work(here, shots[0])
+    worker = Worker(sim.scene.rig(), TWO_VIEWS, None, lambda _: None, elsewhere)
+    for _ in range(2):
+        for _ in range(5):  # no frame waits, and only the first is looked through
+            work(worker, shots[0])
+        assert len(elsewhere.waiting) == 1
+        assert worker.tracker is None
+        elsewhere.do()
+    work(worker, shots[0])
+    assert worker.targets == ""
+    assert np.array_equal(worker.pose.position, here.pose.position)
+
+
+@pytest.mark.parametrize("stale", [False, True])
+def test_a_camera_that_was_moved_is_sought_elsewhere_while_frames_go_on(stale):
+    """And where it was moved on before that was done, what was found is of the past, and it is sought again."""
+    sim, shots = film(1.2, bump=0.3, bump_by=(5.0, -40.0, 20.0, 3.0, -4.0, 1.0))
+    elsewhere = Elsewhere()
+    worker = Worker(replace(sim.scene.rig(), pose=sim.scene.pose), TWO_VIEWS, None, lambda _: None, elsewhere)
+    before = shots[:8]
+    for shot in shots[:24]:
+        assert work(worker, shot) is not None
+    assert len(elsewhere.waiting) == 1
+    assert worker.pose is worker.tracker.pose
+    assert np.array_equal(worker.pose.position, sim.scene.pose.position)
+    elsewhere.do()
+    if stale:
+        for k, shot in enumerate(before):
+            work(worker, Shot(shot.frame(True).image, shot.frame(False).image, 24 + k))
+        assert np.array_equal(worker.pose.position, sim.scene.pose.position)
+    else:
+        work(worker, shots[24])
+        assert "camera was moved" in worker.take_event()
+        assert np.linalg.norm(worker.pose.position - sim.changes[0].scene.pose.position) < 5e-3
