@@ -53,8 +53,8 @@ def install(
         _would(deeds)
     else:
         _allowed(place, deeds, "install")
-        for line in service.carry_out(deeds):
-            typer.echo(line)
+        for line in service.carry_out(deeds, umask=0o077 if user else 0o022):
+            _say(line)
     if not deeds:
         typer.echo("all files are in place")
     if place.root != _ROOT:
@@ -89,7 +89,7 @@ def uninstall(
     if live and deeds:
         _run([[*_systemctl(place), "stop", UNIT]], quiet=True)
     for line in service.carry_out(deeds):
-        typer.echo(line)
+        _say(line)
     service.tidy(place)
     if live and deeds:
         after = [[*_systemctl(place), "daemon-reload"], [*_systemctl(place), "reset-failed", UNIT]]
@@ -104,7 +104,7 @@ def uninstall(
         again = "" if user else f", and the user {USER}"
         typer.echo(f"stays{again}; --purge removes it, too:")
         for path in stays:
-            typer.echo(f"  {path}")
+            _say(f"  {path}")
     typer.echo("the service is gone" if deeds else "there was no service")
 
 
@@ -177,7 +177,14 @@ def _allowed(place: Place, deeds: list[service.Deed], command: str) -> None:
 
 def _would(deeds: list[service.Deed]) -> None:
     for deed in deeds:
-        typer.echo(f"would {deed}")
+        _say(f"would {deed}")
+
+
+def _say(line: str) -> None:
+    """A line with names of files in it; those of the service's user's folder may be made to steer root's terminal."""
+    from spheremouse.doctor.report import printable
+
+    typer.echo(printable(line))
 
 
 def _activation(place: Place, start: bool) -> list[list[str]]:
