@@ -80,7 +80,7 @@ def call(tmp_path, *arguments, script=SCRIPT, umask=0o022, cwd=None, **more):
     command = ["bash", script, "--no-service", "--prefix", tmp_path / "opt", "--bin", tmp_path / "bin", *arguments]
     environment = {"PATH": os.environ["PATH"], "HOME": str(tmp_path), "PYTHON": sys.executable, **more}
     done = subprocess.run(
-        command, capture_output=True, text=True, env=environment, timeout=120, check=False, umask=umask, cwd=cwd
+        command, capture_output=True, text=True, env=environment, timeout=300, check=False, umask=umask, cwd=cwd
     )
     return done.returncode, done.stdout + done.stderr
 
@@ -290,8 +290,11 @@ def test_a_release_without_a_lock_is_refused(tmp_path, release):
 
 
 def test_a_folder_of_wheels_holds_what_is_locked_and_what_was_built_without_roots_rights(tmp_path, shared, release):
-    """And all that a machine without network needs. As root: it is made in a user's folder, where links wait for what root
-    would write, and installed from there, with modules in the folder one happens to be in, umask 077 and a newer evdev."""
+    """And all that a machine without network needs.
+
+    As root: it is made in a user's folder, where links wait for what root would write, and installed from there, with
+    umask 077, a newer evdev beside what is listed, and modules of Python's names in the folder one happens to be in.
+    """
     secret, carried, here = tmp_path / "secret", shared / "user" / "wheels", tmp_path / "here"
     secret.write_text("root's\n")
     carried.mkdir(parents=True)
