@@ -9,19 +9,28 @@ STAMP := $(VENV)/.installed
 
 # Tests that need kernel devices, hours or luck have targets of their own.
 SLOW_TESTS := tests/system tests/soak tests/fuzz
+# A short form, for packages other than the locked: one test of each that is used, and the whole pipeline.
+SHORT_TESTS := tests/test_imports.py
+# What there are no wheels of.
+SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=
 DEMO_ARGS ?=
 SYSTEM_TEST_ARGS ?=
 SOAK_ARGS ?=
 FUZZ_ARGS ?=
 EXPERIMENTS_ARGS ?=
+LOCK_ARGS ?= --upgrade
+OLDEST_PYTHON ?= python3.11
 
 .DEFAULT_GOAL := help
-.PHONY: help demo picture test lint format docs experiments system-test soak fuzz clean
+.PHONY: help demo picture test test-oldest test-newest lock lint format docs experiments system-test soak fuzz clean
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
 	@echo "make test         the tests (minutes); TEST_ARGS=... goes to pytest"
+	@echo "make test-oldest  a short form of them with the oldest of each package that pyproject.toml allows"
+	@echo "make test-newest  the same with the newest; make test takes the locked ones"
+	@echo "make lock         the lock files anew, with the newest of each package; LOCK_ARGS= keeps what is locked"
 	@echo "make lint         format, lint rules and types"
 	@echo "make format       bring the code into the format that make lint asks for"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
@@ -41,6 +50,33 @@ picture: demo
 
 test: $(STAMP)
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
+
+# The environments that the locked one is not: what a later lock may hold, and what the ranges promise.
+test-oldest: OTHER := --python $(OLDEST_PYTHON)
+test-oldest: RESOLUTION := lowest-direct
+test-newest: OTHER := --python $(BIN)/python
+test-newest: RESOLUTION := highest
+test-oldest test-newest: $(STAMP)
+	$(BIN)/uv venv --quiet --clear --no-python-downloads $(OTHER) $(VENV)/$@
+	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[plot,metrics,tray,desktop]'
+	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
+	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses auto --dist loadfile $(SHORT_TESTS)
+
+# Three lists from one resolution: all that make installs; what a machine gets as wheels; and what there are no wheels
+# of, which service/install.sh builds without root's rights. No address of an index is in them.
+define LOCK
+set -euo pipefail
+lock() { $(BIN)/uv pip compile --quiet --universal --generate-hashes --fork-strategy fewest --no-annotate \
+    --custom-compile-command "make lock" --no-python-downloads "$$@"; }
+lock pyproject.toml --all-extras --group dev --group docs --group release $(LOCK_ARGS) -o tests/requirements.lock
+lock pyproject.toml --all-extras --group release -c tests/requirements.lock $(addprefix --no-emit-package=,$(SOURCES)) \
+    -o service/requirements.lock
+printf '%s\n' $(SOURCES) | lock - --no-deps -c tests/requirements.lock -o service/sources.lock
+endef
+export LOCK
+
+lock: $(STAMP)
+	@bash -c "$$LOCK"
 
 lint: $(STAMP)
 	$(BIN)/ruff format --check
@@ -115,10 +151,12 @@ if ! $(BIN)/python -c pass 2>/dev/null; then "$$python" -m venv --clear $(VENV);
 endef
 export SYSTEM
 
-$(STAMP): pyproject.toml
+# What is locked, checked against its hashes: first the wheels, those that build the rest among them.
+$(STAMP): pyproject.toml tests/requirements.lock
 	@bash -c "$$SYSTEM"
-	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --editable . --group dev --group docs
+	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r service/requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --require-hashes --no-build-isolation -r tests/requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -c 'import cv2' || \
 		{ echo "make: OpenCV does not load; on Debian: apt-get install libgl1 libglib2.0-0" >&2; exit 1; }
 	@echo "compiling for this machine, about a minute"

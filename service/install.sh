@@ -3,7 +3,12 @@
 #     sudo bash service/install.sh
 # A virtual environment per version under /opt/spheremouse, `current` leads to the one in use, and the service runs from
 # there. A version that does not come up is switched back. See --help.
+#
+# As root it runs no code but its own and what it installs: packages come as wheels, by the hashes of the release's
+# service/*.lock, and what there are no wheels of is built by a user who exists for that alone (as_builder).
 set -euo pipefail
+umask 022 # the service's user reads all of it, whoever installs
+unset PYTHONPATH PYTHONHOME
 
 here=$(cd "$(dirname "$0")" && pwd)
 prefix=/opt/spheremouse
@@ -25,7 +30,7 @@ usage: install.sh [options]
   --from WHAT           another checkout or wheel
   --wheelhouse DIR      without network: all wheels are in DIR
   --build-wheelhouse DIR  fill DIR with all wheels and this script, for machines without network of the same kind
-  --extras A,B          optional parts, such as plot
+  --extras A,B          optional parts: plot, metrics, tray, desktop
   --rollback            switch back to the version before
   --uninstall           stop and remove the service and all versions; --purge: configuration and calibration, too
   --prefix DIR          where versions go, in place of /opt/spheremouse
@@ -34,6 +39,7 @@ usage: install.sh [options]
 END
 }
 say() { echo "install.sh: $*"; }
+printable() { LC_ALL=C.UTF-8 sed 's/[^[:print:]]/?/g'; } # what others than root wrote may steer a terminal
 fail() {
     echo "install.sh: $*" >&2
     exit 1
@@ -64,6 +70,12 @@ while [ $# -gt 0 ]; do
     esac
     shift
 done
+absolute() { case $1 in '' | /*) printf %s "$1" ;; *) printf %s "$PWD/$1" ;; esac; }
+prefix=$(absolute "$prefix") bin=$(absolute "$bin") wheelhouse=$(absolute "$wheelhouse")
+from=$(absolute "$from") build=$(absolute "$build")
+case $python in */*) python=$(absolute "$python") ;; esac
+exec </dev/null
+cd / # Python imports from the folder it is called in, which may be anybody's
 
 # ---- what the system must have ----
 
@@ -88,6 +100,29 @@ system_packages() {
     apt-get -qq -o DPkg::Lock::Timeout=300 update
     DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y --no-install-recommends \
         "${missing[@]}" >/dev/null || fail "apt-get could not install ${missing[*]}"
+}
+
+# roots_own FOLDER: whoever may write it, or a folder above it, decides in the end what root runs from there. It need not be
+# there yet. /usr/local is of the group staff on older systems, whose members are as good as root.
+roots_own() {
+    [ "$(id -u)" = 0 ] || return 0
+    local path mode owner group writes=022
+    for path in "$1" "$(realpath -m "$1")"; do # with links, and where they lead
+        while :; do
+            if [ -e "$path" ]; then
+                read -r mode owner group < <(stat -Lc '%a %u %G' "$path")
+                [[ $group != @(root|staff) ]] || writes=$((writes & 002))
+                [ "$owner" = 0 ] && (((0$mode & writes) == 0)) || fail "$1: others than root may change what is in $path;" \
+                    "take a folder that is root's alone, or install without sudo and with --no-service"
+                [ -z "$service" ] || ((0$mode & 1)) || fail "$path: the service's user may not enter it; chmod 755 $path"
+            fi
+            [ "$path" != / ] || break
+            path=$(dirname "$path")
+            writes=022
+            # in /tmp and the like nobody can move what is another's
+            if [ -k "$path" ]; then writes=0; fi
+        done
+    done
 }
 
 kind() { "$python" -c 'import sys, platform; print(f"Python {sys.version_info[0]}.{sys.version_info[1]}, {platform.machine()}")'; }
@@ -139,7 +174,9 @@ warm() {
     [ -n "$service" ] && id spheremouse >/dev/null 2>&1 && [ -d /var/cache/spheremouse ] || return 0
     command -v runuser >/dev/null || return 0
     say "compiling for this machine, a minute or more"
-    (cd / && runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse "$prefix/$1/bin/python" -m spheremouse.warm) ||
+    # what it finds in its cache is its own affair; without our terminal it cannot type there
+    setsid -w runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse "$prefix/$1/bin/python" \
+        -m spheremouse.warm 2>&1 | printable ||
         say "compiling beforehand did not work; the first start will do it"
 }
 
@@ -150,19 +187,133 @@ back_to() { # back_to NAME
     say "$1 is in use again"
 }
 
+# ---- packages ----
+
+# as_owner PATH COMMAND...: with the rights of whoever owns a path, so that root reads and writes nothing in others' folders
+as_owner() {
+    local uid gid groups=--init-groups
+    read -r uid gid < <(stat -Lc '%u %g' "$1")
+    shift
+    if [ "$(id -u)" != 0 ] || [ "$uid" = 0 ]; then
+        "$@"
+    else
+        getent passwd "$uid" >/dev/null || groups=--clear-groups
+        setsid -w setpriv --reuid "$uid" --regid "$gid" "$groups" "$@"
+    fi
+}
+
+# With the rights of a user whom nothing belongs to and nobody else is, as systemd's DynamicUser makes them; where one is
+# not root, with one's own. Without a terminal: what runs could type into it.
+builder=
+as_builder() {
+    local drop=()
+    if [ "$(id -u)" = 0 ]; then
+        drop=(setsid -w setpriv --reuid "$builder" --regid "$builder" --clear-groups --no-new-privs
+            env "HOME=$room/build" "TMPDIR=$room/build")
+    fi
+    (cd "$room/build" && "${drop[@]}" "$@")
+}
+
+# The room, in the temporary folder, since a builder need not be able to enter the prefix: a virtual environment of root's
+# that is built with, and a folder of the builder's that is built in.
+make_room() {
+    room=$(mktemp -d)
+    chmod 711 "$room"
+    "$python" -m venv "$room/venv"
+    mkdir -m 700 "$room/build"
+    [ "$(id -u)" = 0 ] || return 0
+    local _
+    for _ in {1..100}; do
+        builder=$((61184 + RANDOM % 4336))
+        getent passwd "$builder" >/dev/null || [ -n "$(find /proc -maxdepth 1 -uid "$builder")" ] || break
+    done
+    chown "$builder:$builder" "$room/build"
+    as_builder "$room/venv/bin/python" -c 'import os; assert os.getuid()' 2>/dev/null ||
+        fail "packages are not built as root, and others cannot run $python: PYTHON=/usr/bin/python3 bash install.sh"
+}
+
+# run WORDS COMMAND...: where it does not work, one line with what it called errors
+run() {
+    local words=$1
+    shift
+    "$@" >"$work/said" 2>&1 || fail "$words: $( (grep -iE '^ *error' "$work/said" ||
+        tail -n1 "$work/said") | paste -sd' ' | tr -s ' ' | printable)"
+}
+text_of() { [ -f "$1" ] && as_owner "$1" cat "$1"; }
+
+# Fill $work/wheels with the program and all it may need: wheels that the release's lock names, or that are made here from
+# the source that it names.
+fetch() {
+    local what lock one pip name_ok='^[A-Za-z0-9][A-Za-z0-9._+-]*[.]whl$'
+    what=$(source_of)
+    system_packages
+    if [ -f "$what" ]; then
+        [[ ${what##*/} =~ $name_ok ]] || fail "$what is no wheel and no checkout"
+        text_of "$what" >"$work/wheels/${what##*/}"
+    fi
+    for lock in requirements.lock sources.lock; do # the release's own, from whichever form it comes in
+        if [ -d "$what" ]; then
+            text_of "$what/service/$lock"
+        else
+            "$python" -c 'import sys, zipfile; print(zipfile.ZipFile(sys.argv[1]).read(sys.argv[2]).decode())' \
+                "$work/wheels/${what##*/}" "spheremouse/_service/$lock"
+        fi >"$work/$lock" 2>/dev/null || fail "$what has no $lock, which says what to install: take a whole release"
+    done
+    make_room
+    cp "$work/sources.lock" "$room/"
+    pip=("$room/venv/bin/python" -m pip -q --disable-pip-version-check)
+    say "fetching what requirements.lock names"
+    run "what $what/service/requirements.lock names is not to be had" \
+        "${pip[@]}" download --no-deps --require-hashes --only-binary :all: -d "$work/wheels" -r "$work/requirements.lock"
+    run "requirements.lock lacks what builds" "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" pip hatchling setuptools
+    say "building what comes as source"
+    pip+=(wheel --no-deps --no-build-isolation -w wheels)
+    run "what $what/service/sources.lock names is not to be had" \
+        as_builder "${pip[@]}" --require-hashes -r "$room/sources.lock"
+    if [ -d "$what" ]; then
+        as_builder mkdir source
+        as_owner "$what" tar -C "$what" --exclude=__pycache__ -c pyproject.toml README.md LICENSE spheremouse service |
+            as_builder tar -C source -x
+        run "$what: no wheel can be made of it" as_builder "${pip[@]}" --no-index ./source
+    fi
+    for one in $(as_builder find wheels -type f -printf '%f\n'); do
+        [[ $one =~ $name_ok ]] || fail "$one: no wheel was asked for by that name"
+        as_builder cat "wheels/$one" >"$work/wheels/$one" # the builder reads: a link that it left leads it nowhere new
+    done
+}
+
+# Fill $work/wheels from a folder that --build-wheelhouse made: what SHA256SUMS names there, if it is that.
+take() {
+    local kinds name sum
+    kinds=$(text_of "$wheelhouse/BUILT-FOR") && text_of "$wheelhouse/SHA256SUMS" >"$work/SHA256SUMS" ||
+        fail "$wheelhouse: no BUILT-FOR and SHA256SUMS in it; make the folder with --build-wheelhouse"
+    [ "$kinds" = "$(kind)" ] ||
+        fail "$wheelhouse was built for $kinds, this is $(kind): build it on a machine like this"
+    while read -r sum name; do
+        [[ $name =~ ^[A-Za-z0-9][A-Za-z0-9._+-]*[.]whl$ ]] || fail "$wheelhouse/SHA256SUMS: $name is no name of a wheel"
+        text_of "$wheelhouse/$name" >"$work/wheels/$name" && [ "$(sha256sum <"$work/wheels/$name")" = "$sum  -" ] ||
+            fail "$wheelhouse/$name is not the file that SHA256SUMS names; carry the folder over anew"
+    done <"$work/SHA256SUMS"
+    say "$wheelhouse is as it was built; its SHA256SUMS has $(sha256sum "$work/SHA256SUMS" | cut -d' ' -f1)"
+}
+
 # ---- actions ----
 
 build_wheelhouse() {
     check_python
-    system_packages
-    mkdir -p "$build"
-    made=$(mktemp -d)
-    trap 'rm -rf "$made"' EXIT
-    "$python" -m venv "$made/venv"
-    "$made/venv/bin/pip" -q wheel -w "$build" "$(source_of)${extras:+[$extras]}" pip
-    cp "$here/install.sh" "$build/"
-    kind >"$build/BUILT-FOR"
-    say "$build: $(find "$build" -name '*.whl' | wc -l) wheels, $(du -sh "$build" | cut -f1), for $(kind)"
+    work=$(mktemp -d)
+    trap 'rm -rf "$work" ${room:+"$room"}' EXIT
+    mkdir "$work/wheels"
+    fetch
+    (cd "$work/wheels" && sha256sum -- *.whl >SHA256SUMS)
+    kind >"$work/wheels/BUILT-FOR"
+    cp "$here/install.sh" "$work/wheels/"
+    local there=$build
+    while [ ! -e "$there" ]; do there=$(dirname "$there"); done
+    as_owner "$there" mkdir -p "$build"
+    tar -C "$work/wheels" -c . | as_owner "$there" tar -C "$build" --no-same-owner -x
+    say "$build: $(grep -c . "$work/wheels/SHA256SUMS") wheels, $(du -sh "$work/wheels" | cut -f1), for $(kind)"
+    say "its SHA256SUMS has $(sha256sum "$work/wheels/SHA256SUMS" | cut -d' ' -f1)"
     say "carry it to the other machine, then there: sudo bash $(basename "$build")/install.sh"
 }
 
@@ -186,25 +337,13 @@ install() {
     flock -n 9 || fail "another installation is under way"
     work=$(mktemp -d "$prefix/.work.XXXXXX")
     new=
-    trap 'rm -rf "$work" ${new:+"$prefix/$new"}' EXIT
+    trap 'rm -rf "$work" ${room:+"$room"} ${new:+"$prefix/$new"}' EXIT
+    mkdir "$work/wheels"
+    if [ -n "$wheelhouse" ]; then take; else fetch; fi
 
-    local wheel pip=()
-    if [ -n "$wheelhouse" ]; then
-        wheelhouse=$(realpath "$wheelhouse")
-        wheel=$(find "$wheelhouse" -name 'spheremouse-*.whl' | sort -V | tail -1)
-        [ -n "$wheel" ] || fail "$wheelhouse: no wheel of spheremouse in it; make one with --build-wheelhouse"
-        if [ -e "$wheelhouse/BUILT-FOR" ] && [ "$(cat "$wheelhouse/BUILT-FOR")" != "$(kind)" ]; then
-            fail "$wheelhouse was built for $(cat "$wheelhouse/BUILT-FOR"), this is $(kind): build it on a machine like this"
-        fi
-        pip=(--no-index --find-links "$wheelhouse")
-    else
-        system_packages
-        local what
-        what=$(source_of)
-        "$python" -m venv "$work/venv"
-        "$work/venv/bin/pip" -q wheel --no-deps -w "$work" "$what"
-        wheel=$(find "$work" -maxdepth 1 -name 'spheremouse-*.whl')
-    fi
+    local wheel
+    wheel=$(find "$work/wheels" -name 'spheremouse-*.whl')
+    [ -n "$wheel" ] || fail "$wheelhouse: no wheel of spheremouse in it; make one with --build-wheelhouse"
     local version name n=2
     version=$(basename "$wheel" | cut -d- -f2)
     name=$version
@@ -214,16 +353,13 @@ install() {
     done
     new=$name
     say "installing $version into $prefix/$name"
-    if [ -n "$wheelhouse" ]; then # no ensurepip needed: pip runs from its own wheel
-        "$python" -m venv --without-pip "$prefix/$name"
-        "$prefix/$name/bin/python" "$(find "$wheelhouse" -name 'pip-*.whl' | sort -V | tail -1)/pip" \
-            -q --disable-pip-version-check install "${pip[@]}" "$wheel${extras:+[$extras]}"
-    else
-        "$python" -m venv "$prefix/$name"
-        "$prefix/$name/bin/pip" -q --disable-pip-version-check install "$wheel${extras:+[$extras]}"
-    fi
-    chmod -R go+rX "$prefix/$name"
+    # pip from its own wheel, which needs no ensurepip; no setting of pip's brings in what was not looked at
+    "$python" -m venv --without-pip "$prefix/$name"
+    PIP_CONFIG_FILE=/dev/null run "$version was not installed" "$prefix/$name/bin/python" \
+        "$(find "$work/wheels" -name 'pip-*.whl')/pip" --isolated -q --disable-pip-version-check install --no-cache-dir \
+        --no-index --find-links "$work/wheels" --only-binary :all: "$wheel${extras:+[$extras]}"
     "$prefix/$name/bin/python" -m compileall -q "$prefix/$name/lib" >/dev/null || true # the service may not write there
+    chmod -R go+rX "$prefix/$name"
     "$prefix/$name/bin/spheremouse" --version >/dev/null || fail "$version does not start; nothing was changed"
     "$prefix/$name/bin/python" -c 'import cv2, numba, scipy' || fail "$version lacks a library; nothing was changed"
     warm "$name"
@@ -234,7 +370,7 @@ install() {
     if ! switch "$name" || { [ -z "$before" ] && ! warm "$name"; } || ! healthy; then # warm: now there is its user
         say "$version does not come up"
         if [ -n "$before" ] && [ -d "$prefix/$before" ]; then
-            ! systemd_runs || journalctl -u spheremouse -n 15 --no-pager -o cat | sed 's/^/    /' || true
+            ! systemd_runs || journalctl -u spheremouse -n 15 --no-pager -o cat | printable | sed 's/^/    /' || true
             (back_to "$before") || true
             rm -rf "${prefix:?}/$name"
             exit 1
@@ -243,7 +379,11 @@ install() {
     fi
     point "$bin/spheremouse" "$(program)"
     if [ -n "$before" ]; then point "$prefix/previous" "$before"; fi
-    [ "$here" = "$(realpath "$prefix")" ] || cp "$here/install.sh" "$prefix/install.sh" # for --rollback and --uninstall
+    if [ "$here" != "$(realpath "$prefix")" ]; then # for --rollback and --uninstall
+        text_of "$here/install.sh" >"$prefix/.install.sh"
+        chmod 755 "$prefix/.install.sh"
+        mv -f "$prefix/.install.sh" "$prefix/install.sh"
+    fi
     local other
     for other in $(versions); do
         [ "$other" = "$name" ] || [ "$other" = "$before" ] || {
@@ -277,6 +417,11 @@ uninstall() {
     say "$prefix is gone"
 }
 
-if [ -n "$build" ]; then action=build_wheelhouse; fi
+if [ -n "$build" ]; then
+    action=build_wheelhouse
+else
+    roots_own "$prefix"
+    roots_own "$bin"
+fi
 "$action"
 exit

@@ -47,7 +47,7 @@ def install(
         _would(deeds)
     else:
         _allowed(place, deeds, "install")
-        for line in service.carry_out(deeds):
+        for line in service.carry_out(deeds, umask=0o077 if user else 0o022):
             typer.echo(line)
     if not deeds:
         typer.echo("all files are in place")

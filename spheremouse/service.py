@@ -245,11 +245,15 @@ def configuration(place: Place) -> str:
     return text
 
 
-def carry_out(deeds: Iterator[Deed] | list[Deed]) -> Iterator[str]:
-    """Do them one by one, in words; ServiceError where the system does not let us."""
+def carry_out(deeds: Iterator[Deed] | list[Deed], umask: int = 0o022) -> Iterator[str]:
+    """Do them one by one, in words; ServiceError where the system does not let us.
+
+    The umask is ours and not the account's: with 077, what is placed would be closed to those who are to read it.
+    """
     for deed in list(deeds):
         try:
-            deed.do()
+            with _umask(umask):
+                deed.do()
         except (OSError, RecursionError, ConfigurationError, ServiceError) as e:
             why = f"{deed}: {shown(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
             if deed.must:
@@ -271,6 +275,15 @@ def may(place: Place) -> bool:
 
 
 # ---- within ----
+
+
+@contextlib.contextmanager
+def _umask(mask: int) -> Iterator[None]:
+    before = os.umask(mask)
+    try:
+        yield
+    finally:
+        os.umask(before)
 
 
 def _digest(text: str) -> str:

@@ -1,13 +1,21 @@
-"""service/install.sh with versions of a stand-in: beside each other, switched and back, gone. No network, no root.
+"""service/install.sh with versions of a stand-in: beside each other, switched and back, gone; and what it does as root.
 
-The stand-in is a wheel made here, with a command that says its version; pip is the one that Python brings.
+The stand-in is a wheel made here, or a checkout with a build backend of its own; pip is the one that Python brings, and
+the index of packages is a folder. No network; as root there is more to see.
 """
 
 import ensurepip
+import hashlib
+import json
 import os
+import platform
+import pwd
 import shutil
 import subprocess
 import sys
+import tarfile
+import tempfile
+import textwrap
 import zipfile
 from pathlib import Path
 
@@ -16,45 +24,64 @@ import pytest
 from spheremouse import service
 
 SCRIPT = service.folder() / "install.sh"
+KIND = f"Python {sys.version_info[0]}.{sys.version_info[1]}, {platform.machine()}\n"
+ROOT = os.geteuid() == 0
 pytestmark = pytest.mark.skipif(sys.platform != "linux" or shutil.which("flock") is None, reason="needs Linux, flock")
 
 
-def make_wheel(folder, version, code="print('stand-in {}'); "):
+def make_wheel(folder, version, code="print('stand-in {}'); ", name="spheremouse", modules=("cv2", "numba", "scipy")):
     """A wheel of that version, with what the installer asks for."""
-    info = f"spheremouse-{version}.dist-info"
+    info = f"{name}-{version}.dist-info"
     files = {
-        "spheremouse.py": f"def main():\n    {code.format(version)}\n",
-        **{f"{name}.py": "" for name in ("cv2", "numba", "scipy")},
-        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: spheremouse\nVersion: {version}\n",
+        f"{name}.py": f"def main():\n    {code.format(version)}\n",
+        **{f"{module}.py": "" for module in modules},
+        f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n",
         f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
-        f"{info}/entry_points.txt": "[console_scripts]\nspheremouse = spheremouse:main\n",
+        f"{info}/entry_points.txt": f"[console_scripts]\n{name} = {name}:main\n",
     }
     files[f"{info}/RECORD"] = "".join(f"{name},,\n" for name in [*files, f"{info}/RECORD"])
-    path = folder / f"spheremouse-{version}-py3-none-any.whl"
+    path = folder / f"{name}-{version}-py3-none-any.whl"
     with zipfile.ZipFile(path, "w") as wheel:
-        for name, text in files.items():
-            wheel.writestr(name, text)
+        for inner, text in files.items():
+            wheel.writestr(inner, text)
     return path
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def seal(folder, *wheels):
+    """The lists that a folder of wheels carries: these, and pip's."""
+    wheels = [*wheels, *folder.glob("pip-*.whl")]
+    (folder / "SHA256SUMS").write_text("".join(f"{digest(path)}  {path.name}\n" for path in wheels))
+    (folder / "BUILT-FOR").write_text(KIND)
+
+
+def bundled():
+    places = (Path(ensurepip.__file__).parent / "_bundled", Path("/usr/share/python-wheels"))
+    found = [wheel for place in places for wheel in place.glob("pip-*.whl")]
+    if not found:
+        pytest.skip("this Python brings no wheel of pip")
+    return found[0]
 
 
 @pytest.fixture
 def wheels(tmp_path):
     folder = tmp_path / "wheels"
     folder.mkdir()
-    places = (Path(ensurepip.__file__).parent / "_bundled", Path("/usr/share/python-wheels"))
-    bundled = [wheel for place in places for wheel in place.glob("pip-*.whl")]
-    if not bundled:
-        pytest.skip("this Python brings no wheel of pip")
-    shutil.copy(bundled[0], folder)
-    make_wheel(folder, "1.9")
+    shutil.copy(bundled(), folder)
+    seal(folder, make_wheel(folder, "1.9"))
     return folder
 
 
-def call(tmp_path, *arguments, script=SCRIPT):
+def call(tmp_path, *arguments, script=SCRIPT, umask=0o022, cwd=None, **more):
     """Exit code and what was said; the prefix has a space in no test, since systemd would not have it."""
     command = ["bash", script, "--no-service", "--prefix", tmp_path / "opt", "--bin", tmp_path / "bin", *arguments]
-    environment = {"PATH": os.environ["PATH"], "HOME": str(tmp_path), "PYTHON": sys.executable}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120, check=False)
+    environment = {"PATH": os.environ["PATH"], "HOME": str(tmp_path), "PYTHON": sys.executable, **more}
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, timeout=300, check=False, umask=umask, cwd=cwd
+    )
     return done.returncode, done.stdout + done.stderr
 
 
@@ -71,7 +98,7 @@ def test_versions_stand_beside_each_other_and_change_places(tmp_path, wheels):
     code, said = call(tmp_path, "--wheelhouse", wheels)
     assert code == 0, said
     assert in_use(tmp_path) == "stand-in 1.9"
-    make_wheel(wheels, "1.10")
+    seal(wheels, make_wheel(wheels, "1.10"))
     code, said = call(tmp_path, "--wheelhouse", wheels)
     assert (code, in_use(tmp_path)) == (0, "stand-in 1.10"), said
     both = ["1.10", "1.9", "current", "install.sh", "previous"]
@@ -81,13 +108,13 @@ def test_versions_stand_beside_each_other_and_change_places(tmp_path, wheels):
         code, said = call(tmp_path, "--rollback", script=installed)
         assert (code, in_use(tmp_path)) == (0, expected), said
 
-    broken = make_wheel(wheels, "2.0", "raise SystemExit('broken')")
+    seal(wheels, make_wheel(wheels, "2.0", "raise SystemExit('broken')"))
     code, said = call(tmp_path, "--wheelhouse", wheels)
     assert code == 1
     assert "2.0 does not start; nothing was changed" in said
     assert in_use(tmp_path) == "stand-in 1.10"
     assert entries(tmp_path) == both
-    broken.unlink()
+    seal(wheels, wheels / "spheremouse-1.10-py3-none-any.whl")
 
     (tmp_path / "opt" / "somebody's").mkdir()
     assert call(tmp_path, "--wheelhouse", wheels)[0] == 0  # the same version goes beside itself, the third goes
@@ -102,14 +129,229 @@ def test_versions_stand_beside_each_other_and_change_places(tmp_path, wheels):
 
 def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path, wheels):
     (wheels / "BUILT-FOR").write_text("Python 2.7, pdp11\n")
-    empty = tmp_path / "empty"
+    empty, bare = tmp_path / "empty", tmp_path / "bare"
     empty.mkdir()
+    bare.mkdir()
+    shutil.copy(bundled(), bare)
+    seal(bare)
     for arguments, words in (
         (("--wheelhouse", wheels), "was built for Python 2.7, pdp11, this is Python"),
-        (("--wheelhouse", empty), "no wheel of spheremouse in it"),
+        (("--wheelhouse", empty), "no BUILT-FOR and SHA256SUMS in it"),
+        (("--wheelhouse", bare), "no wheel of spheremouse in it"),
         (("--rollback",), "there is no version before"),
     ):
         code, said = call(tmp_path, *arguments)
         assert code == 1
         assert words in said
         assert entries(tmp_path) == []
+
+
+# ---- what is installed is what was meant ----
+
+
+def other_bytes(wheels):
+    with (wheels / "spheremouse-1.9-py3-none-any.whl").open("ab") as f:
+        f.write(b"more")
+
+
+def other_hash(wheels):
+    sums = wheels / "SHA256SUMS"
+    sums.write_text(sums.read_text().translate(str.maketrans("0123", "1230")))
+
+
+def gone(wheels):
+    (wheels / "spheremouse-1.9-py3-none-any.whl").unlink()
+
+
+def elsewhere(wheels):
+    sums = wheels / "SHA256SUMS"
+    (wheels.parent / "spheremouse-1.9-py3-none-any.whl").write_bytes(next(wheels.glob("spheremouse-*")).read_bytes())
+    sums.write_text(sums.read_text().replace("spheremouse-", "../spheremouse-"))
+
+
+@pytest.mark.parametrize("change", [other_bytes, other_hash, gone, elsewhere])
+def test_a_folder_of_wheels_that_was_changed_on_the_way_is_refused_in_one_line(tmp_path, wheels, change):
+    change(wheels)
+    code, said = call(tmp_path, "--wheelhouse", wheels)
+    assert code == 1
+    assert said.count("\n") == 1
+    assert "is not the file that SHA256SUMS names" in said or "is no name of a wheel" in said
+    assert entries(tmp_path) == []
+
+
+BACKEND = """
+    import json, os, zipfile
+    NAME, NEEDS = {name!r}, {needs!r}
+    def build_wheel(folder, settings=None, metadata=None):
+        status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+        by = dict(uids=os.getresuid(), groups=[os.getgid(), *os.getgroups()], gains=status["NoNewPrivs"].strip() == "0")
+        info = NAME + "-1.0.dist-info"
+        files = {{
+            "built_" + NAME + ".py": "BY = " + repr(by),
+            info + "/METADATA": "Metadata-Version: 2.1\\nName: " + NAME + "\\nVersion: 1.0\\n" + NEEDS,
+            info + "/WHEEL": "Wheel-Version: 1.0\\nGenerator: t\\nRoot-Is-Purelib: true\\nTag: py3-none-any\\n",
+        }}
+        if NAME == "spheremouse":
+            files |= {{"cv2.py": "", "numba.py": "", "scipy.py": ""}}
+            files[info + "/entry_points.txt"] = "[console_scripts]\\nspheremouse = built_spheremouse:main\\n"
+            files["built_spheremouse.py"] += (
+                "\\ndef main():\\n    import built_evdev, json\\n    print(json.dumps([BY, built_evdev.BY]))\\n"
+            )
+        files[info + "/RECORD"] = "".join(name + ",,\\n" for name in [*files, info + "/RECORD"])
+        name = NAME + "-1.0-py3-none-any.whl"
+        with zipfile.ZipFile(os.path.join(folder, name), "w") as wheel:
+            for path, text in files.items():
+                wheel.writestr(path, text)
+        return name
+"""
+
+
+def project(folder, where, name, needs=""):
+    (folder / where).mkdir(parents=True)
+    (folder / where / "backend.py").write_text(textwrap.dedent(BACKEND.format(name=name, needs=needs)))
+    (folder / "pyproject.toml").write_text(
+        f'[build-system]\nrequires = []\nbuild-backend = "backend"\nbackend-path = ["{where}"]\n'
+        f'[project]\nname = "{name}"\nversion = "1.0"\n'
+    )
+
+
+@pytest.fixture
+def shared():
+    """A folder that others than root may enter; pytest's may not be."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+@pytest.fixture
+def release(shared):
+    """A checkout that builds itself, beside an index with what its locks name."""
+    checkout, index, source = shared / "checkout", shared / "index", shared / "evdev-1.0"
+    project(checkout, "service", "spheremouse", needs="Requires-Dist: evdev>=1\\n")
+    project(source, ".".join("ab"), "evdev")
+    index.mkdir()
+    (source / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: evdev\nVersion: 1.0\n")
+    with tarfile.open(index / "evdev-1.0.tar.gz", "w:gz") as archive:
+        archive.add(source, source.name)
+    for name in ("README.md", "LICENSE"):
+        (checkout / name).write_text("")
+    (checkout / "spheremouse").mkdir()
+    shutil.copy(SCRIPT, checkout / "service")
+    shutil.copy(bundled(), index)
+    made = [make_wheel(index, "99", name=name, modules=()) for name in ("hatchling", "setuptools")]
+    pip = next(index.glob("pip-*.whl"))
+    lines = [(*path.name.split("-")[:2], path) for path in (*made, pip)]
+    for lock, named in (("requirements", lines), ("sources", [("evdev", "1.0", index / "evdev-1.0.tar.gz")])):
+        text = "".join(f"{name}=={version} --hash=sha256:{digest(path)}\n" for name, version, path in named)
+        (checkout / "service" / f"{lock}.lock").write_text(text)
+    return checkout
+
+
+def others_python():
+    """A Python that others than root may run, with all that the installer would else fetch with apt-get."""
+    for python in (sys.executable, "/usr/bin/python3"):
+        header = 'import ensurepip, os, sys, sysconfig, venv; os.stat(sysconfig.get_path("include") + "/Python.h")'
+        drop = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups", "env"] if ROOT else []
+        command = [*drop, python, "-c", f"{header}; assert sys.version_info >= (3, 11)"]
+        if subprocess.run(command, capture_output=True, check=False, cwd="/").returncode == 0:
+            break
+    else:
+        pytest.skip("no Python 3.11 with venv and headers that others than root may run")
+    if shutil.which("cc") is None or not Path("/usr/include/linux/uinput.h").exists():
+        pytest.skip("no compiler, or no headers of the kernel")
+    return python
+
+
+def install(tmp_path, release, *arguments, **more):
+    index = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": str(release.parent / "index")}
+    script = release / "service" / "install.sh"
+    return call(tmp_path, *arguments, script=script, PYTHON=others_python(), **index, **more)
+
+
+@pytest.mark.parametrize("lock", ["requirements.lock", "sources.lock"])
+def test_what_the_lock_does_not_name_is_refused_in_one_line(tmp_path, release, lock):
+    path = release / "service" / lock
+    name, _, sums = path.read_text().partition("sha256:")
+    path.write_text(f"{name}sha256:{'0' * 8}{sums[8:]}")
+    code, said = install(tmp_path, release)
+    assert code == 1
+    told = [line for line in said.splitlines() if ": fetching " not in line and ": building " not in line]
+    assert len(told) == 1, said
+    assert f"{lock} names is not to be had" in told[0]
+    assert "HASHES" in told[0]
+    assert entries(tmp_path) == []
+
+
+def test_a_release_without_a_lock_is_refused(tmp_path, release):
+    (release / "service" / "sources.lock").unlink()
+    code, said = install(tmp_path, release)
+    assert (code, said.count("\n")) == (1, 1)
+    assert "has no sources.lock" in said
+
+
+def test_a_folder_of_wheels_holds_what_is_locked_and_what_was_built_without_roots_rights(tmp_path, shared, release):
+    """And all that a machine without network needs.
+
+    As root: it is made in a user's folder, where links wait for what root would write, and installed from there, with
+    umask 077, a newer evdev beside what is listed, and modules of Python's names in the folder one happens to be in.
+    """
+    secret, carried, here = tmp_path / "secret", shared / "user" / "wheels", tmp_path / "here"
+    secret.write_text("root's\n")
+    carried.mkdir(parents=True)
+    if ROOT:
+        for name in ("install.sh", "BUILT-FOR", "SHA256SUMS", "spheremouse-1.0-py3-none-any.whl"):
+            (carried / name).symlink_to(secret)
+        for path in (carried.parent, carried):
+            os.chown(path, 65534, 65534)
+    code, said = install(tmp_path, release, "--build-wheelhouse", carried)
+    assert code == 0, said
+    assert secret.read_text() == "root's\n"
+    assert not ROOT or {path.lstat().st_uid for path in carried.iterdir()} == {65534}
+    listed = (carried / "SHA256SUMS").read_text().split()[1::2]
+    assert {name.split("-")[0] for name in listed} == {"evdev", "hatchling", "pip", "setuptools", "spheremouse"}
+
+    here.mkdir()
+    for name in ("cv2", "scipy", "zipfile", "venv", "compileall", "random"):
+        (here / f"{name}.py").write_text(f"open({str(tmp_path / 'planted')!r}, 'w').write(__name__)\n")
+    make_wheel(shared / "index", "9.0", name="evdev", modules=())  # where a setting of pip's leads
+    make_wheel(carried, "9.0", name="evdev", modules=())  # or put beside
+    settings = {"PIP_FIND_LINKS": str(shared / "index"), "PYTHON": others_python()}
+    code, said = call(tmp_path, script=carried / "install.sh", umask=0o077, cwd=here, **settings)
+    assert code == 0, said
+    assert digest(carried / "SHA256SUMS") in said
+    assert not (tmp_path / "planted").exists()
+    placed = [path for path in (tmp_path / "opt").rglob("*") if not path.is_symlink() and not path.name.startswith(".")]
+    assert all(
+        path.stat().st_mode & 0o005 == (0o005 if path.is_dir() else path.stat().st_mode & 1 | 4) for path in placed
+    )
+    for by in json.loads(in_use(tmp_path)):
+        assert len(set(by["uids"])) == 1
+        if ROOT:
+            assert by["uids"][0] not in {entry.pw_uid for entry in pwd.getpwall()}
+            assert set(by["groups"]) == {by["uids"][0]}
+            assert not by["gains"]
+        else:
+            assert by["uids"][0] == os.getuid()
+
+
+# ---- folders of others ----
+
+as_root = pytest.mark.skipif(not ROOT, reason="only root can be misled")
+
+
+@as_root
+@pytest.mark.parametrize(
+    ("option", "mode", "owner"),
+    [("--prefix", 0o755, 65534), ("--prefix", 0o777, 0), ("--bin", 0o775, 0), ("--bin", 0o1777, 0)],
+)
+def test_root_installs_nothing_where_another_may_change_it(tmp_path, wheels, option, mode, owner):
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    os.chown(theirs, owner, 65534)
+    theirs.chmod(mode)
+    (tmp_path / "link").symlink_to(theirs)
+    for path in (theirs, tmp_path / "link", *([theirs / "below"] if not mode & 0o1000 else [])):
+        code, said = call(tmp_path, "--wheelhouse", wheels, option, path)
+        assert (code, said.count("\n")) == (1, 1), said
+        assert "others than root may change" in said
+    assert list(theirs.iterdir()) == []

@@ -75,6 +75,49 @@ def test_installing_places_every_file_and_a_second_time_changes_nothing(root):
     assert tree(root) == once
 
 
+def modes(root):
+    return {p.relative_to(root): p.stat().st_mode & 0o777 for p in root.rglob("*") if not p.is_symlink()}
+
+
+@pytest.mark.parametrize("umask", [0o077, 0o000])
+def test_what_is_placed_may_be_read_by_all_whatever_the_umask_and_what_was_there_stays_as_it_was(root, umask):
+    before = root / "etc" / "X11"
+    before.mkdir(parents=True)
+    before.chmod(0o750)
+    asked = os.umask(umask)
+    try:
+        call("install", root=root)
+    finally:
+        found = os.umask(asked)
+    assert found == umask
+    placed = modes(root)
+    assert placed.pop(before.relative_to(root)) == 0o750
+    assert placed.pop(before.parent.relative_to(root)) & 0o700 == 0o700
+    assert {(root / p).is_dir(): mode for p, mode in placed.items()} == {True: 0o755, False: 0o644}
+    assert set(placed.values()) == {0o755, 0o644}
+
+
+def test_a_users_own_folders_are_closed_to_others_whatever_the_umask(root, home):
+    below = root / home.relative_to("/")
+    below.mkdir(parents=True)
+    asked = os.umask(0o000)
+    try:
+        call("install", "--user", root=root)
+    finally:
+        os.umask(asked)
+    assert {p.stat().st_mode & 0o777 for p in below.rglob("*") if p.is_dir()} == {0o700}
+
+
+def test_a_name_that_the_services_user_gave_does_not_steer_roots_terminal(root):
+    call("install", root=root)
+    state = Place(root).state
+    state.mkdir(parents=True, exist_ok=True)
+    (state / "\x1b]2;mine\x07.yaml").write_text("")
+    said = call("uninstall", root=root)
+    assert "mine" in said
+    assert all(c.isprintable() or c == "\n" for c in said)
+
+
 def test_nothing_is_left_unfilled(root):
     call("install", root=root)
     placed = [p for p in root.rglob("*") if p.is_file()]
