@@ -17,12 +17,13 @@ import numpy as np
 
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, SpheremouseError
+from spheremouse.files.bounded import read_text
 from spheremouse.map_compare import compare, compare_at, in_words, turned, variances
 from spheremouse.map_file import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import TrackState, disc_map
-from spheremouse.yaml_file import write_atomically
+from spheremouse.yaml_file import MAX_BYTES, write_atomically
 
 EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost
 _AS_GOOD = 0.8  # part of the saved discs that a map of the same ball must know to take their place
@@ -183,7 +184,7 @@ class MapKeeper:
     def _set_aside(self) -> Path:
         """The map the run began with, under another name; the file itself stays until it is replaced whole."""
         old = old_path(self.path)
-        write_atomically(old, self.path.read_text(encoding="utf-8"))
+        write_atomically(old, read_text(self.path, MAX_BYTES, "map"))
         self._aside = True
         return old
 

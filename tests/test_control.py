@@ -222,9 +222,10 @@ def test_every_test_that_the_security_page_names_is_there():
         (b'{"command": "set", "assignments": [1]}', "set: assignments[0]: must be text, is 1"),
         (b"[" * 60000, "not a request: more than 4000 values"),
         (b"[" + 4000 * b"1," + b"1]", "not a request: more than 4000 values"),
-        (b"[" * 4000, "not a request: nested too deep"),
-        (b'{"command":' * 4000, "not a request: nested too deep"),
-        (b"9" * 60000, "not JSON: Exceeds the limit"),
+        (b"[" * 4000, "not JSON: "),
+        (b"[" * 2000 + b"]" * 2000, "not JSON: nested deeper than 20 levels; send one JSON object a line"),
+        (b'{"command":' * 4000, "not JSON: nested deeper than 20 levels"),
+        (b"9" * 60000, "not JSON: a whole number of 60000 digits"),
     ],
 )
 def test_what_is_no_request_is_one_line_that_helps(line, error):

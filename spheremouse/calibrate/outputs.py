@@ -48,7 +48,8 @@ def note(text: str) -> None:
 
 def sha256(path: Path) -> str:
     """Of a file, by which what was made from it is known again."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def copyable(*words: str | Path) -> str:
