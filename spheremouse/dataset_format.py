@@ -107,8 +107,8 @@ def check_frames(path: Path, table: Mapping[str, Array], frames: int) -> None:
     """DatasetError unless the table has a row for each frame, with its number."""
     number = table["frame"]
     if len(number) != frames:
-        more = "more" if len(number) > frames else len(number)  # no more than one more is read
-        raise DatasetError(f"{path}: {more} rows, but scene.json says {frames} frames")
+        rows = f"more than {frames}" if len(number) > frames else len(number)  # those that are more are not read
+        raise DatasetError(f"{path}: {rows} rows, but scene.json says {frames} frames")
     wrong = np.flatnonzero(number != np.arange(frames))
     if len(wrong):
         raise DatasetError(f"{path}, row {wrong[0] + 1}: frame {number[wrong[0]]:g} where {wrong[0]} is due")

@@ -19,12 +19,13 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.bounded import read_bytes
-from spheremouse.files.plain_json import MAX_DEPTH, MAX_DIGITS
+from spheremouse.files.plain_json import MAX_DEPTH
 
 SCHEMA = 1
 MAX_BYTES = 1_000_000  # the map of 260 discs has them
 MAX_NODES = 20_000  # keys, values, sections and lists; a map of 260 discs has 4,000, a rig 1,000
 MAX_PROBLEMS = 20  # told of a file; each is looked up among all known names
+_MAX_DIGITS = 1_000  # of a whole number: Python shows none of more than 4,300
 
 Key = tuple[str | int, ...]
 
@@ -268,8 +269,8 @@ def _scalar(node: ScalarNode, key: Key, problems: list[Problem]) -> Any:
             return None
         if kind == "bool":
             return text.lower() == "true"
-        if kind == "int" and len(number) > MAX_DIGITS:
-            raise ValueError
+        if kind == "int" and len(number) > _MAX_DIGITS:
+            raise ValueError(text)
         if kind == "int":
             prefixed = re.match(r"[-+]?0[box]", number)
             return int(number, 0) if prefixed else int(number)

@@ -66,7 +66,7 @@ def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header
             raise
         except Exception as e:  # damaged files bring all sorts of errors out of decoders
             what = " ".join(str(e).split())[:80] or type(e).__name__
-            raise OSError(errno.EINVAL, f"damaged ({what}); copy it again, or leave it out") from None
+            raise OSError(errno.EINVAL, f"damaged ({what}); copy it from the camera again, or leave it out") from None
     return Header(size, orientation if orientation in range(1, 9) else 1)
 
 
