@@ -1130,6 +1130,8 @@ def test_the_client_sees_the_daemon_end(path):
         (b'{"ok": true', "has ended, or hung up"),
         (b'{"ok": false, "error": "\\u001b[2Jgone"}\n', "\N{REPLACEMENT CHARACTER}\\[2Jgone"),
         (b'{"ok": 1}\n', "does not say why"),
+        (b'{"ok": true, "discs": 1.5}\n', r"gives no status of spheremouse \(discs: Input should be a valid integer"),
+        (b'{"ok": true, "frames": ' + b"9" * 5000 + b"}\n", "no daemon of spheremouse"),
     ],
 )
 def test_the_client_believes_no_stranger(path, said, message):
