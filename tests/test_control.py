@@ -1107,6 +1107,12 @@ def test_the_client_says_what_is_wrong(path, serve):
             client.ask("set", assignments=[70000 * "x"])
 
 
+def test_a_file_whose_name_is_no_text_is_in_a_status(path):
+    """Half a surrogate pair, as Python calls such a byte."""
+    with ControlServer(path, ControlSettings(), lambda _, reply: reply({"config": "caf\udce9.yaml"})):
+        assert Client(path).ask("status") == {"config": "caf\udce9.yaml"}
+
+
 def test_the_client_sees_the_daemon_end(path):
     server = ControlServer(path, ControlSettings(), answer)
     with Client(path) as client:

@@ -335,6 +335,8 @@ def test_a_status_with_a_value_of_another_kind_is_told(change):
     assert protocol.misfit(change) is not None
 
 
-@pytest.mark.parametrize("change", [{}, {"fps": None}, {"since_s": None}, {"state": "of-tomorrow"}, {"more": [1.5]}])
+@pytest.mark.parametrize(
+    "change", [{}, {"fps": None}, {"since_s": None}, {"state": "of-tomorrow"}, {"config": "\udce9"}]
+)
 def test_a_status_of_another_version_is_no_misfit(change):
     assert protocol.misfit(change) is None

@@ -110,7 +110,7 @@ class Client:
                     raise ValueError
             line = bytes(self._received[:end])
             del self._received[: end + 1]
-            message = plain_json.loads(line)
+            message = plain_json.loads(line, surrogates=True)
             if not isinstance(message, dict):
                 raise ValueError
         except TimeoutError:

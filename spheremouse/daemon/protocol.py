@@ -194,14 +194,17 @@ def plain(value: Any) -> Any:
 def misfit(status: dict[str, Any]) -> str | None:
     """What in a status no daemon says, in words: a value that is not of its kind. None where it may be shown.
 
-    What is missing, or null, an older version did not know; a state that is not known here is a later one's.
+    What is missing, or null, an older version did not know; a state that is not known here is a later one's; the name
+    of a file need not be text.
     """
     try:
         StatusReport.model_validate(status)
     except ValidationError as e:
         for error in e.errors(include_url=False):
             place, value = error["loc"], error["input"]
-            unknown = error["type"] == "missing" or (value is None and not isinstance(place[-1], int))
+            unknown = error["type"] in ("missing", "string_unicode") or (
+                value is None and not isinstance(place[-1], int)
+            )
             later = place == ("state",) and isinstance(value, str)
             if not (unknown or later):
                 return f"{'.'.join(map(str, place))}: {one_line(error['msg'])}"

@@ -11,9 +11,10 @@ MAX_DEPTH = 20  # levels; a scene has 5
 MAX_DIGITS = 30  # of a whole number: 64 bits have 20
 
 
-def loads(text: str | bytes, *, constants: bool = False) -> Any:
-    """The data in a JSON text; NaN and Infinity count as numbers with `constants` alone, as in `json.dumps`' files.
+def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = False) -> Any:
+    """The data in a JSON text; NaN and Infinity are numbers with `constants` alone, as `json.dumps` writes them.
 
+    Half a surrogate pair is let through with `surrogates` alone: it stands for a byte of a file's name.
     json.JSONDecodeError has the line where the text is no JSON; what is refused besides is a plain ValueError.
     """
     constant = None if constants else _no_constant
@@ -21,7 +22,7 @@ def loads(text: str | bytes, *, constants: bool = False) -> Any:
         data = json.loads(text, parse_constant=constant, parse_int=_integer, object_pairs_hook=_no_twice)
     except RecursionError:
         raise ValueError(f"nested deeper than {MAX_DEPTH} levels") from None
-    _check(data, MAX_DEPTH)
+    _check(data, MAX_DEPTH, surrogates)
     return data
 
 
@@ -48,18 +49,13 @@ def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return data
 
 
-def _check(value: Any, depth: int) -> None:
-    """ValueError where data are nested deeper than `depth`, or where text holds half a surrogate pair."""
+def _check(value: Any, depth: int, surrogates: bool) -> None:
+    """ValueError where data are nested deeper than `depth`, or hold half a surrogate pair."""
     if isinstance(value, str):
-        if not value.isascii() and any("\ud800" <= c <= "\udfff" for c in value):
+        if not (surrogates or value.isascii()) and any("\ud800" <= c <= "\udfff" for c in value):
             raise ValueError("half a surrogate pair")
-        return
-    if not isinstance(value, list | dict):
-        return
-    if depth == 0:
-        raise ValueError(f"nested deeper than {MAX_DEPTH} levels")
-    for inner in value:
-        _check(inner, depth - 1)
-    if isinstance(value, dict):
-        for inner in value.values():
-            _check(inner, depth - 1)
+    elif isinstance(value, list | dict):
+        if depth == 0:
+            raise ValueError(f"nested deeper than {MAX_DEPTH} levels")
+        for inner in (*value, *value.values()) if isinstance(value, dict) else value:
+            _check(inner, depth - 1, surrogates)
