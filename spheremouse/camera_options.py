@@ -1,6 +1,7 @@
 """Options that describe a simulated camera, as a person types them."""
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.pictures import FRAME_PIXELS
 
 _LARGEST = 8192  # px, a side
 
@@ -8,8 +9,12 @@ _LARGEST = 8192  # px, a side
 def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
     """Width and height in px of `640x480`; ConfigurationError where a side is below `least`."""
     width, _, height = text.lower().partition("x")
-    fits = width.isdecimal() and height.isdecimal()
-    if not fits or not all(least <= int(side) <= _LARGEST for side in (width, height)):
+    fits = all(side.isdecimal() and len(side) < 10 and least <= int(side) <= _LARGEST for side in (width, height))
+    if fits and int(width) * int(height) > FRAME_PIXELS:
+        raise ConfigurationError(
+            f"--size {text}: at most {FRAME_PIXELS // 1_000_000} megapixels (8K) can be read again"
+        )
+    if not fits:
         raise ConfigurationError(
             f"--size {text}: write WIDTHxHEIGHT in px, as in {example}, each from {least} to {_LARGEST}"
         )

@@ -181,7 +181,7 @@ def event_line(event: dict[str, Any], clock: str) -> Text:
     failed = (event.get("output") or {}).get("failed")
     parts = [
         f"{_number(event.get('fps'), '.1f'):>5} frames/s",
-        f"latency {_number(latency['p50'], '.1f')}, 99 % {_number(latency['p99'], '.1f')} ms"
+        f"latency {_number(latency.get('p50'), '.1f')}, 99 % {_number(latency.get('p99'), '.1f')} ms"
         if latency
         else "no latency",
         f"{_n(event, 'discs')}/{_n(event, 'discs_known')} discs",

@@ -11,6 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.files import plain_json
+from spheremouse.files.bounded import read_text
 from spheremouse.layout import (
     CLEAR,
     ENOUGH,
@@ -30,7 +32,7 @@ from spheremouse.placement_guide import Accuracy, Design, on_the_tape, places, w
 from spheremouse.progress import progress_bar
 from spheremouse.rotation import Array, log
 from spheremouse.simulate.scene import spread_directions
-from spheremouse.yaml_file import read_document, write_atomically, write_json
+from spheremouse.yaml_file import MAX_BYTES, read_document, write_atomically, write_json
 
 _RADIUS, _DISC_RADIUS = 0.6, 0.02  # m
 _CARELESS = (0.2, 0.5, 1.0, 2.0, 4.0)  # of the distance at which places pass for alike
@@ -163,7 +165,8 @@ def _refuse_to_replace(folder: Path, text: str, force: bool) -> None:
     if force or not there.exists():
         return
     try:
-        same = json.loads(there.read_text(encoding="utf-8"))["places_mm"] == json.loads(text)["places_mm"]
+        before = plain_json.loads(read_text(there, MAX_BYTES, "layout"))
+        same = before["places_mm"] == json.loads(text)["places_mm"]
     except (OSError, ValueError, TypeError, KeyError):
         same = False
     if not same:

@@ -162,15 +162,15 @@ def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> tuple["Run", 
 
 def _stamped(frames: Iterator["Frame"], file: Path) -> Iterator["Frame"]:
     """The frames with the times of a table, one line per frame."""
-    from spheremouse.dataset_format import read_table
+    from spheremouse.files.tables import read_columns
 
-    table = read_table(file, ("frame", "t"))
+    number, stamp = read_columns(file, ("frame", "t")).values()
     for k, frame in enumerate(frames):
-        if k >= len(table):
-            raise DatasetError(f"{file}:{len(table) + 1}: {len(table)} frames, but the recording has more")
-        if table[k, 0] != k:
-            raise DatasetError(f"{file}:{k + 2}: frame {table[k, 0]:g} where {k} is due")
-        yield replace(frame, stamp=float(table[k, 1]))
+        if k >= len(number):
+            raise DatasetError(f"{file}:{len(number) + 1}: {len(number)} frames, but the recording has more")
+        if number[k] != k:
+            raise DatasetError(f"{file}:{k + 2}: frame {number[k]:g} where {k} is due")
+        yield replace(frame, stamp=float(stamp[k]))
 
 
 # ---- output ----

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from spheremouse.camera_options import parse_distortion, parse_size
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import replace
+from spheremouse.files.bounded import read_bytes
+from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
 from spheremouse.progress import progress_bar
 from spheremouse.simulate.wand import Light, Motion, WandOptions, prepare_wand
 from spheremouse.wand_file import WandFile, load_wand, save_wand
@@ -212,12 +214,15 @@ def _image(path: Path) -> NDArray[np.uint8]:
         return next(read_wand_frames(open_wand(path))).image
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise ConfigurationError(f"{path}: not a picture that can be read; give a PNG or JPEG file")
+    try:
+        data = read_bytes(path, MOST_BYTES, "picture")
+        read_header(data, FRAME_PIXELS)
+        image = decoded(data, upright=True)
+    except OSError as e:
+        raise ConfigurationError(f"{path}: {e.strerror or e}") from None
     if min(image.shape[:2]) < 32:
         raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
-    return np.asarray(image, dtype=np.uint8)
+    return image
 
 
 def _circle(text: str) -> tuple[float, float, float]:

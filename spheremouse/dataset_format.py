@@ -1,17 +1,21 @@
 """The layout of a dataset folder: names of files and columns, and how descriptions, tables and images are read."""
 
-import csv
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from spheremouse.errors import DatasetError
+from spheremouse.files import plain_json
+from spheremouse.files.bounded import read_bytes, read_text
+from spheremouse.files.films import film_images, film_size, open_film
+from spheremouse.files.pictures import FRAME_PIXELS, decoded, px, read_header
+from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
 from spheremouse.rotation import Array
 
 FILES = ("scene.json", "video.mkv", "frames", "truth.csv", "discs.csv", "stamps.csv", "rig.yaml", "config.yaml")
@@ -20,6 +24,8 @@ MOTION_COLUMNS = ("frame", "t", *MATRIX_COLUMNS, "wx", "wy", "wz")
 TRUTH_COLUMNS = (*MOTION_COLUMNS, "omega", "phi", "kappa")
 BLOB_COLUMNS = ("u_blob", "v_blob", "area_px")  # may be empty
 STAMP_COLUMNS = ("frame", "t", "sequence", "colour")
+MOST_BYTES = 1_000_000  # of scene.json; 10,000 discs have 600,000
+MOST_FRAMES = 86_400 * 120  # a day at 120 frames per second: `record` takes no more than a day
 DISC_COLUMNS = ("frame", "disc", "u_center", "v_center", *BLOB_COLUMNS, "state")
 
 
@@ -50,7 +56,7 @@ class SceneEntry(Entry):
     width: Annotated[int, Field(gt=0)]
     height: Annotated[int, Field(gt=0)]
     fps: Positive
-    frames: Annotated[int, Field(gt=0)]
+    frames: Annotated[int, Field(gt=0, le=MOST_FRAMES)]
     exposure_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
 
 
@@ -60,13 +66,16 @@ Scene = TypeVar("Scene", bound=SceneEntry)
 def read_json(path: Path) -> Any:
     """The content of scene.json; DatasetError with the line where it is none."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return plain_json.loads(read_text(path, MOST_BYTES, "scene.json"), constants=True)
     except FileNotFoundError:
         raise DatasetError(f"{path}: missing; a dataset needs it") from None
-    except (OSError, UnicodeDecodeError) as e:
+    except OSError as e:
+        raise DatasetError(f"{path}: cannot be read: {e.strerror or e}") from None
+    except UnicodeDecodeError as e:
         raise DatasetError(f"{path}: cannot be read ({e})") from None
-    except json.JSONDecodeError as e:
-        raise DatasetError(f"{path}, line {e.lineno}: not valid JSON ({e.msg})") from None
+    except ValueError as e:
+        line = f", line {e.lineno}" if isinstance(e, json.JSONDecodeError) else ""
+        raise DatasetError(f"{path}{line}: not valid JSON ({plain_json.said(e)})") from None
 
 
 def described(path: Path, content: Any, kind: type[Scene]) -> Scene:
@@ -86,61 +95,30 @@ def read_description(folder: Path, read: Callable[[Path], Scene]) -> Scene:
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
     scene = read(folder / "scene.json")
+    if scene.width * scene.height > FRAME_PIXELS:
+        most = f"at most {FRAME_PIXELS // 1_000_000} megapixels (8K)"
+        raise DatasetError(f"{folder / 'scene.json'}: width, height: {scene.width}x{scene.height}; {most} are read")
     if not in_video(folder) and not (folder / "frames").is_dir():
         raise DatasetError(f"{folder}: neither video.mkv nor a folder frames/ is there")
     return scene
 
 
-def read_table(path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = ()) -> Array:
-    """Those columns of a csv file with a header, (n, len(columns)); only `optional` ones may be empty (nan)."""
-    rows: list[list[float]] = []
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.reader(file)
-            header = next(reader, [])
-            missing = [c for c in columns if c not in header]
-            if missing:
-                raise DatasetError(f"{path}, line 1: no column {', '.join(missing)}")
-            places = [header.index(c) for c in columns]
-            for cells in reader:
-                if not cells:
-                    continue
-                if len(cells) != len(header):
-                    raise DatasetError(
-                        f"{path}, line {reader.line_num}: {len(cells)} cells under {len(header)} columns"
-                    )
-                rows.append(
-                    [
-                        _cell(path, reader.line_num, c, cells[i], c in optional)
-                        for c, i in zip(columns, places, strict=True)
-                    ]
-                )
-    except (OSError, UnicodeDecodeError, csv.Error) as e:
-        raise DatasetError(f"{path}: cannot be read ({e})") from None
-    return np.array(rows, dtype=float).reshape(-1, len(columns))
+def check_frames(path: Path, table: Mapping[str, Array], frames: int) -> None:
+    """DatasetError unless the table has a row for each frame, with its number."""
+    number = table["frame"]
+    if len(number) != frames:
+        rows = f"more than {frames}" if len(number) > frames else len(number)  # those that are more are not read
+        raise DatasetError(f"{path}: {rows} rows, but scene.json says {frames} frames")
+    wrong = np.flatnonzero(number != np.arange(frames))
+    if len(wrong):
+        raise DatasetError(f"{path}, row {wrong[0] + 1}: frame {number[wrong[0]]:g} where {wrong[0]} is due")
 
 
-def _cell(path: Path, line: int, column: str, text: str, may_be_empty: bool) -> float:
-    if may_be_empty and not text.strip():
-        return np.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise DatasetError(f"{path}, line {line}: {column}: {text!r} is not a number")
-    return value
-
-
-def check_rows(path: Path, table: Array, frames: int) -> None:
-    """DatasetError unless the table has a row for each frame: its number first, then a time that grows."""
-    if len(table) != frames:
-        raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
-    for i in range(frames):
-        if table[i, 0] != i:
-            raise DatasetError(f"{path}, row {i + 1}: frame {table[i, 0]:g} where {i} is due")
-        if i and table[i, 1] <= table[i - 1, 1]:
-            raise DatasetError(f"{path}, row {i + 1}: t does not increase")
+def check_times(path: Path, stamp: Array) -> None:
+    """DatasetError unless the times (n,) of a table grow."""
+    back = np.flatnonzero(np.diff(stamp) <= 0.0)
+    if len(back):
+        raise DatasetError(f"{path}, row {back[0] + 2}: t does not increase")
 
 
 def is_rotation(R: Array) -> bool:
@@ -156,25 +134,21 @@ def in_video(folder: Path) -> bool:
 def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterator[NDArray[np.uint8]]:
     """A dataset's pictures in their order, (h, w, 3) blue, green, red, for `size` (w, h) px and so many `frames`.
 
-    A recording cut short gives what is there and then raises DatasetError.
+    A recording cut short gives what is there and then raises DatasetError; so does a picture of another size, before
+    it is decoded.
     """
-    source, images = folder / "frames", folder_images(folder)
+    source, images = folder / "frames", folder_images(folder, size)
     if in_video(folder):
         source = folder / "video.mkv"
-        images = video_images(source)
-    width, height = size
+        images = video_images(source, size)
     count = 0
-    for image in images:
-        h, w = image.shape[:2]
-        if (w, h) != size:
-            raise DatasetError(f"{source}: frame {count} is {w}x{h}, but scene.json says {width}x{height}")
+    for image in islice(images, frames):
         yield image
         count += 1
-        if count == frames:
-            return
     if count == 0:
         raise DatasetError(f"{source}: no frame in it can be read")
-    raise DatasetError(f"{source}: ends after {count} of {frames} frames")
+    if count < frames:
+        raise DatasetError(f"{source}: ends after {count} of {frames} frames")
 
 
 def picture_file(folder: Path, index: int) -> Path:
@@ -182,30 +156,34 @@ def picture_file(folder: Path, index: int) -> Path:
     return folder / "frames" / f"{index:06d}.png"
 
 
-def video_images(path: Path) -> Iterator[NDArray[np.uint8]]:
-    """The frames of a video as far as they can be read, (h, w, 3) blue, green, red."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
+    """The frames of a video as far as they can be read, (h, w, 3) blue, green, red; DatasetError for another `size`."""
     try:
-        while capture.isOpened():
-            ok, image = capture.read()
-            if not ok:
-                return
-            yield np.asarray(image, dtype=np.uint8)
-    finally:
-        capture.release()
+        capture = open_film(path)
+    except OSError as e:
+        raise DatasetError(f"{path}: {e.strerror or e}") from None
+    if capture is None:
+        return
+    if film_size(capture) != size:  # before anything of it is decoded
+        raise DatasetError(f"{path}: frame 0 is {px(film_size(capture))}, but scene.json says {px(size)}")
+    yield from film_images(capture)
 
 
-def folder_images(folder: Path) -> Iterator[NDArray[np.uint8]]:
+def folder_images(folder: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
     """frames/000000.png, 000001.png, ... of a dataset up to the first that is missing, (h, w, 3)."""
     index = 0
     while (file := picture_file(folder, index)).is_file():
-        yield read_picture(file)
+        yield read_picture(file, size)
         index += 1
 
 
-def read_picture(file: Path) -> NDArray[np.uint8]:
-    """A picture file, (h, w, 3) blue, green, red."""
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if image is None:
-        raise DatasetError(f"{file}: not an image that can be read")
-    return np.asarray(image, dtype=np.uint8)
+def read_picture(file: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """A picture file of a dataset, (h, w, 3) blue, green, red; DatasetError where its header says another `size`."""
+    try:
+        data = read_bytes(file, PICTURE_BYTES, "picture")
+        header = read_header(data, FRAME_PIXELS)
+        if header.size != size:
+            raise DatasetError(f"{file}: is {px(header.size)}, but scene.json says {px(size)}")
+        return decoded(data)
+    except OSError as e:
+        raise DatasetError(f"{file}: {e.strerror or e}") from None

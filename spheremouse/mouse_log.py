@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from spheremouse.errors import DatasetError, SourceError
 from spheremouse.files.atomic import NewFile
+from spheremouse.files.bounded import lines, opened
 
 if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
     from spheremouse.simulate.trackball import MouseLog
@@ -168,10 +169,10 @@ def read_log(path: Path) -> "MouseLog":
     places: list[int] = []
     width = 0
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise DatasetError(f"{path}: larger than {_MOST_BYTES} bytes; cut the log to what was recorded")
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(_bare(file))
+        with opened(path) as file:
+            if os.fstat(file.fileno()).st_size > _MOST_BYTES:
+                raise DatasetError(f"{path}: larger than {_MOST_BYTES} bytes; cut the log to what was recorded")
+            reader = csv.reader(_bare(lines(file)))
             for number, cells in _numbered(reader):
                 if not places:
                     width, places = len(cells), _places(path, number, cells)
@@ -198,7 +199,9 @@ def read_log(path: Path) -> "MouseLog":
     except UnicodeDecodeError:
         raise DatasetError(f"{path}:1: not text; name a log that `spheremouse log-mouse` wrote") from None
     except (OSError, csv.Error, ValueError) as e:
-        raise DatasetError(f"{path}: cannot be read: {' '.join(str(e).split())}") from None
+        raise DatasetError(
+            f"{path}: cannot be read: {' '.join((getattr(e, 'strerror', None) or str(e)).split())}"
+        ) from None
     if not places:
         raise DatasetError(f"{path}:1: empty; the first line is {','.join(COLUMNS)}")
     table = np.zeros((count, len(COLUMNS)))
@@ -207,9 +210,9 @@ def read_log(path: Path) -> "MouseLog":
     return MouseLog(table[:, 0].copy(), table[:, 1:3].copy(), table[:, 3].copy(), table[:, 4] != 0.0)
 
 
-def _bare(file: Any) -> Iterator[str]:
+def _bare(given: Iterator[str]) -> Iterator[str]:
     """Lines, those for people left empty."""
-    for line in file:
+    for line in given:
         yield "\n" if line.startswith("#") else line
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.dataset_format import picture_file, video_images
+from spheremouse.dataset_format import picture_file
 from spheremouse.detect.detections import Image
 from spheremouse.errors import DatasetError
+from spheremouse.files.films import film_images, open_film
 
 SMALL = ("FFV1", "HFYU")  # codecs in the order they are tried: half the size
 FAST = ("HFYU", "FFV1")  # or a sixth of the time
@@ -30,7 +31,8 @@ def lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...],
             for image in images:
                 video.write(image)
             video.release()
-            back = list(video_images(path))
+            capture = open_film(path)
+            back = [] if capture is None else list(film_images(capture))
             path.unlink(missing_ok=True)
             if len(back) == len(images) and all(np.array_equal(a, b) for a, b in zip(expected, back, strict=True)):
                 return codec

@@ -18,6 +18,7 @@ from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.dataset_format import (
     BLOB_COLUMNS,
     DISC_COLUMNS,
+    MATRIX_COLUMNS,
     MOTION_COLUMNS,
     STAMP_COLUMNS,
     CameraEntry,
@@ -25,7 +26,8 @@ from spheremouse.dataset_format import (
     Number,
     Positive,
     SceneEntry,
-    check_rows,
+    check_frames,
+    check_times,
     described,
     in_video,
     is_rotation,
@@ -33,11 +35,11 @@ from spheremouse.dataset_format import (
     read_description,
     read_json,
     read_picture,
-    read_table,
     recorded_images,
 )
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
 from spheremouse.errors import ConfigurationError, DatasetError
+from spheremouse.files.tables import read_columns
 from spheremouse.frame import Frame
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rig_file import load_rig
@@ -214,43 +216,45 @@ def _pose(path: Path, key: str, matrix: _Matrix4 | None) -> Pose | None:
 
 
 def _read_truth(path: Path, frames: int) -> Truth:
-    table = read_table(path, MOTION_COLUMNS)
-    check_rows(path, table, frames)
-    truth = Truth(table[:, 1].copy(), table[:, 2:11].reshape(-1, 3, 3).copy(), table[:, 11:14].copy())
+    table = read_columns(path, MOTION_COLUMNS, most=frames)
+    check_frames(path, table, frames)
+    check_times(path, table["t"])
+    attitude = np.stack([table.pop(c) for c in MATRIX_COLUMNS], axis=1).reshape(-1, 3, 3)
     for i in range(frames):
-        if not is_rotation(truth.attitude[i]):
+        if not is_rotation(attitude[i]):
             raise DatasetError(f"{path}, row {i + 1}: r11..r33 is not a rotation")
-    return truth
+    return Truth(table["t"], attitude, np.stack([table[c] for c in ("wx", "wy", "wz")], axis=1))
 
 
 def _read_discs(path: Path, frames: int) -> DiscTruth:
-    table = read_table(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
-    whole = table[:, [0, 1, 7]]
-    if np.any(whole != np.rint(whole)) or np.any(table[:, 0] < 0) or np.any(table[:, 0] >= frames):
+    table = read_columns(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
+    whole = [table[c] for c in ("frame", "disc", "state")]
+    if any(map(_fractional, whole)) or np.any((whole[0] < 0) | (whole[0] >= frames)):
         raise DatasetError(f"{path}: frame, disc and state must be whole numbers, frame below {frames}")
     return DiscTruth(
-        frame=table[:, 0].astype(np.intp),
-        disc=table[:, 1].astype(np.intp),
-        centre=table[:, 2:4].copy(),
-        blob_centre=table[:, 4:6].copy(),
-        area=table[:, 6].copy(),
-        state=table[:, 7].astype(np.intp),
+        frame=table.pop("frame").astype(np.intp),
+        disc=table.pop("disc").astype(np.intp),
+        centre=np.stack([table.pop("u_center"), table.pop("v_center")], axis=1),
+        blob_centre=np.stack([table.pop("u_blob"), table.pop("v_blob")], axis=1),
+        area=table.pop("area_px"),
+        state=table.pop("state").astype(np.intp),
     )
 
 
 def _read_stamps(path: Path, frames: int) -> Stamps:
-    table = read_table(path, STAMP_COLUMNS)
-    if len(table) != frames:
-        raise DatasetError(f"{path}: {len(table)} rows, but scene.json says {frames} frames")
-    wrong = np.flatnonzero(table[:, 0] != np.arange(frames))
-    if len(wrong):
-        raise DatasetError(f"{path}, row {wrong[0] + 1}: frame {table[wrong[0], 0]:g} where {wrong[0]} is due")
-    sequence, colour = table[:, 2], table[:, 3]
-    if np.any(sequence != np.rint(sequence)) or np.any(np.abs(sequence) > 2**53):
+    table = read_columns(path, STAMP_COLUMNS, most=frames)
+    check_frames(path, table, frames)
+    sequence, colour = table.pop("sequence"), table.pop("colour")
+    if _fractional(sequence):
         raise DatasetError(f"{path}: sequence must be a whole number")
-    if not np.all(np.isin(colour, (0.0, 1.0))):
+    if not np.all((colour == 0.0) | (colour == 1.0)):
         raise DatasetError(f"{path}: colour must be 0 or 1")
-    return Stamps(table[:, 1].copy(), sequence.astype(np.int64), colour == 1.0)
+    return Stamps(table["t"], sequence.astype(np.int64), colour == 1.0)
+
+
+def _fractional(column: Array) -> bool:
+    """Is a number of (n,) not a whole one?"""
+    return bool(np.any((column != np.rint(column)) | (np.abs(column) > 2**53)))
 
 
 # ---- frames ----
@@ -278,7 +282,5 @@ def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Sta
     if not stamps.colour[index]:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)  # of equal channels: their value
     elif in_video and (file := picture_file(folder, index)).is_file():
-        size, image = image.shape[:2], read_picture(file)
-        if image.shape[:2] != size:
-            raise DatasetError(f"{file}: is {image.shape[1]}x{image.shape[0]}, the video is {size[1]}x{size[0]}")
+        image = read_picture(file, (image.shape[1], image.shape[0]))
     return Frame(image, float(stamps.stamp[index]), int(stamps.sequence[index]))

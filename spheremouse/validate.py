@@ -12,7 +12,17 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from spheremouse.yaml_file import Document, Key, Problem, dotted, one_line, read_document, shown, without_schema
+from spheremouse.yaml_file import (
+    MAX_PROBLEMS,
+    Document,
+    Key,
+    Problem,
+    dotted,
+    one_line,
+    read_document,
+    shown,
+    without_schema,
+)
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -28,7 +38,8 @@ def validated(document: Document, model: type[M]) -> M:
     try:
         return model.model_validate(document.data)
     except ValidationError as e:
-        raise document.error(_problems(e, document.data, model)) from None
+        problems, more = _problems(e, document, model)
+        raise document.error(problems, more) from None
 
 
 def nearest(word: str, names: Sequence[str]) -> str:
@@ -43,21 +54,28 @@ def nearest(word: str, names: Sequence[str]) -> str:
     return f"known here: {', '.join(names)}" if names else "no keys are known here"
 
 
-def _problems(error: ValidationError, data: Any, model: type[BaseModel]) -> list[Problem]:
-    """pydantic's complaints in the user's words; several about one key (a union's branches) become one."""
-    found: dict[Key, Problem] = {}
+def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:
+    """The first of pydantic's complaints by line, in the user's words, and how many more there are.
+
+    Several about one key (a union's branches) become one.
+    """
+    found: dict[Key, list[Any]] = {}
     for e in error.errors(include_url=False):
-        key = _within(e["loc"], data, missing=e["type"] in ("missing", "extra_forbidden"))
-        if key in found:
-            both = f"{found[key].text.partition(', is ')[0]}, or {_complaint(e)}"
-            found[key] = Problem(key, _with_advice(both, key, data, model))
-        elif e["type"] == "extra_forbidden":
-            found[key] = Problem(key, f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}")
-        elif e["type"] == "missing":
-            found[key] = Problem(key, _with_advice("missing", key, None, model, value=False))
-        else:
-            found[key] = Problem(key, _with_advice(_complaint(e), key, data, model))
-    return list(found.values())
+        key = _within(e["loc"], document.data, missing=e["type"] in ("missing", "extra_forbidden"))
+        found.setdefault(key, []).append(e)
+    first = sorted(found, key=document.line)[:MAX_PROBLEMS]
+    return [Problem(key, _worded(key, found[key], document.data, model)) for key in first], len(found) - len(first)
+
+
+def _worded(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseModel]) -> str:
+    first = complaints[0]
+    if len(complaints) > 1:
+        return _with_advice(", or ".join(map(_complaint, complaints)), key, data, model)
+    if first["type"] == "extra_forbidden":
+        return f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
+    if first["type"] == "missing":
+        return _with_advice("missing", key, None, model, value=False)
+    return _with_advice(_complaint(first), key, data, model)
 
 
 def _within(loc: tuple[int | str, ...], data: Any, *, missing: bool) -> Key:

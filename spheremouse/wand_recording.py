@@ -6,7 +6,6 @@ columns x_1, y_1, ... of the second, and so on.
 """
 
 import csv
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,16 +22,17 @@ from spheremouse.dataset_format import (
     Number,
     Positive,
     SceneEntry,
-    check_rows,
+    check_frames,
+    check_times,
     described,
     is_rotation,
     read_description,
     read_json,
-    read_table,
     recorded_images,
 )
 from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, write_scene
 from spheremouse.errors import DatasetError
+from spheremouse.files.tables import read_columns
 from spheremouse.folders import NewFolder
 from spheremouse.frame import Frame
 from spheremouse.picture_writer import PictureWriter
@@ -103,8 +103,8 @@ class _Scene(SceneEntry):
 def is_wand(path: Path | str) -> bool:
     """Does a folder say that it is a recording of a wand? False for whatever cannot be read."""
     try:
-        content = json.loads((Path(path) / "scene.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = read_json(Path(path) / "scene.json")
+    except DatasetError:
         return False
     return isinstance(content, dict) and "wand" in content
 
@@ -160,17 +160,17 @@ def _columns(ball: int) -> tuple[str, ...]:
 
 
 def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
-    table = read_table(path, (*WAND_COLUMNS[:2], *(name for k in range(balls) for name in _columns(k))))
-    check_rows(path, table, frames)
-    stamp = table[:, 1].copy()
+    table = read_columns(path, (*WAND_COLUMNS[:2], *(c for k in range(balls) for c in _columns(k))), most=frames)
+    check_frames(path, table, frames)
+    check_times(path, table["t"])
     truths = []
     for k in range(balls):
-        part = table[:, 2 + 12 * k : 14 + 12 * k]
-        rotation = part[:, 3:].reshape(-1, 3, 3).copy()
+        position, matrix = _columns(k)[:3], _columns(k)[3:]
+        rotation = np.stack([table.pop(c) for c in matrix], axis=1).reshape(-1, 3, 3)
         for i in range(frames):
             if not is_rotation(rotation[i]):
-                raise DatasetError(f"{path}, row {i + 1}: {_columns(k)[3]}..{_columns(k)[-1]} is not a rotation")
-        truths.append(WandTruth(stamp, part[:, :3].copy(), rotation))
+                raise DatasetError(f"{path}, row {i + 1}: {matrix[0]}..{matrix[-1]} is not a rotation")
+        truths.append(WandTruth(table["t"], np.stack([table.pop(c) for c in position], axis=1), rotation))
     return tuple(truths)
 
 

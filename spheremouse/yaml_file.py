@@ -18,10 +18,14 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import atomic
+from spheremouse.files.bounded import read_bytes
+from spheremouse.files.plain_json import MAX_DEPTH
 
 SCHEMA = 1
-MAX_BYTES = 1_000_000
-MAX_DEPTH = 20
+MAX_BYTES = 1_000_000  # the map of 260 discs has them
+MAX_NODES = 20_000  # keys, values, sections and lists; a map of 260 discs has 4,000, a rig 1,000
+MAX_PROBLEMS = 20  # told of a file; each is looked up among all known names
+_MAX_DIGITS = 1_000  # of a whole number: Python shows none of more than 4,300
 
 Key = tuple[str | int, ...]
 
@@ -50,10 +54,13 @@ class Document:
             key = key[:-1]
         return self.lines.get(key, 1)
 
-    def error(self, problems: Sequence[Problem]) -> ConfigurationError:
-        """All problems as one error, a line each, in the order of the file."""
+    def error(self, problems: Sequence[Problem], more: int = 0) -> ConfigurationError:
+        """The problems as one error, a line each, in the order of the file; the first of many, and how many `more`."""
         ordered = sorted(problems, key=lambda p: self.line(p.key))
-        lines = [f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in ordered]
+        told, more = ordered[:MAX_PROBLEMS], more + len(ordered[MAX_PROBLEMS:])
+        lines = [f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in told]
+        if more:
+            lines.append(f"{self.name}:{self.line(told[-1].key)}: and {more} more problems from here on")
         return ConfigurationError("\n".join(" ".join(line.splitlines()) for line in lines))
 
 
@@ -72,8 +79,7 @@ def _word(key: str) -> str:
 def read_document(path: Path) -> Document:
     """The document in a file; anything that is not plain YAML is a ConfigurationError with its line."""
     try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
+        raw = read_bytes(path, MAX_BYTES, "file of spheremouse", pipe=True)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file; check the path") from None
     except IsADirectoryError:
@@ -181,7 +187,7 @@ def one_line(text: str) -> str:
 
 def _compose(text: str, name: str) -> Node | None:
     """Node graph of the only document in the text, after a look at its events for what is not plain."""
-    depth = documents = 0
+    depth = documents = nodes = 0
     for event in _yaml().parse(text):
         at = f"{name}:{event.start_mark.line + 1}"
         if isinstance(event, AliasEvent):
@@ -189,9 +195,12 @@ def _compose(text: str, name: str) -> Node | None:
         if isinstance(event, NodeEvent) and (tag := getattr(event, "tag", None)):
             raise ConfigurationError(f"{at}: tags ({one_line(str(tag))}) are not read; write a plain value")
         documents += isinstance(event, DocumentStartEvent)
+        nodes += isinstance(event, NodeEvent)
         depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
         if depth > MAX_DEPTH:
             raise ConfigurationError(f"{at}: nested deeper than {MAX_DEPTH} levels; this is not a file of spheremouse")
+        if nodes > MAX_NODES:
+            raise ConfigurationError(f"{at}: more than {MAX_NODES} values; this is not a file of spheremouse")
         if documents > 1:
             raise ConfigurationError(f"{at}: a second document begins here; keep one and remove the `---`")
     return _yaml().compose(text)
@@ -247,6 +256,8 @@ def _scalar(node: ScalarNode, key: Key, problems: list[Problem]) -> Any:
             return None
         if kind == "bool":
             return text.lower() == "true"
+        if kind == "int" and len(number) > _MAX_DIGITS:
+            raise ValueError(text)
         if kind == "int":
             prefixed = re.match(r"[-+]?0[box]", number)
             return int(number, 0) if prefixed else int(number)

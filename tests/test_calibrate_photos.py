@@ -189,7 +189,7 @@ def test_what_is_no_photo_is_told_with_what_to_do(tmp_path):
     text.write_text("a recipe for jam\n")
     empty.write_bytes(b"")
     heic.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
-    refused([text], "t.jpg", "not a photo", "JPEG, PNG, TIFF or BMP")
+    refused([text], "t.jpg", "not a picture", "JPEG, PNG, TIFF or BMP")
     refused([empty], "e.jpg", "empty")
     refused([heic], "h.HEIC", "HEIC", "convert it to JPEG")
     refused([heic.rename(tmp_path / "h.jpg")], "h.jpg", "in spite of .jpg", "convert it to JPEG")
@@ -202,7 +202,7 @@ def test_what_is_no_photo_is_told_with_what_to_do(tmp_path):
 
 def test_a_gif_is_no_photo(tmp_path):
     Image.fromarray(pixels()).save(tmp_path / "a.gif")
-    refused([tmp_path / "a.gif"], "a.gif", "not a photo")
+    refused([tmp_path / "a.gif"], "a.gif", "not a picture")
 
 
 def test_a_folder_without_photos_says_what_it_has(tmp_path):

@@ -222,9 +222,10 @@ def test_every_test_that_the_security_page_names_is_there():
         (b'{"command": "set", "assignments": [1]}', "set: assignments[0]: must be text, is 1"),
         (b"[" * 60000, "not a request: more than 4000 values"),
         (b"[" + 4000 * b"1," + b"1]", "not a request: more than 4000 values"),
-        (b"[" * 4000, "not a request: nested too deep"),
-        (b'{"command":' * 4000, "not a request: nested too deep"),
-        (b"9" * 60000, "not JSON: Exceeds the limit"),
+        (b"[" * 4000, "not JSON: "),
+        (b"[" * 2000 + b"]" * 2000, "not JSON: nested deeper than 20 levels; send one JSON object a line"),
+        (b'{"command":' * 4000, "not JSON: nested deeper than 20 levels"),
+        (b"9" * 60000, "not JSON: a whole number of 60000 digits"),
     ],
 )
 def test_what_is_no_request_is_one_line_that_helps(line, error):
@@ -1106,6 +1107,12 @@ def test_the_client_says_what_is_wrong(path, serve):
             client.ask("set", assignments=[70000 * "x"])
 
 
+def test_a_file_whose_name_is_no_text_is_in_a_status(path):
+    """Half a surrogate pair, as Python calls such a byte."""
+    with ControlServer(path, ControlSettings(), lambda _, reply: reply({"config": "caf\udce9.yaml"})):
+        assert Client(path).ask("status") == {"config": "caf\udce9.yaml"}
+
+
 def test_the_client_sees_the_daemon_end(path):
     server = ControlServer(path, ControlSettings(), answer)
     with Client(path) as client:
@@ -1129,6 +1136,8 @@ def test_the_client_sees_the_daemon_end(path):
         (b'{"ok": true', "has ended, or hung up"),
         (b'{"ok": false, "error": "\\u001b[2Jgone"}\n', "\N{REPLACEMENT CHARACTER}\\[2Jgone"),
         (b'{"ok": 1}\n', "does not say why"),
+        (b'{"ok": true, "discs": 1.5}\n', r"gives no status of spheremouse \(discs: Input should be a valid integer"),
+        (b'{"ok": true, "frames": ' + b"9" * 5000 + b"}\n", "no daemon of spheremouse"),
     ],
 )
 def test_the_client_believes_no_stranger(path, said, message):

@@ -164,6 +164,27 @@ def test_the_daemons_own_words_come_first(ctl, path, words, reply, said):
         assert ctl(*words) == (0, f"{said}\n", "")
 
 
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"output": {"spec": "null", "failed": None, "reports": 1, "unsent": [0.5, 0.0, 1.0], "ahead": [0, 0, 0]}},
+         "output.unsent.0"),
+        ({"output": {"spec": "null", "failed": None, "reports": 1, "unsent": 5, "ahead": [0, 0, 0]}}, "output.unsent"),
+        ({"source": "v4l2:"}, "source"),
+        ({"latency_ms": {"p50": "a", "p99": 1.0}}, "latency_ms.p50"),
+        ({"recording": {"folder": "r", "frames": 1, "seconds": 1.0, "bytes": "many", "dropped": 0}}, "recording.bytes"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("words", [("status",), ("watch",)])
+def test_a_status_that_is_none_of_ours_is_one_line(ctl, daemon, words, change, key):
+    """Whatever a server at the path says where whole numbers are due, the command says so and ends."""
+    daemon.status = daemon.status | change
+    code, out, err = ctl(*words)
+    assert (code, out) == (cli_ctl.NO_DAEMON, "")
+    assert f"gives no status of spheremouse ({key}: Input should be a valid" in err
+    assert err.count("\n") == 1
+
+
 def test_a_recording_is_shown_while_it_runs():
     recording = {"folder": "/r/bug-1", "frames": 90, "seconds": 3.0, "bytes": 41_000_000, "dropped": 2}
     assert "/r/bug-1: 90 frames, 3.0 s, 41 MB, 2 dropped" in shown({"state": "tracking", "recording": recording})

@@ -13,9 +13,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from spheremouse.adjustment.device import Axes, Device, Distance
+from spheremouse.files.bounded import read_bytes
 from spheremouse.rig_file import Code
 from spheremouse.validate import validated
-from spheremouse.yaml_file import SCHEMA, Document, Problem, read_document, without_schema
+from spheremouse.yaml_file import MAX_BYTES, SCHEMA, Document, Problem, read_document, without_schema
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 
@@ -88,7 +89,7 @@ def load_device(path: Path) -> Device:
 def untouched(path: Path) -> bool:
     """Whether a device file still has the line that `calibrate init` puts first."""
     try:
-        return UNTOUCHED in path.read_text("utf-8", errors="replace")
+        return UNTOUCHED.encode() in read_bytes(path, MAX_BYTES, "device file")
     except OSError:
         return False
 

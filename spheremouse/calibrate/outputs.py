@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from spheremouse.errors import CalibrationError
+from spheremouse.files.bounded import opened
 
 Report = Annotated[
     Path | None, typer.Option("--report", metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
@@ -47,8 +48,12 @@ def note(text: str) -> None:
 
 
 def sha256(path: Path) -> str:
-    """Of a file, by which what was made from it is known again."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """Of a file, by which what was made from it is known again; CalibrationError where it is none."""
+    try:
+        with opened(path) as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as e:
+        raise CalibrationError(f"{path}: cannot be read: {e.strerror or e}") from None
 
 
 def copyable(*words: str | Path) -> str:

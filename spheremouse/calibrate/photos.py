@@ -5,31 +5,26 @@ memory: `image` reads a photo when it is looked at.
 """
 
 import hashlib
-import io
 import re
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, UnidentifiedImageError
 
 from spheremouse.calibrate.outputs import note
 from spheremouse.camera import InteriorOrientation
 from spheremouse.errors import CalibrationError
+from spheremouse.files.bounded import read_bytes
+from spheremouse.files.pictures import MOST_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
-_FORMATS = ("JPEG", "PNG", "TIFF", "BMP")
 _OTHER_ENDINGS = (".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")
 _HEIF = (b"heic", b"heix", b"heif", b"hevc", b"mif1", b"msf1", b"avif", b"avis")  # ISO 23008-12, brands of `ftyp`
 _MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # ITU-T T.81, B.1.1: what ends entropy-coded data
 _MOST_NAMED = 6
-
-Size = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +64,12 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
 def image(photo: Photo) -> NDArray[np.uint8]:
     """Pixels of a photo, (h, w, 3) BGR, as the sensor read them; CalibrationError where the file has changed."""
     data = _bytes(photo.path)
-    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if decoded is None or decoded.shape[1::-1] != photo.size:
-        raise CalibrationError(f"{photo.path}: cannot be decoded; save it anew as JPEG or PNG, or leave it out")
-    return np.asarray(decoded, np.uint8)
+    if _header(photo.path, data).size != photo.size:
+        raise CalibrationError(f"{photo.path}: has changed meanwhile; run it again")
+    try:
+        return decoded(data)
+    except OSError as e:
+        raise CalibrationError(f"{photo.path}: {e.strerror}") from None
 
 
 def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path: Path) -> None:
@@ -81,10 +78,10 @@ def check_size(photos: Sequence[Photo], camera: InteriorOrientation, camera_path
     other = next((p for p in photos if p.size != mode), None)
     if other is None:
         return
-    begin = f"{other.path}: is {_px(other.size)}, and {camera_path} is for the mode {_px(mode)}"
+    begin = f"{other.path}: is {px(other.size)}, and {camera_path} is for the mode {px(mode)}"
     if other.size == mode[::-1]:
         raise CalibrationError(f"{begin}: the photo was turned by software; take the original from the camera")
-    todo = f"take photos in the mode {_px(mode)}, or calibrate the mode you use from board photos of that mode"
+    todo = f"take photos in the mode {px(mode)}, or calibrate the mode you use from board photos of that mode"
     if mode[0] * other.size[1] == mode[1] * other.size[0]:
         raise CalibrationError(
             f"{begin}: same shape, but a rescaled mode is a mode of its own (a camera may crop, skip or join pixels): "
@@ -150,7 +147,7 @@ def _check_one_size(photos: Sequence[Photo]) -> None:
     for other, _ in others:
         paths = [p.path for p in photos if p.size == other]
         rest = "1 other is" if count == 1 else f"{count} others are"
-        begin = f"{_named(paths)}: {'is' if len(paths) == 1 else 'are'} {_px(other)}, {rest} {_px(size)}"
+        begin = f"{_named(paths)}: {'is' if len(paths) == 1 else 'are'} {px(other)}, {rest} {px(size)}"
         if other == size[::-1]:
             lines.append(f"{begin}: turned by software; take the {_originals(paths)} from the camera")
         else:
@@ -167,7 +164,7 @@ def _originals(paths: Sequence[Path]) -> str:
 
 def _read(path: Path) -> Photo:
     data = _bytes(path)
-    size, orientation = _header(path, data)
+    size, orientation = _header(path, data, to_the_end=True)
     if data.startswith(b"\xff\xd8") and not _reaches_its_end(data):
         raise CalibrationError(f"{path}: ends before the picture does; copy it from the camera again, or leave it out")
     if orientation != 1 and data[:2] in (b"II", b"MM"):  # the decoders turn a TIFF whatever they are told
@@ -177,9 +174,7 @@ def _read(path: Path) -> Photo:
 
 def _bytes(path: Path) -> bytes:
     try:
-        if path.exists() and not path.is_file():
-            raise CalibrationError(f"{path}: is not a file; name photos or folders with photos")
-        data = path.read_bytes()
+        data = read_bytes(path, MOST_BYTES, "photo")
     except FileNotFoundError:
         raise CalibrationError(f"{path}: no such photo or folder; check the path") from None
     except OSError as e:
@@ -191,36 +186,16 @@ def _bytes(path: Path) -> bytes:
     return data
 
 
-def _header(path: Path, data: bytes) -> tuple[Size, int]:
-    """Size in px and EXIF orientation; decodes once, coarsely where the format allows, to see that all of it is there.
-
-    OpenCV would decode half a photo without a word.
-    """
+def _header(path: Path, data: bytes, *, to_the_end: bool = False) -> Header:
     if data[4:8] == b"ftyp" and data[8:12] in _HEIF:
         despite = f" in spite of {path.suffix}" if path.suffix.lower() in ENDINGS else ""
         raise CalibrationError(
             f"{path}: is HEIC or AVIF{despite}; convert it to JPEG at full size, or let the camera save JPEG"
         )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of large photos and untidy tags
-        Image.init()  # else some formats are unknown until others have failed
-        try:
-            with Image.open(io.BytesIO(data), formats=_FORMATS) as picture:
-                size, orientation = picture.size, picture.getexif().get(ExifTags.Base.Orientation, 1)
-                picture.draft("L", (1, 1))
-                picture.load()
-        except UnidentifiedImageError:
-            raise CalibrationError(f"{path}: not a photo that can be read; name JPEG, PNG, TIFF or BMP files") from None
-        except Image.DecompressionBombError:
-            raise CalibrationError(f"{path}: too large to be a photo of a camera; leave it out") from None
-        except MemoryError:
-            raise
-        except Exception as e:  # damaged files bring all sorts of errors out of decoders
-            what = " ".join(str(e).split())[:80] or type(e).__name__
-            raise CalibrationError(
-                f"{path}: damaged ({what}); copy it from the camera again, or leave it out"
-            ) from None
-    return size, orientation if orientation in range(1, 9) else 1
+    try:
+        return read_header(data, PHOTO_PIXELS, to_the_end=to_the_end)
+    except OSError as e:
+        raise CalibrationError(f"{path}: {e.strerror}") from None
 
 
 def _reaches_its_end(jpeg: bytes) -> bool:
@@ -242,7 +217,3 @@ def _named(paths: Sequence[Path]) -> str:
     names = [str(paths[0]), *(p.name for p in paths[1:_MOST_NAMED])]
     more = f" and {len(paths) - _MOST_NAMED} more" if len(paths) > _MOST_NAMED else ""
     return ", ".join(names) + more
-
-
-def _px(size: Size) -> str:
-    return f"{size[0]}x{size[1]}"

@@ -21,6 +21,7 @@ from spheremouse.calibrate.prints_sheets import (
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
+from spheremouse.files.bounded import read_bytes
 from spheremouse.plot import require_matplotlib
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
@@ -111,11 +112,18 @@ def parse_radii(text: str) -> tuple[float, float, float]:
     return radii[0], radii[1], radii[2]
 
 
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return read_bytes(path, len(data), "sheet") == data
+    except OSError:  # larger, for instance
+        return False
+
+
 def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
     """All files or, where one is there that differs, none."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        differ = [n for n, data in made.items() if (folder / n).exists() and (folder / n).read_bytes() != data]
+        differ = [n for n, data in made.items() if (folder / n).exists() and not _holds(folder / n, data)]
         if differ and not force:
             other = f" (and {len(differ) - 1} more)" if len(differ) > 1 else ""
             raise CalibrationError(

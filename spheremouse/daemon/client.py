@@ -11,8 +11,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.daemon import places
-from spheremouse.daemon.protocol import MAX_LINE
+from spheremouse.daemon.protocol import MAX_LINE, misfit
 from spheremouse.errors import ControlError
+from spheremouse.files import plain_json
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
 _PATIENCE = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while
@@ -63,13 +64,24 @@ class Client:
         reply = self._exchange({"command": command, **given}, _PATIENCE.get(command, _LONGEST))
         if reply.pop("ok", None) is not True:
             raise RefusedError(_printable(str(reply.get("error", "the daemon refuses and does not say why"))))
-        return reply
+        return self._status(reply) if command == "status" else reply
 
     def watch(self, interval: float = 1.0) -> Iterator[dict[str, Any]]:
         """Events, `status` every `interval` s and `log`, until the daemon ends, which is a NoDaemonError."""
         self.ask("watch", interval=interval)
         while True:
-            yield self._receive(max(_PATIENCE["watch"], 3.0 * interval))
+            event = self._receive(max(_PATIENCE["watch"], 3.0 * interval))
+            yield self._status(event) if event.get("event") == "status" else event
+
+    def _status(self, status: dict[str, Any]) -> dict[str, Any]:
+        """A status as it came, every value of its kind."""
+        if (wrong := misfit(status)) is not None:
+            self.close()
+            raise NoDaemonError(
+                f"{self._path}: what answers there gives no status of spheremouse ({_printable(wrong)}); is the daemon "
+                "of another version? Start it anew"
+            )
+        return status
 
     def _exchange(self, message: dict[str, Any], patience: float) -> dict[str, Any]:
         line = json.dumps(message).encode() + b"\n"
@@ -98,7 +110,7 @@ class Client:
                     raise ValueError
             line = bytes(self._received[:end])
             del self._received[: end + 1]
-            message = json.loads(line)
+            message = plain_json.loads(line, surrogates=True)
             if not isinstance(message, dict):
                 raise ValueError
         except TimeoutError:
@@ -107,7 +119,7 @@ class Client:
         except OSError:
             self.close()
             raise NoDaemonError(f"{self._path}: the daemon has ended, or hung up; {_START}") from None
-        except (ValueError, RecursionError):
+        except ValueError:
             self.close()
             raise NoDaemonError(f"{self._path}: what answers there is no daemon of spheremouse") from None
         return message

@@ -8,9 +8,10 @@ import math
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from spheremouse.errors import ConfigurationError, ControlError
+from spheremouse.files import plain_json
 from spheremouse.validate import nearest, validated
 from spheremouse.yaml_file import Document, one_line
 
@@ -129,33 +130,16 @@ def _read(line: bytes) -> Any:
     except UnicodeDecodeError:
         raise BadRequestError("not UTF-8 text; send one JSON object a line") from None
     try:
-        return _tuples(json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_twice))
-    except RecursionError:
-        raise BadRequestError("not a request: nested too deep") from None
+        return _tuples(plain_json.loads(text))
     except ValueError as e:
         raise BadRequestError(f"not JSON: {one_line(str(e))}; send one JSON object a line") from None
 
 
-def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number of JSON")
-
-
-def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    data = dict(pairs)
-    if len(data) < len(pairs):
-        raise ValueError("a key stands twice in one object")
-    return data
-
-
 def _tuples(value: Any) -> Any:
-    """Lists as tuples, as `validated` expects them; text that is no text (half a surrogate pair) is refused."""
+    """Lists as tuples, as `validated` expects them."""
     if isinstance(value, list):
-        return tuple(_tuples(v) for v in value)
-    if isinstance(value, dict):
-        return {_tuples(k): _tuples(v) for k, v in value.items()}
-    if isinstance(value, str) and any("\ud800" <= c <= "\udfff" for c in value):
-        raise ValueError("half a surrogate pair")
-    return value
+        return tuple(map(_tuples, value))
+    return {k: _tuples(v) for k, v in value.items()} if isinstance(value, dict) else value
 
 
 def _is_id(value: Any) -> bool:
@@ -205,6 +189,26 @@ def plain(value: Any) -> Any:
 
 
 # ---- the status, as it is promised to clients ----
+
+
+def misfit(status: dict[str, Any]) -> str | None:
+    """What in a status no daemon says, in words: a value that is not of its kind. None where it may be shown.
+
+    What is missing, or null, an older version did not know; a state that is not known here is a later one's; the name
+    of a file need not be text.
+    """
+    try:
+        StatusReport.model_validate(status)
+    except ValidationError as e:
+        for error in e.errors(include_url=False):
+            place, value = error["loc"], error["input"]
+            unknown = error["type"] in ("missing", "string_unicode") or (
+                value is None and not isinstance(place[-1], int)
+            )
+            later = place == ("state",) and isinstance(value, str)
+            if not (unknown or later):
+                return f"{'.'.join(map(str, place))}: {one_line(error['msg'])}"
+    return None
 
 
 class _Part(BaseModel):

@@ -91,7 +91,7 @@ def _discs(s: dict[str, Any]) -> Finding | None:
     text = f"{used} used, {seen} seen, {known} known"
     pose = s.get("pose")
     if pose:
-        text += f"; camera pose {_span(float(pose['age_s']))} old"
+        text += f"; camera pose {_span(float(pose.get('age_s') or 0.0))} old"
     if s.get("state") == "tracking" and int(used) < _FEW:
         return warning("discs", text, "uncover and light the ball", used=used)
     return ok("discs", text, used=used)

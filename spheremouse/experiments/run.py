@@ -17,9 +17,12 @@ from typing import Any
 
 import spheremouse
 from spheremouse.experiments.experiment import Job, Result
+from spheremouse.files import plain_json
+from spheremouse.files.bounded import read_text
 from spheremouse.yaml_file import write_atomically
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_MOST_BYTES = 100_000_000  # of a job's result
 _WAND = "wand/"  # how keys of its jobs begin
 _FOR_A_READER = b"\n# ---- for a reader ----\n"  # what stands below only says and draws what jobs gave
 _SHELL = ("daemon", "calibrate", "doctor", "output", "source")  # folders that no experiment's figure depends on
@@ -66,7 +69,7 @@ def _kept(folder: Path, wanted: list[Job]) -> dict[str, Result]:
     found = {}
     for job in wanted:
         try:
-            kept = json.loads((folder / f"{job.key}.json").read_text(encoding="utf-8"))
+            kept = plain_json.loads(read_text(folder / f"{job.key}.json", _MOST_BYTES, "result"), constants=True)
         except (OSError, ValueError):
             continue
         same = program(job.key.startswith(_WAND))

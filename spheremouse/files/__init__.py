@@ -1,1 +1,1 @@
-"""All that is read from a disk or written to it."""
+"""All that is read from or written to a disk."""

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from spheremouse.errors import SourceError
+from spheremouse.files.films import open_capture
 from spheremouse.frame import Frame
 from spheremouse.source import Stream
-from spheremouse.source._capture import open_capture
 from spheremouse.spec import options
 
 _PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT, "fps": cv2.CAP_PROP_FPS}

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from spheremouse.errors import SourceError
+from spheremouse.files.films import open_film
 from spheremouse.frame import Frame
 from spheremouse.source import Stream, paced
-from spheremouse.source._capture import open_capture
 
 _SNAP = 0.6e-3  # s: half a millisecond of rounding and a little more
 
@@ -28,7 +28,10 @@ def open(argument: str, realtime: bool) -> Stream:
         raise SourceError(f"{path}: no such file; check the path after video:")
     if not path.is_file():
         raise SourceError(f"{path}: is no file; name a video file, or write dataset:{path} for a dataset folder")
-    capture = open_capture(str(path))
+    try:
+        capture = open_film(path)
+    except OSError as e:
+        raise SourceError(f"{path}: {e.strerror or e}") from None
     if capture is None:
         raise SourceError(f"{path}: not a video that OpenCV can read; convert it, for example with ffmpeg to .mkv")
     fps = _positive(capture.get(cv2.CAP_PROP_FPS))

@@ -117,7 +117,7 @@ def check_set(assignments: list[str]) -> None:
         st.text(letters, max_size=20),
         st.builds(
             "{}:{}".format,
-            st.sampled_from(["video", "dataset", "text", "null", "spec", "__init__", "_capture"]),
+            st.sampled_from(["video", "dataset", "text", "null", "spec", "__init__", "_pixels"]),
             st.text(letters, max_size=12),
         ),
         st.builds("opencv:{}".format, st.one_of(st.text(letters.filter(lambda c: not c.isdigit()), max_size=8))),

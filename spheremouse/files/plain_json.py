@@ -1,0 +1,61 @@
+"""JSON of strangers as plain data: files, and what comes over a socket.
+
+Text in, lists, dicts, text, numbers, true, false and None out; ValueError in one line for everything that would cost
+more than it says: deep nesting, endless numbers, a key twice, text that is no text.
+"""
+
+import json
+from typing import Any
+
+MAX_DEPTH = 20  # levels; a scene has 5
+MAX_DIGITS = 30  # of a whole number: 64 bits have 20
+
+
+def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = False) -> Any:
+    """The data in a JSON text; NaN and Infinity are numbers with `constants` alone, as `json.dumps` writes them.
+
+    Half a surrogate pair is let through with `surrogates` alone: it stands for a byte of a file's name.
+    json.JSONDecodeError has the line where the text is no JSON; what is refused besides is a plain ValueError.
+    """
+    constant = None if constants else _no_constant
+    try:
+        data = json.loads(text, parse_constant=constant, parse_int=_integer, object_pairs_hook=_no_twice)
+    except RecursionError:
+        raise ValueError(f"nested deeper than {MAX_DEPTH} levels") from None
+    _check(data, MAX_DEPTH, surrogates)
+    return data
+
+
+def said(error: ValueError) -> str:
+    """What `loads` refuses, in one line; without a line number, of which `error` may have one."""
+    words = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
+    return " ".join(words.split())[:120]
+
+
+def _integer(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"a whole number of {len(text)} digits")
+    return int(text)
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    data = dict(pairs)
+    if len(data) < len(pairs):
+        raise ValueError("a key stands twice in one object")
+    return data
+
+
+def _check(value: Any, depth: int, surrogates: bool) -> None:
+    """ValueError where data are nested deeper than `depth`, or hold half a surrogate pair."""
+    if isinstance(value, str):
+        if not (surrogates or value.isascii()) and any("\ud800" <= c <= "\udfff" for c in value):
+            raise ValueError("half a surrogate pair")
+    elif isinstance(value, list | dict):
+        if depth == 0:
+            raise ValueError(f"nested deeper than {MAX_DEPTH} levels")
+        for inner in (*value, *value.values()) if isinstance(value, dict) else value:
+            _check(inner, depth - 1, surrogates)

@@ -1,0 +1,342 @@
+"""Files of strangers: what says that it is huge is refused before memory is taken for it, and nothing hangs."""
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from spheremouse import validate, yaml_file
+from spheremouse.calibrate.photos import read_photos
+from spheremouse.cli_wand import _image
+from spheremouse.daemon import protocol
+from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
+from spheremouse.files import bounded, pictures, plain_json, tables
+from spheremouse.mouse_log import read_log
+from spheremouse.recording import open_dataset
+from spheremouse.rig_file import load_camera
+from spheremouse.source import open_source
+from spheremouse.wand_recording import is_wand
+from tests.fuzz.sizes import mkv, png, sparse
+
+CLIP = Path(__file__).parent / "data" / "far26_clip"
+LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A dataset of three frames that are still missing."""
+    scene = json.loads((CLIP / "scene.json").read_text()) | {"width": 64, "height": 48, "frames": 3}
+    made = tmp_path / "set"
+    (made / "frames").mkdir(parents=True)
+    (made / "scene.json").write_text(json.dumps(scene))
+    return made
+
+
+def saved(path, data):
+    path.write_bytes(data)
+    return path
+
+
+def one_line(error, *words):
+    text = str(error.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text
+
+
+IN_A_CHILD = """
+import resource, sys
+from pathlib import Path
+from spheremouse.calibrate.photos import read_photos
+from spheremouse.cli_wand import _image
+from spheremouse.errors import SpheremouseError
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.source import open_source
+
+def pages():
+    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+
+resource.setrlimit(resource.RLIMIT_AS, (pages() + int(sys.argv[1]),) * 2)
+path = Path(sys.argv[3])
+def film():
+    with open_source(f"video:{path}") as frames:
+        return list(frames)
+try:
+    {"dataset": lambda: list(read_frames(open_dataset(path))), "film": film, "photo": lambda: read_photos([path]),
+     "wand": lambda: _image(path)}[sys.argv[2]]()
+except SpheremouseError as e:
+    print(e)
+"""
+
+
+def read_within(kind, path, limit=LIMIT):
+    """What reading a file says, in a process that may take `limit` bytes for it."""
+    words = [sys.executable, "-c", IN_A_CHILD, str(limit), kind, str(path)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout.strip()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="bounds the memory of a process")
+def test_what_says_that_it_is_huge_is_refused_within_little_memory(folder, tmp_path):
+    huge = saved(tmp_path / "huge.png", png(32000, 32000, 1))
+    shutil.copy(huge, folder / "frames" / "000000.png")
+    words = "is more than 180 megapixels; scale it to at most 35 megapixels"
+    assert f"000000.png: {words}" in read_within("dataset", folder)
+    assert f"huge.png: {words}" in read_within("wand", huge)
+    photo = saved(tmp_path / "photo.png", png(13000, 13000, 1))
+    assert "photo.png: is 13000x13000; scale it to at most 67 megapixels" in read_within("photo", photo)
+    film = saved(tmp_path / "film.mkv", mkv("MPNG", 64, 64, [png(15000, 15000, 1)]))
+    assert "film.mkv: frames of 15000x15000; scale the film" in read_within("film", film)
+    shutil.copy(film, folder / "video.mkv")
+    assert "video.mkv: frames of 15000x15000" in read_within("dataset", folder)
+    sparse(folder / "scene.json", 10**9)
+    assert "scene.json: cannot be read: larger than 1 MB" in read_within("dataset", folder)
+
+
+def test_a_photo_of_a_phone_with_64_megapixels_is_no_bomb(tmp_path):
+    header = pictures.read_header(png(9248, 6936, 1), pictures.PHOTO_PIXELS)
+    assert header == ((9248, 6936), 1)
+
+
+def test_the_bound_is_that_of_pixels_whatever_the_shape():
+    for size in ((100, 50), (50, 100), (5000, 1)):
+        assert pictures.read_header(png(*size, 1), 5000).size == size
+        with pytest.raises(OSError, match="scale it"):
+            pictures.read_header(png(*size, 1), 4999)
+
+
+def test_the_tiles_of_a_tiff_count_too():
+    """A TIFF of 16x16 px in one tile of 16384x16384: it would be decoded whole."""
+    entries = [(256, 4, 16), (257, 4, 16), (258, 3, 8), (259, 3, 8), (262, 3, 1), (277, 3, 1)]
+    entries += [(322, 4, 16384), (323, 4, 16384), (324, 4, 8), (325, 4, 0)]
+    tail = struct.pack("<H", len(entries)) + b"".join(struct.pack("<HHII", t, k, 1, v) for t, k, v in entries)
+    data = b"II*\0" + struct.pack("<I", 8) + tail + bytes(4)
+    with pytest.raises(OSError, match="tiles of 16384x16384"):
+        pictures.read_header(data, pictures.PHOTO_PIXELS)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.bmp"])
+def test_header_and_decoder_agree_on_the_size(name):
+    data = cv2.imencode(Path(name).suffix, np.arange(7 * 5 * 3, dtype=np.uint8).reshape(7, 5, 3))[1].tobytes()
+    assert pictures.read_header(data, 35, to_the_end=True).size == (5, 7)
+    assert pictures.decoded(data).shape == (7, 5, 3)
+
+
+# ---- tables ----
+
+
+def test_no_more_of_a_table_is_read_than_the_scene_has_frames(folder):
+    """Of a million rows for three frames, four are looked at: the fifth, which is no row, is not reached."""
+    (folder / "stamps.csv").write_text("frame,t,sequence,colour\n" + "0,0,0,0\n" * 4 + "no row\n" * 1_000_000)
+    with pytest.raises(DatasetError) as e:
+        open_dataset(folder)
+    one_line(e, "stamps.csv: more than 3 rows, but scene.json says 3 frames")
+
+
+def test_a_table_is_held_in_eight_bytes_a_number(tmp_path, monkeypatch):
+    path = tmp_path / "t.csv"
+    path.write_text("a,b\n" + "1,2\n" * 10)
+    table = tables.read_columns(path, ("b",))
+    assert table["b"].nbytes == 80
+    monkeypatch.setattr(tables, "MOST_NUMBERS", 19)
+    with pytest.raises(DatasetError, match=r"t\.csv: more than 9 rows, which do not fit"):
+        tables.read_columns(path, ("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a\n" + "1" * 70_000, "line 2 is longer than 65536 characters"),
+        ('a,b\n1,"2\n', "line 2 has a quote that does not end"),
+        ("a,b\n" + '1,"\n' * 1000, "line 2 has a quote"),
+        ("b\n1\n", "no column a"),
+        ("\0", "no column a"),
+    ],
+)
+def test_a_table_whose_rows_do_not_end_is_refused(tmp_path, text, words):
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(DatasetError) as e:
+        tables.read_columns(path, ("a",))
+    one_line(e, "t.csv", words)
+
+
+def test_the_stamps_of_a_day_are_read():
+    """10 million rows are within the bounds, which a day at 120 frames per second has; its numbers take 332 MB."""
+    from spheremouse.dataset_format import MOST_FRAMES, STAMP_COLUMNS
+
+    assert MOST_FRAMES == 86_400 * 120
+    assert MOST_FRAMES * len(STAMP_COLUMNS) <= tables.MOST_NUMBERS
+
+
+# ---- JSON ----
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[" * 100_000, "scene.json: not valid JSON (nested deeper than 20 levels)"),
+        ("[" * 30 + "]" * 30, "scene.json: not valid JSON (nested deeper than 20 levels)"),
+        ('{"a":' * 100_000, "scene.json: not valid JSON (nested deeper than 20 levels)"),
+        ('{"frames": ' + "9" * 5000 + "}", "scene.json: not valid JSON (a whole number of 5000 digits)"),
+        ('{"frames": 1, "frames": 2}', "scene.json: not valid JSON (a key stands twice in one object)"),
+        ('{"name": "\\ud800"}', "scene.json: not valid JSON (half a surrogate pair)"),
+        ('{\n"frames": }', "scene.json, line 2: not valid JSON (Expecting value)"),
+    ],
+)
+def test_json_that_costs_more_than_it_says_is_one_line(folder, text, words):
+    (folder / "scene.json").write_text(text)
+    with pytest.raises(DatasetError) as e:
+        open_dataset(folder)
+    one_line(e, words)
+    assert not is_wand(folder)
+
+
+def test_constants_that_are_no_json_are_let_through_where_asked_alone():
+    assert plain_json.loads("[NaN, -Infinity]", constants=True)[1] == -np.inf
+    with pytest.raises(ValueError, match="NaN is no number of JSON"):
+        plain_json.loads("[NaN]")
+
+
+def test_frames_beyond_what_can_be_recorded_are_refused(folder):
+    scene = json.loads((folder / "scene.json").read_text())
+    for changed, words in (({"frames": 10**8}, "frames: "), ({"width": 10**6, "height": 10**6}, "8K")):
+        (folder / "scene.json").write_text(json.dumps(scene | changed))
+        with pytest.raises(DatasetError) as e:
+            open_dataset(folder)
+        one_line(e, "scene.json", words)
+
+
+# ---- what is no file ----
+
+
+def readers(path):
+    """Everything that reads what a user names."""
+    return {
+        "configuration": lambda: yaml_file.read_document(path),
+        "camera": lambda: load_camera(path),
+        "photo": lambda: read_photos([path]),
+        "picture": lambda: _image(path),
+        "log": lambda: read_log(path),
+        "table": lambda: tables.read_columns(path, ("a",)),
+        "film": lambda: open_source(f"video:{path}"),
+    }
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")
+@pytest.mark.parametrize("kind", list(readers(Path())))
+def test_a_fifo_that_nobody_writes_to_is_not_waited_for(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr(bounded, "PATIENCE", 0.2)
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    ended = threading.Event()
+
+    def rescue():
+        if not ended.wait(30.0):
+            os.close(os.open(path, os.O_WRONLY))  # so that the test fails and does not hang
+
+    threading.Thread(target=rescue, daemon=True).start()
+    with pytest.raises(SpheremouseError) as e:
+        readers(path)[kind]()
+    hung = ended.is_set()
+    ended.set()
+    assert not hung
+    one_line(e, "pipe")
+    assert any(words in str(e.value) for words in ("is not a file", "is no file", "no such", "has not ended in 0.2 s"))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")
+def test_a_pipe_given_on_purpose_is_read_as_a_configuration(tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    threading.Thread(target=path.write_text, args=("a: 1\n" * 1,), daemon=True).start()
+    assert yaml_file.read_document(path).data == {"a": 1}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no fifos here")
+def test_a_pipe_that_does_not_end_is_cut_off(tmp_path):
+    read, write = os.pipe()
+
+    def flood():
+        try:
+            while True:
+                os.write(write, b"#" * 65536)
+        except OSError:
+            os.close(write)
+
+    thread = threading.Thread(target=flood, daemon=True)
+    thread.start()
+    with pytest.raises(ConfigurationError, match="larger than 1 MB"):
+        yaml_file.read_document(Path(f"/dev/fd/{read}"))
+    os.close(read)
+    thread.join(10.0)
+
+
+# ---- YAML ----
+
+
+def test_few_of_many_problems_are_looked_up_and_the_rest_counted(monkeypatch):
+    """60,000 unknown keys took over a minute of difflib."""
+    looked_up = []
+    true = validate._advice_on_name
+    monkeypatch.setattr(validate, "_advice_on_name", lambda *a: looked_up.append(a) or true(*a))
+    text = "command: status\n" + "".join(f"key_{i}: 1\n" for i in range(3000))
+    document = yaml_file.parse_document(text, "x.yaml")
+    with pytest.raises(ConfigurationError) as e:
+        validate.validated(document, protocol.Request)
+    lines = str(e.value).splitlines()
+    assert len(looked_up) == yaml_file.MAX_PROBLEMS
+    assert lines[0].startswith("x.yaml:2: key_0: unknown key; ")
+    assert lines[-1] == "x.yaml:21: and 2980 more problems from here on"
+    assert len(lines) == yaml_file.MAX_PROBLEMS + 1
+
+
+def test_a_yaml_file_of_more_values_than_any_is_refused_while_it_is_parsed(monkeypatch):
+    composed = []
+    monkeypatch.setattr(yaml_file.YAML, "compose", lambda *_: composed.append(1))
+    text = "schema: 1\nrow: [" + ",".join("1" for _ in range(yaml_file.MAX_NODES)) + "]\n"
+    with pytest.raises(ConfigurationError, match=r"^x.yaml:2: more than 20000 values; this is not a file of"):
+        yaml_file.parse_document(text, "x.yaml")
+    assert not composed
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "0x" + "f" * 5000, "-0b" + "1" * 20_000])
+def test_a_number_that_python_would_not_show_is_one_line(number):
+    with pytest.raises(ConfigurationError) as e:
+        yaml_file.parse_document(f"schema: {number}\n", "x.yaml")
+    one_line(e, "x.yaml:1: schema: ", "is not a number that can be read")
+
+
+# ---- replies ----
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"discs": 1.5},
+        {"output": {"spec": "null", "failed": None, "reports": 1, "unsent": [0.5, 0.0, 1.0], "ahead": [0, 0, 0]}},
+        {"output": {"spec": "null", "failed": None, "reports": 1, "unsent": 5, "ahead": [0, 0, 0]}},
+        {"source": "v4l2:"},
+        {"pose": {"position_m": [0, 0, 0], "sigma_mm": ["a", 1, 2], "sigma_deg": [0, 0, 0], "age_s": 1}},
+        {"recording": [1]},
+        {"state": 5},
+    ],
+)
+def test_a_status_with_a_value_of_another_kind_is_told(change):
+    assert protocol.misfit(change) is not None
+
+
+@pytest.mark.parametrize(
+    "change", [{}, {"fps": None}, {"since_s": None}, {"state": "of-tomorrow"}, {"config": "\udce9"}]
+)
+def test_a_status_of_another_version_is_no_misfit(change):
+    assert protocol.misfit(change) is None
