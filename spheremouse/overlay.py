@@ -184,14 +184,20 @@ class OverlayFile:
             raise OutputError(f"{self.path}: cannot be written: {e.strerror or e}") from None
 
 
-def write_picture(path: Path, image: Image) -> None:
-    """Write an image under its name only when it is complete; OutputError where that fails."""
+def write_picture(path: Path, image: Image, mode: int | None = None) -> None:
+    """Write an image under its name only when it is complete; OutputError where that fails.
+
+    `mode` is the file's, whatever the umask; without it, it is like any other file.
+    """
     part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         good, data = cv2.imencode(path.suffix, image)
         if not good:
             raise OutputError(f"{path}: OpenCV cannot write such a picture; use .png")
-        part.write_bytes(data.tobytes())
+        with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666 if mode is None else mode), "wb") as file:
+            if mode is not None:
+                os.fchmod(file.fileno(), mode)
+            file.write(data.tobytes())
         os.replace(part, path)
     except OSError as e:
         raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from None

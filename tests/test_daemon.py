@@ -23,7 +23,6 @@ from spheremouse.daemon import realtime
 from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon import run as run_module
 from spheremouse.daemon.client import Client
-from spheremouse.daemon.protocol import Request
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.rig_file import rig_text
 
@@ -464,11 +463,24 @@ def test_another_rig_is_taken_up_or_refused(playing):
     assert not said(world, "internal error")
 
 
-def test_hang_ups_wait_for_each_other(playing):
-    for _ in range(5):
-        playing.daemon._ask(lambda: playing.daemon._do(Request(command="reload"), lambda _: None))
-    playing.until(lambda: len(said(playing, "configuration applied: nothing has changed")) == 5)
-    playing.settle()
+def test_reloads_that_wait_are_served_by_one_reading(playing, monkeypatch):
+    """Of SIGHUP and of whoever asks: what is read after all have asked is what each wanted to be read."""
+    world = playing
+    hold, read, readings = threading.Event(), run_module.read_plan, []
+
+    def slowly(wanted):
+        readings.append(wanted)
+        hold.wait(PATIENCE)
+        return read(wanted)
+
+    monkeypatch.setattr(run_module, "read_plan", slowly)
+    first = in_thread(lambda: ask(world, "reload"))
+    world.until(lambda: readings)
+    others = [in_thread(lambda: Client(world.socket).ask("reload")) for _ in range(5)]
+    world.until(lambda: len(world.daemon._desk._waiting) == 5)
+    hold.set()
+    assert all(answer()["changed"] == [] for answer in (first, *others))
+    assert len(readings) == 2
     assert playing.state == "tracking"
 
 

@@ -21,7 +21,8 @@ from spheremouse.cli import app
 from spheremouse.daemon import recorder as module
 from spheremouse.daemon.privacy import kept, masked
 from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder, tidy
+from spheremouse.daemon.recorder import Recorder
+from spheremouse.daemon.recordings import next_name, recordings_folder, tidy
 from spheremouse.daemon.snapshot import snapshot
 from spheremouse.dataset_writer import FilmWriter
 from spheremouse.errors import DatasetError, OutputError

@@ -149,8 +149,16 @@ class Worker:
             self.ball = "another filter begins"
         self.settings = settings
 
-    def reinitialise(self, answer: Callable[[str | None, str], None]) -> None:
-        """Estimate the camera's pose anew while the ball is tracked on by the one before; `answer` (error, text)."""
+    def reinitialise(
+        self,
+        answer: Callable[[str | None, str], None],
+        elsewhere: Callable[[Callable[[], None]], None],
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Estimate the camera's pose anew while the ball is tracked on by the one before; `answer` (error, text).
+
+        `elsewhere` has it done by another thread; it is given up when it is not `wanted` any more.
+        """
         if self._tracker is None:
             answer(None, f"the pose is being looked for: {self.targets}")
         elif len(self.rig.targets.codes) < 3:
@@ -158,7 +166,7 @@ class Worker:
         elif self._anew is not None:
             answer("the camera's pose is being estimated already; wait for its end", "")
         else:
-            self._anew = _Reinitialisation(self.rig, self.settings, answer)
+            self._anew = _Reinitialisation(self.rig, self.settings, answer, elsewhere, wanted)
 
     # ---- within ----
 
@@ -258,26 +266,37 @@ def _in_a_line(found: Resection, rig: Rig) -> str:
 class _Reinitialisation:
     """Views for a pose, looked at in a thread of its own while the ball is tracked on."""
 
-    def __init__(self, rig: Rig, settings: Settings, answer: Callable[[str | None, str], None]) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        settings: Settings,
+        answer: Callable[[str | None, str], None],
+        elsewhere: Callable[[Callable[[], None]], None],
+        wanted: Callable[[], bool],
+    ) -> None:
         self._rig, self._settings, self._answer = rig, settings, answer
+        self._elsewhere, self._wanted = elsewhere, wanted
         self.over = False  # without a pose
         self._answering = threading.Lock()
         self._frames: list[Frame] = []
-        self._thread: threading.Thread | None = None
+        self._looking = False
         self._found: Resection | None = None
 
     @property
     def hungry(self) -> bool:
         """Does it want another view, in colour?"""
-        return self._thread is None
+        return not self._looking
 
     def look(self, frame: Frame) -> Resection | None:
         """One view more, or what came of them."""
-        if self._thread is None:
+        if not self._wanted():
+            self.give_up("given up: who asked has hung up; the pose before stays")
+            return None
+        if not self._looking:
             self._frames.append(replace(frame, image=frame.image.copy()))
             if len(self._frames) == self._settings.pose.frames:
-                self._thread = threading.Thread(target=self._estimate, name="pose", daemon=True)
-                self._thread.start()
+                self._looking = True
+                self._elsewhere(self._estimate)
         return self._found
 
     def answer(self, error: str | None, text: str) -> None:
