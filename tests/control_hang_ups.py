@@ -25,7 +25,7 @@ from tests.soak import resident
 
 FPS = 30.0
 MEMBER = 54321  # a uid that nobody has
-KINDS = ("record", "snapshot", "reload", "reinit", "set", "pause")
+KINDS = ("status", "record", "snapshot", "reload", "reinit", "set", "pause")
 CLIENT = """
 import json, os, socket, sys, time
 path, kind, seconds, uid, gid, way = sys.argv[1:]
@@ -62,13 +62,23 @@ class Paced(World):
         return super().next(timeout)
 
 
+def rate(world: World, seconds: float) -> float:
+    """Frames per second over so long."""
+    before, begun = world.daemon.status()["frames"], time.monotonic()  # pyright: ignore
+    time.sleep(seconds)
+    return (world.daemon.status()["frames"] - before) / (time.monotonic() - begun)  # pyright: ignore
+
+
 def flood(world: World, kind: str, seconds: float, way: str, clients: int, owner: bool) -> str:
-    """Let clients do it; a line of what that cost."""
+    """Let clients do it; a line of what that cost: frames for one half of the time, the operator's wait for the other,
+    for what the operator asks is work too."""
     member, gid = (0, 0) if owner else (MEMBER, world.socket.stat().st_gid)
     words = [sys.executable, "-I", "-c", CLIENT, str(world.socket), kind, str(seconds), str(member), str(gid), way]
-    frames, memory, begun = world.daemon.status()["frames"], resident(), time.monotonic()  # pyright: ignore
+    memory, begun = resident(), time.monotonic()
     crowd = [subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd="/") for _ in range(clients)]
-    most, threads, waits = memory, 0, []
+    time.sleep(1.0)
+    fps = rate(world, 0.5 * seconds - 1.0)
+    most, threads, waits = resident(), threading.active_count(), []
     while any(c.poll() is None for c in crowd):
         asked = time.monotonic()
         with contextlib.suppress(ControlError), Client(world.socket) as operator:
@@ -77,7 +87,6 @@ def flood(world: World, kind: str, seconds: float, way: str, clients: int, owner
         most, threads = max(most, resident()), max(threads, threading.active_count())
         time.sleep(0.2)
     took = time.monotonic() - begun
-    fps = (world.daemon.status()["frames"] - frames) / took  # pyright: ignore
     number = sum(int(c.communicate()[0] or 0) for c in crowd)
     with contextlib.suppress(ControlError):
         world.client.ask("resume")
@@ -111,9 +120,7 @@ def main() -> int:
         try:
             for kind in args.kind or KINDS:
                 for way in args.way or ("served", "answered"):
-                    before, begun = world.daemon.status()["frames"], time.monotonic()  # pyright: ignore
-                    time.sleep(3.0)
-                    quiet = (world.daemon.status()["frames"] - before) / (time.monotonic() - begun)  # pyright: ignore
+                    quiet = rate(world, 3.0)
                     line = flood(world, kind, args.seconds, way, args.clients, args.owner)
                     print(f"left alone {quiet:.1f} frames/s; {line}", flush=True)
         finally:

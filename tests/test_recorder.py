@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -368,7 +369,7 @@ Usage = namedtuple("Usage", "total used free")
 
 def test_it_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     free, now = [1e9], [0.0]
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda path: Usage(1e12, 0, free[0]))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(1e12, 0, free[0]))
     rig, pose = small(64, 48)
     settings = RecordSettings(free_megabytes=100.0, everything=True)
     recorder = Recorder(tmp_path / "made", rig, pose, settings, clock=lambda: now[0])
