@@ -166,7 +166,11 @@ def test_other_settings_from_the_next_frame_on(film):
 
 
 def in_a_thread(work):
-    threading.Thread(target=work).start()
+    def run():
+        then = work()
+        then()
+
+    threading.Thread(target=run).start()
 
 
 def test_a_pose_asked_for_is_answered_once_whatever_happens(film):

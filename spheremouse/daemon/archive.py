@@ -8,6 +8,7 @@ import contextlib
 import traceback
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from spheremouse.rig import Rig
 from spheremouse.track import Tracker
 
 RECORDING, SNAPSHOT = "recording", "snapshot"  # kinds of the crew's work
-_GONE = refused("given up: who asked has hung up")
+_GONE = ControlError("given up: who asked has hung up")
 
 
 class Archive:
@@ -92,7 +93,7 @@ class Archive:
         """What nobody waits for any more, and has no frame yet."""
         if self._wanted is not None and self._wanted[1].gone:
             (_, asked, _), self._wanted = self._wanted, None
-            asked(_GONE)
+            asked(refused(str(_GONE)))
         if self._begun is not None and self._begun[0].gone and self._recorder is not None:
             (asked, _), self._begun = self._begun, None
             recorder, self._recorder, self._bare = self._recorder, None, False
@@ -122,13 +123,12 @@ class Archive:
 
         def begin() -> None:
             if asked.gone:
-                asked(_GONE)
-                return
+                raise _GONE
             text = config.dump(_of_the_tracker(c), type(c)())
             self._made = Recorder(folder, rig, pose, settings, described, tracker=c, configuration=text)
             self._ask(lambda: self._has_begun(told, asked))
 
-        self._crew.do(RECORDING, lambda: self._answering(asked, begin))
+        self._crew.do(RECORDING, lambda: self._answer(asked, begin))
 
     def _has_begun(self, told: dict[str, Any], asked: Asked) -> None:
         recorder, self._made = self._made, None
@@ -145,9 +145,9 @@ class Archive:
         def finish() -> None:
             with contextlib.suppress(SpheremouseError):  # it has no frame, and says so
                 recorder.finish()
-            asked(_GONE)
+            raise _GONE
 
-        self._crew.do(RECORDING, lambda: self._answering(asked, finish))
+        self._crew.do(RECORDING, lambda: self._answer(asked, finish))
 
     def _tell_first(self) -> None:
         if self._begun is not None:
@@ -173,7 +173,7 @@ class Archive:
         self._tell_first()
         recorder.stop()
 
-        def finish() -> None:
+        def finish() -> dict[str, Any]:
             try:
                 path = recorder.finish()
             except SpheremouseError as e:
@@ -181,9 +181,9 @@ class Archive:
                 raise
             status = recorder.status()
             self._say(f"record: {status.ended}")
-            asked({"folder": str(path), "frames": status.frames, "message": status.ended})
+            return {"folder": str(path), "frames": status.frames, "message": status.ended}
 
-        self._crew.do(RECORDING, lambda: self._answering(asked, finish))
+        self._crew.do(RECORDING, lambda: self._answer(asked, finish))
 
     def status(self) -> dict[str, Any] | None:
         """Of the recording; from any thread."""
@@ -206,27 +206,27 @@ class Archive:
     def _take_snapshot(self, made: Step, tracker: Tracker, path: Path, asked: Asked, c: Configuration) -> None:
         epoch = replace(made.epoch, frame=replace(made.epoch.frame, image=made.epoch.frame.image.copy()))
 
-        def write() -> None:
+        def write() -> dict[str, Any]:
             if asked.gone:
-                asked(_GONE)
-                return
+                raise _GONE
             made_folder(path.parent, OutputError)
             refuse_full_disk(path, c.record)
             snapshot(path, epoch, tracker, everything=c.record.everything)
             self._say(f"snapshot: {path}")
-            asked({"file": str(path)})
+            return {"file": str(path)}
 
-        self._crew.do(SNAPSHOT, lambda: self._answering(asked, write))
+        self._crew.do(SNAPSHOT, lambda: self._answer(asked, write))
 
-    def _answering(self, asked: Asked | Reply, work: Callable[[], None]) -> None:
-        """Do it; whatever goes wrong, who asked is told, and only that is not done."""
+    def _answer(self, asked: Asked | Reply, work: Callable[[], dict[str, Any] | None]) -> Callable[[], None] | None:
+        """Do it, and tell who asked what came of it, if that is known; whatever goes wrong, only that is not done."""
         try:
-            work()
+            answer = work()
         except (SpheremouseError, OSError) as e:
-            asked(refused(str(e)))
+            answer = refused(str(e))
         except Exception as e:
             self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-            asked(refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"))
+            answer = refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it")
+        return None if answer is None else partial(asked, answer)
 
 
 def _of_the_tracker(c: Configuration) -> Configuration:

@@ -10,7 +10,7 @@ from spheremouse.errors import ControlError
 
 _PATIENT = 30.0  # s that a recording may take to be finished when we end
 
-Work = Callable[[], None]
+Work = Callable[[], Callable[[], None] | None]
 
 
 def begin(thread: threading.Thread) -> None:
@@ -46,12 +46,15 @@ class Crew:
             self._threads.append(thread)
 
     def do(self, kind: str, work: Work) -> None:
-        """Do it, elsewhere. From any thread; does not wait."""
+        """Do it, elsewhere. From any thread; does not wait.
+
+        What it returns is called when its kind is not busy with it any more: who is answered may ask again at once.
+        """
         with self._lock:
             self._left[kind] += 1
         self._given[kind].put(work)
 
-    def make(self, kind: str, work: Work) -> "Made":
+    def make(self, kind: str, work: Callable[[], None]) -> "Made":
         """Do it, elsewhere; what is returned can be waited for."""
         made = Made(work)
         self.do(kind, made.run)
@@ -72,20 +75,26 @@ class Crew:
 
     def _run(self, kind: str) -> None:
         while (work := self._given[kind].get()) is not None:
-            try:
-                work()
-            except Exception:
-                self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-            finally:
-                del work  # with the pictures that it holds
-                with self._lock:
-                    self._left[kind] -= 1
+            then = self._tried(work)
+            del work  # with the pictures that it holds
+            with self._lock:
+                self._left[kind] -= 1
+            if then is not None:
+                self._tried(then)
+                del then
+
+    def _tried(self, work: Work) -> Callable[[], None] | None:
+        try:
+            return work()
+        except Exception:
+            self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+            return None
 
 
 class Made:
     """One thing made elsewhere; an error of it comes out where it is waited for."""
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: Callable[[], None]) -> None:
         self._work, self._done = work, threading.Event()
         self._error: Exception | None = None
 

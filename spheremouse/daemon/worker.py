@@ -9,10 +9,12 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from spheremouse.camera import Pose
 from spheremouse.daemon.owned import Owned
 from spheremouse.daemon.ring import Arrival
+from spheremouse.daemon.threads import Work
 from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
@@ -152,12 +154,12 @@ class Worker:
     def reinitialise(
         self,
         answer: Callable[[str | None, str], None],
-        elsewhere: Callable[[Callable[[], None]], None],
+        elsewhere: Callable[[Work], None],
         wanted: Callable[[], bool] = lambda: True,
     ) -> None:
         """Estimate the camera's pose anew while the ball is tracked on by the one before; `answer` (error, text).
 
-        `elsewhere` has it done by another thread; it is given up when it is not `wanted` any more.
+        `elsewhere` has another thread do it, and call what that returns; it is given up when not `wanted` any more.
         """
         if self._tracker is None:
             answer(None, f"the pose is being looked for: {self.targets}")
@@ -271,7 +273,7 @@ class _Reinitialisation:
         rig: Rig,
         settings: Settings,
         answer: Callable[[str | None, str], None],
-        elsewhere: Callable[[Callable[[], None]], None],
+        elsewhere: Callable[[Work], None],
         wanted: Callable[[], bool],
     ) -> None:
         self._rig, self._settings, self._answer = rig, settings, answer
@@ -309,15 +311,16 @@ class _Reinitialisation:
         self.over = True
         self.answer(error, "")
 
-    def _estimate(self) -> None:
+    def _estimate(self) -> Callable[[], None]:
+        """Look at the views; what becomes of it, which is to be called when this is done."""
         try:
             if any(f.image.ndim != 3 for f in self._frames):
                 raise PoseError("the frames are grey: the ring targets need colour")
             seen = [detect_targets(f.image, self._rig.targets.radii, self._settings.rings) for f in self._frames]
             found = resect(gather(seen, self._settings.pose), self._rig, self._frames[0].image)
         except SpheremouseError as e:
-            self.give_up(f"{e}; the pose before stays")
+            return partial(self.give_up, f"{e}; the pose before stays")
         except Exception as e:
-            self.give_up(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); the pose before stays")
-        else:
-            self._found = found
+            what = f"internal error ({type(e).__name__}: {' '.join(str(e).split())})"
+            return partial(self.give_up, f"{what}; the pose before stays")
+        return partial(setattr, self, "_found", found)
