@@ -177,7 +177,7 @@ class Daemon:
         while self._todo:
             self._act(self._todo.popleft())
         while (asked := self._desk.take()) is not None:
-            self._act(partial(self._do, asked))
+            self._act(partial(self._do, asked, partial(self._answer, asked)))
 
     def _act(self, action: Callable[[], None]) -> None:
         """Something that was asked for. No error of it ends the run."""
@@ -269,7 +269,7 @@ class Daemon:
         if self._files != stamps_of(self._request, self._plan):
             changed = Asked(Request(command="reload"), Reply(), quiet=True)
             if self._desk.begin(changed):
-                self._do(changed)
+                self._do(changed, partial(self._answer, changed))
         self._archive.tend()
 
     # ---- beginning and end ----
@@ -389,16 +389,18 @@ class Daemon:
         self._todo.append(action)
         self._ring.wake()
 
-    def _do(self, asked: Asked) -> None:
+    def _do(self, asked: Asked, action: Callable[[], None]) -> None:
+        """On the way to an answer: whatever goes wrong is one, or nothing of that kind would ever be begun again."""
         try:
-            self._answer(asked.request, asked)
+            action()
         except (SpheremouseError, OSError) as e:
             asked(refused(str(e)))
         except Exception as e:
             asked(refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"))
             raise
 
-    def _answer(self, request: Request, asked: Asked) -> None:
+    def _answer(self, asked: Asked) -> None:
+        request = asked.request
         if isinstance(request, Set):
             sections = {a.partition("=")[0].partition(".")[0].strip() for a in request.assignments}
             if not sections.isdisjoint(AT_START):
@@ -472,9 +474,9 @@ class Daemon:
             except Exception as e:
                 error = f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
             else:
-                self._ask(lambda: self._apply(wanted, plan, files, asked))
+                self._ask(lambda: self._do(asked, lambda: self._apply(wanted, plan, files, asked)))
                 return
-            self._ask(lambda: self._not_applied(error, files, asked))
+            self._ask(lambda: self._do(asked, lambda: self._not_applied(error, files, asked)))
 
         self._crew.do(_READING, read)
 
@@ -499,10 +501,16 @@ class Daemon:
                 Worker(rig, plan.configuration, None, lambda _: None)
             if "rig" in changed or "map" in changed:
                 self._new_keeper(plan, rig, lambda _: None)
-            if "tracker" in changed and "rig" not in changed:
+            tuned = "tracker" in changed and "rig" not in changed
+            if tuned:
                 self._worker.retune(plan.configuration)
             if "output" in changed:
-                self._change_output(plan)
+                try:
+                    self._change_output(plan)
+                except ControlError:  # no thread for it: then none of it
+                    if tuned:
+                        self._worker.retune(before.configuration)
+                    raise
         except SpheremouseError as e:
             self._not_applied(str(e), files, asked)
             return
