@@ -132,6 +132,8 @@ class Daemon:
                 reply({"message": "512 frames", "folder": folder + "bug-1"})
             case protocol.Record(seconds=60.0, folder=name, everything=False):
                 reply({"message": "recording the ball and the targets, 60 s at most", "folder": folder + name})
+            case protocol.Snapshot(file=None):
+                raise ControlError("a snapshot is being written already; ask again when it is done")
             case protocol.Snapshot(file=name):
                 reply({"file": folder + name})
             case Request(command="status"):

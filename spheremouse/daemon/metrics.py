@@ -215,8 +215,10 @@ class _Server(socketserver.ThreadingMixIn, http.server.HTTPServer):
         end = threading.Timer(_LONGEST, _hang_up, (request,))
         end.daemon = True
         try:
-            end.start()
+            begin(end)
             super().process_request_thread(request, client_address)
+        except ControlError:  # no thread to be had: nobody would end it
+            self.shutdown_request(request)
         finally:
             end.cancel()
             self._places.release()
