@@ -1,5 +1,6 @@
 """`spheremouse run` with a few pictures of a film as its v4l2 camera, for tests that need a process of its own."""
 
+import codecs
 import os
 import resource
 import sys
@@ -74,7 +75,7 @@ class AnothersCamera(Camera):
     def __init__(self, pictures, uid):
         super().__init__(pictures)
         self._uid = uid
-        "".encode("ascii")  # read from a file that is another's, perhaps, when it is first used
+        codecs.lookup("ascii")  # read from a file that is another's, perhaps, when it is first used
 
     def next(self, timeout):
         if os.geteuid() != self._uid:
