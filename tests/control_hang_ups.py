@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import grp
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -69,6 +70,14 @@ def rate(world: World, seconds: float) -> float:
     return (world.daemon.status()["frames"] - before) / (time.monotonic() - begun)  # pyright: ignore
 
 
+def wait(world: World) -> float:
+    """Seconds that the operator waits for `set`."""
+    asked = time.monotonic()
+    with contextlib.suppress(ControlError), Client(world.socket) as operator:
+        operator.ask("set", assignments=["motion.scale_y=1"])
+    return time.monotonic() - asked
+
+
 def flood(world: World, kind: str, seconds: float, way: str, clients: int, owner: bool) -> str:
     """Let clients do it; a line of what that cost: frames for one half of the time, the operator's wait for the other,
     for what the operator asks is work too."""
@@ -80,10 +89,7 @@ def flood(world: World, kind: str, seconds: float, way: str, clients: int, owner
     fps = rate(world, 0.5 * seconds - 1.0)
     most, threads, waits = resident(), threading.active_count(), []
     while any(c.poll() is None for c in crowd):
-        asked = time.monotonic()
-        with contextlib.suppress(ControlError), Client(world.socket) as operator:
-            operator.ask("set", assignments=["motion.scale_y=1"])
-        waits.append(time.monotonic() - asked)
+        waits.append(wait(world))
         most, threads = max(most, resident()), max(threads, threading.active_count())
         time.sleep(0.2)
     took = time.monotonic() - begun
@@ -121,8 +127,9 @@ def main() -> int:
             for kind in args.kind or KINDS:
                 for way in args.way or ("served", "answered"):
                     quiet = rate(world, 3.0)
+                    alone = statistics.median(wait(world) for _ in range(5))
                     line = flood(world, kind, args.seconds, way, args.clients, args.owner)
-                    print(f"left alone {quiet:.1f} frames/s; {line}", flush=True)
+                    print(f"left alone {quiet:.1f} frames/s, set {alone:.2f} s; {line}", flush=True)
         finally:
             world.stop()
     return 0

@@ -2,9 +2,11 @@
 
 import contextlib
 import os
+import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -99,3 +101,12 @@ def test_a_stream_that_is_no_file_is_left_as_it_is(capsys):
     before = sys.stderr
     with unhurried():
         assert sys.stderr is before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs Linux's /dev/full")
+def test_a_complaint_that_nobody_can_hear_ends_as_one_that_is_heard():
+    """With the exit code of what was wrong: no traceback in its place, nor Python's 120 for what was not flushed."""
+    words = [sys.executable, "-m", "spheremouse", "run", "--config", "/nonexistent"]
+    with Path("/dev/full").open("wb") as full:
+        codes = [subprocess.run(words, stderr=where, check=False).returncode for where in (subprocess.DEVNULL, full)]
+    assert codes == [2, 2]

@@ -511,7 +511,8 @@ class ControlServer:
 
     def _finish(self) -> None:
         """Send replies that are there or come within half a second, to those who read; then leave."""
-        self._poll.unregister(self._listener)
+        with contextlib.suppress(KeyError):  # it never listened
+            self._poll.unregister(self._listener)
         self._listener.close()
         end = time.monotonic() + 0.5
         with contextlib.suppress(Exception):

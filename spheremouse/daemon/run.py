@@ -7,13 +7,11 @@ was asked for. Nothing in it waits but for the next shot.
 import contextlib
 import os
 import resource
-import signal
 import sys
-import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -50,7 +48,7 @@ from spheremouse.rig import Rig
 from spheremouse.session import make_ready
 from spheremouse.session_map import MapKeeper
 from spheremouse.source import Camera
-from spheremouse.stopping import Stopping
+from spheremouse.stopping import Stopping, on_hang_up
 from spheremouse.timing import FrameTimes
 from spheremouse.track import Tracker, TrackState
 
@@ -123,7 +121,7 @@ class Daemon:
     def run(self, stopping: Stopping) -> None:
         """Until it is asked to stop, or a recording ends."""
         try:
-            with self._on_hang_up():
+            with on_hang_up(self._reload):  # as other services do
                 self._crew.begin()
                 self._open_doors()
                 if self._get_ready(stopping):
@@ -348,21 +346,8 @@ class Daemon:
             last.callback(self._reporter.close)
             last.callback(self._capture.close)
 
-    @contextlib.contextmanager
-    def _on_hang_up(self) -> Iterator[None]:
-        """SIGHUP reads the configuration anew, as it does for other services."""
-        if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
-            yield
-            return
-
-        def reload(_number: int, _frame: Any) -> None:
-            self._ask(lambda: self._desk.put(Asked(Request(command="reload"), Reply())))
-
-        before = signal.signal(signal.SIGHUP, reload)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGHUP, before)
+    def _reload(self) -> None:
+        self._ask(lambda: self._desk.put(Asked(Request(command="reload"), Reply())))
 
     def say(self, text: str) -> None:
         """A line for the log and for whoever watches, from any thread."""
