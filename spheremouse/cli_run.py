@@ -2,7 +2,7 @@
 
 import json
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -119,6 +119,7 @@ def run(
     """
     from spheremouse.daemon.cameras import is_camera
     from spheremouse.daemon.plan import Request, check_kinds, read_plan, without_map
+    from spheremouse.daemon.standard_error import unhurried
     from spheremouse.live import Board, Tally
     from spheremouse.overlay import OverlayFile
     from spheremouse.source import open_source
@@ -134,43 +135,44 @@ def run(
     check_kinds(plan)
     if overlay is not None:
         _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
-    of_wand = plan.configuration.tracker == "wand"
-    shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
-    wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
-    if of_wand:
-        from spheremouse.wand_run import WandOptions, run_wand
+    with unhurried() if is_camera(plan.source) or realtime else nullcontext():
+        of_wand = plan.configuration.tracker == "wand"
+        shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
+        wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
+        if of_wand:
+            from spheremouse.wand_run import WandOptions, run_wand
 
-        run_wand(request, plan, WandOptions(tuple(balls or ()), realtime, wanted, overlay, frames))
-        return
-    for name, value in (("--ball", balls), ("--axes", axes)):
-        if value:
-            raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
-    tally = Tally()
-    failure: SpheremouseError | None = None
-    picture = None
-    with ExitStack() as stack:
-        stopping = stack.enter_context(Stopping())
-        given = None if is_camera(plan.source) else open_source(plan.source, realtime=realtime)
-        board = stack.enter_context(Board(plan.source, wanted, tally))
-        if given is not None and given.rig is not None and map_file is None and plan.configuration.map is None:
-            plan = without_map(plan)
-        if overlay is not None:
-            picture = stack.enter_context(OverlayFile(overlay, None if given is None else given.fps))
-        try:
-            if given is None or realtime:
-                _serve(request, plan, given, stopping, board, tally, picture, frames)
-            else:
-                _follow(plan, stack.enter_context(given), stopping, board, tally, picture, frames)
-        except PoseError as e:
-            failure = None if stopping.asked else e  # asked to stop: no frame came any more
-        except SpheremouseError as e:
-            failure = e
-    if picture is not None and picture.written:
-        print(f"overlay: {overlay}", file=sys.stderr)
-    if tally.frames or failure is None:
-        print(tally, file=sys.stderr)
-    if failure is not None:
-        raise failure
+            run_wand(request, plan, WandOptions(tuple(balls or ()), realtime, wanted, overlay, frames))
+            return
+        for name, value in (("--ball", balls), ("--axes", axes)):
+            if value:
+                raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
+        tally = Tally()
+        failure: SpheremouseError | None = None
+        picture = None
+        with ExitStack() as stack:
+            stopping = stack.enter_context(Stopping())
+            given = None if is_camera(plan.source) else open_source(plan.source, realtime=realtime)
+            board = stack.enter_context(Board(plan.source, wanted, tally))
+            if given is not None and given.rig is not None and map_file is None and plan.configuration.map is None:
+                plan = without_map(plan)
+            if overlay is not None:
+                picture = stack.enter_context(OverlayFile(overlay, None if given is None else given.fps))
+            try:
+                if given is None or realtime:
+                    _serve(request, plan, given, stopping, board, tally, picture, frames)
+                else:
+                    _follow(plan, stack.enter_context(given), stopping, board, tally, picture, frames)
+            except PoseError as e:
+                failure = None if stopping.asked else e  # asked to stop: no frame came any more
+            except SpheremouseError as e:
+                failure = e
+        if picture is not None and picture.written:
+            print(f"overlay: {overlay}", file=sys.stderr)
+        if tally.frames or failure is None:
+            print(tally, file=sys.stderr)
+        if failure is not None:
+            raise failure
 
 
 def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) -> None:

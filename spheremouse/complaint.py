@@ -2,8 +2,11 @@
 
 import sys
 
+from spheremouse.daemon.standard_error import unhurried
+
 
 def complain(message: str) -> None:
-    """Every line of a message, with the program's name before it."""
-    for line in message.splitlines():
-        print(f"spheremouse: {line}", file=sys.stderr)
+    """Every line of a message, with the program's name before it; who does not listen keeps nobody."""
+    with unhurried():
+        for line in message.splitlines():
+            print(f"spheremouse: {line}", file=sys.stderr)

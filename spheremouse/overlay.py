@@ -182,13 +182,16 @@ class OverlayFile:
             raise OutputError(f"{self.path}: cannot be written: {e.strerror or e}") from None
 
 
-def write_picture(path: Path, image: Image) -> None:
-    """Write an image under its name only when it is complete; OutputError where that fails."""
+def write_picture(path: Path, image: Image, mode: int | None = None) -> None:
+    """Write an image under its name only when it is complete; OutputError where that fails.
+
+    `mode` is the file's, whatever the umask; without it, it is like any other file.
+    """
     good, data = cv2.imencode(path.suffix, image)
     if not good:
         raise OutputError(f"{path}: OpenCV cannot write such a picture; use .png")
     try:
-        replace(path, data.tobytes())
+        replace(path, data.tobytes(), mode)
     except OSError as e:
         raise OutputError(f"{path}: cannot be written: {e.strerror or e}") from None
 

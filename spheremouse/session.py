@@ -6,7 +6,7 @@ The shell's part of the use phase: it takes frames as they come and measures tim
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from threading import Timer
@@ -144,7 +144,8 @@ def told_why() -> Iterator[None]:
     word = "spheremouse: compiling for this machine: once after an installation, about a minute"
     timer = Timer(_PATIENCE, lambda: print(word, file=sys.stderr, flush=True))
     timer.daemon = True
-    timer.start()
+    with suppress(RuntimeError):  # no thread to be had: then it goes without a word
+        timer.start()
     try:
         yield
     finally:

@@ -1,7 +1,7 @@
 """The map of discs over a run: loaded at its start, saved while it goes and at its end, beside the rig.
 
-What replaces what is decided by `succession` from the maps alone; the keeper does it, in a thread, since a memory card
-may take a second to write and the next frame comes in thirty milliseconds.
+What replaces what is decided by `succession` from the maps alone; the keeper does it, where frames must not wait for it
+in a thread that it is given: a memory card may take a second to write, and the next frame comes in thirty milliseconds.
 """
 
 import os
@@ -85,8 +85,18 @@ def changed(saved: DiscMap | None, now: DiscMap) -> bool:
 class MapKeeper:
     """Keeps the map of a device over one run; a context manager that saves it when left."""
 
-    def __init__(self, path: Path, rig: Rig, say: Callable[[str], None], every: float = EVERY) -> None:
-        """Load what there is; `say` takes lines for the user, always in the caller's thread."""
+    def __init__(
+        self,
+        path: Path,
+        rig: Rig,
+        say: Callable[[str], None],
+        every: float = EVERY,
+        elsewhere: Callable[[Callable[[], None]], None] = lambda work: work(),
+    ) -> None:
+        """Load what there is; `say` takes lines for the user, always in the caller's thread.
+
+        `elsewhere` has a thread save while the caller goes on; by default who keeps waits for it.
+        """
         if not path.parent.is_dir():
             raise ConfigurationError(f"{path}: no such folder; name a place for the map with --map, or give --no-map")
         self.path = path
@@ -101,7 +111,9 @@ class MapKeeper:
         clear_left(path.parent)
         self._state: TrackState | None = None
         self._due = time.monotonic() + every
-        self._thread: threading.Thread | None = None
+        self._elsewhere = elsewhere
+        self._saving = threading.Lock()
+        self._under_way = self._over = False
         self._heard: list[str] = []  # from the thread, to be said
         self._said = ""  # the last of them
         if loaded is not None:
@@ -115,11 +127,11 @@ class MapKeeper:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._thread is not None:
-            self._thread.join()
+        self._over = True
         now = self._now()
         if now is not None:
-            self._save(*now, last=True)
+            with self._saving:  # not before what is being saved
+                self._save(*now, last=True)
         elif self._state is not None and self._saved is None and self._writable:
             self._heard.append(f"map: {self.path}: nothing saved: too few discs are known for good")
         self._tell()
@@ -129,13 +141,13 @@ class MapKeeper:
         self._state = state
         self._tell()
         clock = time.monotonic()
-        if clock < self._due or (self._thread is not None and self._thread.is_alive()):
+        if clock < self._due or self._under_way:
             return
         self._due = clock + self._every
         now = self._now()
         if now is not None:
-            self._thread = threading.Thread(target=self._save, args=now, name="map")
-            self._thread.start()
+            self._under_way = True
+            self._elsewhere(lambda: self._save_meanwhile(*now))
 
     def _now(self) -> tuple[DiscMap, bool] | None:
         """The run's map, and whether it grew out of the one it began with."""
@@ -145,6 +157,12 @@ class MapKeeper:
         if found is None or not np.all(np.isfinite(found.covariance)):
             return None
         return found, self._state.absolute
+
+    def _save_meanwhile(self, now: DiscMap, absolute: bool) -> None:
+        with self._saving:
+            if not self._over:  # then a newer one is there
+                self._save(now, absolute)
+        self._under_way = False
 
     def _save(self, now: DiscMap, absolute: bool, last: bool = False) -> None:
         if absolute:

@@ -1,12 +1,14 @@
 """Ctrl-C and SIGTERM end a run between two frames, never in the middle of one.
 
 A signal that comes while a frame is awaited ends the wait; one that comes while a frame is worked on is heard after it,
-so that what was measured is sent and no file is left half written.
+so that what was measured is sent and no file is left half written. SIGHUP ends nothing: it is a wish of another kind.
 """
 
+import contextlib
 import signal
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -71,3 +73,16 @@ class Stopping:
         for number, handler in self._before.items():
             signal.signal(number, handler)
         self._before = {}
+
+
+@contextlib.contextmanager
+def on_hang_up(action: Callable[[], None]) -> Iterator[None]:
+    """SIGHUP does this meanwhile, between two lines of the main thread; within another thread nothing is changed."""
+    if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGHUP, lambda _number, _frame: action())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -1,5 +1,8 @@
 """`spheremouse run` with a few pictures of a film as its v4l2 camera, for tests that need a process of its own."""
 
+import codecs
+import os
+import resource
 import sys
 import time
 from pathlib import Path
@@ -65,12 +68,30 @@ class Shot:
         return None
 
 
-def main(folder):
-    """As the command line does it."""
+class AnothersCamera(Camera):
+    """From the first picture on the process is another user's, who may begin no thread more: all is compiled by then,
+    and what the daemon needs has begun."""
+
+    def __init__(self, pictures, uid):
+        super().__init__(pictures)
+        self._uid = uid
+        codecs.lookup("ascii")  # read from a file that is another's, perhaps, when it is first used
+
+    def next(self, timeout):
+        if os.geteuid() != self._uid:
+            os.setgroups([])
+            os.setgid(self._uid)
+            os.setuid(self._uid)  # of all threads
+            resource.setrlimit(resource.RLIMIT_NPROC, (1, 1))
+        return super().next(timeout)
+
+
+def main(folder, uid=""):
+    """As the command line does it; as the user of that number, where one is given."""
     from spheremouse import cli
     from spheremouse.source import v4l2
 
     pictures = np.load(Path(folder) / "film.npy")
-    v4l2.open_camera = lambda argument, settings: Camera(pictures)
+    v4l2.open_camera = lambda argument, settings: AnothersCamera(pictures, int(uid)) if uid else Camera(pictures)
     sys.argv = ["spheremouse", "run", "--config", str(Path(folder) / "config.yaml")]
     cli.main()

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from spheremouse.daemon.recorder import tidy
+from spheremouse.daemon.recordings import tidy
 from spheremouse.files import atomic
 from spheremouse.folders import clear_left_folders
 from spheremouse.session_map import MapKeeper

@@ -132,6 +132,8 @@ class Daemon:
                 reply({"message": "512 frames", "folder": folder + "bug-1"})
             case protocol.Record(seconds=60.0, folder=name, everything=False):
                 reply({"message": "recording the ball and the targets, 60 s at most", "folder": folder + name})
+            case protocol.Snapshot(file=None):
+                raise ControlError("a snapshot is being written already; ask again when it is done")
             case protocol.Snapshot(file=name):
                 reply({"file": folder + name})
             case Request(command="status"):
@@ -591,6 +593,62 @@ def test_who_goes_before_the_answer_costs_nobody_anything(serve, path):
         wire.socket.close()
     assert Wire(path).ask(STATUS) == FINE
     wait_for(lambda: len(server._clients) == 0 or all(c.asked is None for c in server._clients.values()))
+
+
+def test_who_hangs_up_cancels_what_it_asked(serve, path):
+    """What is under way is not wanted any more, and what was sent after it is never asked."""
+    asked, replies = [], []
+
+    def handle(request, reply):
+        asked.append(request.command)
+        replies.append(reply)
+
+    serve(handle)
+    wire = Wire(path)
+    wire.send('{"command": "reinit"}\n{"command": "pause"}\n')
+    wait_for(lambda: replies)
+    assert not replies[0].gone
+    wire.lines.close()
+    wire.socket.close()
+    wait_for(lambda: replies[0].gone)
+    replies[0]({"message": "to nobody"})
+    other = Wire(path)
+    other.send('{"command": "resume"}\n')
+    wait_for(lambda: len(replies) > 1)
+    assert asked == ["reinit", "resume"]
+
+
+def test_who_has_said_all_and_listens_has_not_hung_up(serve, path):
+    """Half of a connection closed is a pipe that has ended; the whole of it, whenever that comes, is a hang-up."""
+    replies = []
+    serve(lambda request, reply: replies.append(reply))
+    wire, other = Wire(path), Wire(path)
+    for w in (wire, other):
+        w.send('{"command": "reinit"}\n')
+        w.socket.shutdown(socket.SHUT_WR)
+    wait_for(lambda: len(replies) == 2)
+    other.lines.close()
+    other.socket.close()
+    wait_for(lambda: replies[1].gone)
+    assert not replies[0].gone
+    replies[0]({"message": "done"})
+    assert wire.read() == {"ok": True, "message": "done"}
+    assert wire.ended()
+
+
+def test_the_owner_is_not_behind_a_members_flood(serve, path, monkeypatch):
+    """Members have used up what all of them may ask for the next minutes."""
+    group = a_group()
+    serve(group=group.gr_name, limits=Limits(pace=0.01, burst=1.0))
+    as_peer(monkeypatch, OTHER, [group.gr_gid])
+    member = Wire(path)
+    assert member.ask(STATUS[:-1].ljust(60000) + b"\n") == FINE
+    member.send(STATUS)
+    as_peer(monkeypatch, os.geteuid())
+    assert Wire(path).ask(STATUS) == FINE
+    member.socket.settimeout(0.1)
+    with pytest.raises(TimeoutError):
+        member.read()
 
 
 @settings(deadline=None, max_examples=25)

@@ -5,11 +5,16 @@ was sent, was counted as unsent, or is still withheld; every shot was looked at 
 """
 
 import contextlib
+import fcntl
+import json
 import os
+import shutil
 import signal
 import socket
+import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -23,11 +28,11 @@ from spheremouse.daemon import realtime
 from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon import run as run_module
 from spheremouse.daemon.client import Client
-from spheremouse.daemon.protocol import Request
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.rig_file import rig_text
 
 PATIENCE = 60.0  # s
+OTHER = 54321  # a uid that nobody has
 CLOSE = 3.0  # counts: the estimate at either end, and rounding
 
 
@@ -464,11 +469,24 @@ def test_another_rig_is_taken_up_or_refused(playing):
     assert not said(world, "internal error")
 
 
-def test_hang_ups_wait_for_each_other(playing):
-    for _ in range(5):
-        playing.daemon._ask(lambda: playing.daemon._do(Request(command="reload"), lambda _: None))
-    playing.until(lambda: len(said(playing, "configuration applied: nothing has changed")) == 5)
-    playing.settle()
+def test_reloads_that_wait_are_served_by_one_reading(playing, monkeypatch):
+    """Of SIGHUP and of whoever asks: what is read after all have asked is what each wanted to be read."""
+    world = playing
+    hold, read, readings = threading.Event(), run_module.read_plan, []
+
+    def slowly(wanted):
+        readings.append(wanted)
+        hold.wait(PATIENCE)
+        return read(wanted)
+
+    monkeypatch.setattr(run_module, "read_plan", slowly)
+    first = in_thread(lambda: ask(world, "reload"))
+    world.until(lambda: readings)
+    others = [in_thread(lambda: Client(world.socket).ask("reload")) for _ in range(5)]
+    world.until(lambda: len(world.daemon._desk._waiting) == 5)
+    hold.set()
+    assert all(answer()["changed"] == [] for answer in (first, *others))
+    assert len(readings) == 2
     assert playing.state == "tracking"
 
 
@@ -577,6 +595,96 @@ def test_a_snapshot(playing):
     assert path.read_bytes().startswith(b"\x89PNG")
     assert ask(playing, "snapshot", file="a.png")["file"].endswith("a.png")
     assert "there already" in refused(playing, "snapshot", file="a.png")
+
+
+def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing):
+    """As a recording is, whatever the umask."""
+    before = os.umask(0)
+    try:
+        path = Path(ask(playing, "snapshot")["file"])
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o750
+    ask(playing, "set", assignments=["record.free_megabytes=1e9"])
+    assert "are free (record.free_megabytes): remove recordings" in refused(playing, "snapshot", file="b.png")
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+# ---- clients that ask and hang up ----
+
+
+def hit_and_run(world, command, **arguments):
+    """Ask, wait until the daemon has heard it, and be gone."""
+    heard, clients = len(world.heard), len(world.daemon._server._clients)
+    with contextlib.closing(socket.socket(socket.AF_UNIX)) as s:
+        s.connect(str(world.socket))
+        s.sendall(json.dumps({"command": command, **arguments}).encode() + b"\n")
+        world.until(lambda: len(world.heard) > heard, "heard")
+    world.until(lambda: len(world.daemon._server._clients) <= clients, "seen to be gone")
+
+
+@pytest.fixture
+def hearing(playing, monkeypatch):
+    """What it hears, as replies, before anything is made of it."""
+    playing.heard = []
+    handle = playing.daemon.handle
+
+    def hear(request, reply):
+        playing.heard.append(reply)
+        handle(request, reply)
+
+    monkeypatch.setattr(playing.daemon._server, "_handle", hear)
+    return playing
+
+
+@pytest.mark.parametrize("command", ["record", "snapshot", "reinit"])
+def test_who_asks_and_hangs_up_before_there_is_a_frame_has_asked_for_nothing(hearing, command):
+    """The camera gives none meanwhile, so that all that is asked stays under way, if it may."""
+    world = hearing
+    threads = threading.active_count()
+    world.silent = True
+    for _ in range(20):
+        hit_and_run(world, command)
+        assert threading.active_count() <= threads + 2  # a recording's writer, and a test's
+    world.silent = False
+    answer = {}
+    world.until(lambda: answer.update(_try(world, command)) or answer, "the owner is answered")
+    if command == "record":
+        world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
+        ask(world, "record", stop=True)
+    folder = world.folder / "recordings"
+    left = list(folder.iterdir()) if folder.exists() else []
+    assert len(left) == (command != "reinit")
+    world.until(lambda: threading.active_count() <= threads, "threads end")
+    assert not said(world, "internal error")
+
+
+def _try(world, command):
+    """The answer; nothing while one that was given up has not ended."""
+    try:
+        return ask(world, command)
+    except ControlError:
+        return {}
+
+
+def test_a_set_whose_asker_is_gone_is_not_applied(hearing, monkeypatch):
+    world, read, hold, reading = hearing, run_module.read_plan, threading.Event(), threading.Event()
+
+    def slowly(wanted):
+        reading.set()
+        hold.wait(PATIENCE)
+        return read(wanted)
+
+    monkeypatch.setattr(run_module, "read_plan", slowly)
+    hit_and_run(world, "set", assignments=["motion.scale_y=3"])
+    world.until(reading.is_set)
+    for _ in range(20):
+        hit_and_run(world, "set", assignments=["motion.scale_y=4"])
+    hold.set()
+    assert ask(world, "set", assignments=["motion.scale_x=2"])["changed"] == ["tracker"]
+    motion = world.daemon._plan.configuration.motion
+    assert (motion.scale_x, motion.scale_y) == (2.0, 1.0)
 
 
 def test_a_recording_is_begun_ended_and_refused_twice(playing):
@@ -739,15 +847,16 @@ def test_metrics_that_cannot_be_served_are_said_and_done_without(world):
 class Process:
     """`spheremouse run` on a film, in a process of its own; what it says."""
 
-    def __init__(self, folder):
-        code = "import sys; sys.path.insert(0, sys.argv[1]); import daemon_process; daemon_process.main(sys.argv[2])"
+    def __init__(self, folder, stderr=subprocess.PIPE, uid=""):
+        code = "import sys; sys.path.insert(0, sys.argv[1]); import daemon_process; daemon_process.main(*sys.argv[2:])"
         here = str(Path(__file__).parent)
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(run_module.__file__).parents[2])}
         self.process = subprocess.Popen(
-            [sys.executable, "-c", code, here, str(folder)], stderr=subprocess.PIPE, text=True, env=environment
+            [sys.executable, "-c", code, here, str(folder), uid], stderr=stderr, text=True, env=environment
         )
         self.said, self._client = [], Client(folder / "s")
-        threading.Thread(target=self._read, daemon=True).start()
+        if stderr == subprocess.PIPE:
+            threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self):
         for line in self.process.stderr:
@@ -760,8 +869,26 @@ class Process:
             assert self.process.poll() is None, f"ended: {''.join(self.said)}"
             time.sleep(0.01)
 
-    def ask(self, command):
-        return self._client.ask(command)
+    def ask(self, command, **arguments):
+        return self._client.ask(command, **arguments)
+
+    def answers(self):
+        """Wait until it tracks, by the socket alone."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            with contextlib.suppress(ControlError):
+                if self.ask("status")["state"] == "tracking":
+                    return
+            assert self.process.poll() is None, "ended"
+            time.sleep(0.05)
+        raise AssertionError("it does not track")
+
+    def until_frames(self, frames):
+        """Wait until so many have been worked on."""
+        end = time.monotonic() + PATIENCE
+        while self.ask("status")["frames"] < frames:
+            assert time.monotonic() < end, "frames do not go on"
+            time.sleep(0.05)
 
     def end(self):
         if self.process.poll() is None:
@@ -803,3 +930,82 @@ def test_signals_a_second_instance_and_kill_9(film, tmp_path):
             third.end()
     finally:
         first.end()
+
+
+@contextlib.contextmanager
+def a_closed_pipe(_):
+    """Whose reader has gone."""
+    reads, writes = os.pipe()
+    os.close(reads)
+    yield writes
+    os.close(writes)
+
+
+@contextlib.contextmanager
+def a_full_disk(_):
+    with open("/dev/full", "wb") as full:
+        yield full.fileno()
+
+
+@contextlib.contextmanager
+def a_pipe_that_nobody_reads(_):
+    reads, writes = os.pipe()
+    fcntl.fcntl(writes, fcntl.F_SETPIPE_SZ, 4096)
+    yield writes
+    os.close(writes)
+    os.close(reads)
+
+
+@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="needs Linux's pipes and /dev/full")
+@pytest.mark.parametrize("broken", [a_closed_pipe, a_full_disk, a_pipe_that_nobody_reads])
+def test_nothing_that_happens_to_standard_error_stops_tracking(film, tmp_path, broken):
+    """However much there is to say; and the end is an end like any other."""
+    import daemon_process
+
+    daemon_process.prepare(tmp_path, film)
+    with broken(tmp_path) as stderr:
+        daemon = Process(tmp_path, stderr)
+        try:
+            daemon.answers()
+            for _ in range(60):  # lines of 60 letters: more than the pipe takes
+                daemon.ask("pause")
+                daemon.ask("resume")
+            frames = daemon.ask("status")["frames"]
+            daemon.until_frames(frames + 50)
+            daemon.process.terminate()
+            assert daemon.process.wait(PATIENCE) == 0
+            assert (tmp_path / "rig.map.yaml").exists()
+        finally:
+            daemon.end()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become a user whose tasks are limited")
+def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
+    """The task limit is the kernel's, reached when the daemon tracks: its own threads are there, and no other comes."""
+    import daemon_process
+
+    folder = Path(tempfile.mkdtemp())
+    daemon_process.prepare(folder, film)
+    for path in (folder, *folder.iterdir()):
+        shutil.chown(path, OTHER, OTHER)
+    daemon = Process(folder, uid=str(OTHER))
+    try:
+        daemon.until("tracking:")
+        assert Path(daemon.ask("snapshot")["file"]).exists()
+        with pytest.raises(ControlError, match="no thread to be had: the system's limit of tasks"):
+            daemon.ask("record")
+        with pytest.raises(ControlError, match="no thread to be had"):
+            daemon.ask("set", assignments=["output=text:/dev/null"])
+        assert daemon.ask("status")["output"]["spec"] == "null"
+        assert daemon.ask("reload")["changed"] == []
+        assert daemon.ask("set", assignments=["motion.scale_x=2"])["changed"] == ["tracker"]
+        assert daemon.ask("reinit")["message"]
+        daemon.until_frames(daemon.ask("status")["frames"] + 100)
+        assert not [p for p in folder.iterdir() if p.name.startswith(".") and p.is_dir()]
+        daemon.process.terminate()
+        assert daemon.process.wait(PATIENCE) == 0
+        assert (folder / "rig.map.yaml").exists()
+        assert not [line for line in daemon.said if "Traceback" in line or "internal error" in line]
+    finally:
+        daemon.end()
+        shutil.rmtree(folder)

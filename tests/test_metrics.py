@@ -288,6 +288,29 @@ def test_connections_that_say_nothing_are_few_and_end(monkeypatch):
                 assert time.monotonic() < end
 
 
+@pytest.mark.parametrize("begun", [0, 1])
+def test_without_a_thread_to_be_had_a_request_is_hung_up_on_and_keeps_no_place(monkeypatch, begun, capsys):
+    """Neither the one that would answer nor, where that is begun, the one that would end it."""
+    start = threading._start_new_thread
+    left = []
+
+    def few(*what):
+        if not left:
+            raise RuntimeError("can't start new thread")
+        left.pop()
+        return start(*what)
+
+    with metrics.MetricsServer(MetricsSettings(port=0), a_status) as server:
+        monkeypatch.setattr(threading, "_start_new_thread", few)
+        for _ in range(2 * metrics._AT_ONCE):
+            left[:] = begun * [None]
+            with pytest.raises((ConnectionError, http.client.HTTPException)):
+                get(server)
+        monkeypatch.undo()
+        assert get(server)[0] == 200
+    assert "Traceback" not in capsys.readouterr().err
+
+
 def test_what_cannot_be_is_said_in_a_line():
     with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as other:
         port = other.getsockname()[1]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,7 +22,8 @@ from spheremouse.cli import app
 from spheremouse.daemon import recorder as module
 from spheremouse.daemon.privacy import kept, masked
 from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder, tidy
+from spheremouse.daemon.recorder import Recorder
+from spheremouse.daemon.recordings import next_name, recordings_folder, tidy
 from spheremouse.daemon.snapshot import snapshot
 from spheremouse.dataset_writer import FilmWriter
 from spheremouse.errors import DatasetError, OutputError
@@ -367,7 +369,7 @@ Usage = namedtuple("Usage", "total used free")
 
 def test_it_ends_before_the_disk_is_full(tmp_path, monkeypatch):
     free, now = [1e9], [0.0]
-    monkeypatch.setattr(module.shutil, "disk_usage", lambda path: Usage(1e12, 0, free[0]))
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(1e12, 0, free[0]))
     rig, pose = small(64, 48)
     settings = RecordSettings(free_megabytes=100.0, everything=True)
     recorder = Recorder(tmp_path / "made", rig, pose, settings, clock=lambda: now[0])

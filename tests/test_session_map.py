@@ -1,6 +1,7 @@
 """The map over a run: what is loaded, what replaces what, what is kept aside, and what is said of it."""
 
 import os
+import threading
 import time
 from dataclasses import dataclass
 
@@ -48,8 +49,6 @@ def run(path, *states, every=1e9):
     with MapKeeper(path, RIG, said.append, every) as keeper:
         for state in states:
             keeper.keep(state)
-            if keeper._thread is not None:
-                keeper._thread.join()
     assert all(line.startswith("map: ") for line in said)
     return [line.removeprefix(f"map: {path}: ") for line in said]
 
@@ -197,12 +196,7 @@ def test_worth_saving_is_another_disc_or_one_known_twice_as_well():
 def test_it_is_saved_while_the_run_goes_once_it_is_time_and_only_what_has_changed(path):
     said = []
     with MapKeeper(path, RIG, said.append, every=0.0) as keeper:
-
-        def keep(state):
-            keeper.keep(state)
-            if keeper._thread is not None:
-                keeper._thread.join()
-
+        keep = keeper.keep
         keep(State(None))
         assert not path.exists()
         keep(State(known(BALL[:10])))
@@ -228,8 +222,11 @@ def test_a_slow_disk_does_not_hold_up_the_frames(path, monkeypatch):
             time.sleep(0.5)
         save_map(*words)
 
+    def elsewhere(work):
+        threading.Thread(target=work).start()
+
     monkeypatch.setattr(session_map, "save_map", hang)
-    with MapKeeper(path, RIG, lambda _: None, every=0.0) as keeper:
+    with MapKeeper(path, RIG, lambda _: None, every=0.0, elsewhere=elsewhere) as keeper:
         for n in range(5, 26):
             keeper.keep(State(known(BALL[:n])))
         assert len(slow) == 1

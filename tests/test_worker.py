@@ -1,5 +1,6 @@
 """The worker: what becomes of each shot, without a thread; the film is that of tests/daemon_world.py."""
 
+import threading
 import time
 from dataclasses import replace
 
@@ -164,21 +165,29 @@ def test_other_settings_from_the_next_frame_on(film):
     assert play.worker.settings.motion.scale_x == 4.0
 
 
+def in_a_thread(work):
+    def run():
+        then = work()
+        then()
+
+    threading.Thread(target=run).start()
+
+
 def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
     play, answers = Play(film), []
-    play.worker.reinitialise(lambda *a: answers.append(a))
+    play.worker.reinitialise(lambda *a: answers.append(a), in_a_thread)
     assert answers == [(None, "the pose is being looked for: the ring targets are looked for")]
     for _ in range(4):
         play()
-    play.worker.reinitialise(lambda *a: answers.append(a))
-    play.worker.reinitialise(lambda *a: answers.append(("second", *a)))
+    play.worker.reinitialise(lambda *a: answers.append(a), in_a_thread)
+    play.worker.reinitialise(lambda *a: answers.append(("second", *a)), in_a_thread)
     assert answers[1][:2] == ("second", "the camera's pose is being estimated already; wait for its end")
     play()
     assert play.asked == [True]
     play.worker.interrupted("unplugged")
     assert answers[2:] == [("unplugged; the pose before stays", "")]
     play()
-    play.worker.reinitialise(lambda *a: answers.append(a))
+    play.worker.reinitialise(lambda *a: answers.append(a), in_a_thread)
     pose = play.worker.pose
     end = time.monotonic() + 20.0
     while len(answers) < 4:

@@ -1,80 +1,115 @@
-"""What is kept of the pictures when somebody asks for it: recordings and snapshots. Written in the background."""
+"""What is kept of the pictures when somebody asks for it: recordings and snapshots, written by threads of the crew.
 
+Nothing is made for who has hung up: a recording is not begun, a snapshot not taken, and what was begun meanwhile is
+dropped before its first frame. From then on a recording is there whoever asked for it.
+"""
+
+import contextlib
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from spheremouse import config
 from spheremouse.camera import Pose
-from spheremouse.daemon.background import Background
-from spheremouse.daemon.control import Reply
+from spheremouse.daemon.desk import Asked
 from spheremouse.daemon.protocol import Record, Snapshot, refused
-from spheremouse.daemon.recorder import Recorder, next_name, recordings_folder
+from spheremouse.daemon.recorder import Recorder
+from spheremouse.daemon.recordings import made_folder, next_name, recordings_folder, refuse_full_disk
+from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.settings import Configuration
 from spheremouse.daemon.snapshot import snapshot
+from spheremouse.daemon.threads import Crew
 from spheremouse.daemon.worker import Step
-from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.rig import Rig
 from spheremouse.track import Tracker
 
+RECORDING, SNAPSHOT = "recording", "snapshot"  # kinds of the crew's work
+_GONE = ControlError("given up: who asked has hung up")
+
 
 class Archive:
-    """One recording at a time, and any number of snapshots. Called by the worker's thread."""
+    """One recording at a time, and one snapshot. Called by the worker's thread."""
 
     def __init__(
         self,
-        background: Background,
+        crew: Crew,
         ask: Callable[[Callable[[], None]], None],
         say: Callable[[str], None],
     ) -> None:
         """`ask` has something done in the worker's thread; `say` takes lines for the log, from any thread."""
-        self._background, self._ask, self._say = background, ask, say
+        self._crew, self._ask, self._say = crew, ask, say
         self._recorder: Recorder | None = None
-        self._first = _nothing  # tells who asked for a recording that it has its first frame
+        self._made: Recorder | None = None  # by the crew, and not taken over yet
+        self._begun: tuple[Asked, dict[str, Any]] | None = None  # who is told what at the recording's first frame
         self._bare = False  # the recording has no frame in colour yet
-        self._snapshots: list[tuple[Path, Reply]] = []
+        self._wanted: tuple[Path, Asked, Configuration] | None = None  # the snapshot of the next frame
 
     @property
     def wants_colour(self) -> bool:
         """Is the next frame needed in colour? A snapshot is; and what tracks a recording needs the targets' colours."""
-        return self._bare or bool(self._snapshots)
+        return self._bare or self._wanted is not None
 
-    def keep(self, made: Step, tracker: Tracker | None, everything: bool) -> None:
-        """A tracked frame, for all that want it; its image is copied. `everything`: snapshots of whole pictures."""
+    def keep(self, made: Step, tracker: Tracker | None) -> None:
+        """A tracked frame, for all that want it; its image is copied."""
+        self._give_up()
         frame = made.epoch.frame
         if self._recorder is not None and self._recorder.add(frame, None if tracker is None else tracker.pose):
             self._bare &= frame.image.ndim != 3
             self._tell_first()
-        if self._snapshots and tracker is not None:
-            self._take_snapshots(made, tracker, everything)
+        if self._wanted is not None and tracker is not None:
+            self._take_snapshot(made, tracker, *self._wanted)
+            self._wanted = None
 
     def interrupted(self, reason: str) -> None:
         """No frames come any more: who waits for one is told."""
+        self._give_up()
         self._tell_first()  # it begins when they come again
-        waiting, self._snapshots = self._snapshots, []
-        for _, reply in waiting:
-            reply(refused(f"there is no picture now: {reason}"))
+        if self._wanted is not None:
+            (_, asked, _), self._wanted = self._wanted, None
+            asked(refused(f"there is no picture now: {reason}"))
 
     def tend(self) -> None:
         """End a recording that has reached its bounds."""
+        self._give_up()
         if self._recorder is not None and self._recorder.status().ended is not None:
-            self._end(lambda _: None)
+            self._end(Reply())
 
     def close(self) -> None:
         """End what is being recorded."""
         if self._recorder is not None:
-            self._end(lambda _: None)
+            self._end(Reply())
+
+    def discard(self) -> None:
+        """Once nothing is written any more: what was begun too late for a frame."""
+        if self._made is not None:
+            with contextlib.suppress(SpheremouseError):
+                self._made.finish(1.0)
+
+    def _give_up(self) -> None:
+        """What nobody waits for any more, and has no frame yet."""
+        if self._wanted is not None and self._wanted[1].gone:
+            (_, asked, _), self._wanted = self._wanted, None
+            asked(refused(str(_GONE)))
+        if self._begun is not None and self._begun[0].gone and self._recorder is not None:
+            (asked, _), self._begun = self._begun, None
+            recorder, self._recorder, self._bare = self._recorder, None, False
+            self._drop(recorder, asked)
 
     # ---- recordings ----
 
-    def record(self, request: Record, c: Configuration, rig: Rig, pose: Pose, described: str, reply: Reply) -> None:
+    def record(self, request: Record, c: Configuration, rig: Rig, pose: Pose, described: str, asked: Asked) -> None:
         """Begin a recording with the rig and the pose in use; `described` is the camera in a line.
 
         ControlError where one is being made.
         """
         if self._recorder is not None:
             raise ControlError(f"recording into {self._recorder.status().folder} already; end it with record --stop")
+        if self._crew.busy(RECORDING):
+            raise ControlError("the recording before this is still being written; ask again when it is done")
         settings = replace(
             c.record,
             seconds=c.record.seconds if request.seconds is None else request.seconds,
@@ -87,65 +122,68 @@ class Archive:
         told = {"folder": str(folder), "seconds": settings.seconds, "message": words}
 
         def begin() -> None:
-            try:
-                recorder = Recorder(
-                    folder,
-                    rig,
-                    pose,
-                    settings,
-                    described,
-                    tracker=c,
-                    configuration=config.dump(_of_the_tracker(c), type(c)()),
-                )
-            except (SpheremouseError, OSError) as e:
-                reply(refused(str(e)))
-            else:
-                self._ask(lambda: self._begun(recorder, told, reply))
+            if asked.gone:
+                raise _GONE
+            text = config.dump(_of_the_tracker(c), type(c)())
+            self._made = Recorder(folder, rig, pose, settings, described, tracker=c, configuration=text)
+            self._ask(lambda: self._has_begun(told, asked))
 
-        self._background.begin(begin)
+        self._crew.do(RECORDING, lambda: self._answer(asked, begin))
 
-    def _begun(self, recorder: Recorder, told: dict[str, Any], reply: Reply) -> None:
-        if self._recorder is not None:  # two asked at once
-            recorder.stop()
-            reply(refused(f"recording into {self._recorder.status().folder} already"))
+    def _has_begun(self, told: dict[str, Any], asked: Asked) -> None:
+        recorder, self._made = self._made, None
+        assert recorder is not None
+        if asked.gone:
+            self._drop(recorder, asked)
             return
-        self._recorder, self._bare = recorder, True
-        self._say(f"record: {told['message']}")
-        self._first = lambda: reply(told)
+        self._recorder, self._bare, self._begun = recorder, True, (asked, told)
+
+    def _drop(self, recorder: Recorder, asked: Asked) -> None:
+        """A recording without a frame, of which nothing is left."""
+        recorder.stop()
+
+        def finish() -> None:
+            with contextlib.suppress(SpheremouseError):  # it has no frame, and says so
+                recorder.finish()
+            raise _GONE
+
+        self._crew.do(RECORDING, lambda: self._answer(asked, finish))
 
     def _tell_first(self) -> None:
-        tell, self._first = self._first, _nothing
-        tell()
+        if self._begun is not None:
+            (asked, told), self._begun = self._begun, None
+            self._say(f"record: {told['message']}")
+            asked(told)
 
-    def stop(self, reply: Reply) -> None:
+    def stop(self, asked: Asked) -> None:
         """End the recording. ControlError where there is none."""
         if self._recorder is None:
             raise ControlError("nothing is being recorded")
-        self._end(reply)
+        self._end(asked)
 
     def configuration_changes(self) -> None:
         """A recording is of one configuration."""
         if self._recorder is not None:
             self._say("record: ended, for the configuration changes: a recording is of one")
-            self._end(lambda _: None)
+            self._end(Reply())
 
-    def _end(self, reply: Reply) -> None:
+    def _end(self, asked: Asked | Reply) -> None:
         recorder, self._recorder, self._bare = self._recorder, None, False
         assert recorder is not None
         self._tell_first()
+        recorder.stop()
 
-        def finish() -> None:
+        def finish() -> dict[str, Any]:
             try:
                 path = recorder.finish()
             except SpheremouseError as e:
                 self._say(f"record: {e}")
-                reply(refused(str(e)))
-                return
+                raise
             status = recorder.status()
             self._say(f"record: {status.ended}")
-            reply({"folder": str(path), "frames": status.frames, "message": status.ended})
+            return {"folder": str(path), "frames": status.frames, "message": status.ended}
 
-        self._background.begin(finish)
+        self._crew.do(RECORDING, lambda: self._answer(asked, finish))
 
     def status(self) -> dict[str, Any] | None:
         """Of the recording; from any thread."""
@@ -159,28 +197,36 @@ class Archive:
 
     # ---- snapshots ----
 
-    def want_snapshot(self, request: Snapshot, c: Configuration, reply: Reply) -> None:
+    def want_snapshot(self, request: Snapshot, c: Configuration, asked: Asked) -> None:
         """Of the next frame, in colour."""
         places = recordings_folder(c.record)
         path = next_name(places, suffix=".png") if request.file is None else places / request.file
-        self._snapshots.append((path, reply))
+        self._wanted = path, asked, c
 
-    def _take_snapshots(self, made: Step, tracker: Tracker, everything: bool) -> None:
-        wanted, self._snapshots = self._snapshots, []
+    def _take_snapshot(self, made: Step, tracker: Tracker, path: Path, asked: Asked, c: Configuration) -> None:
         epoch = replace(made.epoch, frame=replace(made.epoch.frame, image=made.epoch.frame.image.copy()))
 
-        def write() -> None:
-            for path, reply in wanted:
-                try:
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    snapshot(path, epoch, tracker, everything=everything)
-                except (SpheremouseError, OSError) as e:
-                    reply(refused(str(e)))
-                else:
-                    self._say(f"snapshot: {path}")
-                    reply({"file": str(path)})
+        def write() -> dict[str, Any]:
+            if asked.gone:
+                raise _GONE
+            made_folder(path.parent, OutputError)
+            refuse_full_disk(path, c.record)
+            snapshot(path, epoch, tracker, everything=c.record.everything)
+            self._say(f"snapshot: {path}")
+            return {"file": str(path)}
 
-        self._background.begin(write)
+        self._crew.do(SNAPSHOT, lambda: self._answer(asked, write))
+
+    def _answer(self, asked: Asked | Reply, work: Callable[[], dict[str, Any] | None]) -> Callable[[], None] | None:
+        """Do it, and tell who asked what came of it, if that is known; whatever goes wrong, only that is not done."""
+        try:
+            answer = work()
+        except (SpheremouseError, OSError) as e:
+            answer = refused(str(e))
+        except Exception as e:
+            self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
+            answer = refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it")
+        return None if answer is None else partial(asked, answer)
 
 
 def _of_the_tracker(c: Configuration) -> Configuration:
@@ -191,7 +237,3 @@ def _of_the_tracker(c: Configuration) -> Configuration:
         source=None, output=None, rig=None, camera_file=None, map=None,
         control=plain.control, record=plain.record, metrics=plain.metrics,
     )  # fmt: skip
-
-
-def _nothing() -> None:
-    """There is nothing to tell."""

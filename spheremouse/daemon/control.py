@@ -1,13 +1,13 @@
 """The control socket: who may, asks; one thread answers, with bounded memory, a bounded pace and no waiting for anyone.
 
 Requests are lines (`protocol`). A client has one of them under way at a time. `handle` is called in this thread and
-must return at once; its `reply` may be called later, from any thread. Everything that a client can do to the daemon
-through this door is bounded by `Limits`.
+must return at once; its `reply` may be called later, from any thread, and says whether anybody still waits for it: who
+hangs up cancels what it asked. Everything that a client can do to the daemon through this door is bounded by `Limits`.
 """
 
 import contextlib
 import os
-import selectors
+import select
 import socket
 import threading
 import time
@@ -32,23 +32,25 @@ from spheremouse.daemon.protocol import (
     parse,
     refused,
 )
+from spheremouse.daemon.reply import Reply
+from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.yaml_file import one_line
 
-Reply = Callable[[dict[str, Any]], None]
 Handle = Callable[[Request, Reply], None]
 
 # What a member of the group may not `set`: which files and devices the daemon opens, and what it does for whom.
 PLACES = ("source", "output", "rig", "camera_file", "map", "camera.controls", "control", "record", "metrics", "wand")
 
-_LISTENER, _WAKE = -1, -2
+_WATCHERS = 0  # in place of a client's number
+_GONE = select.POLLHUP | select.POLLERR | select.POLLNVAL  # both ways are closed; half of them is no hanging up
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What a client may cost."""
 
-    pace: float = 100.0  # requests per s, of all clients together; connections likewise
+    pace: float = 100.0  # requests per s, of all members together, and of all the owner's clients; connections likewise
     burst: float = 50.0  # of them at once
     kilobyte: float = 1.0  # requests that a kilobyte of a request counts for
     reading: float = 0.25  # requests that a look at what came counts for
@@ -92,9 +94,9 @@ class _Client:
     received: bytearray = field(default_factory=bytearray)
     unsent: bytearray = field(default_factory=bytearray)
     sent: float = 0.0  # when something of `unsent` last went, or began to wait
-    events: int = 0  # that the selector looks for; 0: it does not know the connection
     asked: float | None = None  # when the request under way was handed on
-    turn: int = 0  # its number
+    reply: Reply | None = None  # to it
+    paced: bool = False  # what it sends is not read yet: its like have had their share
     id: Id | None = None
     interval: float | None = None  # of a watcher
     due: float = 0.0  # its next status
@@ -120,12 +122,12 @@ class ControlServer:
         self._limits = limits or Limits()
         self._group = None if settings.group is None else control_socket.group_id(settings.group)
         self._clients: dict[int, _Client] = {}
-        self._replies: deque[tuple[int, int | None, dict[str, Any]]] = deque()  # client, turn, reply
+        self._replies: deque[tuple[int, Reply, dict[str, Any]]] = deque()  # client
         self._events: deque[dict[str, Any]] = deque(maxlen=self._limits.events)
         self._count = 0
         self._watchers = False
         self._complained = -float("inf")
-        self._requests = _Pace(self._limits.pace, self._limits.burst)
+        self._paces = {trusted: _Pace(self._limits.pace, self._limits.burst) for trusted in (True, False)}
         self._connections = _Pace(self._limits.pace, self._limits.burst)
         self._accept_again = 0.0
         self._ending = threading.Event()
@@ -141,11 +143,15 @@ class ControlServer:
         self._wake_read.setblocking(False)
         self._wake_write.setblocking(False)
         self._waking = threading.Lock()
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._wake_read, selectors.EVENT_READ, _WAKE)
-        self._listening = self._reading = False  # whether the selector looks for connections, and for requests
+        self._poll = select.poll()  # unlike what `selectors` has it tells of a hang-up where nothing else is wanted
+        self._poll.register(self._wake_read, select.POLLIN)
+        self._numbers: dict[int, int] = {}  # of the clients, by their descriptors
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
-        self._thread.start()
+        try:
+            begin(self._thread)
+        except ControlError:
+            self._remove()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -173,6 +179,11 @@ class ControlServer:
         self._ending.set()
         self._wake()
         self._thread.join(5.0)
+        self._remove()
+
+    def _remove(self) -> None:
+        """The socket and its lock."""
+        self._listener.close()
         with contextlib.suppress(OSError):
             found = self._path.lstat()
             if (found.st_dev, found.st_ino) == self._identity:
@@ -194,20 +205,22 @@ class ControlServer:
 
     def _round(self, patience: float | None) -> None:
         """Wait for something to happen, and do what follows from it."""
-        ready = self._selector.select(patience)
-        if not self._reading and self._requests.free():  # all have a turn, not only who has requests waiting here
-            self._look()
-            ready = self._selector.select(0.0)
+        self._poll.poll(None if patience is None else 1e3 * patience)
+        self._look()  # all have a turn, not only who has requests waiting here
+        ready = dict(self._poll.poll(0))
+        for descriptor, events in ready.items():
+            if events & _GONE and descriptor in self._numbers:
+                self._drop(self._numbers[descriptor])
         for number, client in list(self._clients.items()):  # before new ones are let in: they shall not crowd it out
             self._guarded(number, client, self._serve, number)
-        for key, events in ready:
-            if key.data == _WAKE:
-                with contextlib.suppress(BlockingIOError):
-                    self._wake_read.recv(4096)
-            elif key.data == _LISTENER:
-                self._accept()
-            elif (client := self._clients.get(key.data)) is not None:
-                self._guarded(key.data, client, self._transfer, events)
+        if self._wake_read.fileno() in ready:
+            with contextlib.suppress(BlockingIOError):
+                self._wake_read.recv(4096)
+        for descriptor, events in ready.items():
+            if (number := self._numbers.get(descriptor)) is not None and (client := self._clients.get(number)):
+                self._guarded(number, client, self._transfer, events)
+        if self._listener.fileno() in ready:
+            self._accept()
         self._ask_status(time.monotonic())
         self._pass_on()
         now = time.monotonic()
@@ -233,10 +246,9 @@ class ControlServer:
         times += [c.due for c in self._clients.values() if c.interval is not None and c.status_asked is None]
         if self._replies or self._events:
             return 0.0
-        if any(self._has_request(c) for c in self._clients.values()) or not self._reading:
-            times.append(now + self._requests.wait())
+        times += [now + self._pace(c).wait() for c in self._clients.values() if self._has_request(c) or c.paced]
         if not self._listening:
-            times.append(max(self._accept_again, now + self._requests.wait(), now + self._connections.wait()))
+            times.append(max(self._accept_again, now + self._connections.wait()))
         return max(0.0, min(times) - now) if times else None
 
     def _deadline(self, client: _Client) -> float:
@@ -251,28 +263,19 @@ class ControlServer:
         return client.heard + limits.idle
 
     def _look(self) -> None:
-        """Tell the selector what matters now: what is not to be read yet must not wake us."""
-        self._reading = self._requests.free()
-        wanted = self._reading and self._connections.free() and time.monotonic() >= self._accept_again
-        if wanted != self._listening:
-            if wanted:
-                self._selector.register(self._listener, selectors.EVENT_READ, _LISTENER)
-            else:
-                self._selector.unregister(self._listener)
-            self._listening = wanted
-        for number, client in self._clients.items():
-            events = selectors.EVENT_WRITE if client.unsent else 0
-            if self._reading and not (client.ended or client.closing) and len(client.received) < MAX_LINE:
-                events |= selectors.EVENT_READ
-            if events == client.events:
-                continue
-            if client.events == 0:
-                self._selector.register(client.connection, events, number)
-            elif events == 0:
-                self._selector.unregister(client.connection)
-            else:
-                self._selector.modify(client.connection, events, number)
-            client.events = events
+        """What matters now: what is not to be read yet must not wake us; a hang-up always does."""
+        self._listening = self._connections.free() and time.monotonic() >= self._accept_again
+        if not self._ending.is_set():
+            self._poll.register(self._listener, select.POLLIN if self._listening else 0)
+        for client in self._clients.values():
+            wanted = not (client.ended or client.closing) and len(client.received) < MAX_LINE
+            client.paced = wanted and not self._pace(client).free()
+            events = select.POLLIN if wanted and not client.paced else 0
+            self._poll.register(client.connection, events | (select.POLLOUT if client.unsent else 0))
+
+    def _pace(self, client: _Client) -> _Pace:
+        """The owner does not stand behind members."""
+        return self._paces[client.trusted]
 
     # ---- connections ----
 
@@ -309,6 +312,8 @@ class ControlServer:
             return
         self._count += 1
         self._clients[self._count] = _Client(connection, trusted, time.monotonic())
+        self._numbers[connection.fileno()] = self._count
+        self._poll.register(connection, 0)
 
     def _others(self) -> str:
         return f" and the group {self._settings.group}" if self._settings.group else ""
@@ -332,17 +337,19 @@ class ControlServer:
         client = self._clients.pop(number, None)
         if client is None:
             return
-        if client.events:
-            self._selector.unregister(client.connection)
+        if client.reply is not None:
+            client.reply.gone = True
+        del self._numbers[client.connection.fileno()]
+        self._poll.unregister(client.connection)
         client.connection.close()
 
     # ---- bytes ----
 
     def _transfer(self, client: _Client, events: int) -> None:
-        if events & selectors.EVENT_WRITE:
+        if events & select.POLLOUT:
             self._flush(client)
-        if events & selectors.EVENT_READ and not client.closing:
-            self._requests.take(self._limits.reading)
+        if events & select.POLLIN and not client.closing:
+            self._pace(client).take(self._limits.reading)
             try:
                 data = client.connection.recv(MAX_LINE)
             except (BlockingIOError, InterruptedError):
@@ -384,7 +391,7 @@ class ControlServer:
 
     def _serve(self, client: _Client, number: int) -> None:
         """Handle one request of a client, if there is one and it is its turn."""
-        if not self._has_request(client) or not self._requests.free():
+        if not self._has_request(client) or not self._pace(client).free():
             return
         self._clients[number] = self._clients.pop(number)  # to the end: the others come first next time
         end = client.received.find(b"\n", 0, MAX_LINE)
@@ -396,7 +403,7 @@ class ControlServer:
         line = bytes(client.received[:end])
         del client.received[: end + 1]
         client.heard = time.monotonic()
-        self._requests.take(1.0 + self._limits.kilobyte * len(line) / 1024.0)
+        self._pace(client).take(1.0 + self._limits.kilobyte * len(line) / 1024.0)
         if not line.strip():
             return
         try:
@@ -410,8 +417,8 @@ class ControlServer:
             self._watchers = True  # before the client can know
             self._send(client, done({}, request.id))
             return
-        client.asked, client.id, client.turn = client.heard, request.id, client.turn + 1
-        self._hand_on(request, number, client.turn)
+        client.asked, client.id = client.heard, request.id
+        client.reply = self._hand_on(request, number, client.trusted)
 
     def _check_rights(self, client: _Client, request: Request) -> None:
         if client.trusted or not isinstance(request, Set):
@@ -423,11 +430,12 @@ class ControlServer:
                     f"set: {key[:60]} says what the daemon opens; only its own user and root may set it", request.id
                 )
 
-    def _hand_on(self, request: Request, number: int, turn: int | None) -> None:
-        def reply(message: dict[str, Any]) -> None:
-            self._replies.append((number, turn, message))
+    def _hand_on(self, request: Request, number: int, trusted: bool = True) -> Reply:
+        def send(message: dict[str, Any]) -> None:
+            self._replies.append((number, reply, message))
             self._wake()
 
+        reply = Reply(send, trusted=trusted)
         try:
             self._handle(request, reply)
         except SpheremouseError as e:
@@ -436,6 +444,7 @@ class ControlServer:
             what = f"internal error ({type(e).__name__}: {one_line(str(e))})"
             self._complain(f"control: {request.command}: {what}")
             reply(refused(f"{what}; please report it"))
+        return reply
 
     def _ask_status(self, now: float) -> None:
         """Ask for the status once for all watchers whose time has come."""
@@ -446,23 +455,23 @@ class ControlServer:
             client.status_asked = now
             assert client.interval is not None
             client.due = max(client.due + client.interval, now)
-        self._hand_on(Request(command="status"), 0, None)
+        self._hand_on(Request(command="status"), _WATCHERS)
 
     def _pass_on(self) -> None:
         """Replies and events to whom they belong."""
         for _ in range(len(self._replies)):
-            number, turn, message = self._replies.popleft()
-            if turn is None:
+            number, reply, message = self._replies.popleft()
+            if number == _WATCHERS:
                 self._status_to_watchers(message)
                 continue
             client = self._clients.get(number)
-            if client is not None and client.asked is not None and client.turn == turn:
+            if client is not None and client.asked is not None and client.reply is reply:
                 self._answer(number, client, message)
         for _ in range(len(self._events)):
             self._to_watchers(self._events.popleft(), [n for n, c in self._clients.items() if c.interval is not None])
 
     def _answer(self, number: int, client: _Client, message: dict[str, Any]) -> None:
-        client.asked, client.heard = None, time.monotonic()
+        client.asked, client.reply, client.heard = None, None, time.monotonic()
         self._guarded(number, client, self._send, done(message, client.id))
 
     def _status_to_watchers(self, message: dict[str, Any]) -> None:
@@ -502,11 +511,9 @@ class ControlServer:
 
     def _finish(self) -> None:
         """Send replies that are there or come within half a second, to those who read; then leave."""
-        if self._listening:
-            self._selector.unregister(self._listener)
-            self._listening = False
+        with contextlib.suppress(KeyError):  # it never listened
+            self._poll.unregister(self._listener)
         self._listener.close()
-        self._accept_again = float("inf")
         end = time.monotonic() + 0.5
         with contextlib.suppress(Exception):
             self._pass_on()
@@ -514,7 +521,6 @@ class ControlServer:
                 self._round(0.05)
         for number in list(self._clients):
             self._drop(number)
-        self._selector.close()
         self._wake_read.close()
         with self._waking:
             self._wake_write.close()

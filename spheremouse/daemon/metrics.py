@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from spheremouse.daemon.control_settings import MetricsSettings
 from spheremouse.daemon.protocol import STATES
+from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError
 from spheremouse.yaml_file import one_line
 
@@ -45,7 +46,11 @@ class MetricsServer:
         host = f"[{address}]" if address.version == 6 else str(address)
         self.url = f"http://{host}:{self._server.server_address[1]}/metrics"
         self._thread = threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True)
-        self._thread.start()
+        try:
+            begin(self._thread)
+        except ControlError:
+            self._server.server_close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -197,17 +202,23 @@ class _Server(socketserver.ThreadingMixIn, http.server.HTTPServer):
         socketserver.TCPServer.server_bind(self)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        if self._places.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
+        if not self._places.acquire(blocking=False):
             self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except RuntimeError:  # no thread to be had
+            self._places.release()
+            raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         end = threading.Timer(_LONGEST, _hang_up, (request,))
         end.daemon = True
-        end.start()
         try:
+            begin(end)
             super().process_request_thread(request, client_address)
+        except ControlError:  # no thread to be had: nobody would end it
+            self.shutdown_request(request)
         finally:
             end.cancel()
             self._places.release()

@@ -4,16 +4,13 @@ The worker hands over each frame it has tracked, which costs it a copy; a thread
 kept is left out at that copy already. A recording ends by itself, and is there whole or not at all.
 """
 
-import contextlib
 import os
 import queue
-import shutil
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
 
 import cv2
 import numpy as np
@@ -23,20 +20,14 @@ from spheremouse import track
 from spheremouse.camera import Pose
 from spheremouse.daemon.privacy import kept
 from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.daemon.recordings import disk_is_full, made_folder, marked, refuse_full_disk, release
+from spheremouse.daemon.threads import begin
 from spheremouse.dataset_writer import FilmWriter
 from spheremouse.detect.detections import Image
 from spheremouse.errors import DatasetError, SpheremouseError
-from spheremouse.files.atomic import clear_left
-from spheremouse.folders import clear_left_folders
 from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 
-try:
-    import fcntl
-except ImportError:  # Windows, where a folder with an open file in it cannot be moved
-    fcntl = None
-
-_MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while somebody writes it
 _BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
 _BEHIND = 6e6  # bytes that the video keeps in memory before they are in its file, and its index
 _LOOK = 0.5  # s between two looks at the disk and the clock
@@ -83,10 +74,11 @@ class Recorder:
             "kept": "everything" if settings.everything else "ball and targets; the rest is black",
         }
         files = {"config.yaml": configuration} if configuration else {}
+        made_folder(self._folder.parent, DatasetError)
+        refuse_full_disk(self._folder, settings, _BEHIND)
         self._film = FilmWriter(self._folder, rig, pose, scene, files)
         try:
-            self._mark = _marked(self._film.folder)
-            self._check_disk()
+            self._mark = marked(self._film.folder)
         except BaseException:
             self._film.discard()
             raise
@@ -105,7 +97,12 @@ class Recorder:
         self._failed = False
         self._ready, self._done = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        try:
+            begin(self._thread)
+        except BaseException:
+            self._mark.close()
+            self._film.discard()
+            raise
 
     def ready(self, timeout: float) -> bool:
         """Wait until frames are taken, which is some tenths of a second after the beginning; False: not yet."""
@@ -190,10 +187,10 @@ class Recorder:
             why = self._record()
             self._open = False
             self._size = self._film.size()
-            if fcntl is None:
+            if os.name == "nt":  # where a folder with an open file in it cannot be moved
                 self._mark.close()
             self._film.finish()  # the mark goes along: a kill until then leaves what tidy knows
-            _release(self._mark, self._folder)
+            release(self._mark, self._folder)
             lost = f", {self._dropped} dropped" if self._dropped else ""
             length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._size / 1e6:.1f} MB{lost}"
             self._ended = f"{self._folder}: {length}; {why}"
@@ -233,23 +230,12 @@ class Recorder:
                 return f"ended at {self._settings.megabytes:g} MB (record.megabytes)"
             if now - looked >= _LOOK:
                 looked = now
-                if self._disk_is_full():
+                if disk_is_full(self._folder.parent, self._settings, _BEHIND):
                     return f"ended: less than {self._settings.free_megabytes:g} MB are free (record.free_megabytes)"
             assert buffer.frame is not None
             self._film.add(buffer.frame)
             self._last = now
             self._free.put(buffer)
-
-    def _disk_is_full(self) -> bool:
-        least = max(1e6 * self._settings.free_megabytes, _BEHIND)  # a full disk takes no more, whatever is asked for
-        return shutil.disk_usage(self._folder.parent).free < least
-
-    def _check_disk(self) -> None:
-        if self._disk_is_full():
-            raise DatasetError(
-                f"{self._folder}: less than {self._settings.free_megabytes:g} MB are free (record.free_megabytes): "
-                "remove recordings that are not needed"
-            )
 
 
 class _Buffer:
@@ -272,74 +258,3 @@ class _Buffer:
                 self._shown = (number, *shape)
             cv2.copyTo(frame.image, keep, image)
         self.frame = Frame(image, frame.stamp, frame.sequence)
-
-
-# ---- where recordings are ----
-
-
-def recordings_folder(settings: RecordSettings) -> Path:
-    """Where recordings go: as configured, else recordings/ in the service's or the user's state directory."""
-    if settings.folder is not None:
-        return Path(settings.folder).expanduser().absolute()
-    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if given:
-        return Path(given) / "recordings"
-    state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path.home() / ".local" / "state") / "spheremouse" / "recordings"
-
-
-def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "") -> Path:
-    """A name in the folder that is not taken: date and time; `suffix` for a picture."""
-    stem = time.strftime("%Y-%m-%d-%H%M%S", time.localtime() if now is None else now)
-    path, again = folder / f"{stem}{suffix}", 1
-    while path.exists():
-        again += 1
-        path = folder / f"{stem}-{again}{suffix}"
-    return path
-
-
-def tidy(folder: Path) -> int:
-    """Remove what a crash left half written in the folder of recordings; how many. What is being written stays."""
-    removed = clear_left(folder) + clear_left_folders(folder)
-    with contextlib.suppress(OSError):
-        for left in sorted(folder.iterdir()):
-            if left.name.startswith(".") and not left.is_symlink() and (left / _MARK).is_file():
-                removed += _removed(left)
-    return removed
-
-
-def _removed(left: Path) -> bool:
-    """Remove a half-written recording unless somebody is still at it."""
-    try:
-        with (left / _MARK).open("rb") as mark:
-            if fcntl is not None:
-                fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if fcntl is None:
-            left = left.rename(left.with_name(f"{left.name}.left"))
-    except OSError:
-        return False
-    shutil.rmtree(left, ignore_errors=True)
-    return not left.exists()
-
-
-def _marked(folder: Path) -> IO[Any]:
-    """The mark of a recording that is not finished, put there locked: at no moment is it anybody else's."""
-    new = folder / f"{_MARK}.new"
-    try:
-        mark = new.open("wb")
-        if fcntl is not None:
-            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            new.rename(folder / _MARK)
-        else:
-            mark.close()
-            mark = (folder / _MARK).open("wb")
-            new.unlink()
-    except OSError as e:
-        raise DatasetError(f"{folder}: cannot be written ({e.strerror})") from None
-    return mark
-
-
-def _release(mark: IO[Any], folder: Path) -> None:
-    mark.close()
-    with contextlib.suppress(OSError):
-        (folder / _MARK).unlink()

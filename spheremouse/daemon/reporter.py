@@ -17,6 +17,7 @@ from math import floor
 import numpy as np
 
 from spheremouse import pointer
+from spheremouse.daemon.threads import begin
 from spheremouse.motion import Motion
 from spheremouse.output import Output, OutputClosed
 from spheremouse.output.null import Null
@@ -95,7 +96,7 @@ class Reporter:
         self._grid, self._period = 0.0, 1.0 / settings.rate  # s; reports follow a frame at whole periods
         self._next = np.inf  # s, when the next one is due
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
-        self._thread.start()
+        begin(self._thread)
 
     def give(
         self, motion: Motion, rate: tuple[float, float, float], taken: float, tracking: bool, wanted: bool = True

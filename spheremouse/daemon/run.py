@@ -7,15 +7,13 @@ was asked for. Nothing in it waits but for the next shot.
 import contextlib
 import os
 import resource
-import signal
 import sys
-import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,22 +21,24 @@ import numpy as np
 
 from spheremouse import __version__
 from spheremouse.daemon import realtime
-from spheremouse.daemon.archive import Archive
-from spheremouse.daemon.background import Background, Made
+from spheremouse.daemon.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.daemon.cameras import held, is_camera
 from spheremouse.daemon.capture import PATIENCE, Capture
 from spheremouse.daemon.changes import AT_START, differences, latest, stages_of, stamps_of
-from spheremouse.daemon.control import ControlServer, Reply
+from spheremouse.daemon.control import ControlServer
+from spheremouse.daemon.desk import Asked, Desk
 from spheremouse.daemon.metrics import serve as serve_metrics
 from spheremouse.daemon.notify import Notifier
 from spheremouse.daemon.places import socket_path
 from spheremouse.daemon.plan import Plan, check_kinds, read_plan, without_map
 from spheremouse.daemon.plan import Request as PlanRequest
 from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
-from spheremouse.daemon.recorder import recordings_folder, tidy
+from spheremouse.daemon.recordings import recordings_folder, tidy
+from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Newest
 from spheremouse.daemon.states import Facts, State, judge, letters, news
+from spheremouse.daemon.threads import Crew, begin
 from spheremouse.daemon.worker import Step, Worker
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ControlError, SpheremouseError
@@ -48,7 +48,7 @@ from spheremouse.rig import Rig
 from spheremouse.session import make_ready
 from spheremouse.session_map import MapKeeper
 from spheremouse.source import Camera
-from spheremouse.stopping import Stopping
+from spheremouse.stopping import Stopping, on_hang_up
 from spheremouse.timing import FrameTimes
 from spheremouse.track import Tracker, TrackState
 
@@ -60,6 +60,8 @@ _USELESS = 5.0  # s of frames that cannot be used, after which the camera is ope
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
 _LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
+# kinds of the crew's work, besides the archive's
+_READING, _TARGETS, _POSE, _MAP, _OUTPUT = "reading", "targets", "pose", "map", "output"
 
 Show = Callable[[Step], None]
 
@@ -100,19 +102,17 @@ class Daemon:
         self._stages: dict[str, dict[str, float]] = {}
         self._status_due = 0.0
         self._scheduling = "usual scheduling"
-        self._loading: threading.Thread | None = None
         self._files: dict[Path, int] = {}
-        self._background = Background()
-        self._archive = Archive(self._background, self._ask, self.say)
+        self._ring = Newest()
+        self._desk = Desk(self._ring.wake)
+        self._crew = Crew((_READING, _TARGETS, _POSE, _MAP, _OUTPUT, RECORDING, SNAPSHOT), self.say)
+        self._archive = Archive(self._crew, self._ask, self.say)
         self._ball: TrackState | None = None  # after the last frame
         self._server: ControlServer | None = None
-        self._later: deque[Callable[[], None]] = deque()  # `set` and `reload` that wait for another to be done
         self._listen_at = 0.0  # s, when the socket is tried for again
         self._notifier = Notifier()
         self._keeper = self._new_keeper(plan, self._rig)
-        self._looking = ThreadPoolExecutor(1, "targets")
         self._worker = self._new_worker()
-        self._ring = Newest()
         self._capture = Capture(open_camera, self._ring, self.say)
         self._cured = self._began
         self._past: tuple[int, Counts] = (0, (0, 0, 0))  # reports and unsent counts of outputs before this one
@@ -122,7 +122,8 @@ class Daemon:
     def run(self, stopping: Stopping) -> None:
         """Until it is asked to stop, or a recording ends."""
         try:
-            with self._on_hang_up():
+            with on_hang_up(self._reload):  # as other services do
+                self._crew.begin()
                 self._open_doors()
                 if self._get_ready(stopping):
                     self._loop(stopping)
@@ -174,6 +175,8 @@ class Daemon:
     def _act_on_all(self) -> None:
         while self._todo:
             self._act(self._todo.popleft())
+        while (asked := self._desk.take()) is not None:
+            self._act(partial(self._do, asked, partial(self._answer, asked)))
 
     def _act(self, action: Callable[[], None]) -> None:
         """Something that was asked for. No error of it ends the run."""
@@ -192,7 +195,7 @@ class Daemon:
         self._given_out = plus(self._given_out, epoch.motion.counts)
         if self._keeper is not None:
             self._keeper.keep(epoch.state)
-        self._archive.keep(made, self._worker.tracker, self._plan.configuration.record.everything)
+        self._archive.keep(made, self._worker.tracker)
         self._ball = epoch.state
         self._show(made)
         if self._limit is not None and self._worker.frames >= self._limit:
@@ -262,8 +265,10 @@ class Daemon:
         if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
             self._cured = now
             self._capture.again()
-        if self._files != stamps_of(self._request, self._plan) and self._loading is None:
-            self._load(replace(self._request, changes=()), lambda _: None, quiet=True)
+        if self._files != stamps_of(self._request, self._plan):
+            changed = Asked(Request(command="reload"), Reply(), quiet=True)
+            if self._desk.begin(changed):
+                self._do(changed, partial(self._answer, changed))
         self._archive.tend()
 
     # ---- beginning and end ----
@@ -310,7 +315,7 @@ class Daemon:
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
         with held(self._plan):  # whoever comes second hears so now
-            ready = Made(lambda: make_ready(self._plan.configuration))
+            ready = self._crew.make(_READING, lambda: make_ready(self._plan.configuration))
             while not ready.wait(_TICK):
                 self._act_on_all()
                 if stopping.asked or self._over:
@@ -321,7 +326,7 @@ class Daemon:
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.Quiet()))
         self._claim(self._reporter.native_id)
-        self._capture.start()
+        begin(self._capture)
         self._claim(self._capture.native_id)
         self._last = time.monotonic()
         return True
@@ -336,27 +341,14 @@ class Daemon:
             last.callback(self._stack.close)
             if self._keeper is not None:
                 last.callback(self._keeper.__exit__, None, None, None)
-            last.callback(self._background.join)
-            last.callback(self._looking.shutdown, wait=False, cancel_futures=True)
+            last.callback(self._archive.discard)
+            last.callback(self._crew.end, RECORDING, SNAPSHOT, _MAP, _OUTPUT)  # what is read is of no use any more
             last.callback(self._archive.close)
             last.callback(self._reporter.close)
             last.callback(self._capture.close)
 
-    @contextlib.contextmanager
-    def _on_hang_up(self) -> Iterator[None]:
-        """SIGHUP reads the configuration anew, as it does for other services."""
-        if not hasattr(signal, "SIGHUP") or threading.current_thread() is not threading.main_thread():
-            yield
-            return
-
-        def reload(_number: int, _frame: Any) -> None:
-            self._ask(lambda: self._do(Request(command="reload"), lambda _: None))
-
-        before = signal.signal(signal.SIGHUP, reload)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGHUP, before)
+    def _reload(self) -> None:
+        self._ask(lambda: self._desk.put(Asked(Request(command="reload"), Reply())))
 
     def say(self, text: str) -> None:
         """A line for the log and for whoever watches, from any thread."""
@@ -377,25 +369,24 @@ class Daemon:
         elif self._starting and request.command not in ("pause", "resume"):
             reply(refused(f"{self._state}: {self._starting}"))
         else:
-            self._ask(lambda: self._do(request, reply))
+            self._desk.put(Asked(request, reply))
 
     def _ask(self, action: Callable[[], None]) -> None:
         self._todo.append(action)
         self._ring.wake()
 
-    def _do(self, request: Request, reply: Reply) -> None:
-        if self._loading is not None and request.command in ("set", "reload"):
-            self._later.append(lambda: self._do(request, reply))
-            return
+    def _do(self, asked: Asked, action: Callable[[], None]) -> None:
+        """On the way to an answer: whatever goes wrong is one, or nothing of that kind would ever be begun again."""
         try:
-            self._answer(request, reply)
+            action()
         except (SpheremouseError, OSError) as e:
-            reply(refused(str(e)))
+            asked(refused(str(e)))
         except Exception as e:
-            reply(refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"))
+            asked(refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"))
             raise
 
-    def _answer(self, request: Request, reply: Reply) -> None:
+    def _answer(self, asked: Asked) -> None:
+        request = asked.request
         if isinstance(request, Set):
             sections = {a.partition("=")[0].partition(".")[0].strip() for a in request.assignments}
             if not sections.isdisjoint(AT_START):
@@ -403,40 +394,47 @@ class Daemon:
                     f"{', '.join(sorted(sections & set(AT_START)))}: read at the start only; write it into the "
                     "configuration file and start again"
                 )
-            self._load(replace(self._request, changes=latest((*self._request.changes, *request.assignments))), reply)
+            self._load(replace(self._request, changes=latest((*self._request.changes, *request.assignments))), asked)
         elif isinstance(request, Record):
-            self._record(request, reply)
+            self._record(request, asked)
         elif isinstance(request, Snapshot):
             if self._worker.tracker is None or self._state is State.NO_CAMERA:
                 raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
-            self._archive.want_snapshot(request, self._plan.configuration, reply)
+            self._archive.want_snapshot(request, self._plan.configuration, asked)
         elif request.command == "reload":
-            self._load(replace(self._request, changes=()), reply)
+            self._load(replace(self._request, changes=()), asked)
         elif request.command == "reinit":
-            if self._state is State.NO_CAMERA:
-                raise ControlError(f"no frame to find the targets in: {self._reason}")
-            self._worker.reinitialise(lambda error, text: self._told_pose(reply, error, text))
+            self._estimate(asked)
         else:
             self._pause(request.command == "pause")
-            reply({"state": str(self._state)})
+            asked({"state": str(self._state)})
 
-    def _record(self, request: Record, reply: Reply) -> None:
+    def _record(self, request: Record, asked: Asked) -> None:
         tracker = self._worker.tracker
         if request.stop:
-            self._archive.stop(reply)
+            self._archive.stop(asked)
         elif tracker is None:
             raise ControlError(f"nothing to record before the camera's pose is known: {self._reason}")
         else:
             described = self._capture.description
-            self._archive.record(request, self._plan.configuration, self._rig, tracker.pose, described, reply)
+            self._archive.record(request, self._plan.configuration, self._rig, tracker.pose, described, asked)
 
-    def _told_pose(self, reply: Reply, error: str | None, text: str) -> None:
+    def _estimate(self, asked: Asked) -> None:
+        """The camera's pose anew, by the crew: what was begun is given up when who asked has hung up."""
+        if self._state is State.NO_CAMERA:
+            raise ControlError(f"no frame to find the targets in: {self._reason}")
+        if self._crew.busy(_POSE):
+            raise ControlError("the camera's pose is being estimated already, for one who has hung up; ask again")
+        do = partial(self._crew.do, _POSE)
+        self._worker.reinitialise(partial(self._told_pose, asked), do, lambda: not asked.gone)
+
+    def _told_pose(self, asked: Asked, error: str | None, text: str) -> None:
         if error is None:
             self.say(text)
-            reply({"message": text})
+            asked({"message": text})
         else:
             self.say(f"camera pose: {error}")
-            reply(refused(error))
+            asked(refused(error))
 
     def _pause(self, paused: bool) -> None:
         self._paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
@@ -446,8 +444,8 @@ class Daemon:
         if not paused:
             self._reporter.pause(False)
 
-    def _load(self, wanted: PlanRequest, reply: Reply, quiet: bool = False) -> None:
-        """Read all anew in a thread of its own, then apply it between two frames; nothing changes if it is wrong."""
+    def _load(self, wanted: PlanRequest, asked: Asked) -> None:
+        """Read all anew, by the crew, then apply it between two frames; nothing changes if it is wrong."""
         before = self._plan
 
         def read() -> None:
@@ -462,28 +460,23 @@ class Daemon:
             except Exception as e:
                 error = f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
             else:
-                self._ask(lambda: self._apply(wanted, plan, files, reply, quiet))
+                self._ask(lambda: self._do(asked, lambda: self._apply(wanted, plan, files, asked)))
                 return
-            self._ask(lambda: self._not_applied(error, files, reply))
+            self._ask(lambda: self._do(asked, lambda: self._not_applied(error, files, asked)))
 
-        self._loading = threading.Thread(target=read, name="reload", daemon=True)
-        self._loading.start()
+        self._crew.do(_READING, read)
 
-    def _go_on_loading(self) -> None:
-        """What was asked while the configuration was being read."""
-        if self._later:
-            self._ask(self._later.popleft())
-
-    def _not_applied(self, error: str, files: dict[Path, int], reply: Reply) -> None:
-        self._loading, self._files = None, files
-        self._go_on_loading()
+    def _not_applied(self, error: str, files: dict[Path, int], asked: Asked) -> None:
+        self._files = files
         self.say(f"configuration not applied: {error}")
-        reply(refused(error))
+        asked(refused(error))
 
-    def _apply(self, wanted: PlanRequest, plan: Plan, files: dict[Path, int], reply: Reply, quiet: bool) -> None:
+    def _apply(self, wanted: PlanRequest, plan: Plan, files: dict[Path, int], asked: Asked) -> None:
         """Another plan from here on; what cannot be changed under way is said."""
-        before, self._loading = self._plan, None
-        self._go_on_loading()
+        if asked.gone:
+            asked(refused("given up: who asked has hung up"))
+            return
+        before = self._plan
         own_rig = self._given is not None and not is_camera(plan.source)
         if own_rig and wanted.map is None and plan.configuration.map is None:
             plan = without_map(plan)
@@ -494,10 +487,18 @@ class Daemon:
                 Worker(rig, plan.configuration, None, lambda _: None)
             if "rig" in changed or "map" in changed:
                 self._new_keeper(plan, rig, lambda _: None)
-            if "tracker" in changed and "rig" not in changed:
+            tuned = "tracker" in changed and "rig" not in changed
+            if tuned:
                 self._worker.retune(plan.configuration)
+            if "output" in changed:
+                try:
+                    self._change_output(plan)
+                except ControlError:  # no thread for it: then none of it
+                    if tuned:
+                        self._worker.retune(before.configuration)
+                    raise
         except SpheremouseError as e:
-            self._not_applied(str(e), files, reply)
+            self._not_applied(str(e), files, asked)
             return
         # Nothing from here on is refused.
         if not {"tracker", "rig"}.isdisjoint(changed):
@@ -512,17 +513,15 @@ class Daemon:
             self._change_worker()
         if "source" in changed:
             self._capture.reopen(self._reopen(plan))
-        if "output" in changed:
-            self._change_output()
-        elif "pointer" in changed:
+        if "pointer" in changed and "output" not in changed:
             self._reporter.change(plan.configuration.pointer)
         text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
         later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
-        if changed or not quiet:
+        if changed or not asked.quiet:
             self.say(text)
-        reply({"changed": changed, "message": text})
+        asked({"changed": changed, "message": text})
 
     def _change_keeper(self) -> None:
         """What was learnt is saved before the map is read: it may be the same file."""
@@ -540,9 +539,9 @@ class Daemon:
         self._worker = self._new_worker()
         self._worker.carry_on(before)
 
-    def _change_output(self) -> None:
+    def _change_output(self, plan: Plan) -> None:
         """The next output is opened when the one before is closed: they may be the same device."""
-        plan, old, given = self._plan, self._reporter, self._given_out
+        old, given = self._reporter, self._given_out
         waiting = [old]
 
         def open_next() -> Output:
@@ -555,11 +554,11 @@ class Daemon:
             old.close()
             self._ask(lambda: self._count_past(old, given))
 
-        self._given_out = (0, 0, 0)
         self._reporter = Reporter(open_next, plan.configuration.pointer, self.say)
+        self._given_out = (0, 0, 0)
         self._claim(self._reporter.native_id)
         self._reporter.pause(bool(self._paused))
-        self._background.begin(retire)
+        self._crew.do(_OUTPUT, retire)
 
     def _count_past(self, old: Reporter, given: Counts) -> None:
         """What an output was given and did not send, in its queue when it was closed or before."""
@@ -632,10 +631,12 @@ class Daemon:
     # ---- parts ----
 
     def _new_keeper(self, plan: Plan, rig: Rig, say: Callable[[str], None] | None = None) -> MapKeeper | None:
-        return None if plan.map_path is None else MapKeeper(plan.map_path, rig, say or self.say)
+        if plan.map_path is None:
+            return None
+        return MapKeeper(plan.map_path, rig, say or self.say, elsewhere=partial(self._crew.do, _MAP))
 
     def _new_worker(self) -> Worker:
-        return Worker(self._rig, self._plan.configuration, self._known(), self.say, self._looking.submit)
+        return Worker(self._rig, self._plan.configuration, self._known(), self.say, partial(self._crew.do, _TARGETS))
 
     def _known(self) -> DiscMap | None:
         return None if self._keeper is None else self._keeper.known

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from spheremouse.daemon.privacy import kept, masked
+from spheremouse.daemon.recordings import FILE
 from spheremouse.errors import OutputError
 from spheremouse.overlay import Overlay, target_marks, write_picture
 from spheremouse.session import Epoch
@@ -26,5 +27,5 @@ def snapshot(
     enlarge = max(1, round(1280 / tracker.rig.camera.width))
     overlay = Overlay(tracker, target_marks(tracker.rig, tracker.pose, None), enlarge)
     overlay.remember(shown.state)
-    write_picture(path, overlay.draw(shown, counts))
+    write_picture(path, overlay.draw(shown, counts), FILE)
     return path

@@ -9,11 +9,13 @@ import traceback
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from spheremouse.camera import Pose
 from spheremouse.daemon.looking import Elsewhere, FirstPose, Seeker, at_once
 from spheremouse.daemon.owned import Owned
 from spheremouse.daemon.ring import Arrival
+from spheremouse.daemon.threads import Work
 from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
@@ -160,8 +162,16 @@ class Worker:
         self.settings = settings
         self._forget_views()
 
-    def reinitialise(self, answer: Callable[[str | None, str], None]) -> None:
-        """Estimate the camera's pose anew while the ball is tracked on by the one before; `answer` (error, text)."""
+    def reinitialise(
+        self,
+        answer: Callable[[str | None, str], None],
+        elsewhere: Callable[[Work], None],
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Estimate the camera's pose anew while the ball is tracked on by the one before; `answer` (error, text).
+
+        `elsewhere` has another thread do it, and call what that returns; it is given up when not `wanted` any more.
+        """
         if self._tracker is None:
             answer(None, f"the pose is being looked for: {self.targets}")
         elif len(self.rig.targets.codes) < 3:
@@ -169,7 +179,7 @@ class Worker:
         elif self._anew is not None:
             answer("the camera's pose is being estimated already; wait for its end", "")
         else:
-            self._anew = _Reinitialisation(self.rig, self.settings, answer)
+            self._anew = _Reinitialisation(self.rig, self.settings, answer, elsewhere, wanted)
 
     # ---- within ----
 
@@ -270,26 +280,37 @@ def _in_a_line(found: Resection, rig: Rig) -> str:
 class _Reinitialisation:
     """Views for a pose, looked at in a thread of its own while the ball is tracked on."""
 
-    def __init__(self, rig: Rig, settings: Settings, answer: Callable[[str | None, str], None]) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        settings: Settings,
+        answer: Callable[[str | None, str], None],
+        elsewhere: Callable[[Work], None],
+        wanted: Callable[[], bool],
+    ) -> None:
         self._rig, self._settings, self._answer = rig, settings, answer
+        self._elsewhere, self._wanted = elsewhere, wanted
         self.over = False  # without a pose
         self._answering = threading.Lock()
         self._frames: list[Frame] = []
-        self._thread: threading.Thread | None = None
+        self._looking = False
         self._found: Resection | None = None
 
     @property
     def hungry(self) -> bool:
         """Does it want another view, in colour?"""
-        return self._thread is None
+        return not self._looking
 
     def look(self, frame: Frame) -> Resection | None:
         """One view more, or what came of them."""
-        if self._thread is None:
+        if not self._wanted():
+            self.give_up("given up: who asked has hung up; the pose before stays")
+            return None
+        if not self._looking:
             self._frames.append(replace(frame, image=frame.image.copy()))
             if len(self._frames) == self._settings.pose.frames:
-                self._thread = threading.Thread(target=self._estimate, name="pose", daemon=True)
-                self._thread.start()
+                self._looking = True
+                self._elsewhere(self._estimate)
         return self._found
 
     def answer(self, error: str | None, text: str) -> None:
@@ -302,15 +323,16 @@ class _Reinitialisation:
         self.over = True
         self.answer(error, "")
 
-    def _estimate(self) -> None:
+    def _estimate(self) -> Callable[[], None]:
+        """Look at the views; what becomes of it, which is to be called when this is done."""
         try:
             if any(f.image.ndim != 3 for f in self._frames):
                 raise PoseError("the frames are grey: the ring targets need colour")
             seen = [detect_targets(f.image, self._rig.targets.radii, self._settings.rings) for f in self._frames]
             found = find_pose(seen, self._rig, self._frames[0].image, self._settings.pose)
         except SpheremouseError as e:
-            self.give_up(f"{e}; the pose before stays")
+            return partial(self.give_up, f"{e}; the pose before stays")
         except Exception as e:
-            self.give_up(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); the pose before stays")
-        else:
-            self._found = found
+            what = f"internal error ({type(e).__name__}: {' '.join(str(e).split())})"
+            return partial(self.give_up, f"{what}; the pose before stays")
+        return partial(setattr, self, "_found", found)

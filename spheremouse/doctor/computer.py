@@ -8,7 +8,7 @@ from typing import Any
 
 from spheremouse.daemon.realtime import PRIORITY
 from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recorder import recordings_folder
+from spheremouse.daemon.recordings import recordings_folder
 from spheremouse.doctor.finding import Finding, ok, unchecked, warning
 
 _MEMORY = 400.0  # MB: the daemon's 200, and as much for the compiler at its first start

@@ -1,0 +1,117 @@
+"""Where recordings and snapshots are: their folder, their names, who may read them, and how full the disk may be.
+
+They show people, perhaps: owner and group may read them, and nobody else. A recording that is not finished has a hidden
+name and a mark, by which what a crash left is told from what somebody is writing.
+"""
+
+import contextlib
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import IO, Any
+
+from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.errors import DatasetError, SpheremouseError
+from spheremouse.files.atomic import clear_left
+from spheremouse.folders import clear_left_folders
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+FOLDER, FILE = 0o750, 0o640  # modes
+_MARK = ".recording"  # a file in the folder of a recording that is not finished; locked while somebody writes it
+
+
+def recordings_folder(settings: RecordSettings) -> Path:
+    """Where recordings go: as configured, else recordings/ in the service's or the user's state directory."""
+    if settings.folder is not None:
+        return Path(settings.folder).expanduser().absolute()
+    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if given:
+        return Path(given) / "recordings"
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path.home() / ".local" / "state") / "spheremouse" / "recordings"
+
+
+def next_name(folder: Path, now: time.struct_time | None = None, suffix: str = "") -> Path:
+    """A name in the folder that is not taken: date and time; `suffix` for a picture."""
+    stem = time.strftime("%Y-%m-%d-%H%M%S", time.localtime() if now is None else now)
+    path, again = folder / f"{stem}{suffix}", 1
+    while path.exists():
+        again += 1
+        path = folder / f"{stem}-{again}{suffix}"
+    return path
+
+
+def tidy(folder: Path) -> int:
+    """Remove what a crash left half written in the folder of recordings; how many. What is being written stays."""
+    removed = clear_left(folder) + clear_left_folders(folder)
+    with contextlib.suppress(OSError):
+        for left in sorted(folder.iterdir()):
+            if left.name.startswith(".") and not left.is_symlink() and (left / _MARK).is_file():
+                removed += _removed(left)
+    return removed
+
+
+def _removed(left: Path) -> bool:
+    """Remove a half-written recording unless somebody is still at it."""
+    try:
+        with (left / _MARK).open("rb") as mark:
+            if fcntl is not None:
+                fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if fcntl is None:
+            left = left.rename(left.with_name(f"{left.name}.left"))
+    except OSError:
+        return False
+    shutil.rmtree(left, ignore_errors=True)
+    return not left.exists()
+
+
+def marked(folder: Path) -> IO[Any]:
+    """The mark of a recording that is not finished, put there locked: at no moment is it anybody else's."""
+    new = folder / f"{_MARK}.new"
+    try:
+        mark = new.open("wb")
+        if fcntl is not None:
+            fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            new.rename(folder / _MARK)
+        else:
+            mark.close()
+            mark = (folder / _MARK).open("wb")
+            new.unlink()
+    except OSError as e:
+        raise DatasetError(f"{folder}: cannot be written ({e.strerror})") from None
+    return mark
+
+
+def release(mark: IO[Any], folder: Path) -> None:
+    mark.close()
+    with contextlib.suppress(OSError):
+        (folder / _MARK).unlink()
+
+
+def made_folder(folder: Path, error: type[SpheremouseError]) -> None:
+    """Make it and those above where they are missing, whatever the umask; `error` where that cannot be."""
+    try:
+        for missing in [p for p in (*reversed(folder.parents), folder) if not p.exists()]:
+            missing.mkdir(FOLDER, exist_ok=True)
+            missing.chmod(FOLDER)
+    except OSError as e:
+        raise error(f"{folder}: cannot be made ({e.strerror or e})") from None
+
+
+def disk_is_full(folder: Path, settings: RecordSettings, least: float = 0.0) -> bool:
+    """Is no more free than must stay, or than `least` bytes? A full disk takes no more, whatever is asked for."""
+    return shutil.disk_usage(folder).free < max(1e6 * settings.free_megabytes, least)
+
+
+def refuse_full_disk(path: Path, settings: RecordSettings, least: float = 0.0) -> None:
+    """DatasetError where there is no room for `path`, whose folder is there."""
+    if disk_is_full(path.parent, settings, least):
+        raise DatasetError(
+            f"{path}: less than {settings.free_megabytes:g} MB are free (record.free_megabytes): "
+            "remove recordings that are not needed"
+        )
