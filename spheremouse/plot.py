@@ -4,6 +4,7 @@ Needs matplotlib, which is loaded when something is drawn.
 """
 
 import importlib
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.metrics import attitude_error
+from spheremouse.files.atomic import write
 from spheremouse.rotation import Array, log
 
 if TYPE_CHECKING:
@@ -103,8 +105,12 @@ def plot_run(
             _draw_errors(column[1:], t, np.rad2deg(error) + gap, np.rad2deg(claimed) + gap, unit)
             column[-1].set_xlabel("time, s")
         figure.align_ylabels(axes)
+        path = Path(path)
+        path = path if path.suffix else path.with_name(f"{path.name}.png")  # as matplotlib does
+        drawn = BytesIO()
         try:
-            figure.savefig(path)
+            figure.savefig(drawn, format=path.suffix[1:])
+            write(path, drawn.getvalue())
         except (OSError, ValueError) as e:
             raise ConfigurationError(f"{path}: cannot be written: {e}") from None
 
