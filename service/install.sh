@@ -102,8 +102,8 @@ system_packages() {
         "${missing[@]}" >/dev/null || fail "apt-get could not install ${missing[*]}"
 }
 
-# roots_own FOLDER: whoever may write it, or a folder above it, decides in the end what root runs from there. It need not be
-# there yet. /usr/local is of the group staff on older systems, whose members are as good as root.
+# roots_own FOLDER: whoever may write it, or a folder above it, decides in the end what root runs from there. It may not
+# be there yet. /usr/local is of the group staff on older systems, whose members are as good as root.
 roots_own() {
     [ "$(id -u)" = 0 ] || return 0
     local path mode owner group writes=022
@@ -112,7 +112,8 @@ roots_own() {
             if [ -e "$path" ]; then
                 read -r mode owner group < <(stat -Lc '%a %u %G' "$path")
                 [[ $group != @(root|staff) ]] || writes=$((writes & 002))
-                [ "$owner" = 0 ] && (((0$mode & writes) == 0)) || fail "$1: others than root may change what is in $path;" \
+                [ "$owner" = 0 ] && (((0$mode & writes) == 0)) ||
+                    fail "$1: others than root may change what is in $path;" \
                     "take a folder that is root's alone, or install without sudo and with --no-service"
                 [ -z "$service" ] || ((0$mode & 1)) || fail "$path: the service's user may not enter it; chmod 755 $path"
             fi
@@ -189,7 +190,7 @@ back_to() { # back_to NAME
 
 # ---- packages ----
 
-# as_owner PATH COMMAND...: with the rights of whoever owns a path, so that root reads and writes nothing in others' folders
+# as_owner PATH COMMAND...: with the rights of whoever owns a path; root reads and writes nothing in others' folders
 as_owner() {
     local uid gid groups=--init-groups
     read -r uid gid < <(stat -Lc '%u %g' "$1")
@@ -241,8 +242,8 @@ run() {
 }
 text_of() { [ -f "$1" ] && as_owner "$1" cat "$1"; }
 
-# Fill $work/wheels with the program and all it may need: wheels that the release's lock names, or that are made here from
-# the source that it names.
+# Fill $work/wheels with the program and all it may need: wheels that the release's lock names, or that are made here
+# from the source that it names.
 fetch() {
     local what lock one pip name_ok='^[A-Za-z0-9][A-Za-z0-9._+-]*[.]whl$'
     what=$(source_of)
@@ -264,8 +265,10 @@ fetch() {
     pip=("$room/venv/bin/python" -m pip -q --disable-pip-version-check)
     say "fetching what requirements.lock names"
     run "what $what/service/requirements.lock names is not to be had" \
-        "${pip[@]}" download --no-deps --require-hashes --only-binary :all: -d "$work/wheels" -r "$work/requirements.lock"
-    run "requirements.lock lacks what builds" "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" pip hatchling setuptools
+        "${pip[@]}" download --no-deps --require-hashes --only-binary :all: -d "$work/wheels" \
+        -r "$work/requirements.lock"
+    run "requirements.lock lacks what builds" \
+        "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" pip hatchling setuptools
     say "building what comes as source"
     pip+=(wheel --no-deps --no-build-isolation -w wheels)
     run "what $what/service/sources.lock names is not to be had" \

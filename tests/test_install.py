@@ -227,7 +227,7 @@ def shared():
 def release(shared):
     """A checkout that builds itself, beside an index with what its locks name."""
     checkout, index, source = shared / "checkout", shared / "index", shared / "evdev-1.0"
-    project(checkout, "service", "spheremouse", needs="Requires-Dist: evdev>=1\\n")
+    project(checkout, "service", "spheremouse", needs="Requires-Dist: evdev>=1\n")
     project(source, ".".join("ab"), "evdev")
     index.mkdir()
     (source / "PKG-INFO").write_text("Metadata-Version: 2.1\nName: evdev\nVersion: 1.0\n")
