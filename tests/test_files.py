@@ -12,9 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from oversized import mkv, png, sparse
 
 from spheremouse import validate, yaml_file
 from spheremouse.calibrate.photos import read_photos
+from spheremouse.camera_options import parse_size
 from spheremouse.cli_wand import _image
 from spheremouse.daemon import protocol
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
@@ -24,7 +26,6 @@ from spheremouse.recording import open_dataset
 from spheremouse.rig_file import load_camera
 from spheremouse.source import open_source
 from spheremouse.wand_recording import is_wand
-from tests.fuzz.sizes import mkv, png, sparse
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
@@ -129,6 +130,13 @@ def test_header_and_decoder_agree_on_the_size(name):
     data = cv2.imencode(Path(name).suffix, np.arange(7 * 5 * 3, dtype=np.uint8).reshape(7, 5, 3))[1].tobytes()
     assert pictures.read_header(data, 35, to_the_end=True).size == (5, 7)
     assert pictures.decoded(data).shape == (7, 5, 3)
+
+
+@pytest.mark.parametrize("text", ["8192x8192", "9" * 5000 + "x64"])
+def test_nothing_is_simulated_that_could_not_be_read(text):
+    assert parse_size("8192x4320", 64, "640x480") == (8192, 4320)
+    with pytest.raises(ConfigurationError, match="--size"):
+        parse_size(text, 64, "640x480")
 
 
 # ---- tables ----
