@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse.daemon.desk import MOST, SHARE, Asked, Desk
+from spheremouse.daemon.desk import CALM, MOST, SHARE, Asked, Desk
 from spheremouse.daemon.protocol import Record, Request, Set, Snapshot
 from spheremouse.daemon.reply import Reply
 
@@ -143,6 +143,30 @@ def test_members_have_their_share_of_the_time_and_the_owner_all_of_it(desk, cloc
     assert desk.take() is None
     mine = owner.ask(SET)
     assert desk.take() is mine
+
+
+def test_what_the_owner_gives_up_rests_as_well_but_not_for_long(desk, clock):
+    owner, worked, end = Client(desk), 0.0, 100.0
+    while clock.now < end:
+        owner.ask(SNAPSHOT)
+        if (taken := desk.take()) is not None:
+            clock.now += 0.1
+            worked += 0.1
+            owner.hang_up()
+            taken({})
+        clock.now += 0.01
+        owner.hang_up()
+    assert worked / end == pytest.approx(SHARE, abs=0.01)
+    Client(desk).ask(REINIT)
+    taken = desk.take()
+    clock.now += 50.0
+    for reply in taken._replies:
+        reply.gone = True
+    taken({})
+    again = Client(desk).ask(REINIT)
+    assert desk.take() is None
+    clock.now += CALM
+    assert desk.take() is again
 
 
 steps = st.lists(

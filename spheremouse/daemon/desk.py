@@ -15,6 +15,7 @@ from spheremouse.daemon.reply import Reply
 
 MOST = 8  # that wait, of members, and as many of the owner's: clients wait one each
 SHARE = 0.1  # of the time that a kind of work may go on for members: a reading of files costs the worker turns
+CALM = 2.0  # s that the owner waits at most after what was given up, lest a script that is cut off does it all day
 
 _LOAD, _STOP = "load", "record --stop"
 _ALREADY = {
@@ -64,7 +65,7 @@ class Desk:
         self._lock = threading.Lock()
         self._waiting: list[Asked] = []
         self._under_way: dict[str, tuple[Asked, float]] = {}  # kind -> and since when, s
-        self._rests: dict[str, float] = {}  # kind -> s, until when members wait for it
+        self._rests: dict[tuple[str, bool], float] = {}  # kind, of the owner? -> s, until when they wait for it
 
     def put(self, asked: Asked) -> None:
         """It waits for its turn, or is answered that it is refused. From any thread."""
@@ -86,7 +87,7 @@ class Desk:
             now = self._clock()
             self._waiting = [a for a in self._waiting if not a.gone]
             for asked in sorted(self._waiting, key=lambda a: not a.trusted):
-                if asked.kind not in self._under_way and (asked.trusted or now >= self._rests.get(asked.kind, now)):
+                if asked.kind not in self._under_way and now >= self._rests.get((asked.kind, asked.trusted), now):
                     break
             else:
                 return None
@@ -117,8 +118,9 @@ class Desk:
                 return
             del self._under_way[asked.kind]
             now = self._clock()
-            if not asked.trusted:
-                self._rests[asked.kind] = now + (now - since) * (1.0 / SHARE - 1.0)
+            if asked.gone or not asked.trusted:
+                rest = (now - since) * (1.0 / SHARE - 1.0)
+                self._rests[asked.kind, asked.trusted] = now + (min(rest, CALM) if asked.trusted else rest)
         self._wake()
 
     def _refusal(self, asked: Asked) -> str:
@@ -129,7 +131,7 @@ class Desk:
                 same.append(self._under_way[asked.kind][0])
             if any(a.trusted or not asked.trusted for a in same):
                 return f"{_ALREADY[asked.kind]}; ask again when it is done"
-            left = self._rests.get(asked.kind, 0.0) - self._clock()
+            left = self._rests.get((asked.kind, False), 0.0) - self._clock()
             if not asked.trusted and left > 0.0:
                 return f"{asked.request.command}: there was one just now; ask again in {ceil(left)} s"
         if sum(a.trusted == asked.trusted for a in self._waiting) >= MOST:
