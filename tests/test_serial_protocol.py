@@ -368,7 +368,7 @@ def test_a_board_that_is_reset_doubles_nothing_and_what_may_be_lost_is_told(seed
     short = np.array(w.short) - w.link.dropped
     assert (short >= 0).all()
     assert (short <= w.link.uncertain).all()
-    assert (np.array(w.link.uncertain) <= host.STEP * len(times)).all()
+    assert (np.array(w.link.uncertain) <= host.STEP // 2 * len(times)).all()
 
 
 def test_after_a_long_break_what_piled_up_is_dropped_and_told():
