@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-
 from serial_world import Board, Wire, World
+
 
 
 @dataclass(frozen=True)
