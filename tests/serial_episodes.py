@@ -11,7 +11,6 @@ import numpy as np
 from serial_world import Board, Wire, World
 
 
-
 @dataclass(frozen=True)
 class Kind:
     """What may happen in an episode."""
