@@ -277,7 +277,7 @@ def test_a_board_comes_back_whatever_goes_wrong_meanwhile(board, monkeypatch):
 
         output, said = returning(board, finding)
         with output:
-            until(lambda: any("is back" in s for s in said))
+            until(lambda: any(s.endswith(f"{second.port} is back") for s in said))
             output.send(motion(4))
             until(lambda: second.moved[0] == 4)
         assert not fails

@@ -341,7 +341,7 @@ def test_nothing_is_lost_and_nothing_doubled(seed, damage, lose, twice, story):
         w.down.cut = what in ("cut", "half")
         w.board.usb = what != "sleep"
         if what == "reopen":
-            w.link.closed()
+            w.link.closed(w.now)
             w._first = w.link.opened(w.now)
         for _ in range(ms):
             noise = rng.bytes(30) if what == "noise" else b"\xaa" * 200 if what == "flood" else b""

@@ -27,7 +27,9 @@ _KEEP = 0.02  # s between two MOTIONs: five chances before the device goes silen
 _REPEAT = 0.05  # s between two HELLOs
 _PATIENCE = 0.2  # s without an answer: twice the silence, after which the device has ended the session anyway
 _HANGS = 1.0  # s without a motion from the tracker: slower than any camera
-_BREAK = 1.0  # s after which counts are too late to be wanted
+# s in which nothing gets through, after which counts are too late to be wanted and the output counts as failed: without
+# an answer a session is begun anew after 0.2 s, and in 0.5 s there are ten HELLOs, each answered within milliseconds.
+BREAK = 0.5
 _AHEAD = 8  # frames unanswered: 13 ms of a line at 115200 baud
 _INSIST = 3 * 19 * 10  # bits: with more unanswered, a third of the line
 _FLYING = 64  # frames under way that are told apart
@@ -206,6 +208,7 @@ class Link:
         self.ack: Ack | None = None
         self.foreign: int | None = None  # version of a device that speaks another one
         self.running = False
+        self.broken: float | None = None  # s, since when nothing gets through; None: it does, for all that is known
         self.heard = -np.inf  # s, last answer
         self.sessions = self.motions = self.acks = 0
         self.breaks = 0  # sessions that did not end by this end's own silence or word
@@ -213,6 +216,7 @@ class Link:
         self._draw = session
         self._frames = Splitter()
         self._asked = 0  # session; 0: none, there is no port
+        self._ended_at = np.inf  # s, when the last session did
         self._drawn: deque[int] = deque(maxlen=_REMEMBERED)  # sessions, the last one asked for
         self._hello_at = 0.0
         self._mine: Identity | None = None
@@ -259,10 +263,11 @@ class Link:
         self._begin(now)
         return b"\0"
 
-    def closed(self) -> None:
+    def closed(self, now: float) -> None:
         """The port is gone."""
         self.breaks += self.running
-        self.running, self._asked = False, 0
+        self._ended(now)
+        self._asked = 0
 
     def receive(self, data: bytes, now: float) -> None:
         """What came in."""
@@ -370,10 +375,15 @@ class Link:
             del self._flying[next(iter(self._flying))]
         return number
 
+    def _ended(self, now: float) -> None:
+        if self.running:
+            self.running, self._ended_at = False, now
+            self.broken = now if self.broken is None else self.broken
+
     def _begin(self, now: float) -> None:
         """Ask for a new session; the number stays the same until it is answered."""
         if self.running or not self._asked:
-            self.running = False
+            self._ended(now)
             self._asked = self._draw()
             self._drawn.append(self._asked)
         self._hello_at = now
@@ -393,7 +403,7 @@ class Link:
                 self._acked = [0] * 4
                 self._confirm(found.counters)
         self._mine = self.identity = found
-        if now - self._since > _BREAK:
+        if self._too_late(now):
             self._drop(self.confirmed)
         if before != self.confirmed:
             self._since = now
@@ -423,6 +433,10 @@ class Link:
             return
         self.ack = self._heard_of = ack
         self.acks += 1
+        if ack.flags & Flags.RUNNING and ack.flags & Flags.USB_READY:
+            self.broken = None
+        elif self.broken is None:
+            self.broken = now
         if not ack.flags & Flags.RUNNING:
             self.breaks += 1
             self._begin(now)
@@ -459,8 +473,13 @@ class Link:
         self.notices.append(f"the board was {why}" + (f"; {_several(far)} uncertain" if any(far) else ""))
 
     def _expire(self, now: float) -> None:
-        if not self.settled and now - self._since > _BREAK:
+        if not self.settled and self._too_late(now):
             self._drop(self.sent)
+            if self.running and self.sent != self.confirmed:
+                self._begin(now)  # so that the device drops it as well
+
+    def _too_late(self, now: float) -> bool:
+        return now - self._since > BREAK or (not self.running and now - self._ended_at > BREAK)
 
     def _drop(self, keep: Sequence[int]) -> None:
         self.dropped = [d + t - s for d, t, s in zip(self.dropped, self.total, keep, strict=True)]

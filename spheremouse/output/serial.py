@@ -14,14 +14,15 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
 from spheremouse.motion import Motion
-from spheremouse.output._serial_protocol import VERSION, Flags, Identity, Link, Status
+from spheremouse.output import Passage
+from spheremouse.output._serial_protocol import BREAK, VERSION, Flags, Identity, Link, Status
 from spheremouse.spec import options
 
 BAUD, SLOWEST = 115200, 38400
@@ -170,6 +171,7 @@ class Serial:
         self._link = Link(lambda: secrets.randbelow(2**32 - 1) + 1, baud)
         self._port: Port | None = None
         self._unsent = b""
+        self._gone = ""  # port and why it is
         self._greeted: Identity | None = None
         self._missed = False  # told that it is away
         self._told_foreign: int | None = None
@@ -205,6 +207,27 @@ class Serial:
         named = (("X", x), ("Y", y), (self._third, z if self._third != "none" else 0))
         text = " ".join(f"{name} {n:+d}" for name, n in named if n)
         return f"{text} (waits for the board)" if text and not self._link.running else text
+
+    def passage(self) -> Passage:
+        """How far the board has got, and why it gets no further."""
+        axes = (0, 1, *(() if self._third == "none" else (_AXIS[self._third],)))
+        with self._lock:
+            link, waiting = self._link, self._link.waiting
+            lost = [d + u for d, u in zip(link.dropped, link.unproven, strict=True)]
+            trouble = ""
+            if link.broken is not None and time.perf_counter() - link.broken > BREAK:
+                trouble = f"serial: {self._trouble()}"
+            return Passage(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
+
+    def _trouble(self) -> str:
+        """What keeps counts from getting through."""
+        if self._port is None:
+            return f"{self._gone}; plug the board in again"
+        if self._link.running and self._link.ack is not None and not self._link.ack.flags & Flags.USB_READY:
+            return NOT_TAKEN
+        if self._link.foreign is not None:
+            return _foreign(self._link.foreign)
+        return f"{self._port.name}: the board does not answer; plug it in again"
 
     def statistics(self) -> Statistics:
         """How the line does."""
@@ -358,10 +381,11 @@ class Serial:
     def _close(self, why: str, quiet: bool) -> None:
         with self._lock:
             port, self._port, self._unsent = self._port, None, b""
-            self._link.closed()
+            self._gone = f"{'the port' if port is None else port.name}: {why}"
+            self._link.closed(time.perf_counter())
         if not quiet:
             self._missed = True
-            self._say(f"{'the port' if port is None else port.name}: {why}; trying again until it is back")
+            self._say(f"{self._gone}; trying again until it is back")
         if port is not None:
             port.close()  # systems can wait here for seconds
 
@@ -537,6 +561,12 @@ def _write_all(port: Port, data: bytes, until: float) -> None:
         time.sleep(0.001 if data else 0.0)
     while port.queued() and time.perf_counter() < until:
         time.sleep(0.001)
+
+
+def _three(counts: Iterable[int]) -> tuple[int, int, int]:
+    """Of x, y and the third axis; 0 where that goes nowhere."""
+    x, y, z, *_ = *counts, 0
+    return x, y, z
 
 
 def _counted(n: int, noun: str) -> str:
