@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from spheremouse.complaint import Sparing
 from spheremouse.daemon import realtime
 from spheremouse.daemon.capture import PATIENCE, Capture
 from spheremouse.daemon.notify import Notifier
@@ -55,7 +56,7 @@ class WandLive:
     ) -> None:
         """`say` takes lines from any thread; `show` sees each tracked frame; `frames` ends the run after so many."""
         self._tracker, self._configuration, self._outputs, self._told = tracker, configuration, outputs, told
-        self._say, self._show, self._limit = say, show, frames
+        self._say, self._show, self._limit = Sparing(say), show, frames
         self._points = configuration.wand.points - 1
         self._hand = Hand(configuration.wand.pointing, self._points)
         self._ring = Newest()
@@ -120,6 +121,7 @@ class WandLive:
             self._look_after_camera(now)
             silent = now - self._last > PATIENCE
             self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self.seen))
+            self._say.tend()
             quiet.rest(now)
 
     def _look_after_camera(self, now: float) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from spheremouse.complaint import Sparing
 from spheremouse.daemon import control_socket
 from spheremouse.daemon.control_settings import ControlSettings
 from spheremouse.daemon.protocol import (
@@ -116,7 +117,7 @@ class ControlServer:
     ) -> None:
         if not hasattr(socket, "AF_UNIX"):
             raise ControlError("this system has no Unix sockets, so the daemon cannot be controlled here")
-        self._path, self._settings, self._handle, self._say = path, settings, handle, say
+        self._path, self._settings, self._handle = path, settings, handle
         self._limits = limits or Limits()
         self._group = None if settings.group is None else control_socket.group_id(settings.group)
         self._clients: dict[int, _Client] = {}
@@ -124,7 +125,7 @@ class ControlServer:
         self._events: deque[dict[str, Any]] = deque(maxlen=self._limits.events)
         self._count = 0
         self._watchers = False
-        self._complained = -float("inf")
+        self._complain = Sparing(say, 10.0, lambda _: "")  # of whatever kind: a log is not to be filled from outside
         self._requests = _Pace(self._limits.pace, self._limits.burst)
         self._connections = _Pace(self._limits.pace, self._limits.burst)
         self._accept_again = 0.0
@@ -522,13 +523,6 @@ class ControlServer:
     def _wake(self) -> None:
         with self._waking, contextlib.suppress(OSError):  # full: it will wake anyway; closed: nobody is there to wake
             self._wake_write.send(b"\0")
-
-    def _complain(self, line: str) -> None:
-        """Say it, at most once in ten seconds: a log is not to be filled from outside."""
-        now = time.monotonic()
-        if now - self._complained >= 10.0:
-            self._complained = now
-            self._say(line)
 
 
 def _last_word(connection: socket.socket, error: str) -> None:

@@ -306,11 +306,12 @@ class Reporter:
 
     def _look_at_passage(self) -> None:
         """Does the output that is open get counts through?"""
-        if self._output is None:
+        if not isinstance(self._output, Acknowledged):
             return
-        trouble = _passage(self._output).trouble
+        trouble = self._output.passage().trouble
         if trouble and self._failed is None:
             self._forget()
+            self._output.give_up()
             self._say(f"output: {trouble}")
         if trouble:
             self._failed = trouble

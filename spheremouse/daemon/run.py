@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse import __version__
+from spheremouse.complaint import Sparing, letters
 from spheremouse.daemon import realtime
 from spheremouse.daemon.archive import Archive
 from spheremouse.daemon.background import Background, Made
@@ -37,7 +38,7 @@ from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.daemon.recorder import recordings_folder, tidy
 from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Newest
-from spheremouse.daemon.states import Facts, State, judge, letters, news
+from spheremouse.daemon.states import Facts, State, judge, news
 from spheremouse.daemon.worker import Step, Worker
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ControlError, SpheremouseError
@@ -85,6 +86,7 @@ class Daemon:
         """
         self._request, self._plan, self._given, self._rig = request, plan, given, plan.device(given)
         self._reopen, self._print, self._show = reopen, say, show
+        self._sparing = Sparing(self._say_now)
         self._limit = frames
         self._began = time.monotonic()
         self._stack = contextlib.ExitStack()
@@ -243,6 +245,7 @@ class Daemon:
         """What has time: the watchdog after progress, files now and then, young garbage."""
         silent = now - self._last > PATIENCE
         self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self._worker.seen))
+        self._sparing.tend()
         self._quiet.rest(now)
         if now - self._looked < _EVERY:
             return
@@ -331,6 +334,7 @@ class Daemon:
     def _close(self) -> None:
         """Each, whatever becomes of the others; the last one first."""
         with contextlib.ExitStack() as last:
+            last.callback(self._sparing.tend, end=True)
             last.callback(self._stack.close)
             if self._keeper is not None:
                 last.callback(self._keeper.__exit__, None, None, None)
@@ -356,7 +360,10 @@ class Daemon:
             signal.signal(signal.SIGHUP, before)
 
     def say(self, text: str) -> None:
-        """A line for the log and for whoever watches, from any thread."""
+        """A line for the log and for whoever watches, from any thread; of each kind one a second."""
+        self._sparing(text)
+
+    def _say_now(self, text: str) -> None:
         self._print(text)
         if self._server is not None:
             self._server.publish({"event": "log", "text": text})

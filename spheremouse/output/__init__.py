@@ -52,6 +52,10 @@ class Acknowledged(Protocol):
         """How far they have got; from any thread."""
         ...
 
+    def give_up(self) -> None:
+        """Drop what is waiting: later it would be a jump."""
+        ...
+
 
 def open_output(spec: str) -> Output:
     """The output that `KIND:ARGUMENT` names."""

@@ -27,9 +27,10 @@ _KEEP = 0.02  # s between two MOTIONs: five chances before the device goes silen
 _REPEAT = 0.05  # s between two HELLOs
 _PATIENCE = 0.2  # s without an answer: twice the silence, after which the device has ended the session anyway
 _HANGS = 1.0  # s without a motion from the tracker: slower than any camera
-# s in which nothing gets through, after which counts are too late to be wanted and the output counts as failed: without
-# an answer a session is begun anew after 0.2 s, and in 0.5 s there are ten HELLOs, each answered within milliseconds.
-BREAK = 0.5
+_BREAK = 1.0  # s after which counts are too late to be wanted
+# s without a session, or with a computer that takes nothing, after which that is a failure: without an answer a session
+# is begun anew after 0.2 s, and in 0.5 s there are ten HELLOs, each answered within milliseconds.
+STUCK = 0.5
 _AHEAD = 8  # frames unanswered: 13 ms of a line at 115200 baud
 _INSIST = 3 * 19 * 10  # bits: with more unanswered, a third of the line
 _FLYING = 64  # frames under way that are told apart
@@ -216,7 +217,6 @@ class Link:
         self._draw = session
         self._frames = Splitter()
         self._asked = 0  # session; 0: none, there is no port
-        self._ended_at = np.inf  # s, when the last session did
         self._drawn: deque[int] = deque(maxlen=_REMEMBERED)  # sessions, the last one asked for
         self._hello_at = 0.0
         self._mine: Identity | None = None
@@ -246,6 +246,18 @@ class Link:
     def alive(self, now: float) -> None:
         """The tracker lives, though it has nothing to say."""
         self._said = now
+
+    def give_up(self, now: float) -> None:
+        """Drop what has not got through; a session that runs is begun anew, so that the device drops it as well."""
+        if not self.settled:
+            self._drop(self.sent)
+            self._since = -np.inf
+            if self.running:
+                self._begin(now)
+
+    def stuck(self, now: float) -> bool:
+        """Whether nothing gets through, and for longer than it takes to begin anew."""
+        return self.broken is not None and now - self.broken > STUCK
 
     def ask_status(self) -> None:
         """Have STATUS? sent."""
@@ -376,9 +388,9 @@ class Link:
         return number
 
     def _ended(self, now: float) -> None:
-        if self.running:
-            self.running, self._ended_at = False, now
-            self.broken = now if self.broken is None else self.broken
+        if self.running and self.broken is None:
+            self.broken = now
+        self.running = False
 
     def _begin(self, now: float) -> None:
         """Ask for a new session; the number stays the same until it is answered."""
@@ -403,7 +415,7 @@ class Link:
                 self._acked = [0] * 4
                 self._confirm(found.counters)
         self._mine = self.identity = found
-        if self._too_late(now):
+        if now - self._since > _BREAK:
             self._drop(self.confirmed)
         if before != self.confirmed:
             self._since = now
@@ -473,13 +485,8 @@ class Link:
         self.notices.append(f"the board was {why}" + (f"; {_several(far)} uncertain" if any(far) else ""))
 
     def _expire(self, now: float) -> None:
-        if not self.settled and self._too_late(now):
+        if not self.settled and now - self._since > _BREAK:
             self._drop(self.sent)
-            if self.running and self.sent != self.confirmed:
-                self._begin(now)  # so that the device drops it as well
-
-    def _too_late(self, now: float) -> bool:
-        return now - self._since > BREAK or (not self.running and now - self._ended_at > BREAK)
 
     def _drop(self, keep: Sequence[int]) -> None:
         self.dropped = [d + t - s for d, t, s in zip(self.dropped, self.total, keep, strict=True)]

@@ -19,10 +19,11 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
+from spheremouse.complaint import Sparing
 from spheremouse.errors import OutputError
 from spheremouse.motion import Motion
 from spheremouse.output import Passage
-from spheremouse.output._serial_protocol import BREAK, VERSION, Flags, Identity, Link, Status
+from spheremouse.output._serial_protocol import VERSION, Flags, Identity, Link, Status
 from spheremouse.spec import options
 
 BAUD, SLOWEST = 115200, 38400
@@ -166,7 +167,7 @@ class Serial:
 
     def __init__(self, find: Callable[[], str], baud: int, third: str, say: Callable[[str], None]) -> None:
         """`find` names the port, anew each time it is opened. Waits for the board's first answer."""
-        self._find, self._baud, self._third, self._say = find, baud, third, say
+        self._find, self._baud, self._third, self._say = find, baud, third, Sparing(say)
         self._lock = threading.Lock()  # of all below; held for microseconds
         self._link = Link(lambda: secrets.randbelow(2**32 - 1) + 1, baud)
         self._port: Port | None = None
@@ -214,10 +215,13 @@ class Serial:
         with self._lock:
             link, waiting = self._link, self._link.waiting
             lost = [d + u for d, u in zip(link.dropped, link.unproven, strict=True)]
-            trouble = ""
-            if link.broken is not None and time.perf_counter() - link.broken > BREAK:
-                trouble = f"serial: {self._trouble()}"
+            trouble = f"serial: {self._trouble()}" if link.stuck(time.perf_counter()) else ""
             return Passage(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
+
+    def give_up(self) -> None:
+        """Drop what the board has not passed on."""
+        with self._lock:
+            self._link.give_up(time.perf_counter())
 
     def _trouble(self) -> str:
         """What keeps counts from getting through."""
@@ -297,6 +301,7 @@ class Serial:
             with contextlib.suppress(PortGoneError):
                 _write_all(port, last, time.perf_counter() + _FLUSH)
             port.close()
+        self._say.tend(end=True)
         self._say(f"{self.statistics()}")
 
     # ---- the thread ----
@@ -391,6 +396,7 @@ class Serial:
 
     def _tell(self) -> None:
         """Say what is new."""
+        self._say.tend()
         while self._link.notices:
             self._say(self._link.notices.popleft())
         found, port, running = self._link.identity, self._port, self._link.running
