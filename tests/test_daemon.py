@@ -348,9 +348,15 @@ def test_an_output_that_hangs_keeps_nobody_waiting(playing):
     world.gate = threading.Event()
     world.moves = 20
     world.settle(30)  # frames go on
-    assert ask(world, "status")["state"] == "tracking"
+    world.reach("failed-output")
+    status = ask(world, "status")
+    assert status["reason"].startswith("the output hangs: it takes no report, for ")
+    assert status["output"]["failed"].startswith("the output hangs: it takes no report")
+    assert status["output"]["ahead"] == [0, 0, 0]
+    assert np.array_equal(world.counts + status["output"]["unsent"], np.sum(world.frames, axis=0))
     world.gate.set()
     world.gate = None
+    world.reach("tracking")
     world.settle(10)
 
 
