@@ -22,6 +22,7 @@ from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.frame import Frame
 from spheremouse.motion import Motion
+from spheremouse.output._sparing import Sparing
 from spheremouse.source import Camera
 from spheremouse.stopping import Stopping
 from spheremouse.wand.track import WandState, WandTracker, begin, step
@@ -55,7 +56,7 @@ class WandLive:
     ) -> None:
         """`say` takes lines from any thread; `show` sees each tracked frame; `frames` ends the run after so many."""
         self._tracker, self._configuration, self._outputs, self._told = tracker, configuration, outputs, told
-        self._say, self._show, self._limit = say, show, frames
+        self._say, self._show, self._limit = Sparing(say), show, frames
         self._points = configuration.wand.points - 1
         self._hand = Hand(configuration.wand.pointing, self._points)
         self._ring = Newest()
@@ -120,6 +121,7 @@ class WandLive:
             self._look_after_camera(now)
             silent = now - self._last > PATIENCE
             self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self.seen))
+            self._say.tend()
             quiet.rest(now)
 
     def _look_after_camera(self, now: float) -> None:

@@ -67,6 +67,10 @@ class Wire:
         while True:
             yield from (int(n) - 1 for n in self._rng.geometric(self._damage, 4096))
 
+    def heal(self) -> None:
+        """Nothing more becomes of what it is given."""
+        self.cut, self._damage, self._lose, self._twice = False, 0.0, 0.0, 0.0
+
     def __call__(self, data: bytes) -> bytes:
         if not data or self.cut:
             return b""
@@ -95,13 +99,18 @@ class World:
         self.link = Link(lambda: next(numbers) * 0x01010101 & 0xFFFFFFFF or 1)
         self.board, self.up, self.down = board, up, down
         self.ms, self.given = begin_ms, [0, 0, 0, 0]
-        self._waiting = b""
+        self._waiting, self.resets = b"", 0
         self._first = self.link.opened(self.now)
 
     @property
     def now(self) -> float:
         """s"""
         return self.ms / 1000.0
+
+    def reset(self) -> None:
+        """The board's button."""
+        self.board.reset()
+        self.resets += 1
 
     def give(self, counts: Any) -> None:
         """One motion."""
@@ -125,8 +134,8 @@ class World:
 
     def settle(self, most: int = 2000) -> None:
         """Let it come to rest, with a sound line and a tracker that says nothing new."""
-        for wire in (self.up, self.down):
-            wire.__init__(np.random.default_rng(0))
+        self.up.heal()
+        self.down.heal()
         for _ in range(most):
             self.link.alive(self.now)
             self.step()

@@ -1,5 +1,7 @@
 """The reporter: outputs that fail, hang and come back, and a ledger that is always even."""
 
+import contextlib
+import os
 import threading
 import time
 from dataclasses import dataclass, field
@@ -416,3 +418,180 @@ def test_or_a_line_per_report_where_that_is_wanted(start, tmp_path):
     assert sum(int(line[1]) for line in lines) == 120
     assert lines[0][:2] == ["1.0", "0"]
     assert float(lines[-1][0]) > 2.0
+
+
+# ---- outputs that are gone or hang, and do not say so ----
+
+WITHIN = 1.0  # s from the fault to `failed`
+BUSY = 4.0  # s more that a test machine may be busy with something else
+
+
+class Playing:
+    """Frames of 7 counts at 100 Hz, as of a daemon that holds them back while the output is said to have failed."""
+
+    def __init__(self, reporter):
+        self.reporter, self.given, self._over = reporter, Given(reporter), threading.Event()
+        self.failed, self.since = [], None  # reasons; s, when the first of them came
+        self.after = 0  # counts of x given while it has not failed, after it once had
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self):
+        while not self._over.wait(0.01):
+            failed = self.reporter.failed
+            if failed is not None:
+                self.since = self.since or time.monotonic()
+                self.failed.append(failed)
+            elif self.failed:
+                self.after += 7
+            self.given(7, -3, 0, wanted=failed is None)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def stop(self):
+        self._over.set()
+        self._thread.join()
+
+    def __exit__(self, *_):
+        self.stop()
+
+    def fails(self, began):
+        """Why, once it does; in time."""
+        until(lambda: self.failed)
+        assert self.since - began < WITHIN + BUSY
+        return self.failed[0]
+
+
+@pytest.fixture
+def board():
+    pytest.importorskip("pty", reason="no pseudo-terminals here")
+    from spheremouse.output._serial_simulator import Simulator
+
+    with Simulator() as simulator:
+        yield simulator
+
+
+def unplug(board):
+    board.unplug()
+
+
+def hold_up(board):
+    board._turn = lambda now: time.sleep(0.001)
+
+
+def put_to_sleep(board):
+    board.awake = False
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (unplug, "plug the board in again"),
+        (hold_up, "the board does not answer"),
+        (put_to_sleep, "the mouse's computer takes no moves"),
+    ],
+)
+def test_a_board_that_takes_nothing_is_a_failed_output_and_what_it_did_not_confirm_was_not_sent(
+    start, board, fault, reason, tmp_path
+):
+    from spheremouse.output._serial_simulator import Simulator
+
+    link = tmp_path / "board"
+    link.symlink_to(board.port)
+    turn = board._turn
+    reporter, _ = start(World(), open_it=lambda: open_output(f"serial:{link}"))
+    with Playing(reporter) as playing, Simulator() as second:
+        until(lambda: reporter.status().sent[0] > 100)
+        fault(board)
+        assert reason in playing.fails(time.monotonic())
+        until(lambda: len(playing.failed) > 30)
+        status, arrived = reporter.status(), list(board.moved)
+        assert (status.sent[:2], status.ahead) == (tuple(arrived[:2]), (0, 0, 0))
+        if fault is unplug:
+            link.unlink()
+            link.symlink_to(second.port)
+        board._turn, board.awake = turn, True
+        until(lambda: reporter.failed is None)
+        assert reporter.status().reports <= status.reports + 3  # it has not been said to be sent meanwhile
+        until(lambda: reporter.status().sent[0] > arrived[0] + 100)
+        playing.stop()
+        until(lambda: even(reporter, playing.given) and reporter.status().ahead == (0, 0, 0))
+        moved = np.add(board.moved, second.moved)[:2]
+        assert reporter.status().sent[:2] == tuple(moved)
+        under_way = 600 if fault is hold_up else 0  # lies in the line, and is obeyed
+        assert moved[0] - arrived[0] <= playing.after + under_way  # nothing is made up for
+        reporter.close()
+        assert even(reporter, playing.given)
+
+
+def read(pipe):
+    """Lines that are in it now."""
+    os.set_blocking(pipe, False)
+    found = b""
+    while True:
+        try:
+            more = os.read(pipe, 1 << 16)
+        except BlockingIOError:
+            return found.decode().splitlines()
+        if not more:
+            return found.decode().splitlines()
+        found += more
+
+
+def test_a_pipe_that_nobody_reads_any_more_is_a_failed_output(start, tmp_path):
+    """A reader that stands still, and goes on."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    pipe = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    reporter, _ = start(World(), PointerSettings(horizon=0.0, text=True), lambda: open_output(f"text:{path}"))
+    with Playing(reporter) as playing:
+        until(lambda: reporter.status().sent[0] > 70)
+        fill = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(fill, b"#" * 63 + b"\n")
+        os.close(fill)
+        assert "its reader does not read" in playing.fails(time.monotonic())
+        playing.stop()
+        assert reporter.status().ahead == (0, 0, 0)
+        assert even(reporter, playing.given)
+        lines = read(pipe)
+        until(lambda: reporter.failed is None)
+        until(lambda: even(reporter, playing.given))
+        reporter.close()
+        lines += read(pipe)
+        counts = [int(line.split()[1]) for line in lines if not line.startswith("#")]
+        assert sum(counts) == reporter.status().sent[0]
+        assert set(counts) == {7}
+    os.close(pipe)
+
+
+def test_a_pipe_that_nobody_opens_is_a_failed_output(start, tmp_path):
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    began = time.monotonic()
+    reporter, _ = start(World(), open_it=lambda: open_output(f"text:{path}"))
+    with Playing(reporter) as playing:
+        assert "it cannot be opened" in playing.fails(began)
+        assert even(reporter, playing.given) or playing.given.sum[0] > 0
+        pipe = os.open(path, os.O_RDONLY)
+        until(lambda: reporter.failed is None and reporter.status().sent[0] > 0)
+    until(lambda: even(reporter, playing.given))
+    os.close(pipe)
+
+
+def test_an_output_that_hangs_while_it_is_closed_or_sent_to_is_one_that_failed(start):
+    """Of any kind; when it goes on nothing is made up for, and closing it does not wait for it."""
+    world = World(gate=threading.Event())
+    reporter, _ = start(world)
+    with Playing(reporter) as playing:
+        assert "takes no report" in playing.fails(time.monotonic())
+        time.sleep(0.1)
+        world.gate.set()
+        until(lambda: reporter.failed is None)
+    until(lambda: even(reporter, playing.given) and tuple(world.sum) == reporter.status().sent)
+    assert [line.partition(",")[0] for line in world.said] == [
+        "output: the output hangs: it takes no report",
+        "output: works again",
+    ]

@@ -277,7 +277,7 @@ def test_a_board_comes_back_whatever_goes_wrong_meanwhile(board, monkeypatch):
 
         output, said = returning(board, finding)
         with output:
-            until(lambda: any("is back" in s for s in said))
+            until(lambda: any(s.endswith(f"{second.port} is back") for s in said))
             output.send(motion(4))
             until(lambda: second.moved[0] == 4)
         assert not fails
@@ -501,3 +501,24 @@ def test_adapters_of_several_makes(pid):
     assert find_board(None, [adapter]) == "/dev/ttyUSB0"
     with pytest.raises(OutputError, match="no board of ours"):
         find_board(None, [adapter], adapters=False)
+
+
+def test_a_board_that_flaps_fills_no_log():
+    """It starts again after every frame: thousands of times a second."""
+    with Simulator() as board:
+        said, handled = [], board._turn
+
+        def flap(now):
+            handled(now)
+            board._boot()
+
+        output = Serial(lambda: board.port, 115200, "none", said.append)
+        began = time.monotonic()
+        board._turn = flap
+        until(lambda: output._link.sessions > 200 or output.send(motion(1)))
+        board._turn = handled
+        output.close()
+        lasted = time.monotonic() - began
+    kinds = {"".join(c for c in line.partition(" (")[0].partition(";")[0] if not c.isdigit()) for line in said}
+    assert len(said) <= 2 * len(kinds) * (2 + lasted)
+    assert any("more like it" in line for line in said)

@@ -341,7 +341,7 @@ def test_nothing_is_lost_and_nothing_doubled(seed, damage, lose, twice, story):
         w.down.cut = what in ("cut", "half")
         w.board.usb = what != "sleep"
         if what == "reopen":
-            w.link.closed()
+            w.link.closed(w.now)
             w._first = w.link.opened(w.now)
         for _ in range(ms):
             noise = rng.bytes(30) if what == "noise" else b"\xaa" * 200 if what == "flood" else b""
@@ -368,7 +368,7 @@ def test_a_board_that_is_reset_doubles_nothing_and_what_may_be_lost_is_told(seed
     short = np.array(w.short) - w.link.dropped
     assert (short >= 0).all()
     assert (short <= w.link.uncertain).all()
-    assert (np.array(w.link.uncertain) <= host.STEP * len(times)).all()
+    assert (np.array(w.link.uncertain) <= host.STEP // 2 * len(times)).all()
 
 
 def test_after_a_long_break_what_piled_up_is_dropped_and_told():

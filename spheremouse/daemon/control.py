@@ -35,6 +35,7 @@ from spheremouse.daemon.protocol import (
 from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.output._sparing import Sparing
 from spheremouse.yaml_file import one_line
 
 Handle = Callable[[Request, Reply], None]
@@ -118,7 +119,7 @@ class ControlServer:
     ) -> None:
         if not hasattr(socket, "AF_UNIX"):
             raise ControlError("this system has no Unix sockets, so the daemon cannot be controlled here")
-        self._path, self._settings, self._handle, self._say = path, settings, handle, say
+        self._path, self._settings, self._handle = path, settings, handle
         self._limits = limits or Limits()
         self._group = None if settings.group is None else control_socket.group_id(settings.group)
         self._clients: dict[int, _Client] = {}
@@ -126,7 +127,7 @@ class ControlServer:
         self._events: deque[dict[str, Any]] = deque(maxlen=self._limits.events)
         self._count = 0
         self._watchers = False
-        self._complained = -float("inf")
+        self._complain = Sparing(say, 10.0, lambda _: "")  # of whatever kind: a log is not to be filled from outside
         self._paces = {trusted: _Pace(self._limits.pace, self._limits.burst) for trusted in (True, False)}
         self._connections = _Pace(self._limits.pace, self._limits.burst)
         self._accept_again = 0.0
@@ -528,13 +529,6 @@ class ControlServer:
     def _wake(self) -> None:
         with self._waking, contextlib.suppress(OSError):  # full: it will wake anyway; closed: nobody is there to wake
             self._wake_write.send(b"\0")
-
-    def _complain(self, line: str) -> None:
-        """Say it, at most once in ten seconds: a log is not to be filled from outside."""
-        now = time.monotonic()
-        if now - self._complained >= 10.0:
-            self._complained = now
-            self._say(line)
 
 
 def _last_word(connection: socket.socket, error: str) -> None:

@@ -1,8 +1,11 @@
 """Motion of frames in, reports of the pointer out: a thread that keeps an output open and sends what `pointer` says.
 
 It wakes when a frame is given and while there is a course to carry on; else it sleeps. No error of an output gets out:
-the output is closed, opened again with growing patience, and what comes meanwhile is counted, not sent. On every axis,
-what was given is what was sent plus what was left unsent, less what the pointer is ahead of the ball.
+the output is closed, opened again with growing patience, and what comes meanwhile is counted, not sent. An output that
+says itself that nothing gets through (`Acknowledged`) stays open and is given empty motions until it does again. One
+that does not come back from being opened, written to or closed is seen from outside, by whoever gives frames or asks.
+On every axis, what was given is what was sent plus what was left unsent, less what the pointer is ahead of the ball;
+what the other end of an output has not acknowledged was not sent.
 """
 
 import contextlib
@@ -10,7 +13,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import floor
 
@@ -19,18 +22,23 @@ import numpy as np
 from spheremouse import pointer
 from spheremouse.daemon.threads import begin
 from spheremouse.motion import Motion
-from spheremouse.output import Output, OutputClosed
+from spheremouse.output import Acknowledged, Output, OutputClosed, Passage
 from spheremouse.output.null import Null
 from spheremouse.output.text import Text
 from spheremouse.pointer import Counts, PointerSettings, Resampler, minus, plus
 
 BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 LATE = 0.25  # s in the queue after which a frame's counts are not wanted any more: an output hung
+# s that others see an output at the same report before it counts as hanging. A report takes microseconds, and what the
+# machine's load adds are milliseconds; time in which those who look were held up themselves is hardly counted.
+HANGS = 0.4
 QUEUED = 256  # frames: seconds, at any camera's rate
 REMEMBERED = 4096  # latencies: a minute at 60 Hz
 _JOIN = 5.0  # s
+_OPENS, _SENDS, _CLOSES = "it cannot be opened", "it takes no report", "it cannot be closed"
 _NOTHING = np.zeros(3)
 _NONE: Counts = (0, 0, 0)
+_PASSED = Passage()
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +57,9 @@ class ReporterStatus:
     failed: str | None  # why nothing can be sent; None: it can
     ended: bool  # whoever read the output has gone, for good
     reports: int  # with counts
-    sent: Counts
-    unsent: Counts  # given while the output was gone or paused, or too late
-    ahead: Counts  # sent and not given yet, or the reverse: what is predicted, and what was and is withheld
+    sent: Counts  # as far as the output's other end acknowledges them, where it does
+    unsent: Counts  # given while the output was gone or paused, or too late; or sent and lost
+    ahead: Counts  # sent and not given yet, or the reverse: what is predicted, and what was, is withheld or under way
     latency: Latency | None  # None: no frame was sent
 
 
@@ -82,7 +90,7 @@ class Reporter:
         self._bell = threading.Lock()
         self._bell.acquire()
         self._given: deque[_Given] = deque()
-        self._overflow = _NONE  # counts pushed out of the queue
+        self._sum, self._overflow = _NONE, _NONE  # counts given, and of these pushed out of the queue
         self._over = self._paused = self._ended = False
         self._output: Output | None = None
         self._failed: str | None = None
@@ -90,6 +98,9 @@ class Reporter:
         self._again = clock()  # s, when the output is opened
         self._resampler, self._sent = Resampler(), _NONE  # since the output was opened
         self._past, self._unsent = _NONE, _NONE
+        # What the thread does with the output, and since when others have seen it at it: at most one of them each.
+        self._doing: _Doing | None = None
+        self._seen: tuple[_Doing, float] | None = None
         self._reports = self._frames = 0
         self._latency = np.zeros(REMEMBERED)
         self._last: _Given | None = None
@@ -105,6 +116,7 @@ class Reporter:
 
         What is not `wanted` is counted as unsent, as it is during a pause.
         """
+        self._sum = plus(self._sum, motion.counts)
         self._given.append(_Given(motion, rate, taken, tracking, wanted and not self._paused, self._clock()))
         if len(self._given) > QUEUED:
             with contextlib.suppress(IndexError):  # the thread was quicker
@@ -128,25 +140,36 @@ class Reporter:
 
     def status(self) -> ReporterStatus:
         """How the output fares."""
-        sent, n = self._sent, min(self._frames, REMEMBERED)
+        failed, n = self.failed, min(self._frames, REMEMBERED)
+        past, sent, passage = self._past, self._sent, _passage(self._output)
         latency = None
         if n:
             p50, p99 = np.percentile(self._latency[:n], (50.0, 99.0)).tolist()
             latency = Latency(p50, p99, float(self._latency[:n].max()))
-        return ReporterStatus(
-            self._failed,
-            self._ended,
-            self._reports,
-            plus(self._past, sent),
-            plus(self._unsent, self._overflow),
-            minus(sent, self._resampler.truth),
-            latency,
-        )
+        arrived = minus(plus(past, sent), plus(passage.waiting, passage.lost))
+        if failed is not None:  # nothing is under way: what was given and has not arrived will not
+            unsent, ahead = minus(self._sum, arrived), _NONE
+        else:
+            unsent = plus(plus(self._unsent, self._overflow), passage.lost)
+            ahead = minus(minus(sent, self._resampler.truth), passage.waiting)
+        return ReporterStatus(failed, self._ended, self._reports, arrived, unsent, ahead, latency)
 
     @property
     def failed(self) -> str | None:
         """Why nothing can be sent; None: it can."""
-        return self._failed
+        doing, now = self._doing, self._clock()
+        if doing is None:
+            return self._failed
+        if self._seen is None or self._seen[0] is not doing:
+            self._seen = doing, now
+        took = now - self._seen[1]
+        if took < HANGS:
+            return self._failed
+        reason = f"the output hangs: {doing.what}{doing.hint}, for {took:.1f} s"
+        if not doing.hangs:
+            doing.hangs = True
+            self._say(f"output: {reason}")
+        return reason
 
     @property
     def ended(self) -> bool:
@@ -159,10 +182,10 @@ class Reporter:
         return self._thread.native_id
 
     def close(self) -> None:
-        """Close the output; waits for it, if it does not take too long."""
+        """Close the output; waits for it, if it does not take too long. One that hangs is left behind."""
         self._over = True
         self._ring()
-        self._thread.join(_JOIN)
+        self._thread.join(HANGS if self._doing is not None and self._doing.hangs else _JOIN)
 
     def _ring(self) -> None:
         with contextlib.suppress(RuntimeError):  # it rings already
@@ -196,6 +219,7 @@ class Reporter:
     def _turn(self) -> None:
         if self._output is None and not self._ended and self._clock() >= self._again:
             self._open_again()
+        self._look_at_passage()
         if self._paused:
             self._forget()
         while self._given:
@@ -204,8 +228,10 @@ class Reporter:
                 continue
             now = self._clock()
             late = now - given.came > LATE and not self._per_frame
-            if self._output is None or self._paused or late or not given.wanted:
+            if self._failed is not None or self._output is None or self._paused or late or not given.wanted:
                 self._unsent = plus(self._unsent, given.motion.counts)
+                if self._output is not None and self._failed is not None and not self._paused:
+                    self._send(Motion(given.motion.stamp, _NONE, _NOTHING, given.motion.rate), self._sent)
             else:
                 self._take(given, now)
         if self._output is not None and (now := self._clock()) >= self._next:
@@ -250,7 +276,8 @@ class Reporter:
     def _send(self, motion: Motion, due: Counts) -> bool:
         assert self._output is not None
         try:
-            self._output.send(motion)
+            with self._at(_SENDS) as doing:
+                self._output.send(motion)
         except OutputClosed as e:
             self._ended = True
             self._fail("whoever read the output has gone", e)
@@ -262,18 +289,49 @@ class Reporter:
         if motion.counts != _NONE:
             self._reports += 1
             self._failures = 0  # not on opening: what opens and never sends must not flap
+        if doing.hangs:
+            self._say("output: works again")
+            self._forget()  # what was due meanwhile would be a jump
         return True
 
     def _open_again(self) -> None:
         try:
-            self._output = self._open().__enter__()
+            with self._at(_OPENS) as doing:
+                self._output = self._open().__enter__()
         except Exception as e:
             self._fail(_reason(e), e)
             return
-        if self._failed is not None:
-            self._say("output: works again")
-            self._drop_queue()
-        self._failed, self._next = None, np.inf
+        if self._failed is not None or doing.hangs:
+            self._works_again()
+        self._next = np.inf
+
+    def _look_at_passage(self) -> None:
+        """Does the output that is open get counts through?"""
+        if not isinstance(self._output, Acknowledged):
+            return
+        trouble = self._output.passage().trouble
+        if trouble and self._failed is None:
+            self._forget()
+            self._output.give_up()
+            self._say(f"output: {trouble}")
+        if trouble:
+            self._failed = trouble
+        elif self._failed is not None:
+            self._works_again()
+
+    def _works_again(self) -> None:
+        self._say("output: works again")
+        self._drop_queue()
+        self._failed = None
+
+    @contextlib.contextmanager
+    def _at(self, what: str) -> Iterator["_Doing"]:
+        """While something is done with the output that may not come to an end."""
+        self._doing = doing = _Doing(what, ", for its reader does not read" if isinstance(self._output, Text) else "")
+        try:
+            yield doing
+        finally:
+            self._doing = None
 
     def _fail(self, reason: str, error: Exception) -> None:
         """Close the output; it is opened again after a while."""
@@ -285,11 +343,14 @@ class Reporter:
         self._failures += 1
 
     def _close(self, error: Exception | None) -> None:
-        output, self._output = self._output, None
         self._forget()
+        output = self._output
         if output is not None:
-            with contextlib.suppress(Exception):
+            with contextlib.suppress(Exception), self._at(_CLOSES):
                 output.__exit__(None if error is None else type(error), error, None)
+            missing = plus(_passage(output).waiting, _passage(output).lost)
+            self._past, self._unsent = minus(self._past, missing), plus(self._unsent, missing)
+            self._output = None
 
     def _forget(self) -> None:
         """Begin anew; what has not been sent will not be."""
@@ -303,6 +364,20 @@ class Reporter:
         """What came while the output was gone: all at once it would be a jump."""
         for _ in range(len(self._given)):
             self._unsent = plus(self._unsent, self._given.popleft().motion.counts)
+
+
+@dataclass(slots=True, eq=False)
+class _Doing:
+    """One thing that is done with the output."""
+
+    what: str  # in words for who waits
+    hint: str
+    hangs: bool = False
+
+
+def _passage(output: Output | None) -> Passage:
+    """How far an output has got; where it cannot tell, as far as it was sent."""
+    return output.passage() if isinstance(output, Acknowledged) else _PASSED
 
 
 def _reason(error: Exception) -> str:

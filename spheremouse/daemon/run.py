@@ -37,12 +37,13 @@ from spheremouse.daemon.recordings import recordings_folder, tidy
 from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Newest
-from spheremouse.daemon.states import Facts, State, judge, letters, news
+from spheremouse.daemon.states import Facts, State, judge, news
 from spheremouse.daemon.threads import Crew, begin
 from spheremouse.daemon.worker import Step, Worker
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output import Output, open_output
+from spheremouse.output._sparing import Sparing, letters
 from spheremouse.pointer import Counts, minus, plus
 from spheremouse.rig import Rig
 from spheremouse.session import make_ready
@@ -88,6 +89,7 @@ class Daemon:
         """
         self._request, self._plan, self._given, self._rig = request, plan, given, plan.device(given)
         self._reopen, self._print, self._show = reopen, say, show
+        self._sparing = Sparing(self._say_now)
         self._limit = frames
         self._began = time.monotonic()
         self._stack = contextlib.ExitStack()
@@ -248,6 +250,7 @@ class Daemon:
         """What has time: the watchdog after progress, files now and then, young garbage."""
         silent = now - self._last > PATIENCE
         self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self._worker.seen))
+        self._sparing.tend()
         self._quiet.rest(now)
         if now - self._looked < _EVERY:
             return
@@ -338,6 +341,7 @@ class Daemon:
     def _close(self) -> None:
         """Each, whatever becomes of the others; the last one first."""
         with contextlib.ExitStack() as last:
+            last.callback(self._sparing.tend, end=True)
             last.callback(self._stack.close)
             if self._keeper is not None:
                 last.callback(self._keeper.__exit__, None, None, None)
@@ -351,7 +355,10 @@ class Daemon:
         self._ask(lambda: self._desk.put(Asked(Request(command="reload"), Reply())))
 
     def say(self, text: str) -> None:
-        """A line for the log and for whoever watches, from any thread."""
+        """A line for the log and for whoever watches, from any thread; of each kind one a second."""
+        self._sparing(text)
+
+    def _say_now(self, text: str) -> None:
         self._print(text)
         if self._server is not None:
             self._server.publish({"event": "log", "text": text})

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from spheremouse.output._sparing import letters
 from spheremouse.track import Phase
 
 
@@ -63,8 +64,3 @@ def news(before: tuple[State, str], now: tuple[State, str], event: str) -> str:
     if state in (State.TRACKING, State.LOST) or letters(why) == letters(why_before):
         return ""
     return f"{state}: {why}"
-
-
-def letters(text: str) -> str:
-    """A reason without its numbers."""
-    return "".join(c for c in text if not c.isdigit())

@@ -4,8 +4,9 @@ An output is a module here with `open(argument: str) -> Output`; its name is its
 """
 
 import sys
+from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
 from spheremouse.motion import Motion
@@ -32,6 +33,28 @@ class Output(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool | None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """How far the counts of x, y and third axis that an output was sent have got, since it was opened."""
+
+    trouble: str = ""  # why nothing gets through, though it is open; empty: it does
+    waiting: tuple[int, int, int] = (0, 0, 0)  # not there yet
+    lost: tuple[int, int, int] = (0, 0, 0)  # will not get there, or nobody knows whether they have
+
+
+@runtime_checkable
+class Acknowledged(Protocol):
+    """An output whose other end says what has arrived. What troubles it passes by itself, if motions go on coming."""
+
+    def passage(self) -> Passage:
+        """How far they have got; from any thread."""
+        ...
+
+    def give_up(self) -> None:
+        """Drop what is waiting: later it would be a jump."""
+        ...
 
 
 def open_output(spec: str) -> Output:

@@ -18,7 +18,7 @@ HELLO, MOTION, ASK_STATUS, STOP = 0x01, 0x02, 0x03, 0x04
 IDENTITY, ACK, STATUS = 0x81, 0x82, 0x83
 MOST = 64  # bytes of a frame's content
 STEP = 1200  # counts: 600 per radian x 20 rad/s x SILENCE
-_REACH = STEP // 2  # from what is confirmed
+_REACH = STEP // 2  # between any two places that the board may have obeyed
 SILENCE = 0.1  # s
 AXES = ("X", "Y", "wheel", "pan")
 KINDS = {1: "CircuitPython", 2: "AVR", 3: "simulator"}
@@ -28,10 +28,14 @@ _REPEAT = 0.05  # s between two HELLOs
 _PATIENCE = 0.2  # s without an answer: twice the silence, after which the device has ended the session anyway
 _HANGS = 1.0  # s without a motion from the tracker: slower than any camera
 _BREAK = 1.0  # s after which counts are too late to be wanted
+# s without a session, or with a computer that takes nothing, after which that is a failure: without an answer a session
+# is begun anew after 0.2 s, and in 0.5 s there are ten HELLOs, each answered within milliseconds.
+STUCK = 0.5
 _AHEAD = 8  # frames unanswered: 13 ms of a line at 115200 baud
 _INSIST = 3 * 19 * 10  # bits: with more unanswered, a third of the line
 _FLYING = 64  # frames under way that are told apart
 _TIMES = 4096  # round trips remembered
+_REMEMBERED = 64  # sessions
 
 _HEADER, _CRC = struct.Struct("<BBH"), struct.Struct("<I")
 _MOTION, _ACK = struct.Struct("<4HB"), struct.Struct("<H4HBHH")
@@ -195,13 +199,17 @@ class Link:
         """`session` draws numbers that are not 0 and never come again."""
         self._insist = _INSIST / baud  # s
         self.total, self.sent, self.confirmed = [0] * 4, [0] * 4, [0] * 4
-        self.dropped, self.uncertain = [0] * 4, [0] * 4  # counts, with their signs
+        self.dropped = [0] * 4  # counts, with their signs
+        # At each reset of the board, what was sent and not confirmed, with its sign; and how far from it, at most, what
+        # arrived may be, either way.
+        self.unproven, self.uncertain = [0] * 4, [0] * 4
         self.buttons = 0
         self.identity: Identity | None = None  # of the session that runs or ran last
         self.status: Status | None = None
         self.ack: Ack | None = None
         self.foreign: int | None = None  # version of a device that speaks another one
         self.running = False
+        self.broken: float | None = None  # s, since when nothing gets through; None: it does, for all that is known
         self.heard = -np.inf  # s, last answer
         self.sessions = self.motions = self.acks = 0
         self.breaks = 0  # sessions that did not end by this end's own silence or word
@@ -209,8 +217,11 @@ class Link:
         self._draw = session
         self._frames = Splitter()
         self._asked = 0  # session; 0: none, there is no port
+        self._drawn: deque[int] = deque(maxlen=_REMEMBERED)  # sessions, the last one asked for
         self._hello_at = 0.0
         self._mine: Identity | None = None
+        self._heard_of: Ack | None = None  # the last one in this session
+        self._strayed = False  # has an answer shown that a HELLO from before has begun another?
         self._base, self._acked = [0] * 4, [0] * 4
         self._pressed = 0  # in the last MOTION
         self._number, self._answered = 0, -1
@@ -236,6 +247,18 @@ class Link:
         """The tracker lives, though it has nothing to say."""
         self._said = now
 
+    def give_up(self, now: float) -> None:
+        """Drop what has not got through; a session that runs is begun anew, so that the device drops it as well."""
+        if not self.settled:
+            self._drop(self.sent)
+            self._since = -np.inf
+            if self.running:
+                self._begin(now)
+
+    def stuck(self, now: float) -> bool:
+        """Whether nothing gets through, and for longer than it takes to begin anew."""
+        return self.broken is not None and now - self.broken > STUCK
+
     def ask_status(self) -> None:
         """Have STATUS? sent."""
         self._wants_status = True
@@ -252,10 +275,11 @@ class Link:
         self._begin(now)
         return b"\0"
 
-    def closed(self) -> None:
+    def closed(self, now: float) -> None:
         """The port is gone."""
         self.breaks += self.running
-        self.running, self._asked = False, 0
+        self._ended(now)
+        self._asked = 0
 
     def receive(self, data: bytes, now: float) -> None:
         """What came in."""
@@ -346,10 +370,13 @@ class Link:
         return (self._number - 1 - self._answered) & 0xFFFF
 
     def _target(self) -> list[int]:
-        """Where the next MOTION goes: no step is too large, whichever of what is under way the board has obeyed."""
+        """Where the next MOTION goes: not far from anything that is under way, whichever of it the board has obeyed.
+
+        So no step is too large, and a board that is reset is nowhere farther from `sent` than that.
+        """
         return [
-            min(max(t, c - _REACH, high - STEP), c + _REACH, low + STEP)
-            for t, c, low, high in zip(self.total, self.confirmed, self._lowest, self._highest, strict=True)
+            min(max(t, high - _REACH), low + _REACH)
+            for t, low, high in zip(self.total, self._lowest, self._highest, strict=True)
         ]
 
     def _next(self, now: float) -> int:
@@ -360,24 +387,33 @@ class Link:
             del self._flying[next(iter(self._flying))]
         return number
 
+    def _ended(self, now: float) -> None:
+        if self.running and self.broken is None:
+            self.broken = now
+        self.running = False
+
     def _begin(self, now: float) -> None:
         """Ask for a new session; the number stays the same until it is answered."""
         if self.running or not self._asked:
-            self.running = False
+            self._ended(now)
             self._asked = self._draw()
+            self._drawn.append(self._asked)
         self._hello_at = now
 
     def _identified(self, found: Identity, now: float) -> None:
+        if self.running and self._mine is not None and found.last == self._mine.session:
+            self._leave_for(found, now)
         if self.running or not self._asked or found.session != self._asked:
             return
         mine, before = self._mine, self.confirmed
-        if mine is not None and found.last == mine.session:
+        if mine is not None and found.last == mine.session and not self._strayed:
             self._confirm(found.counters)
         elif mine is not None and (found.first, found.last) != (mine.first, mine.last):
-            lost = [s - c for s, c in zip(self.sent, self.confirmed, strict=True)]
-            self.uncertain = [u + n for u, n in zip(self.uncertain, lost, strict=True)]
-            self.confirmed = list(self.sent)
-            self.notices.append("the board was started again" + (f"; {_several(lost)} uncertain" if any(lost) else ""))
+            ours = found.last in self._drawn
+            self._write_off("begun anew by a frame from before" if ours else "started again")
+            if ours:  # it has obeyed us there
+                self._acked = [0] * 4
+                self._confirm(found.counters)
         self._mine = self.identity = found
         if now - self._since > _BREAK:
             self._drop(self.confirmed)
@@ -388,39 +424,65 @@ class Link:
         self._targets.clear()
         self._lowest, self._highest = list(self.confirmed), list(self.confirmed)
         self._answered, self._pressed, self._moved = (self._number - 1) & 0xFFFF, 0, now
-        self.running = True
+        self.running, self._strayed, self._heard_of = True, False, None
         self.sessions += 1
 
+    def _leave_for(self, found: Identity, now: float) -> None:
+        """A HELLO from before has begun a session in place of ours; what the board does in it is ours as well."""
+        self._confirm(found.counters)
+        self._mine, self._acked = found, [0] * 4
+        self.breaks += 1
+        self._begin(now)
+
     def _acknowledged(self, ack: Ack, now: float) -> None:
-        if not self.running:
+        newer = 0 < (ack.number - self._answered) & 0xFFFF <= self._unanswered
+        if not self.running or not newer:  # one from before: what came since has said more
             return
-        self.ack = ack
+        if self._heard_of is not None and self._implausible(ack, self._heard_of):
+            self._strayed = True
+            self.breaks += 1
+            self._begin(now)
+            return
+        self.ack = self._heard_of = ack
         self.acks += 1
+        if ack.flags & Flags.RUNNING and ack.flags & Flags.USB_READY:
+            self.broken = None
+        elif self.broken is None:
+            self.broken = now
         if not ack.flags & Flags.RUNNING:
-            if ack.number in self._flying:  # not one from before
-                self.breaks += 1
-                self._begin(now)
+            self.breaks += 1
+            self._begin(now)
             return
-        sent = self._flying.pop(ack.number, None)
-        if sent is not None:
-            self._times.append(now - sent)
-            self._answered = ack.number
-            for number in [n for n in self._flying if signed(n - ack.number) < 0]:
-                del self._flying[number]
+        if ack.number in self._flying:
+            self._times.append(now - self._flying[ack.number])
+        self._answered = ack.number
+        for number in [n for n in self._flying if signed(n - ack.number) <= 0]:
+            del self._flying[number]
         before = list(self.confirmed)
         self._confirm(ack.counters)
-        if sent is not None:  # the newest that was answered may be due still
-            while self._targets and signed(self._targets[0][0] - ack.number) < 0:
-                self._targets.popleft()
-            if self._targets and self._targets[0] == (ack.number, self.confirmed, self.confirmed):
-                self._targets.popleft()
+        while self._targets and signed(self._targets[0][0] - ack.number) < 0:
+            self._targets.popleft()  # the newest that was answered may be due still
+        if self._targets and self._targets[0] == (ack.number, self.confirmed, self.confirmed):
+            self._targets.popleft()
         self._lowest, self._highest = _hull([self.confirmed, *(t for _, *two in self._targets for t in two)])
         if before != self.confirmed or self.settled:
             self._since = now
 
+    def _implausible(self, ack: Ack, before: Ack) -> bool:
+        """Has the board missed more frames than were sent? Then a HELLO from before has set its numbers back."""
+        return (ack.lost - before.lost) & 0xFFFF > (self._number - 1 - before.number) & 0xFFFF
+
     def _confirm(self, counters: Sequence[int]) -> None:
         self.confirmed = [c + signed(n - a) for c, n, a in zip(self.confirmed, counters, self._acked, strict=True)]
         self._acked = list(counters)
+
+    def _write_off(self, why: str) -> None:
+        """The board has forgotten where it was. What may have been passed on is not sent again."""
+        far = [max(s - a, b - s) for s, a, b in zip(self.sent, self._lowest, self._highest, strict=True)]
+        self.uncertain = [u + n for u, n in zip(self.uncertain, far, strict=True)]
+        self.unproven = [u + s - c for u, s, c in zip(self.unproven, self.sent, self.confirmed, strict=True)]
+        self.confirmed = list(self.sent)
+        self.notices.append(f"the board was {why}" + (f"; {_several(far)} uncertain" if any(far) else ""))
 
     def _expire(self, now: float) -> None:
         if not self.settled and now - self._since > _BREAK:

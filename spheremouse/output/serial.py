@@ -14,14 +14,16 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
 from spheremouse.motion import Motion
+from spheremouse.output import Passage
 from spheremouse.output._serial_protocol import VERSION, Flags, Identity, Link, Status
+from spheremouse.output._sparing import Sparing
 from spheremouse.spec import options
 
 BAUD, SLOWEST = 115200, 38400
@@ -165,11 +167,12 @@ class Serial:
 
     def __init__(self, find: Callable[[], str], baud: int, third: str, say: Callable[[str], None]) -> None:
         """`find` names the port, anew each time it is opened. Waits for the board's first answer."""
-        self._find, self._baud, self._third, self._say = find, baud, third, say
+        self._find, self._baud, self._third, self._say = find, baud, third, Sparing(say)
         self._lock = threading.Lock()  # of all below; held for microseconds
         self._link = Link(lambda: secrets.randbelow(2**32 - 1) + 1, baud)
         self._port: Port | None = None
         self._unsent = b""
+        self._gone = ""  # port and why it is
         self._greeted: Identity | None = None
         self._missed = False  # told that it is away
         self._told_foreign: int | None = None
@@ -205,6 +208,30 @@ class Serial:
         named = (("X", x), ("Y", y), (self._third, z if self._third != "none" else 0))
         text = " ".join(f"{name} {n:+d}" for name, n in named if n)
         return f"{text} (waits for the board)" if text and not self._link.running else text
+
+    def passage(self) -> Passage:
+        """How far the board has got, and why it gets no further."""
+        axes = (0, 1, *(() if self._third == "none" else (_AXIS[self._third],)))
+        with self._lock:
+            link, waiting = self._link, self._link.waiting
+            lost = [d + u for d, u in zip(link.dropped, link.unproven, strict=True)]
+            trouble = f"serial: {self._trouble()}" if link.stuck(time.perf_counter()) else ""
+            return Passage(trouble, _three(waiting[k] for k in axes), _three(lost[k] for k in axes))
+
+    def give_up(self) -> None:
+        """Drop what the board has not passed on."""
+        with self._lock:
+            self._link.give_up(time.perf_counter())
+
+    def _trouble(self) -> str:
+        """What keeps counts from getting through."""
+        if self._port is None:
+            return f"{self._gone}; plug the board in again"
+        if self._link.running and self._link.ack is not None and not self._link.ack.flags & Flags.USB_READY:
+            return NOT_TAKEN
+        if self._link.foreign is not None:
+            return _foreign(self._link.foreign)
+        return f"{self._port.name}: the board does not answer; plug it in again"
 
     def statistics(self) -> Statistics:
         """How the line does."""
@@ -274,6 +301,7 @@ class Serial:
             with contextlib.suppress(PortGoneError):
                 _write_all(port, last, time.perf_counter() + _FLUSH)
             port.close()
+        self._say.tend(end=True)
         self._say(f"{self.statistics()}")
 
     # ---- the thread ----
@@ -358,15 +386,17 @@ class Serial:
     def _close(self, why: str, quiet: bool) -> None:
         with self._lock:
             port, self._port, self._unsent = self._port, None, b""
-            self._link.closed()
+            self._gone = f"{'the port' if port is None else port.name}: {why}"
+            self._link.closed(time.perf_counter())
         if not quiet:
             self._missed = True
-            self._say(f"{'the port' if port is None else port.name}: {why}; trying again until it is back")
+            self._say(f"{self._gone}; trying again until it is back")
         if port is not None:
             port.close()  # systems can wait here for seconds
 
     def _tell(self) -> None:
         """Say what is new."""
+        self._say.tend()
         while self._link.notices:
             self._say(self._link.notices.popleft())
         found, port, running = self._link.identity, self._port, self._link.running
@@ -537,6 +567,12 @@ def _write_all(port: Port, data: bytes, until: float) -> None:
         time.sleep(0.001 if data else 0.0)
     while port.queued() and time.perf_counter() < until:
         time.sleep(0.001)
+
+
+def _three(counts: Iterable[int]) -> tuple[int, int, int]:
+    """Of x, y and the third axis; 0 where that goes nowhere."""
+    x, y, z, *_ = *counts, 0
+    return x, y, z
 
 
 def _counted(n: int, noun: str) -> str:
