@@ -221,7 +221,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("fx: 900,", "fx: -900,", "2: camera.fx: must be greater than 0, is -900; focal length in px"),
+        ("fx: 900,", "fx: -900,", "2: camera.fx: must be at least 1, is -900; focal length in px"),
         ("fx: 900,", "", "2: camera.fx: missing; focal length in px"),
         ("fx: 900,", "f: 900, fx: 1,", "2: camera.f: unknown key; did you mean fy or fx?"),
         ("width: 640", "width: 640.5", "2: camera.width: must be a whole number, is 640.5; width of the images in px"),
@@ -235,7 +235,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "1e-4]",
             "2: camera.dist[4]: missing; lens distortion [k1, k2, p1, p2, k3], OpenCV's order",
         ),
-        ("radius: 0.6", "radius: 0", "4: ball.radius: must be greater than 0, is 0; radius of the ball in m"),
+        ("radius: 0.6", "radius: 0", "4: ball.radius: must be at least 1e-06, is 0; radius of the ball in m"),
         (
             "    - [4e-6, 0, 0, 0]\n",
             "",
