@@ -47,7 +47,7 @@ def _extremes(hint: Any, bounds: dict[str, float], default: Any) -> Iterator[str
     elif origin is tuple and inner[-1] is ...:
         items = extremes(inner[0], bounds, None)
         for n in LENGTHS:
-            yield from (f"[{', '.join([item] * n)}]" for item in items)
+            yield from (f"[{', '.join([item] * n)}]" for item in items[:3])  # the bounds, and beside one
         for some in (default[:-1], default[1:], default[::-1], default[:2] * 2) if default else ():
             yield config.to_yaml(some)
     elif origin is tuple:

@@ -27,6 +27,8 @@ from spheremouse.simulate.wand import WandFilm, WandOptions, prepare_wand, simul
 from spheremouse.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
 from spheremouse.wand import track as wand
 from spheremouse.wand.pointing import Pointing, point, pointing_rate
+from spheremouse.wand.warm import warm_up as warm_up_wand
+from spheremouse.warm import warm_up
 from tests.fuzz.extremes import extremes, numbers
 from tests.fuzz.targets import refused, target
 
@@ -147,14 +149,15 @@ def _in_its_frame(c: Configuration) -> None:
 
 def _step(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     s = tracker.settings
-    state, motion = in_time(f"{s.tracker}, {s.detector}", lambda: step(state, frame, tracker), lambda: _usual(s))
+    state, motion = in_time(f"{s.tracker}, {s.detector}", lambda: step(state, frame, tracker), lambda: as_usual(s))
     sound(motion)
     assert np.all(np.isfinite(state.filter.covariance))
     assert np.all(np.isfinite(state.filter.attitude))
     return state
 
 
-def _usual(settings: Any) -> None:
+def as_usual(settings: Any) -> None:
+    """A frame with the default settings, by that tracker and detector."""
     rig, frames = clip()
     assert rig.pose is not None
     tracker = build(rig, rig.pose, replace(Configuration(), tracker=settings.tracker, detector=settings.detector))
@@ -164,6 +167,9 @@ def _usual(settings: Any) -> None:
 @cache
 def clip() -> tuple[Rig, list[Frame]]:
     """A device with its camera's pose, and frames in which its ball begins to roll."""
+    for tracker in ("so3", "ekf1", "ekf2"):
+        for detector in ("default", "blobs"):
+            warm_up(replace(Configuration(), tracker=tracker, detector=detector))
     data = open_dataset(CLIP)
     frames = list(read_frames(data))
     seen = [detect_targets(f.image, data.rig.targets.radii, Configuration().rings) for f in frames[:3]]
@@ -214,5 +220,6 @@ def follow(tracker: wand.WandTracker, frames: list[Frame], c: Configuration) -> 
 @cache
 def hand() -> tuple[WandFilm, list[Frame]]:
     """A simulated ball in a hand, and a few frames of it."""
+    warm_up_wand()
     film = prepare_wand(WandOptions(motion="hand", size=(320, 240), focal=300.0, seconds=0.27, seed=3, distance=0.6))
     return film, [shot.frame for shot in simulate_wand(film)]
