@@ -61,7 +61,7 @@ def _places(tree: Any, at: Place = ()) -> Iterator[tuple[Place, float]]:
     if isinstance(tree, dict | tuple):
         for key, inner in tree.items() if isinstance(tree, dict) else enumerate(tree):
             yield from _places(inner, (*at, key))
-    elif isinstance(tree, int | float) and not isinstance(tree, bool):
+    elif isinstance(tree, int | float) and (tree or not str(at).count("covariance")):  # of those, the diagonals
         yield at, tree
 
 
@@ -146,7 +146,6 @@ def _in_use(rig: Rig) -> None:
                 "so3, default",
                 lambda s=state, f=frame: step(s, f, tracker),
                 lambda: as_usual(Configuration()),
-                lambda: None,
                 share,
             )
         except SpheremouseError:

@@ -27,6 +27,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from tests.fuzz.targets import EVERY, STRATEGIES, TARGETS
 
 LONGEST = 10.0  # s of a core that an example may take
+IN_C = 5.0  # s more until the process is ended from outside
 PATIENCE = 90.0  # s on a clock: it waits for something that does not come
 MEMORY = 1 << 30  # bytes, of the process at its largest
 ADDRESSES = 16 << 30  # bytes: beyond, memory is refused, so that the machine goes on
@@ -89,7 +90,7 @@ def tried(name: str, first_seed: int, limit: Limit) -> Result:
     used, example = 0.0, where[1]
     while result is None and not why:
         try:
-            if here.poll(0.5):
+            if here.poll(0.2):
                 result = here.recv()
                 break
         except EOFError:
@@ -98,7 +99,7 @@ def tried(name: str, first_seed: int, limit: Limit) -> Result:
             break
         if where[1] != example:
             used, example = _core_seconds(process.pid), where[1]
-        if _core_seconds(process.pid) - used > LONGEST + 5.0 or time.monotonic() - where[2] > PATIENCE:
+        if _core_seconds(process.pid) - used > LONGEST + IN_C or time.monotonic() - where[2] > PATIENCE:
             why = f"an example takes longer than {LONGEST:g} s of a core, or {PATIENCE:g} s"
             os.kill(process.pid, signal.SIGABRT)  # with the stack of where it is
     process.join(30.0)
