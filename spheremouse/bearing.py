@@ -11,7 +11,7 @@ from numba import njit
 
 from spheremouse.intersect import SpherePoints
 from spheremouse.rotation import Array
-from spheremouse.settings import param
+from spheremouse.settings import SECONDS, SHARE, SIGMAS, param
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable
 _PRINT = 5e-4  # rad, standard deviation of a disc's place on the map and in the picture that no view removes
@@ -25,15 +25,15 @@ class BearingSettings:
     """When the ball counts as lifted off its bearings, or out of round."""
 
     lifted: float = param(
-        0.004, "radii", "the centre is off its place: a quarter of a degree of attitude, two or three counts", gt=0
+        0.004, "radii", "the centre is off its place: a quarter of a degree of attitude, two or three counts", **SHARE
     )
-    certain: float = param(6.0, "-", "standard deviations that this must be", gt=0)
+    certain: float = param(6.0, "-", "standard deviations that this must be", **SIGMAS)
     out_of_round: float = param(
-        5.0, "-", "mean chi-square per degree of freedom of the discs' places: at 1 they fit a rotation", gt=1
+        5.0, "-", "mean chi-square per degree of freedom of the discs' places: at 1 they fit a rotation", gt=1, le=1e3
     )
-    memory: float = param(1.0, "s", "time of that mean: hands and struts spoil a disc for less", gt=0)
+    memory: float = param(1.0, "s", "time of that mean: hands and struts spoil a disc for less", **SECONDS)
     patience: float = param(
-        5.0, "s", "off its place for so long it stays there: a new map is begun, with the centre where it is", gt=0
+        5.0, "s", "off its place for so long it stays there: a new map is begun, with the centre where it is", **SECONDS
     )
 
 

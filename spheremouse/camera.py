@@ -12,6 +12,18 @@ from numba import njit
 
 from spheremouse.rotation import Array
 
+# The largest pictures: 8K has 7680x4320, the largest webcams less, a telephone's photo 50 million pixels. One of so
+# many takes 200 MB in colour, and everything that is made of it is a few times that.
+MAX_SIDE = 16_384  # px
+MAX_PIXELS = 1 << 26  # 67 million
+
+
+def too_large(width: int, height: int) -> str:
+    """What is wrong with a picture's size, in words; empty where it can be worked on."""
+    if max(width, height) <= MAX_SIDE and width * height <= MAX_PIXELS:
+        return ""
+    return f"{width}x{height} is more than can be worked on: at most {MAX_SIDE} a side, {MAX_PIXELS} pixels in all"
+
 
 @dataclass(frozen=True, slots=True)
 class InteriorOrientation:

@@ -118,15 +118,21 @@ def parameters(settings: Any, prefix: Key = ()) -> Iterator[tuple[Key, Any]]:
 @functools.cache
 def model_of(cls: type) -> type[BaseModel]:
     """The pydantic model of a settings dataclass: no unknown keys, no conversions but int to float, all finite."""
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(cls):
-        annotation = _annotation(hints[field.name], field.metadata.get("bounds", {}))
+        annotation = _annotation(hints[field.name], field.metadata.get("bounds", {}), field.metadata.get("most"))
         required = _is_required(field)
         description = None if _is_section(cls, field) else _advice(field)
         fields[field.name] = (annotation, Field(... if required else None, description=description))
     config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
     return create_model(cls.__name__, __config__=config, **fields)
+
+
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+    """Types of a settings class's fields; each look at them evaluates text anew otherwise."""
+    return typing.get_type_hints(cls)
 
 
 def to_yaml(value: Any) -> str:
@@ -155,8 +161,8 @@ def _is_plain_word(text: str) -> bool:
     return text.isidentifier() and text.isascii() and parse_document(text, "").data == text
 
 
-def _annotation(hint: Any, bounds: dict[str, float]) -> Any:
-    """A dataclass field's type as pydantic shall check it, bounds on each number."""
+def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) -> Any:
+    """A dataclass field's type as pydantic shall check it, bounds on each number, `most` on each list's length."""
     origin, args = get_origin(hint), get_args(hint)
     if dataclasses.is_dataclass(hint):
         return model_of(typing.cast(type, hint))
@@ -165,9 +171,10 @@ def _annotation(hint: Any, bounds: dict[str, float]) -> Any:
     if hint in (bool, str, type(None)) or origin is Literal:
         return hint
     if origin in (typing.Union, types.UnionType):
-        return typing.Union[tuple(_annotation(a, bounds) for a in args)]  # noqa: UP007  built at run time
+        return typing.Union[tuple(_annotation(a, bounds, most) for a in args)]  # noqa: UP007  built at run time
     if origin is tuple:
-        return tuple[tuple(a if a is ... else _annotation(a, bounds) for a in args)]  # type: ignore[misc]
+        inner = tuple[tuple(a if a is ... else _annotation(a, bounds) for a in args)]  # type: ignore[misc]
+        return Annotated[inner, Field(max_length=most)] if most is not None and args[-1] is ... else inner
     raise TypeError(f"settings cannot hold {hint}: use bool, int, float, str, Literal, None, tuples and dataclasses")
 
 
@@ -195,7 +202,7 @@ def _updated(settings: S, checked: BaseModel, document: Document, key: Key) -> S
         old, new = getattr(settings, name), getattr(checked, name)
         nested = isinstance(new, BaseModel) and dataclasses.is_dataclass(old)
         field = next(f for f in dataclasses.fields(typing.cast(Any, settings)) if f.name == name)
-        hint = typing.get_type_hints(type(settings))[name]
+        hint = _hints(type(settings))[name]
         if nested and _is_section(type(settings), field):
             changes[name] = _updated(old, new, document, (*key, name))
         else:
@@ -208,7 +215,7 @@ def _built(hint: Any, checked: Any, document: Document, key: Key) -> Any:
     """Validated data as the dataclasses of the type hint."""
     if isinstance(checked, BaseModel):
         cls = next(_dataclasses_in(hint))
-        hints = typing.get_type_hints(cls)
+        hints = _hints(cls)
         given = {n: _built(hints[n], getattr(checked, n), document, (*key, n)) for n in checked.model_fields_set}
         with _refusal(document, key):
             return cls(**given)
@@ -239,7 +246,7 @@ def _dataclasses_in(hint: Any) -> Iterator[type]:
 
 
 def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
-    return dataclasses.is_dataclass(typing.get_type_hints(cls)[field.name])
+    return dataclasses.is_dataclass(_hints(cls)[field.name])
 
 
 def _ordered(cls: type) -> list["dataclasses.Field[Any]"]:
@@ -270,7 +277,7 @@ def _advice(field: "dataclasses.Field[Any]") -> str | None:
 
 
 def _commented(settings: Any, indent: str) -> Iterator[str]:
-    hints = typing.get_type_hints(type(settings))
+    hints = _hints(type(settings))
     for i, field in enumerate(_ordered(type(settings))):
         value = getattr(settings, field.name)
         if i or not indent:
@@ -282,7 +289,7 @@ def _commented(settings: Any, indent: str) -> Iterator[str]:
             continue
         yield from _comment(_about(field, hints[field.name]), indent)
         for inner in _dataclasses_in(hints[field.name]):
-            inner_hints = typing.get_type_hints(inner)
+            inner_hints = _hints(inner)
             for f in dataclasses.fields(inner):
                 yield from _comment(f"{f.name}: {_about(f, inner_hints[f.name])}", indent, hang="  ")
         if isinstance(value, tuple) and any(dataclasses.is_dataclass(v) for v in value):
@@ -301,6 +308,8 @@ def _about(field: "dataclasses.Field[Any]", hint: Any) -> str:
     facts = [f"one of {', '.join(choices)}"] if choices else []
     facts += [unit] if (unit := _unit(field).strip()) else []
     facts += limits
+    if (most := field.metadata.get("most")) is not None:
+        facts.append(f"at most {most} of them")
     if not _is_required(field):
         facts.append(f"default {to_yaml(_default(field))}")
     first = meaning.partition(" ")[0]

@@ -20,7 +20,7 @@ from spheremouse import __version__
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
 from spheremouse.migrate import converted
-from spheremouse.rig import Rig
+from spheremouse.rig import MOST_DISCS, Rig
 from spheremouse.rotation import Array
 from spheremouse.validate import validated
 from spheremouse.yaml_file import Document, Problem, read_document, shown, write_atomically
@@ -29,7 +29,8 @@ MAP_SCHEMA = 1
 _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination
 BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
 
-Positive = Annotated[float, Field(gt=0)]
+Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # as in the rig file
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # likewise
 Sigma = Annotated[float, Field(ge=0, lt=10)]
 
 
@@ -49,7 +50,7 @@ class _Part(BaseModel):
 
 
 class _Disc(_Part):
-    direction: tuple[float, float, float] = Field(description="unit vector [x, y, z] in ball")
+    direction: tuple[Coordinate, Coordinate, Coordinate] = Field(description="unit vector [x, y, z] in ball")
     sigma: tuple[Sigma, Sigma] = Field(description="two standard deviations in rad")
     sightings: int = Field(ge=0, lt=10**15, description="frames in which the disc was seen")
 
@@ -57,10 +58,14 @@ class _Disc(_Part):
 class _MapFile(_Part):
     spheremouse: str = Field(description="version of the program that wrote the file")
     saved: str = Field(description='date and time as "2025-01-31T12:00:00+00:00"')
-    ball_radius: Positive = Field(description="radius of the ball in m")
-    disc_radius: Positive = Field(description="radius of a disc in m")
-    discs: tuple[_Disc, ...] = Field(min_length=1, description="list of {direction, sigma, sightings}")
-    correlation_root: tuple[str, ...] = Field(description="two lines of whole numbers, in quotes, for each disc")
+    ball_radius: Length = Field(description="radius of the ball in m")
+    disc_radius: Length = Field(description="radius of a disc in m")
+    discs: tuple[_Disc, ...] = Field(
+        min_length=1, max_length=MOST_DISCS, description="list of {direction, sigma, sightings}"
+    )
+    correlation_root: tuple[str, ...] = Field(
+        max_length=2 * MOST_DISCS, description="two lines of whole numbers, in quotes, for each disc"
+    )
 
 
 def map_path(rig_file: Path) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from spheremouse.rotation import Array, log_into
-from spheremouse.settings import param
+from spheremouse.settings import FACTOR, PER_RADIAN, param
 
 _DUE = 1.0 - 1e-9  # counts; less than one by rounding alone
 _USUAL_RADIUS = 0.6  # m: a millimetre of a ball of unknown size is what it is on a ball of 1.2 m
@@ -21,17 +21,20 @@ class MotionSettings:
     """From rotation to counts."""
 
     counts_per_mm: float = param(
-        1.0, "counts/mm", "scale of all axes, per millimetre of the ball's surface: about a 25 dpi trackball", gt=0
+        1.0,
+        "counts/mm",
+        "scale of all axes, per millimetre of the ball's surface: about a 25 dpi trackball; mice have up to 1000",
+        **FACTOR,
     )
     counts_per_radian: float | None = param(
         None,
         "counts/rad",
         "scale per radian instead; null where the rig's scale is free: that of a ball of 0.6 m radius",
-        gt=0,
+        **PER_RADIAN,
     )
-    scale_x: float = param(1.0, "-", "factor on the pointer's X (ball rolling left and right)", gt=0)
-    scale_y: float = param(1.0, "-", "factor on the pointer's Y (ball rolling towards and away)", gt=0)
-    scale_z: float = param(1.0, "-", "factor on the third axis (ball spinning about the vertical)", gt=0)
+    scale_x: float = param(1.0, "-", "factor on the pointer's X (ball rolling left and right)", **FACTOR)
+    scale_y: float = param(1.0, "-", "factor on the pointer's Y (ball rolling towards and away)", **FACTOR)
+    scale_z: float = param(1.0, "-", "factor on the third axis (ball spinning about the vertical)", **FACTOR)
     invert_x: bool = param(False, "-", "reverse X")
     invert_y: bool = param(False, "-", "reverse Y")
     invert_z: bool = param(False, "-", "reverse the third axis")

@@ -28,7 +28,7 @@ from spheremouse.detect.rings import MOST, TargetDetections
 from spheremouse.errors import PoseError
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp, hat
-from spheremouse.settings import param
+from spheremouse.settings import SHARE, SIGMA_PX, param
 
 _CHOICES = 250  # of one copy of each target that are tried: each is a resection of its own and takes milliseconds
 _CROWDED = (
@@ -42,17 +42,20 @@ class PoseSettings:
     """How the camera's pose is found at the start."""
 
     frames: int = param(
-        30, "frames", "views averaged at the start: a second of video (Wittich 2017, section 3.4)", ge=1
+        30,
+        "frames",
+        "views averaged at the start: a second of video (Wittich 2017, section 3.4); a hundred are below what no "
+        "averaging removes, and are kept meanwhile",
+        ge=1,
+        le=100,
     )
     target_sigma: float = param(
         0.05,
         "px",
         "standard deviation of a target's centre in one view that no averaging removes: print, sampling, lens",
-        gt=0,
+        **SIGMA_PX,
     )
-    seen_share: float = param(
-        0.3, "-", "a target counts when it is seen in at least this part of the views", gt=0, le=1
-    )
+    seen_share: float = param(0.3, "-", "a target counts when it is seen in at least this part of the views", **SHARE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from ruamel.yaml import YAML
 from scipy.linalg import block_diag
 
-from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
-from spheremouse.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.camera import MAX_SIDE, InteriorOrientation, Pose, pose_from_matrix, too_large
+from spheremouse.rig import CODES, MOST_DISCS, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rotation import Array
 from spheremouse.validate import read_checked
 from spheremouse.yaml_file import SCHEMA, Key, Problem, write_atomically
@@ -24,9 +24,18 @@ from spheremouse.yaml_file import SCHEMA, Key, Problem, write_atomically
 Code = Literal["CMY", "CYM", "MCY", "MYC", "YCM", "YMC"]
 assert get_args(Code) == CODES
 
-Positive = Annotated[float, Field(gt=0)]
-Vector3 = tuple[float, float, float]
-Matrix = tuple[tuple[float, ...], ...]
+# Lengths are in metres, or in any unit where the scale is free: a millionth and a million hold a ball of millimetres as
+# well as one of kilometres, and their squares and quotients are numbers yet.
+_GREATEST = 1e6
+Length = Annotated[float, Field(ge=1.0 / _GREATEST, le=_GREATEST)]
+Coordinate = Annotated[float, Field(ge=-_GREATEST, le=_GREATEST)]
+Variance = Annotated[float, Field(ge=-(_GREATEST**2), le=_GREATEST**2)]
+Focal = Annotated[float, Field(ge=1.0, le=_GREATEST)]  # px: the smallest picture at 170°, and a telescope's
+Principal = Annotated[float, Field(ge=-MAX_SIDE, le=2 * MAX_SIDE)]  # px
+Distortion = Annotated[float, Field(ge=-_GREATEST, le=_GREATEST)]  # of a long lens, k3 may come out as anything
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
+Row = Annotated[tuple[Variance, ...], Field(max_length=3 * len(CODES))]
+Matrix = Annotated[tuple[Row, ...], Field(max_length=3 * len(CODES))]
 
 
 class _Part(BaseModel):
@@ -34,26 +43,26 @@ class _Part(BaseModel):
 
 
 class _Camera(_Part):
-    width: int = Field(gt=0, le=100_000, description="width of the images in px")
-    height: int = Field(gt=0, le=100_000, description="height of the images in px")
-    fx: Positive = Field(description="focal length in px")
-    fy: Positive = Field(description="focal length in px")
-    cx: float = Field(description="principal point in px, 0 the centre of the leftmost column")
-    cy: float = Field(description="principal point in px, 0 the centre of the topmost row")
-    dist: tuple[float, float, float, float, float] = Field(
+    width: int = Field(gt=0, le=MAX_SIDE, description="width of the images in px")
+    height: int = Field(gt=0, le=MAX_SIDE, description="height of the images in px")
+    fx: Focal = Field(description="focal length in px")
+    fy: Focal = Field(description="focal length in px")
+    cx: Principal = Field(description="principal point in px, 0 the centre of the leftmost column")
+    cy: Principal = Field(description="principal point in px, 0 the centre of the topmost row")
+    dist: tuple[Distortion, Distortion, Distortion, Distortion, Distortion] = Field(
         (0.0, 0.0, 0.0, 0.0, 0.0), description="lens distortion [k1, k2, p1, p2, k3], OpenCV's order"
     )
     covariance: Matrix | None = Field(None, description="9 x 9 of fx, fy, cx, cy, k1, k2, p1, p2, k3")
 
 
 class _Ball(_Part):
-    radius: Positive = Field(description="radius of the ball in m")
+    radius: Length = Field(description="radius of the ball in m")
     center: Vector3 = Field((0.0, 0.0, 0.0), description="centre [x, y, z] in m, obj; the origin by definition")
     covariance: Matrix | None = Field(None, description="4 x 4 of centre x, y, z and radius in m²")
 
 
 class _Target(_Part):
-    id: int = Field(description="a whole number that names the target")
+    id: int = Field(ge=-(2**31), lt=2**31, description="a whole number that names the target")
     code: Code = Field(description="colours inside to outside")
     position: Vector3 = Field(description="[x, y, z] in m, obj")
     covariance: Matrix | None = Field(None, description="3 x 3 in m², where the targets are not correlated")
@@ -75,17 +84,17 @@ class _RigFile(_CameraFile):
     scale: Literal["metric", "free"] = Field(
         "metric", description="metric: lengths are in m; free: in a unit of their own, such as the ball's radius"
     )
-    disc_radius: Positive = Field(description="radius of a disc in m, along the ball's surface")
+    disc_radius: Length = Field(description="radius of a disc in m, along the ball's surface")
     readout_s: float | None = Field(
         None, ge=0, lt=1, description="time a rolling shutter takes over all rows in s; 0: global; null: unknown"
     )
     exposure_s: float = Field(
         0.0, ge=0, lt=1, description="time the shutter is open in s, which tells the blur of a fast ball; 0: unknown"
     )
-    target_radii: tuple[Positive, Positive, Positive] | None = Field(
+    target_radii: tuple[Length, Length, Length] | None = Field(
         None, description="[inner disc, middle ring, outer ring] in m"
     )
-    targets: tuple[_Target, ...] = Field((), description="list of {id, code, position}")
+    targets: tuple[_Target, ...] = Field((), max_length=len(CODES), description="list of {id, code, position}")
     targets_covariance: Matrix | None = Field(
         None, description="3n x 3n in m², x, y, z of the first target, x, y, z of the second, ..."
     )
@@ -97,7 +106,7 @@ class _RigFile(_CameraFile):
     pose_ball_covariance: Matrix | None = Field(
         None, description="6 x 4 of the pose with the ball's centre x, y, z and radius"
     )
-    discs: tuple[Vector3, ...] = Field((), description="list of unit vectors [x, y, z] in ball")
+    discs: tuple[Vector3, ...] = Field((), max_length=MOST_DISCS, description="list of unit vectors [x, y, z] in ball")
 
 
 def load_rig(path: Path) -> Rig:
@@ -270,6 +279,8 @@ def _unit_rows(vectors: tuple[Vector3, ...]) -> Array:
 
 
 def _camera_problems(c: _Camera) -> Iterator[Problem]:
+    if problem := too_large(c.width, c.height):
+        yield Problem(("camera",), problem)
     for name, value, size in (("cx", c.cx, c.width), ("cy", c.cy, c.height)):
         if not -size <= value <= 2 * size:
             text = f"is {value:g}, far outside an image of {size} px; it is given in px, and lies near {size / 2:g}"

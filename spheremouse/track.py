@@ -38,7 +38,7 @@ from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_betwe
 from spheremouse.resect import PoseSettings, find_pose, predict_targets
 from spheremouse.rig import Rig, considered_covariance
 from spheremouse.rotation import Array
-from spheremouse.settings import param
+from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
 from spheremouse.watch import Watch, WatchSettings
 
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
@@ -61,24 +61,30 @@ class LossSettings:
     """When the ball is lost, and how it is found again."""
 
     lost_after: float = param(
-        0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", gt=0
+        0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", **SECONDS
     )
     known_sigma: float = param(
         0.02,
         "rad",
         "one disc alone holds the attitude while none of its axes is less certain: half a disc's width",
-        gt=0,
+        **ANGLE,
     )
     reset_after: float = param(
-        1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", gt=0
+        1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", **SECONDS
     )
     fastest: float = param(
         20.0,
         "rad/s",
         "no hand turns the ball faster (1150 °/s): what says so is a wrong pairing, or a bumped camera",
-        gt=0,
+        **HAND_TURN,
     )
-    identify_sigma: float = param(0.003, "rad", "standard deviation of a direction when the map is searched", gt=0)
+    identify_sigma: float = param(
+        0.003,
+        "rad",
+        "standard deviation of a direction when the map is searched; at a tenth any disc may be any other",
+        ge=1e-4,
+        le=0.1,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,6 +344,8 @@ def retuned(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[Tr
     anew = build(tracker.rig, current(state, tracker).pose, settings)
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
+    if settings.so3.levels != tracker.settings.so3.levels and isinstance(state.filter, So3State):
+        state = replace(state, filter=replace(state.filter, weights=np.zeros(0)))  # they were those of other levels
     return replace(state, rebuilt=None, hunt=Hunt()), anew
 
 

@@ -109,7 +109,7 @@ _BOUNDS = {
     "greater_than_equal": ("ge", "must be at least {}"),
     "less_than": ("lt", "must be less than {}"),
     "less_than_equal": ("le", "must be at most {}"),
-    "too_long": ("max_length", "must be a list of {}"),
+    "too_long": ("max_length", "must be a list of at most {}"),
     "too_short": ("min_length", "must be a list of at least {}"),
     "literal_error": ("expected", "must be {}"),
 }

@@ -21,9 +21,9 @@ from spheremouse.yaml_file import SCHEMA, Document, Problem, write_atomically
 
 _ALIKE = np.radians(6.0)  # discs this near to one another are taken for the same one: half of the smallest disc
 _TURNED = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect
-_FEWEST = 3
+_FEWEST, _MOST = 3, 64  # discs: in a circle of 12 degrees each they cover the ball
 
-Positive = Annotated[float, Field(gt=0)]
+Length = Annotated[float, Field(ge=1e-4, le=2.0)]  # m: a tenth of a millimetre is dust
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +41,9 @@ class _Part(BaseModel):
 class _Disc(_Part):
     azimuth: float = Field(ge=-360, le=360, description="degrees about the pole, counter-clockwise from above")
     latitude: float = Field(ge=-90, le=90, description="degrees above the equator, 90 at the pole")
-    diameter: Positive = Field(description="straight across the disc's rim, in m")
+    diameter: Length = Field(description="straight across the disc's rim, in m")
     colour: str = Field(min_length=1, description="a name of `colours`, or red, blue, dark or light")
-    points: Positive | None = Field(None, description="m along the surface from the centre to the four outer points")
+    points: Length | None = Field(None, description="m along the surface from the centre to the four outer points")
 
 
 class _Colour(_Part):
@@ -51,8 +51,8 @@ class _Colour(_Part):
     hue_max: float = Field(360.0, ge=0, le=360, description="greatest hue, degrees")
     saturation_min: float = Field(0.0, ge=0, le=255, description="least saturation, 0 to 255")
     saturation_max: float = Field(255.0, ge=0, le=255, description="greatest saturation, 0 to 255")
-    value_min: float = Field(0.0, ge=0, description="least brightness where the picture's mean is 127")
-    value_max: float = Field(1e4, ge=0, description="greatest brightness where the picture's mean is 127")
+    value_min: float = Field(0.0, ge=0, le=1e4, description="least brightness where the picture's mean is 127")
+    value_max: float = Field(1e4, ge=0, le=1e4, description="greatest brightness where the picture's mean is 127")
 
 
 class _Provenance(BaseModel):
@@ -63,10 +63,12 @@ class _Provenance(BaseModel):
 
 class _Wand(_Part):
     name: str = Field("wand", min_length=1, description="what messages call the ball")
-    radius: Positive = Field(le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
+    radius: float = Field(ge=0.005, le=1.0, description="radius of the ball in m, 0.05 for 10 cm across")
     body: Literal["white", "black"] = Field("white", description="the ball between its discs: white or black")
-    discs: tuple[_Disc, ...] = Field(description="list of {azimuth, latitude, diameter, colour}")
-    colours: dict[str, _Colour] = Field({}, description="bounds of each colour; `spheremouse wand colours` picks them")
+    discs: tuple[_Disc, ...] = Field(max_length=_MOST, description="list of {azimuth, latitude, diameter, colour}")
+    colours: dict[str, _Colour] = Field(
+        {}, max_length=_MOST, description="bounds of each colour; `spheremouse wand colours` picks them"
+    )
     provenance: _Provenance | None = Field(None, description="where the numbers come from: a section, for people")
 
 

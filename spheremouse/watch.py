@@ -19,7 +19,7 @@ from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp, hat, log
-from spheremouse.settings import param
+from spheremouse.settings import PART, PIXELS, SECONDS, SIGMA_PX, param
 
 _FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that
 _AROUND = 1.3  # outer radii of a target that its patch reaches: the ring's edge and some of what is behind
@@ -32,19 +32,21 @@ _CONTRAST = 5.0  # grey values, standard deviation within a patch: less is a wal
 class WatchSettings:
     """When the camera counts as bumped."""
 
-    interval: float = param(1.0, "s", "every ring target is looked at once in so long, one at a time", gt=0)
+    interval: float = param(1.0, "s", "every ring target is looked at once in so long, one at a time", **SECONDS)
     score: float = param(
-        0.7, "-", "least correlation with what was seen before: below, something is in front of it", gt=0, lt=1
+        0.7, "-", "least correlation with what was seen before: below, something is in front of it", **PART
     )
     displaced: float = param(
-        0.15, "px", "a target has moved: seven standard deviations of its rings, 0.05° of the ball far away", gt=0
+        0.15, "px", "a target has moved: seven standard deviations of its rings, 0.05° of the ball far away", **PIXELS
     )
-    still: float = param(0.15, "px", "between two frames the targets move less: the camera stands", gt=0)
+    still: float = param(0.15, "px", "between two frames the targets move less: the camera stands", **PIXELS)
     reach: float = param(
-        0.05, "widths of the image", "how far a displaced target is looked for: beyond, by its colours", gt=0, le=0.5
+        0.05, "widths of the image", "how far a displaced target is looked for: beyond, by its colours", ge=1e-3, le=0.5
     )
-    ring_sigma: float = param(0.02, "px", "standard deviation of a shift measured on the rings' edges", gt=0)
-    match_sigma: float = param(0.1, "px", "the same by correlation: what is behind a target shifts otherwise", gt=0)
+    ring_sigma: float = param(0.02, "px", "standard deviation of a shift measured on the rings' edges", **SIGMA_PX)
+    match_sigma: float = param(
+        0.1, "px", "the same by correlation: what is behind a target shifts otherwise", **SIGMA_PX
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -160,7 +160,7 @@ def test_a_missing_file_is_no_damaged_one(tmp_path):
         ("schema: 1", "schema: one", ":3: schema: must be 1, is 'one'"),
         ("schema: 1", "schema: true", ":3: schema: must be 1, is true"),
         ("schema: 1\n", "", ":3: schema: must be 1, is missing"),
-        ("ball_radius: 0.6", "ball_radius: -1", ":6: ball_radius: must be greater than 0, is -1"),
+        ("ball_radius: 0.6", "ball_radius: -1", ":6: ball_radius: must be at least 1e-06, is -1"),
         ("ball_radius: 0.6", "ball_radius: .nan", ":6: ball_radius: must be a finite number"),
         ("disc_radius", "disk_radius", ":3: disc_radius: missing; radius of a disc in m (and 1 more)"),
         ("2026-02-03T", "2026-02-33T", ":5: saved: is '2026-02-33T"),

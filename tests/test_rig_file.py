@@ -221,7 +221,14 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("fx: 900,", "fx: -900,", "2: camera.fx: must be greater than 0, is -900; focal length in px"),
+        ("fx: 900,", "fx: -900,", "2: camera.fx: must be at least 1, is -900; focal length in px"),
+        ("fx: 900,", "fx: 1e9,", "2: camera.fx: must be at most 1e+06, is 1000000000.0; focal length in px"),
+        ("width: 640", "width: 100000", "2: camera.width: must be at most 16384, is 100000; width of the images in px"),
+        (
+            "width: 640, height: 480",
+            "width: 16000, height: 9000",
+            "2: camera: 16000x9000 is more than can be worked on: at most 16384 a side, 67108864 pixels in all",
+        ),
         ("fx: 900,", "", "2: camera.fx: missing; focal length in px"),
         ("fx: 900,", "f: 900, fx: 1,", "2: camera.f: unknown key; did you mean fy or fx?"),
         ("width: 640", "width: 640.5", "2: camera.width: must be a whole number, is 640.5; width of the images in px"),
@@ -235,7 +242,7 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "1e-4]",
             "2: camera.dist[4]: missing; lens distortion [k1, k2, p1, p2, k3], OpenCV's order",
         ),
-        ("radius: 0.6", "radius: 0", "4: ball.radius: must be greater than 0, is 0; radius of the ball in m"),
+        ("radius: 0.6", "radius: 0", "4: ball.radius: must be at least 1e-06, is 0; radius of the ball in m"),
         (
             "    - [4e-6, 0, 0, 0]\n",
             "",
@@ -367,6 +374,11 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "18: pose_ball_covariance: " + BEYOND,
         ),
         ("ball:", "provenance: yesterday\nball:", "3: provenance: must be a section of `key: value` lines" + PEOPLE),
+        (
+            "[0, 0.8, 0.6]",
+            ", ".join(["[0, 0.8, 0.6]"] * 250),
+            "22: discs: must be a list of at most 250, is a list of 251; list of unit vectors [x, y, z] in ball",
+        ),
         ("[0, 0.8, 0.6]", "[0, 8, 6]", "22: discs[1]: has length 10; give a unit vector"),
         ("[0, 0.8, 0.6]", "[0, 0, 0]", "22: discs[1]: has length 0; give a unit vector"),
         ("ball:", "bal:", "3: bal: unknown key; did you mean ball?"),

@@ -564,7 +564,11 @@ def test_a_pose_estimated_anew_and_other_settings_move_nothing():
         s, t = retuned(s, t, replace(SO3, motion=replace(SO3.motion, counts_per_mm=1.0, invert_x=False)))
         return *step(s, f, t), t
 
-    for change in (anew, tuned):
+    def other_levels(s, f, t):
+        s, t = retuned(s, t, replace(SO3, so3=replace(SO3.so3, levels=(1.0, 8.0, 64.0, 512.0))))
+        return *step(s, f, t), t
+
+    for change in (anew, tuned, other_levels):
         state, sums = _rolled(frames, tracker, change)
         assert state.phase is Phase.TRACKING
         assert np.abs(sums - expected).max() <= 2.0

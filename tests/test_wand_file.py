@@ -61,7 +61,7 @@ def test_a_file_reads_back_with_its_bounds(tmp_path):
         ("colour: red", "colour: mauve", 10, "is 'mauve', which has no bounds; write them under `colours`"),
         ("latitude: 55", "latitude: 30", 11, "overlaps disc 1: 15.0 degrees apart, 32.6 would touch"),
         ("saturation_min: 95", "saturation_min: 300", 19, "saturation_min: must be at most 255, is 300"),
-        ("value_min: 25", "value_min: 20000", 19, "is 20000, not below value_max, 10000: that selects nothing"),
+        ("value_min: 25", "value_min: 10000", 19, "is 10000, not below value_max, 10000: that selects nothing"),
         ("  red: {", "  pink: {", 19, "no disc has this colour; remove it, or give it to a disc"),
         ("body: white", "body: grey", 8, "body: must be 'white' or 'black', is 'grey'"),
         ("discs:", "discs: [", 10, "not YAML"),

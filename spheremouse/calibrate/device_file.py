@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from spheremouse.adjustment.device import Axes, Device, Distance
 from spheremouse.files.bounded import read_bytes
+from spheremouse.rig import CODES
 from spheremouse.rig_file import Code
 from spheremouse.validate import validated
 from spheremouse.yaml_file import MAX_BYTES, SCHEMA, Document, Problem, read_document, without_schema
@@ -28,7 +29,8 @@ _COARSEST = 0.1  # sigma over distance: a tape is never as bad
 _SIGMAS = 5.0  # by chance once in two million
 
 Id = Annotated[int, Field(ge=0, le=10**6, description="the id of a target, one of those under `targets`")]
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, le=1e4)]  # m: no tape is longer
+_MOST_DISTANCES = 100  # six targets have fifteen, each may be measured several times
 
 
 class _Part(BaseModel):
@@ -56,14 +58,18 @@ _TapeDistance = create_model(
 
 
 class _DeviceFile(_Part):
-    targets: tuple[_Target, ...] = Field(min_length=_FEWEST, description="list of {id, code}, one for each target")
+    targets: tuple[_Target, ...] = Field(
+        min_length=_FEWEST, max_length=len(CODES), description="list of {id, code}, one for each target"
+    )
     target_radii: tuple[Positive, Positive, Positive] = Field(
         description="[inner disc, middle ring, outer ring] in metres, each from the target's centre outwards"
     )
     disc_radius: Positive = Field(description="radius of a disc on the ball in metres, along the surface")
     axes: _Axes = Field(description="{origin, up, plane}: ids of three targets")
     distances: tuple[_TapeDistance, ...] = Field(  # type: ignore[valid-type]
-        (), description="list of {from, to, metres, sigma}; [] where nothing was measured"
+        (),
+        max_length=_MOST_DISTANCES,
+        description="list of {from, to, metres, sigma}; [] where nothing was measured",
     )
 
 

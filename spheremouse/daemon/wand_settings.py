@@ -6,15 +6,22 @@ from spheremouse.settings import param
 from spheremouse.wand.pointing import PointingSettings
 from spheremouse.wand.track import WandSettings
 
+MOST_BALLS = 8  # each takes its time in every frame, and two people have four hands
+
 
 @dataclass(frozen=True, slots=True)
 class WandRunSettings(WandSettings):
     """The hand-held ball, where `tracker` is wand."""
 
     balls: tuple[str, ...] = param(
-        (), "-", "wand files, a ball each, relative to this file's folder; none: Grzonka's ball, or the recording's own"
+        (),
+        "-",
+        "wand files, a ball each, relative to this file's folder; none: Grzonka's ball, or the recording's own",
+        most=MOST_BALLS,
     )
-    points: int = param(1, "-", "number of the ball that moves the pointer, in the order of `balls`", ge=1)
+    points: int = param(
+        1, "-", "number of the ball that moves the pointer, in the order of `balls`", ge=1, le=MOST_BALLS
+    )
     axes: str | None = param(
         None,
         "-",

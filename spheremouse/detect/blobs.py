@@ -10,26 +10,28 @@ import cv2
 import numpy as np
 
 from spheremouse.detect.detections import Detections, Image, no_detections
-from spheremouse.settings import param
+from spheremouse.settings import AREA, SHARE, SIGMA_PX, WIDTH, param
 
 
 @dataclass(frozen=True, slots=True)
 class BlobSettings:
     """Symbols of table 4 behind each name."""
 
-    median: int = param(5, "px", "width of the median filter, odd; the thesis does not state it", ge=1)
-    mask_step: int = param(10, "grey values", "u_M, step between masks", ge=1)
-    mask_width: int = param(30, "grey values", "u_B, width of a mask", ge=1)
-    masks: int = param(10, "-", "m, number of masks: grey 0 to 120", ge=1)
-    opening: int = param(3, "px", "width of the opening's square; the thesis does not state it", ge=1)
-    min_area: float = param(40.0, "px²", "F_min, least area of a contour", gt=0)
-    max_area: float = param(300.0, "px²", "F_max, largest area of a contour", gt=0)
-    convexity: float = param(0.95, "-", "q_min, least area over area of the convex hull", gt=0, le=1)
-    sigma: float = param(0.1, "px", "sigma_b, standard deviation of a centre per axis (section 4.5)", gt=0)
+    median: int = param(5, "px", "width of the median filter, odd; the thesis does not state it", **WIDTH)
+    mask_step: int = param(10, "grey values", "u_M, step between masks", ge=1, le=255)
+    mask_width: int = param(30, "grey values", "u_B, width of a mask", ge=1, le=255)
+    masks: int = param(10, "-", "m, number of masks: grey 0 to 120; each takes its time", ge=1, le=52)  # of a step of 5
+    opening: int = param(3, "px", "width of the opening's square; the thesis does not state it", **WIDTH)
+    min_area: float = param(40.0, "px²", "F_min, least area of a contour", **AREA)
+    max_area: float = param(300.0, "px²", "F_max, largest area of a contour", **AREA)
+    convexity: float = param(0.95, "-", "q_min, least area over area of the convex hull", **SHARE)
+    sigma: float = param(0.1, "px", "sigma_b, standard deviation of a centre per axis (section 4.5)", **SIGMA_PX)
 
     def __post_init__(self) -> None:
         if self.median % 2 == 0:
             raise ValueError("median: the width of a median filter is odd")
+        if self.min_area > self.max_area:
+            raise ValueError(f"min_area: {self.min_area:g} is above max_area, {self.max_area:g}: no blob has both")
 
 
 @dataclass(frozen=True, slots=True)

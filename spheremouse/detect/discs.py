@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from spheremouse.camera import Pose
+from spheremouse.camera import MAX_SIDE, Pose
 from spheremouse.detect.cap import appearance, ball_mask, largest_disc
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, noise_of, smoothing_kernel
@@ -23,7 +23,7 @@ from spheremouse.detect.window import View, look_at, view_of
 from spheremouse.errors import ConfigurationError
 from spheremouse.rig import Rig, directions_at
 from spheremouse.rotation import Array
-from spheremouse.settings import param
+from spheremouse.settings import AREA, PART, SHARE, SIGMA_PX, param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _EXPECTED = 0.3  # of the contrast is enough where the map says that a disc must be: glare, deep shade
@@ -40,33 +40,44 @@ class DiscSettings:
         0.25,
         "-",
         "least darkness against the background; print is 0.8, haze and gloss halve it, its edge is at half of that",
-        gt=0,
-        lt=1,
+        **PART,
     )
-    smoothing: float = param(0.8, "px", "standard deviation of the Gaussian before all else: about one pixel", ge=0)
+    smoothing: float = param(
+        0.8,
+        "px",
+        "standard deviation of the Gaussian before all else: about one pixel, and the fit's 7 px hold no more than 1.5",
+        ge=0,
+        le=1.5,
+    )
     size_tolerance: float = param(
         0.25,
         "-",
         "fitted over expected size may differ from 1 by this part: hand-cut discs, glare on a rim",
-        gt=0,
-        lt=1,
+        **PART,
     )
     rim: float = param(
         0.7,
         "-",
         "least part of a disc's rim that must fit: with a fifth hidden, a cut still passes for a rim",
-        gt=0,
-        le=1,
+        **SHARE,
     )
-    min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", gt=0)
+    min_area: float = param(10.0, "px²", "smaller discs are not looked for: 3.6 px across, the size of noise", **AREA)
     masks: tuple[tuple[float, float, float, float], ...] = param(
         (),
         "px",
         "rectangles [left, top, right, bottom] in which no disc is looked for: buttons, a screen's reflection",
+        ge=-MAX_SIDE,
+        le=2 * MAX_SIDE,  # somewhat beyond a picture's edge means: up to it
+        most=64,  # a ball has fewer things before it
     )
     sigma: float = param(
-        0.03, "px", "floor of a centre's standard deviation: sampling, unevenness of light, print", gt=0
+        0.03, "px", "floor of a centre's standard deviation: sampling, unevenness of light, print", **SIGMA_PX
     )
+
+    def __post_init__(self) -> None:
+        for left, top, right, bottom in self.masks:
+            if left > right or top > bottom:
+                raise ValueError("masks: give [left, top, right, bottom], left not above right, top not above bottom")
 
 
 @dataclass(frozen=True, slots=True)

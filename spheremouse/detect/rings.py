@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from spheremouse.detect.detections import Image
 from spheremouse.rig import COLOURS
 from spheremouse.rotation import Array
-from spheremouse.settings import param
+from spheremouse.settings import SHARE, WIDTH, param
 
 MOST = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few
 _PICTURES = 2.0  # areas of the picture that are measured in all: targets side by side do not fill one
@@ -28,23 +28,44 @@ class RingSettings:
     """Which pixels have a target's colour, and what shapes make a target."""
 
     median: int = param(
-        3, "px", "width of the median filter, odd; 1 is none; 3 removes salt and keeps thin rings", ge=1
+        3, "px", "width of the median filter, odd; 1 is none; 3 removes salt and keeps thin rings", **WIDTH
     )
-    opening: int = param(3, "px", "width of the opening of the masks, 1 is none; not more than a ring is wide", ge=1)
-    cyan: tuple[int, int] = param((75, 105), "OpenCV hue, 0..180", "cyan print is 90; 15 either way for the light")
-    magenta: tuple[int, int] = param((135, 170), "OpenCV hue, 0..180", "magenta print is 150 and leans to red")
-    yellow: tuple[int, int] = param((18, 42), "OpenCV hue, 0..180", "yellow print is 30; orange ends at 18")
-    saturation: tuple[int, int] = param((60, 255), "0..255", "saturation bounds (Wittich 2017, table 4)")
-    value: tuple[int, int] = param((60, 255), "0..255", "value bounds; table 4 has 110, which loses a dimmed scene")
-    min_radius: float = param(1.5, "px", "smallest inner disc: below, a colour is a guess", gt=0)
-    concentric: float = param(0.2, "-", "centres of a target's contours agree within this part of its radius", gt=0)
+    opening: int = param(3, "px", "width of the opening of the masks, 1 is none; not more than a ring is wide", **WIDTH)
+    cyan: tuple[int, int] = param(
+        (75, 105), "OpenCV hue, 0..180", "cyan print is 90; 15 either way for the light", ge=0, le=180
+    )
+    magenta: tuple[int, int] = param(
+        (135, 170), "OpenCV hue, 0..180", "magenta print is 150 and leans to red", ge=0, le=180
+    )
+    yellow: tuple[int, int] = param(
+        (18, 42), "OpenCV hue, 0..180", "yellow print is 30; orange ends at 18", ge=0, le=180
+    )
+    saturation: tuple[int, int] = param((60, 255), "0..255", "saturation bounds (Wittich 2017, table 4)", ge=0, le=255)
+    value: tuple[int, int] = param(
+        (60, 255), "0..255", "value bounds; table 4 has 110, which loses a dimmed scene", ge=0, le=255
+    )
+    min_radius: float = param(1.5, "px", "smallest inner disc: below, a colour is a guess", ge=0.5, le=1000)
+    concentric: float = param(
+        0.2,
+        "-",
+        "centres of a target's contours agree within this part of its radius; beyond all of it they are not nested",
+        **SHARE,
+    )
     ratio: float = param(
-        1.5, "-", "radii may differ from the rig's proportions by this factor: a mask loses the mixed pixels", gt=1
+        1.5,
+        "-",
+        "radii may differ from the rig's proportions by this factor: a mask loses the mixed pixels",
+        gt=1,
+        le=10,  # ten times as large is no target
     )
 
     def __post_init__(self) -> None:
         if self.median % 2 == 0:
             raise ValueError("median: the width of a median filter is odd")
+        for name in ("cyan", "magenta", "yellow", "saturation", "value"):
+            least, greatest = getattr(self, name)
+            if least > greatest:
+                raise ValueError(f"{name}: {least} is above {greatest}, which selects nothing; exchange them")
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from spheremouse.camera import Pose
 from spheremouse.detect.cap import seen_at
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
-from spheremouse.settings import param
+from spheremouse.settings import PIXELS, SECONDS, param
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,17 +25,33 @@ class StaticSettings:
     """When a candidate has shown what it is."""
 
     moved: float = param(
-        2.0, "px", "displacement by the ball's rotation after which stillness shows: many times a centre's noise", gt=0
+        2.0,
+        "px",
+        "displacement by the ball's rotation after which stillness shows: many times a centre's noise",
+        **PIXELS,
     )
     still: float = param(
-        0.6, "px", "a look-alike's centre keeps within this: noise and passing shadows; half of `moved` at most", gt=0
+        0.6,
+        "px",
+        "a look-alike's centre keeps within this: noise and passing shadows; half of `moved` at most",
+        **PIXELS,
     )
-    search: float = param(4.0, "px", "a candidate is found again within this of where it stayed or turned to", gt=0)
-    forget: float = param(1.0, "s", "a candidate not seen for so long is followed no more", gt=0)
-    mask_radius: float = param(1.5, "px", "detections this close to a mask's centre are dropped", gt=0)
+    search: float = param(4.0, "px", "a candidate is found again within this of where it stayed or turned to", **PIXELS)
+    forget: float = param(
+        1.0,
+        "s",
+        "a candidate not seen for so long is followed no more; in ten seconds noise makes thousands",
+        ge=1e-3,
+        le=10,
+    )
+    mask_radius: float = param(1.5, "px", "detections this close to a mask's centre are dropped", **PIXELS)
     mask_life: float = param(
-        600.0, "s", "a mask under which nothing was seen for so long goes: hands hide bolts for minutes", gt=0
+        600.0, "s", "a mask under which nothing was seen for so long goes: hands hide bolts for minutes", **SECONDS
     )
+
+    def __post_init__(self) -> None:
+        if self.still > 0.5 * self.moved:
+            raise ValueError(f"still: {self.still:g} px is more than half of moved, {self.moved:g} px")
 
 
 @dataclass(frozen=True, slots=True)

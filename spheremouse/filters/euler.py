@@ -30,23 +30,26 @@ class EulerSettings:
         0.1,
         "rad/s²",
         "assumed acceleration of each Euler angle, sigma_w; best rates in Wittich 2017, section 4.5",
-        gt=0,
+        ge=1e-4,  # a tenth of the thesis' least
+        le=1000,  # of a flick
     )
     gate: float = param(
         0.03,
         "m",
         "a point farther than this from where a stored disc is predicted is another disc; Wittich 2017, table 4",
-        gt=0,
+        ge=1e-6,
+        le=100,  # farther than any ball reaches
     )
     start_sigma: float = param(
-        0.01, "rad, rad/s", "of the Euler angles and of their rates at the start; Wittich 2017, eq. 123", gt=0
+        0.01, "rad, rad/s", "of the Euler angles and of their rates at the start; Wittich 2017, eq. 123", ge=1e-6, le=10
     )
     radial_sigma: float = param(
         1e-4,
         "m",
         "added to each point along the ball's normal, where its covariance is singular if the ball is taken as exact; "
         "below the image noise on the ball (0.3 mm), above the sagitta of a prediction error of 0.01 rad (0.03 mm)",
-        gt=0,
+        ge=1e-7,  # less is lost in the digits of a point 1 m away
+        le=1,
     )
 
 

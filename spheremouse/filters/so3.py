@@ -19,8 +19,9 @@ from spheremouse.filters import so3_kernel as kernel
 from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.intersect import SpherePoints
+from spheremouse.rig import MOST_DISCS
 from spheremouse.rotation import Array
-from spheremouse.settings import param
+from spheremouse.settings import FACTOR, FRAMES, HAND_TURN, SECONDS, SHARE, SIGMAS, param
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _LINEAR = 0.02  # rad: a correction larger than that is made again about where it led
@@ -37,8 +38,8 @@ class So3Settings:
         0.1,
         "rad/s²",
         "standard deviation of the angular acceleration per axis at the quiet level: a ball left to roll",
-        gt=0,
-        le=100,
+        ge=1e-3,  # slower than the friction of any bearing
+        le=100,  # a stop by hand
     )
     persistence: float = param(
         0.2,
@@ -51,33 +52,42 @@ class So3Settings:
         2.0,
         "rad/s",
         "standard deviation of the rate at the start, about zero: the ball may be rolling by then",
-        gt=0,
-        le=100,
+        **HAND_TURN,
     )
-    gate: float = param(13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", gt=0)
+    gate: float = param(
+        13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", **SIGMAS
+    )
     levels: tuple[float, ...] = param(
         (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0),
         "-",
         "factors on that acceleration that the player may be at, each as rare as it is large: roll, turn, push, flick, "
         "and a stop by hand (100 rad/s²)",
+        ge=1,
+        le=1e4,  # of the quietest ball, a stop by hand
+        most=12,  # a factor of two apart; each takes its time
     )
-    dwell: float = param(0.3, "s", "mean time the player stays at a level: a push takes a few tenths of a second", gt=0)
-    keep_share: float = param(
-        0.6, "-", "part of the discs that must fit before the next level is not tried", gt=0, le=1
+    dwell: float = param(
+        0.3, "s", "mean time the player stays at a level: a push takes a few tenths of a second", **SECONDS
     )
-    trial: int = param(3, "frames", "sightings until a disc is kept for good", ge=1)
-    misses: int = param(3, "frames", "a disc on trial is dropped when it is not seen where it should be", ge=1)
+    keep_share: float = param(0.6, "-", "part of the discs that must fit before the next level is not tried", **SHARE)
+    trial: int = param(3, "frames", "sightings until a disc is kept for good", **FRAMES)
+    misses: int = param(3, "frames", "a disc on trial is dropped when it is not seen where it should be", **FRAMES)
     patience: float = param(
-        5.0, "-", "a kept disc is dropped when missed in a row so many times as often as seen: no disc after all", gt=0
+        5.0,
+        "-",
+        "a kept disc is dropped when missed in a row so many times as often as seen: no disc after all",
+        **FACTOR,
     )
-    most_discs: int = param(120, "discs", "the map grows no larger: the time per frame stays bounded", ge=4)
+    most_discs: int = param(
+        120,
+        "discs",
+        "the map grows no larger: the time per frame, which grows with the square, stays bounded",
+        ge=4,
+        le=MOST_DISCS,
+    )
 
     def __post_init__(self) -> None:
-        if (
-            not self.levels
-            or list(self.levels) != sorted(self.levels)
-            or not 1.0 <= self.levels[0] <= self.levels[-1] <= 1e4
-        ):
+        if not self.levels or list(self.levels) != sorted(self.levels):
             raise ValueError("levels: factors from 1 to 10000 in rising order")
 
 

@@ -6,7 +6,8 @@ None leaves a parameter as the camera has it. What is set is put back when the c
 from dataclasses import dataclass
 from typing import Literal
 
-from spheremouse.settings import param
+from spheremouse.camera import MAX_SIDE, too_large
+from spheremouse.settings import STEPS, param
 
 PixelName = Literal["MJPG", "YUYV", "NV12", "GREY"]
 
@@ -16,10 +17,18 @@ class CameraSettings:
     """How the camera is set while it is used."""
 
     size: tuple[int, int] | None = param(
-        None, "px", "width and height; the size that the camera was calibrated with. None: as the camera stands", ge=16
+        None,
+        "px",
+        "width and height; the size that the camera was calibrated with. None: as the camera stands",
+        ge=16,
+        le=MAX_SIDE,
     )
     fps: float | None = param(
-        None, "Hz", "frames per second; more is smoother and copes with a faster ball. None: as the camera stands", gt=0
+        None,
+        "Hz",
+        "frames per second; more is smoother and copes with a faster ball. None: as the camera stands",
+        ge=0.1,  # one in ten seconds shows no motion
+        le=1000,  # a frame cannot be tracked in less than a millisecond
     )
     format: Literal["auto", PixelName] = param(
         "auto", "-", "pixels as the camera sends them; auto takes one that need not be decoded where its rate allows"
@@ -29,23 +38,27 @@ class CameraSettings:
         "s",
         "exposure, which ends automatic exposure; short enough that a turning disc stays sharp, and under mains light "
         "a whole number of its half periods (0.01 s at 50 Hz). None: as the camera stands",
-        gt=0,
+        ge=1e-6,  # less than any shutter has
         le=1,
     )
     gain: int | None = param(
-        None, "-", "gain in the camera's own steps, which ends automatic gain; as small as the light allows", ge=0
+        None, "-", "gain in the camera's own steps, which ends automatic gain; as small as the light allows", **STEPS
     )
     focus: int | None = param(
-        None, "-", "focus in the camera's own steps, which ends autofocus: that would change the calibration", ge=0
+        None, "-", "focus in the camera's own steps, which ends autofocus: that would change the calibration", **STEPS
     )
     white_balance: int | None = param(
-        None, "K", "colour temperature, which ends automatic white balance: the targets keep their colours", gt=0
+        None,
+        "K",
+        "colour temperature, which ends automatic white balance: the targets keep their colours",
+        ge=1,
+        le=100_000,  # the bluest sky has 30 000
     )
     mains_hz: Literal[0, 50, 60] | None = param(
         None, "Hz", "mains frequency against which automatic exposure avoids flicker; 0 switches that off"
     )
     controls: tuple[str, ...] = param(
-        (), "-", 'other controls as "name=value", by the names that `v4l2-ctl --list-ctrls-menus` shows'
+        (), "-", 'other controls as "name=value", by the names that `v4l2-ctl --list-ctrls-menus` shows', most=64
     )
     readout_s: float | None = param(
         None,
@@ -59,6 +72,8 @@ class CameraSettings:
     )
 
     def __post_init__(self) -> None:
+        if self.size is not None and (problem := too_large(*self.size)):
+            raise ValueError(f"size: {problem}")
         if self.fps is not None and self.exposure_s is not None and self.exposure_s * self.fps > 1.0:
             raise ValueError(
                 f"exposure_s {self.exposure_s:g} is longer than a frame at {self.fps:g} per second; shorten one of them"

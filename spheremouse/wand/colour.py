@@ -57,8 +57,8 @@ class ColourSettings:
     hue_max: float = param(360.0, "deg", "greatest hue", ge=0, le=360)
     saturation_min: float = param(0.0, "-", "least saturation, 0 to 255", ge=0, le=255)
     saturation_max: float = param(255.0, "-", "greatest saturation", ge=0, le=255)
-    value_min: float = param(0.0, "-", "least brightness after normalisation to a mean of 127", ge=0)
-    value_max: float = param(1e4, "-", "greatest brightness after normalisation", ge=0)
+    value_min: float = param(0.0, "-", "least brightness after normalisation to a mean of 127", ge=0, le=1e4)
+    value_max: float = param(1e4, "-", "greatest brightness after normalisation", ge=0, le=1e4)
 
 
 # Of print on white, light mixes before it becomes grey values: a pixel half disc, half white has 0.2 of full saturation

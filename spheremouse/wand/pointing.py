@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.motion import Motion, Remainder, to_counts
 from spheremouse.rotation import Array, log
-from spheremouse.settings import param
+from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
 from spheremouse.wand.course import between
 from spheremouse.wand.track import WandPhase, WandPose
 
@@ -33,14 +33,20 @@ class PointingSettings:
         True, "-", "who holds the ball faces the camera, as one on the screen; false: looks the way the camera does"
     )
     counts_per_radian: float = param(
-        1800.0, "counts/rad", "scale of turns: 60 degrees, which a wrist does at ease, cross a screen of 1920 px", gt=0
+        1800.0,
+        "counts/rad",
+        "scale of turns: 60 degrees, which a wrist does at ease, cross a screen of 1920 px",
+        **PER_RADIAN,
     )
     counts_per_metre: float = param(
-        4800.0, "counts/m", "scale of shifts: 0.4 m, which a forearm does at ease, cross a screen of 1920 px", gt=0
+        4800.0,
+        "counts/m",
+        "scale of shifts: 0.4 m, which a forearm does at ease, cross a screen of 1920 px",
+        **PER_RADIAN,
     )
-    scale_x: float = param(1.0, "-", "factor on the pointer's X", gt=0)
-    scale_y: float = param(1.0, "-", "factor on the pointer's Y", gt=0)
-    scale_z: float = param(1.0, "-", "factor on the third axis", gt=0)
+    scale_x: float = param(1.0, "-", "factor on the pointer's X", **FACTOR)
+    scale_y: float = param(1.0, "-", "factor on the pointer's Y", **FACTOR)
+    scale_z: float = param(1.0, "-", "factor on the third axis", **FACTOR)
     invert_x: bool = param(False, "-", "reverse X")
     invert_y: bool = param(False, "-", "reverse Y")
     invert_z: bool = param(False, "-", "reverse the third axis")
@@ -53,9 +59,9 @@ class PointingSettings:
         le=10,
     )
     fastest: float = param(
-        3.0, "m/s", "no hand moves faster: what says so is a pose put right, or another ball, and moves nothing", gt=0
+        3.0, "m/s", "no hand moves faster: what says so is a pose put right, or another ball, and moves nothing", **HAND
     )
-    fastest_turn: float = param(20.0, "rad/s", "the same of turns (1150 degrees/s)", gt=0)
+    fastest_turn: float = param(20.0, "rad/s", "the same of turns (1150 degrees/s)", **HAND_TURN)
 
     def matrix(self) -> Array:
         """(3, 3): counts x, y, third per rad of rotation vector, or per m of shift, in cam.

@@ -33,6 +33,7 @@ def warm_up() -> None:
         (grzonka_ball(), 0.25, WandSettings()),
         (grzonka_ball(), 0.8, WandSettings(proposal="motion")),
         (grzonka_ball(), 0.8, WandSettings(proposal="motion", likelihood="edges")),
+        (grzonka_ball(), 0.8, WandSettings(proposal="motion", likelihood="product")),
         (contrast_ball(), 0.8, WandSettings(region=False)),
     ):
         _watch(ball, depth, settings)

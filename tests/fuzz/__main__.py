@@ -1,8 +1,8 @@
-"""Broken input of every kind: `python -m tests.fuzz [--short] [--seconds S] [--seed S] [--only NAME] [--guided]`.
+"""Broken input of every kind: `python -m tests.fuzz [--short] [--seconds S | --examples N] [--seed S] [--only NAME]`.
 
 Files, names of sources and outputs, and parameters may be refused by a SpheremouseError of one message, nothing else.
-Pictures and detections may be anything, and the core takes them all without an exception and without a nan. What
-hypothesis finds it makes small; the example is printed, and the exit code is 1.
+Pictures and detections may be anything, and the core takes them all without an exception and without a nan. No example
+may take 10 s of a core, or 1 GB. What hypothesis finds it makes small; the example is printed, and the exit code is 1.
 
 With --guided, and `pip install atheris`, text is made by libFuzzer instead, which looks where in our code it leads:
 longer, for control messages, configuration and the files of a device.
@@ -12,79 +12,84 @@ import argparse
 import contextlib
 import importlib
 import importlib.util
-import io
+import math
 import os
 import pkgutil
 import sys
 import tempfile
 import time
-import traceback
 import warnings
-from collections.abc import Iterator
-from typing import Any
 
 import cv2
-from hypothesis import HealthCheck, Phase, given, seed, settings
 
 import tests.fuzz
+from tests.fuzz.guard import Limit, Result, tried
 from tests.fuzz.guided import SEEDS, guide, guided
-from tests.fuzz.targets import STRATEGIES, TARGETS
+from tests.fuzz.targets import TARGETS
 
 for _module in pkgutil.iter_modules(tests.fuzz.__path__):  # each adds its targets
     if _module.name != "__main__":
         importlib.import_module(f"tests.fuzz.{_module.name}")
 
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what C libraries write to standard error about broken pictures."""
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+_SHORT, _LONG = 28.0, 600.0  # s in all
+_FIRST = 5.0  # s in which a target shows how fast it is
+_LEAST = 20  # examples of each target, however long they take
 
 
-def run(name: str, seconds: float, first: int) -> tuple[int, str | None]:
-    """Examples tried in `seconds`, and what the smallest that fails does, if one does."""
-    count = 0
+def _for_seconds(names: list[str], seconds: float, seed: int, batch: int) -> dict[str, Result]:
+    """Each target for its share of the time."""
+    share, results = seconds / len(names), {}
+    for name in names:
+        results[name] = tried(name, seed, Limit(share, math.inf, batch, every=batch == 0))
+        if results[name].count < _LEAST and results[name].found is None:
+            more = Limit(math.inf, _LEAST - results[name].count, results[name].batch, every=False)
+            results[name] = results[name].joined(tried(name, seed, more))
+        _tell(name, results[name])
+    return results
 
-    def counted(example: Any) -> None:
-        nonlocal count
-        count += 1
-        TARGETS[name](example)
 
-    end, batch = time.perf_counter() + seconds, 0
-    while time.perf_counter() < end:
-        options = settings(
-            max_examples=25,
-            deadline=None,
-            database=None,
-            print_blob=False,
-            phases=(Phase.generate, Phase.shrink),
-            suppress_health_check=(HealthCheck.too_slow, HealthCheck.filter_too_much, HealthCheck.data_too_large),
-        )
-        told = io.StringIO()
-        try:
-            with contextlib.redirect_stdout(told), _quiet():
-                seed(first * 100_003 + batch)(options(given(STRATEGIES[name]())(counted)))()
-        except Exception as e:
-            lines = traceback.format_exception(e)
-            return count, "".join(lines)[-3000:] + told.getvalue()[-2000:]
-        batch += 1
-    return count, None
+def _for_examples(names: list[str], examples: int, seed: int, batch: int) -> dict[str, Result]:
+    """So many examples in all, as much time for each target: the fast ones have most of them."""
+    results = {name: tried(name, seed, Limit(_FIRST, examples, batch, every=batch == 0)) for name in names}
+    pace = {name: max(r.count, 1) / max(r.seconds, 1e-3) for name, r in results.items()}
+    missing = examples - sum(r.count for r in results.values())
+    for name in names:
+        before, more = results[name], math.ceil(missing * pace[name] / sum(pace.values()))
+        if before.found is None and more > 0:
+            results[name] = before.joined(tried(name, seed, Limit(math.inf, more, before.batch, every=False)))
+        _tell(name, results[name])
+    return results
+
+
+def _tell(name: str, r: Result) -> None:
+    print(
+        f"{name}: {r.count} examples in {r.seconds:.0f} s, the longest {r.worst:.2f} s of a core, "
+        f"{r.memory >> 20} MB: {'FAILED' if r.found else 'nothing found'}",
+        flush=True,
+    )
+    if r.found:
+        print("".join(f"    {line}\n" for line in r.found.splitlines()), flush=True)
+
+
+def _by_guide(names: list[str], seconds: float, seed: int) -> dict[str, Result]:
+    results = {}
+    for name in names:
+        begun = time.monotonic()
+        count, found = guided(name, seconds / len(names), seed)
+        results[name] = Result(count, seconds=time.monotonic() - begun, found=found)
+        _tell(name, results[name])
+    return results
 
 
 def main() -> int:
-    """Fuzz every target for its share of the time; 1 if anything was found."""
+    """Fuzz every target for its share; 1 if anything was found."""
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=(__doc__ or "").split("\n\n")[0])
-    parser.add_argument("--short", action="store_true", help="half a minute in all; otherwise ten minutes")
+    parser.add_argument("--short", action="store_true", help="about half a minute in all; otherwise ten minutes")
     parser.add_argument("--seconds", type=float, metavar="S", help="in all")
+    parser.add_argument("--examples", type=int, metavar="N", help="in all; the long form has 1000000")
     parser.add_argument("--seed", type=int, default=0, metavar="S")
-    parser.add_argument("--only", choices=list(TARGETS), help="one target, with its share of the time")
+    parser.add_argument("--batch", type=int, default=0, metavar="B", help="begin there, as a failure says")
+    parser.add_argument("--only", choices=list(TARGETS), help="one target")
     parser.add_argument("--guided", action="store_true", help="by atheris, targets of text only; 60 s each unless told")
     parser.add_argument("--guide", choices=list(SEEDS), help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -93,21 +98,27 @@ def main() -> int:
         parser.error(f"--guided: {args.only} is not among {', '.join(names)}")
     if args.guided and importlib.util.find_spec("atheris") is None:
         parser.error("--guided needs atheris: pip install atheris")
-    share = (args.seconds or (28.0 if args.short else 60.0 * len(names) if args.guided else 600.0)) / len(names)
+    seconds = args.seconds or (_SHORT if args.short else 60.0 * len(names) if args.guided else _LONG)
+    if args.only is not None:
+        seconds, names = seconds if args.seconds else seconds / len(names), [args.only]
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # broken videos are meant to be broken
     cv2.utils.logging.setLogLevel(0)
     warnings.simplefilter("error", RuntimeWarning)  # what NumPy warns of is on its way to a nan
-    failed = 0
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         if args.guide:
             guide(args.guide, args.seconds, args.seed)
-        for name in names if args.only is None else (args.only,):
-            count, found = (guided if args.guided else run)(name, share, args.seed)
-            print(f"{name}: {count} examples, {'FAILED' if found else 'nothing found'}", flush=True)
-            if found:
-                failed += 1
-                print("".join(f"    {line}\n" for line in found.splitlines()), flush=True)
-    print("fuzz: " + (f"{failed} of the targets failed" if failed else "nothing was found"))
+        if args.guided:
+            results = _by_guide(names, seconds, args.seed)
+        elif args.examples:
+            results = _for_examples(names, args.examples, args.seed, args.batch)
+        else:
+            results = _for_seconds(names, seconds, args.seed, args.batch)
+    every, failed = results.values(), sum(r.found is not None for r in results.values())
+    print(
+        f"fuzz: {sum(r.count for r in every)} examples, the longest {max(r.worst for r in every):.2f} s of a core, "
+        f"{max(r.memory for r in every) >> 20} MB: "
+        + (f"{failed} of the targets failed" if failed else "nothing was found")
+    )
     return 1 if failed else 0
 
 

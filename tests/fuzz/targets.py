@@ -10,12 +10,15 @@ from spheremouse.errors import SpheremouseError
 
 TARGETS: dict[str, Callable[[Any], None]] = {}
 STRATEGIES: dict[str, Callable[[], st.SearchStrategy[Any]]] = {}
+EVERY: dict[str, Callable[[], list[Any]]] = {}  # what is tried first, one after the other
 Check = Callable[[Any], None]
 
 
-def target(name: str, strategy: Callable[[], st.SearchStrategy[Any]]) -> Callable[[Check], Check]:
+def target(
+    name: str, strategy: Callable[[], st.SearchStrategy[Any]], every: Callable[[], list[Any]] = list
+) -> Callable[[Check], Check]:
     def add(function: Check) -> Check:
-        TARGETS[name], STRATEGIES[name] = function, strategy
+        TARGETS[name], STRATEGIES[name], EVERY[name] = function, strategy, every
         return function
 
     return add

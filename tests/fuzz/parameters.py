@@ -1,0 +1,225 @@
+"""Every parameter at its extremes, alone and with others, while balls are tracked.
+
+What is accepted must work: no exception, no number that is none, and no frame that takes many times as long as with
+the defaults.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from hypothesis import strategies as st
+
+from spheremouse import config
+from spheremouse.daemon.settings import Configuration
+from spheremouse.detect.rings import detect_targets
+from spheremouse.errors import SpheremouseError
+from spheremouse.frame import Frame
+from spheremouse.recording import open_dataset, read_frames
+from spheremouse.resect import gather, resect
+from spheremouse.rig import Rig
+from spheremouse.simulate.wand import WandFilm, WandOptions, prepare_wand, simulate_wand
+from spheremouse.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
+from spheremouse.wand import track as wand
+from spheremouse.wand.pointing import Pointing, point, pointing_rate
+from spheremouse.wand.warm import warm_up as warm_up_wand
+from spheremouse.warm import warm_up
+from tests.fuzz.extremes import extremes, numbers
+from tests.fuzz.targets import refused, target
+
+CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
+TIMES, FLOOR = 20.0, 0.2  # a frame may take so many times as long as with the defaults; s of a core that are no matter
+
+T = TypeVar("T")
+
+
+@cache
+def accepted() -> dict[str, list[str]]:
+    """Of every parameter, KEY=VALUE for those of its extremes that the configuration takes alone."""
+    found: dict[str, list[str]] = {}
+    for key, hint, bounds, default in numbers(Configuration):
+        found[key] = [a for value in extremes(hint, bounds, default) if _taken([a := f"{key}={value}"])]
+    return found
+
+
+def _taken(assignments: list[str]) -> bool:
+    try:
+        config.in_force(None, assignments, Configuration)
+    except SpheremouseError:
+        return False
+    return True
+
+
+@cache
+def rounds() -> list[list[str]]:
+    """All of them, those of a section together: the first of each of its parameters, the second of each, ..."""
+    sections: dict[str, list[list[str]]] = {}
+    for key, values in accepted().items():
+        sections.setdefault(key.partition(".")[0], []).append(values)
+    together = [
+        [values[k % len(values)] for values in section if values]
+        for section in sections.values()
+        for k in range(max(map(len, section)))
+    ]
+    return [some for group in together for some in ([group] if _taken(group) else [[one] for one in group])]
+
+
+@target(
+    "parameters",
+    lambda: st.lists(
+        st.sampled_from(list(accepted())).flatmap(lambda key: st.sampled_from(accepted()[key] or [f"{key}=0"])),
+        min_size=1,
+        max_size=3,
+    ),
+    every=rounds,
+)
+def check_parameters(assignments: list[str]) -> None:
+    c = refused(lambda: config.in_force(None, assignments, Configuration))
+    if c is None:
+        return
+    sections = {assignment.partition("=")[0].partition(".")[0] for assignment in assignments}
+    if "wand" in sections or c.tracker == "wand":
+        _in_a_hand(c)
+        c = replace(c, tracker="so3")
+    if sections & {"rings", "pose"}:
+        _targets(c)
+    if sections - {"wand", "rings", "pose", "camera", "pointer", "control", "record", "metrics"}:
+        for tracker in ("ekf1", "ekf2") if "euler" in sections else (c.tracker,):
+            _in_its_frame(replace(c, tracker=tracker, detector="blobs" if "blobs" in sections else c.detector))
+
+
+def in_time(what: str, action: Callable[[], T], usual: Callable[[], Any], share: float = 1.0) -> T:
+    """What the action returns; an AssertionError where it takes `TIMES` as long as the usual one (times `share`)."""
+    if what not in _USUAL:
+        usual()  # what is compiled or cached is so by then
+        begun = time.process_time()
+        usual()
+        _USUAL[what] = time.process_time() - begun
+    begun = time.process_time()
+    result = action()
+    taken = time.process_time() - begun
+    most = max(TIMES * share * _USUAL[what], FLOOR)
+    assert taken < most, f"{what}: {taken:.3f} s of a core, usual are {_USUAL[what]:.3f}"
+    return result
+
+
+_USUAL: dict[str, float] = {}
+
+
+def sound(motion: Motion) -> None:
+    """Is a motion one that an output can be told?"""
+    assert np.all(np.isfinite(motion.rotation))
+    assert np.all(np.isfinite(motion.rate))
+    assert max(map(abs, motion.counts)) < 2**63
+
+
+def _targets(c: Configuration) -> None:
+    """The camera's pose from the targets in a picture."""
+    rig, frames = clip()
+    image, usual = frames[0].image, Configuration()
+    seen = in_time(
+        "targets",
+        lambda: detect_targets(image, rig.targets.radii, c.rings),
+        lambda: detect_targets(image, rig.targets.radii, usual.rings),
+    )
+    assert np.all(np.isfinite(seen.centre))
+    seen = detect_targets(image, rig.targets.radii, usual.rings) if len(seen) < 3 else seen
+    refused(lambda: resect(gather([seen] * c.pose.frames, c.pose), rig, image))
+
+
+def _in_its_frame(c: Configuration) -> None:
+    """A ball tracked from a start, and with these settings from the midst of a run on."""
+    rig, frames = clip()
+    assert rig.pose is not None
+    tracker = refused(lambda: build(rig, rig.pose, c))
+    if tracker is None:
+        return
+    state = begin(tracker, frames[0].stamp)
+    for frame in frames[:3]:
+        state = _step(state, frame, tracker)
+    state, tracker = retuned(*_rolling(), c)
+    for frame in frames[-3:]:
+        state = _step(state, frame, tracker)
+
+
+def _step(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
+    s = tracker.settings
+    state, motion = in_time(f"{s.tracker}, {s.detector}", lambda: step(state, frame, tracker), lambda: as_usual(s))
+    sound(motion)
+    assert np.all(np.isfinite(state.filter.covariance))
+    assert np.all(np.isfinite(state.filter.attitude))
+    return state
+
+
+def as_usual(settings: Any) -> None:
+    """A frame with the default settings, by that tracker and detector."""
+    rig, frames = clip()
+    assert rig.pose is not None
+    tracker = build(rig, rig.pose, replace(Configuration(), tracker=settings.tracker, detector=settings.detector))
+    step(begin(tracker, frames[0].stamp), frames[0], tracker)
+
+
+@cache
+def clip() -> tuple[Rig, list[Frame]]:
+    """A device with its camera's pose, and frames in which its ball begins to roll."""
+    for tracker in ("so3", "ekf1", "ekf2"):
+        for detector in ("default", "blobs"):
+            warm_up(replace(Configuration(), tracker=tracker, detector=detector))
+    data = open_dataset(CLIP)
+    frames = list(read_frames(data))
+    seen = [detect_targets(f.image, data.rig.targets.radii, Configuration().rings) for f in frames[:3]]
+    pose = resect(gather(seen, Configuration().pose), data.rig, frames[0].image).pose
+    return replace(data.rig, pose=pose), frames
+
+
+@cache
+def _rolling() -> tuple[TrackState, Tracker]:
+    rig, frames = clip()
+    assert rig.pose is not None
+    tracker = build(rig, rig.pose, Configuration())
+    state = begin(tracker, frames[0].stamp)
+    for frame in frames[:-3]:
+        state, _ = step(state, frame, tracker)
+    assert state.phase is Phase.TRACKING
+    assert state.moved
+    return state, tracker
+
+
+def _in_a_hand(c: Configuration) -> None:
+    """A ball in a hand, looked for and followed."""
+    film, frames = hand()
+    balls = tuple(carried.ball for carried in film.scene.balls)
+    follow(wand.build(film.scene.camera, balls, c.wand), frames, c)
+
+
+def follow(tracker: wand.WandTracker, frames: list[Frame], c: Configuration) -> None:
+    """The frames of a film of `hand` tracked, and their motion."""
+    film, _ = hand()
+    usual = wand.build(film.scene.camera, tuple(carried.ball for carried in film.scene.balls))
+    state, pointing = wand.begin(tracker, 1, frames[0].stamp), Pointing()
+    for frame in frames:
+        state, poses = in_time(
+            "a ball in a hand",
+            lambda s=state, f=frame: wand.step(s, f, tracker),
+            lambda f=frame: wand.step(wand.begin(usual, 1, f.stamp), f, usual),
+        )
+        velocity = state.tracks[0].velocity
+        pointing, motion = point(pointing, poses[0], velocity, frame.stamp, c.wand.pointing)
+        sound(motion)
+        assert all(math.isfinite(rate) for rate in pointing_rate(velocity, c.wand.pointing))
+        for pose in poses:
+            assert pose.position is None or np.all(np.isfinite(pose.position))
+            assert pose.covariance is None or np.all(np.isfinite(pose.covariance))
+
+
+@cache
+def hand() -> tuple[WandFilm, list[Frame]]:
+    """A simulated ball in a hand, and a few frames of it."""
+    warm_up_wand()
+    film = prepare_wand(WandOptions(motion="hand", size=(320, 240), focal=300.0, seconds=0.27, seed=3, distance=0.6))
+    return film, [shot.frame for shot in simulate_wand(film)]

@@ -1,0 +1,111 @@
+"""Bounds: every number that a person may write has two, and what lies within them works together."""
+
+import pytest
+
+from spheremouse import config
+from spheremouse.calibrate.device_file import _DeviceFile
+from spheremouse.camera import MAX_PIXELS, MAX_SIDE, too_large
+from spheremouse.daemon.settings import Configuration
+from spheremouse.errors import ConfigurationError
+from spheremouse.map_file import _MapFile
+from spheremouse.rig_file import _CameraFile, _RigFile
+from spheremouse.wand.colour import ColourSettings
+from spheremouse.wand_file import _Wand
+
+FREE = ("provenance",)  # sections for people, which nothing reads
+
+
+def unbounded(schema, defs, path=""):
+    """Paths of a JSON schema to numbers without a bound on either side, and to lists without a greatest length."""
+    if "$ref" in schema:
+        schema = defs[schema["$ref"].rpartition("/")[2]]
+    for name, inner in schema.get("properties", {}).items():
+        if name not in FREE:
+            yield from unbounded(inner, defs, f"{path}.{name}")
+    for kind in ("anyOf", "prefixItems"):
+        for inner in schema.get(kind, ()):
+            yield from unbounded(inner, defs, path)
+    for inner in (schema.get("items"), schema.get("additionalProperties")):
+        if isinstance(inner, dict):
+            yield from unbounded(inner, defs, f"{path}[]")
+    low, high = {"minimum", "exclusiveMinimum"}, {"maximum", "exclusiveMaximum"}
+    number = schema.get("type") in ("number", "integer") and "enum" not in schema
+    if number and not (low & set(schema) and high & set(schema)):
+        yield path
+    if schema.get("type") == "array" and "maxItems" not in schema:
+        yield f"{path} (its length)"
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        config.model_of(Configuration),
+        config.model_of(ColourSettings),
+        _RigFile,
+        _CameraFile,
+        _MapFile,
+        _Wand,
+        _DeviceFile,
+    ],
+)
+def test_every_number_has_a_bound_on_both_sides_and_every_list_a_greatest_length(model):
+    schema = model.model_json_schema()
+    assert len(schema["properties"]) > 1 or "camera" in schema["properties"]
+    assert list(unbounded(schema, schema.get("$defs", {}))) == []
+
+
+def test_the_defaults_lie_within_their_bounds():
+    assert config.override(Configuration(), "so3.trial=3") == Configuration()
+    whole = [f"{'.'.join(map(str, key))}={config.to_yaml(value)}" for key, value in config.parameters(Configuration())]
+    assert config.in_force(None, whole, Configuration) == Configuration()
+
+
+@pytest.mark.parametrize(
+    ("assignment", "says"),
+    [
+        ("discs.sigma=1e9", "must be at most 10, is 1000000000.0"),
+        ("discs.smoothing=1e9", "must be at most 1.5"),
+        ("discs.smoothing=1000", "must be at most 1.5"),
+        ("rings.median=1001", "must be at most 31"),
+        ("blobs.masks=1000000", "must be at most 52"),
+        ("so3.levels=[1, 1e5]", "so3.levels[1]: must be at most 10000"),
+        (f"so3.levels={[1] * 13}", "must be a list of at most 12, is a list of 13"),
+        ("wand.particles=1000000", "must be at most 5000"),
+        ("pose.frames=100000", "must be at most 100"),
+        ("static.still=1.5", "static: still: 1.5 px is more than half of moved, 2 px"),
+        ("blobs.min_area=400", "blobs: min_area: 400 is above max_area, 300"),
+        ("rings.cyan=[105, 75]", "rings: cyan: 105 is above 75"),
+        ("wand.nearest=9", "wand: nearest: 9 m is not below farthest, 8 m"),
+        ("discs.masks=[[10, 0, 5, 5]]", "discs: masks: give [left, top, right, bottom]"),
+        ("camera.size=[16384, 16384]", "camera: size: 16384x16384 is more than can be worked on"),
+    ],
+)
+def test_what_would_not_work_is_refused_in_one_line(assignment, says):
+    with pytest.raises(ConfigurationError) as e:
+        config.override(Configuration(), assignment)
+    assert "\n" not in str(e.value)
+    assert says in str(e.value)
+
+
+@pytest.mark.parametrize(
+    "assignments",
+    [
+        ["camera.size=[7680, 4320]", "camera.fps=1000"],  # 8K, a fast camera
+        ["camera.size=[160, 120]", "camera.fps=1", "pose.frames=1"],
+        ["motion.counts_per_mm=200", "motion.scale_z=0.05"],
+        ["discs.min_area=4", "discs.smoothing=0", "discs.sigma=0.2"],
+        ["so3.levels=[1]", "so3.most_discs=200"],
+        ["static.moved=6", "static.still=2"],
+        ["loss.lost_after=5", "loss.reset_after=60", "watch.interval=30"],
+        ["wand.farthest=15", "wand.particles=2000"],
+    ],
+)
+def test_what_is_sensible_is_taken(assignments):
+    assert config.in_force(None, assignments, Configuration) != Configuration()
+
+
+def test_pictures_may_be_as_large_as_8k_and_not_endless():
+    assert not too_large(7680, 4320)
+    assert not too_large(MAX_SIDE, MAX_PIXELS // MAX_SIDE)
+    assert too_large(MAX_SIDE + 1, 1)
+    assert too_large(MAX_SIDE, MAX_PIXELS // MAX_SIDE + 1)
