@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
+from spheremouse.camera import MAX_PIXELS
+
 Size = tuple[int, int]  # px, width and height
 
 FRAME_PIXELS = 8192 * 4320  # 8K of the cinema; webcams have 4K at most
