@@ -591,7 +591,7 @@ def test_an_output_that_hangs_while_it_is_closed_or_sent_to_is_one_that_failed(s
         world.gate.set()
         until(lambda: reporter.failed is None)
     until(lambda: even(reporter, playing.given) and tuple(world.sum) == reporter.status().sent)
-    assert [line.partition(",")[0] for line in world.said] == [
+    assert [line.partition(" for ")[0] for line in world.said] == [
         "output: the output hangs: it takes no report",
         "output: works again",
     ]
