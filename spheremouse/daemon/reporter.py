@@ -121,6 +121,7 @@ class Reporter:
             with contextlib.suppress(IndexError):  # the thread was quicker
                 self._overflow = plus(self._overflow, self._given.popleft().motion.counts)
         self._ring()
+        self.failed  # noqa: B018  a look at whether the output hangs
 
     def rest(self, now: float) -> None:
         """Carry nothing on: no frame will say whether it is true."""
