@@ -361,7 +361,7 @@ def test_an_output_that_hangs_keeps_nobody_waiting(playing):
     world.settle(30)  # frames go on
     world.reach("failed-output")
     status = ask(world, "status")
-    assert status["reason"].startswith("the output hangs: it takes no report, for ")
+    assert status["reason"].startswith("the output hangs: it takes no report for ")
     assert status["output"]["failed"].startswith("the output hangs: it takes no report")
     assert status["output"]["ahead"] == [0, 0, 0]
     assert np.array_equal(world.counts + status["output"]["unsent"], np.sum(world.frames, axis=0))

@@ -504,10 +504,12 @@ def test_a_board_that_takes_nothing_is_a_failed_output_and_what_it_did_not_confi
     with Playing(reporter) as playing, Simulator() as second:
         until(lambda: reporter.status().sent[0] > 100)
         fault(board)
-        assert reason in playing.fails(time.monotonic())
-        until(lambda: len(playing.failed) > 30)
+        playing.fails(time.monotonic())
+        until(lambda: any(reason in why for why in playing.failed) and len(playing.failed) > 30)
         status, arrived = reporter.status(), list(board.moved)
-        assert (status.sent[:2], status.ahead) == (tuple(arrived[:2]), (0, 0, 0))
+        untold = arrived[0] - status.sent[0]  # with the cable an answer may be lost
+        assert 0 <= untold <= (600 if fault is unplug else 0)
+        assert status.ahead == (0, 0, 0)
         if fault is unplug:
             link.unlink()
             link.symlink_to(second.port)
@@ -518,7 +520,7 @@ def test_a_board_that_takes_nothing_is_a_failed_output_and_what_it_did_not_confi
         playing.stop()
         until(lambda: even(reporter, playing.given) and reporter.status().ahead == (0, 0, 0))
         moved = np.add(board.moved, second.moved)[:2]
-        assert reporter.status().sent[:2] == tuple(moved)
+        assert reporter.status().sent[0] == moved[0] - untold
         under_way = 600 if fault is hold_up else 0  # lies in the line, and is obeyed
         assert moved[0] - arrived[0] <= playing.after + under_way  # nothing is made up for
         reporter.close()
@@ -591,7 +593,7 @@ def test_an_output_that_hangs_while_it_is_closed_or_sent_to_is_one_that_failed(s
         world.gate.set()
         until(lambda: reporter.failed is None)
     until(lambda: even(reporter, playing.given) and tuple(world.sum) == reporter.status().sent)
-    assert [line.partition(",")[0] for line in world.said] == [
+    assert [line.partition(" for ")[0] for line in world.said] == [
         "output: the output hangs: it takes no report",
         "output: works again",
     ]

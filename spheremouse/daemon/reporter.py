@@ -122,6 +122,7 @@ class Reporter:
             with contextlib.suppress(IndexError):  # the thread was quicker
                 self._overflow = plus(self._overflow, self._given.popleft().motion.counts)
         self._ring()
+        self.failed  # noqa: B018  a look at whether the output hangs
 
     def rest(self, now: float) -> None:
         """Carry nothing on: no frame will say whether it is true."""
@@ -165,7 +166,7 @@ class Reporter:
         took = now - self._seen[1]
         if took < HANGS:
             return self._failed
-        reason = f"the output hangs: {doing.what}{doing.hint}, for {took:.1f} s"
+        reason = f"the output hangs: {doing.what}{doing.hint} for {took:.1f} s"
         if not doing.hangs:
             doing.hangs = True
             self._say(f"output: {reason}")
@@ -327,7 +328,7 @@ class Reporter:
     @contextlib.contextmanager
     def _at(self, what: str) -> Iterator["_Doing"]:
         """While something is done with the output that may not come to an end."""
-        self._doing = doing = _Doing(what, ", for its reader does not read" if isinstance(self._output, Text) else "")
+        self._doing = doing = _Doing(what, " (its reader does not read)" if isinstance(self._output, Text) else "")
         try:
             yield doing
         finally:
