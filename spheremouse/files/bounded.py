@@ -10,9 +10,8 @@ import select
 import stat
 import time
 from collections.abc import Iterator
-from io import TextIOWrapper
+from io import BufferedReader, TextIOWrapper
 from pathlib import Path
-from typing import BinaryIO
 
 PATIENCE = 10.0  # s in which all that a pipe brings must have come
 LONGEST_LINE = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
@@ -38,12 +37,12 @@ def read_text(path: Path, most: int, kind: str, *, pipe: bool = False) -> str:
     return read_bytes(path, most, kind, pipe=pipe).decode("utf-8-sig")
 
 
-def opened(path: Path) -> BinaryIO:
+def opened(path: Path) -> BufferedReader:
     """A regular file, to be read piece by piece; OSError for everything else."""
     return _opened(path, pipe=False)
 
 
-def lines(file: BinaryIO) -> Iterator[str]:
+def lines(file: BufferedReader) -> Iterator[str]:
     """Lines of a table, UTF-8 with their ends; OSError where a line does not end, or a quote: so would a row."""
     text, number = TextIOWrapper(file, encoding="utf-8-sig", newline=""), 0
     while line := text.readline(LONGEST_LINE + 1):
@@ -59,7 +58,7 @@ def _too_large(most: int, kind: str) -> OSError:
     return OSError(errno.EFBIG, f"larger than {most / 1e6:g} MB, and no {kind} is; name another file")
 
 
-def _opened(path: Path, pipe: bool) -> BinaryIO:
+def _opened(path: Path, pipe: bool) -> BufferedReader:
     """The file: no fifo without a writer is waited for, and no device is steered by being opened."""
     _check(path.stat().st_mode, pipe)
     file = os.fdopen(os.open(path, _FLAGS), "rb")
