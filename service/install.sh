@@ -106,8 +106,9 @@ system_packages() {
 # be there yet. /usr/local is of the group staff on older systems, whose members are as good as root.
 roots_own() {
     [ "$(id -u)" = 0 ] || return 0
-    local path mode owner group writes=022
+    local path mode owner group writes
     for path in "$1" "$(realpath -m "$1")"; do # with links, and where they lead
+        writes=022
         while :; do
             if [ -e "$path" ]; then
                 read -r mode owner group < <(stat -Lc '%a %u %G' "$path")
