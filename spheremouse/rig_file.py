@@ -5,6 +5,7 @@ file claims is checked here, so that the core may take it as true.
 """
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from io import StringIO
 from pathlib import Path
@@ -293,6 +294,7 @@ def _rig_problems(file: _RigFile) -> Iterator[Problem]:
     yield from ball
     if file.disc_radius >= file.ball.radius:
         yield Problem(("disc_radius",), f"is {file.disc_radius:g} m, not smaller than the ball; both are in metres")
+    yield from _spread_problems(file)
     yield from _target_problems(file)
     targets = list(_targets_covariance_problems(file))
     yield from targets
@@ -307,6 +309,23 @@ def _rig_problems(file: _RigFile) -> Iterator[Problem]:
     for i, disc in enumerate(file.discs):
         if abs(np.linalg.norm(disc) - 1.0) > 1e-3:
             yield Problem(("discs", i), f"has length {np.linalg.norm(disc):.4g}; give a unit vector")
+
+
+def _spread_problems(file: _RigFile) -> Iterator[Problem]:
+    """What is known to no better than a hundred of the ball's radii, or half a turn, is not known at all."""
+    r = 100.0 * file.ball.radius
+    own = [(("targets", i, "covariance"), target.covariance, [r] * 3) for i, target in enumerate(file.targets)]
+    for key, rows, most in (
+        (("ball", "covariance"), file.ball.covariance, [r] * 4),
+        (("targets_covariance",), file.targets_covariance, [r] * (3 * len(file.targets))),
+        (("pose_covariance",), file.pose_covariance, [r] * 3 + [math.pi] * 3),
+        *own,
+    ):
+        if rows is not None and _is_square(rows, len(most)):
+            for i, limit in enumerate(most):
+                if rows[i][i] > limit**2:
+                    text = f"has the variance {rows[i][i]:g}, of a standard deviation above {limit:g}"
+                    yield Problem((*key, i), f"{text}: that is not known at all")
 
 
 def _target_problems(file: _RigFile) -> Iterator[Problem]:

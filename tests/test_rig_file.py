@@ -259,6 +259,11 @@ ROWS = "\n  - [1, 0, 0, 0]\n  - [0, -1, 0, 0]\n  - [0, 0, -1, 2.4]\n  - [0, 0, 0
             "6: ball.covariance[0]: has the negative variance -4e-06 on its diagonal; variances are squares",
         ),
         (
+            "    - [4e-6, 0, 0, 0]\n",
+            "    - [1e9, 0, 0, 0]\n",
+            "6: ball.covariance[0]: has the variance 1e+09, of a standard deviation above 60: that is not known at all",
+        ),
+        (
             "    - [0, 4e-6, 0, 1e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 1e-6,",
             "    - [0, 4e-6, 0, 3e-6]\n    - [0, 0, 4e-6, 0]\n    - [0, 3e-6,",
             "5: ball.covariance: is not positive semidefinite: some correlation is beyond 1; copy all digits",

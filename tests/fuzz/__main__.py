@@ -19,15 +19,15 @@ import sys
 import tempfile
 import time
 import warnings
+from pathlib import Path
 
 import cv2
 
-import tests.fuzz
 from tests.fuzz.guard import Limit, Result, tried
 from tests.fuzz.guided import SEEDS, guide, guided
 from tests.fuzz.targets import TARGETS
 
-for _module in pkgutil.iter_modules(tests.fuzz.__path__):  # each adds its targets
+for _module in pkgutil.iter_modules([str(Path(__file__).parent)]):  # each adds its targets
     if _module.name != "__main__":
         importlib.import_module(f"tests.fuzz.{_module.name}")
 
@@ -36,13 +36,13 @@ _FIRST = 5.0  # s in which a target shows how fast it is
 _LEAST = 20  # examples of each target, however long they take
 
 
-def _for_seconds(names: list[str], seconds: float, seed: int, batch: int) -> dict[str, Result]:
+def _for_seconds(names: list[str], seconds: float, seed: int, batch: int, every: int) -> dict[str, Result]:
     """Each target for its share of the time."""
     share, results = seconds / len(names), {}
     for name in names:
-        results[name] = tried(name, seed, Limit(share, math.inf, batch, every=batch == 0))
+        results[name] = tried(name, seed, Limit(share, math.inf, batch, every))
         if results[name].count < _LEAST and results[name].found is None:
-            more = Limit(math.inf, _LEAST - results[name].count, results[name].batch, every=False)
+            more = Limit(math.inf, _LEAST - results[name].count, results[name].batch, every=0)
             results[name] = results[name].joined(tried(name, seed, more))
         _tell(name, results[name])
     return results
@@ -50,13 +50,13 @@ def _for_seconds(names: list[str], seconds: float, seed: int, batch: int) -> dic
 
 def _for_examples(names: list[str], examples: int, seed: int, batch: int) -> dict[str, Result]:
     """So many examples in all, as much time for each target: the fast ones have most of them."""
-    results = {name: tried(name, seed, Limit(_FIRST, examples, batch, every=batch == 0)) for name in names}
+    results = {name: tried(name, seed, Limit(_FIRST, examples, batch, every=int(batch == 0))) for name in names}
     pace = {name: max(r.count, 1) / max(r.seconds, 1e-3) for name, r in results.items()}
     missing = examples - sum(r.count for r in results.values())
     for name in names:
         before, more = results[name], math.ceil(missing * pace[name] / sum(pace.values()))
         if before.found is None and more > 0:
-            results[name] = before.joined(tried(name, seed, Limit(math.inf, more, before.batch, every=False)))
+            results[name] = before.joined(tried(name, seed, Limit(math.inf, more, before.batch, every=0)))
         _tell(name, results[name])
     return results
 
@@ -112,7 +112,7 @@ def main() -> int:
         elif args.examples:
             results = _for_examples(names, args.examples, args.seed, args.batch)
         else:
-            results = _for_seconds(names, seconds, args.seed, args.batch)
+            results = _for_seconds(names, seconds, args.seed, args.batch, 0 if args.batch else 3 if args.short else 1)
     every, failed = results.values(), sum(r.found is not None for r in results.values())
     print(
         f"fuzz: {sum(r.count for r in every)} examples, the longest {max(r.worst for r in every):.2f} s of a core, "

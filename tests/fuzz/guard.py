@@ -41,7 +41,7 @@ class Limit:
     seconds: float  # on a clock
     examples: float  # in all
     first: int = 0  # batch
-    every: bool = True  # what is to be tried one after the other comes first
+    every: int = 1  # of what is to be tried one after the other, each so-manieth comes first; 0: none
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,10 +162,10 @@ def _batches(name: str, first_seed: int, limit: Limit, where: Any) -> Result:
         phases=(Phase.generate, Phase.shrink),
         suppress_health_check=list(HealthCheck),
     )
-    batch, found, told, sweeping = limit.first, None, io.StringIO(), limit.every
+    batch, found, told, sweeping = limit.first, None, io.StringIO(), limit.every > 0
     try:
         with contextlib.redirect_stdout(told):
-            for example in EVERY[name]() if limit.every else ():
+            for example in EVERY[name]()[first_seed % limit.every :: limit.every] if limit.every else ():
                 counted(example)
             sweeping = False
             while True:
