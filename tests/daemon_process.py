@@ -69,16 +69,18 @@ class Shot:
 
 
 class AnothersCamera(Camera):
-    """From the first picture on the process is another user's, who may begin no thread more: all is compiled by then,
-    and what the daemon needs has begun."""
+    """From the first picture on process and folder are another user's, who may begin no thread more: all is compiled
+    by then, and what the daemon needs has begun. Root's daemon would not listen in another's folder."""
 
-    def __init__(self, pictures, uid):
+    def __init__(self, pictures, uid, folder):
         super().__init__(pictures)
-        self._uid = uid
+        self._uid, self._folder = uid, folder
         codecs.lookup("ascii")  # read from a file that is another's, perhaps, when it is first used
 
     def next(self, timeout):
         if os.geteuid() != self._uid:
+            for path in (self._folder, *self._folder.iterdir()):
+                os.chown(path, self._uid, self._uid)
             os.setgroups([])
             os.setgid(self._uid)
             os.setuid(self._uid)  # of all threads
@@ -91,7 +93,8 @@ def main(folder, uid=""):
     from spheremouse import cli
     from spheremouse.source import v4l2
 
-    pictures = np.load(Path(folder) / "film.npy")
-    v4l2.open_camera = lambda argument, settings: AnothersCamera(pictures, int(uid)) if uid else Camera(pictures)
-    sys.argv = ["spheremouse", "run", "--config", str(Path(folder) / "config.yaml")]
+    folder = Path(folder)
+    pictures = np.load(folder / "film.npy")
+    v4l2.open_camera = lambda *_: AnothersCamera(pictures, int(uid), folder) if uid else Camera(pictures)
+    sys.argv = ["spheremouse", "run", "--config", str(folder / "config.yaml")]
     cli.main()

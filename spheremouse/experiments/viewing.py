@@ -32,6 +32,7 @@ FOLLOWED = 0.9  # share of the frames, less of which is a ball that is lost
 _NOISE = 3.0  # grey values
 _FASTEST = 240  # frames per second, of the film from which the slower ones are taken
 _USUAL = 30  # frames per second
+_AT_REST = 1e-3  # rad/s²: a filter takes no sigma of zero, and a hundredth of the usual one is as still
 _REST, _HASTE = 0.2, np.radians(72.0)  # s before the first turn; rad/s², mean rate of a turn over its length
 _AXES = ((1, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 1), (1, 0, -1), (1, 1, 1))  # of the turns, obj
 
@@ -197,7 +198,7 @@ def followed(film: kit.Film, seen: sights.Sights, rigs: dict[str, Rig], publishe
 
 def suited(motion: Truth) -> str:
     """The setting by which a classic filter knows how a ball is moved: its acceleration, RMS per axis, as sigma_w."""
-    return f"euler.acceleration_sigma={acceleration(motion)}"
+    return f"euler.acceleration_sigma={max(acceleration(motion), _AT_REST)}"
 
 
 def acceleration(motion: Truth) -> float:
