@@ -83,7 +83,7 @@ costs = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=4).flatmap
 )
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(costs, st.floats(0.5, 8.0))
 def test_assignment_is_the_best_of_all(cost, gate):
     rows, columns = assign(cost, gate)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Literal
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -141,7 +141,6 @@ filters = st.builds(
 roots = st.builds(Root, so3=filters, outer=st.builds(Outer, text=words), tracker=st.sampled_from(["so3", "ekf1"]))
 
 
-@settings(deadline=None)
 @given(roots)
 def test_what_is_written_reads_back_the_same(root):
     """Both texts: the commented file of `config init`, and what `config show` prints."""
@@ -352,7 +351,6 @@ PIECES = "schema: 1\n|so3:|\n|  |- |{|}|[|]|:| |'|\"|&a|*a|!!int|#|>|? |%YAML 1.
 pieces = st.sampled_from([*PIECES.split("|"), "|", ",", "\u2028", "gains"])
 
 
-@settings(deadline=None)
 @given(st.lists(pieces, max_size=25).map("".join) | st.text(max_size=60))
 def test_no_text_gets_past_as_anything_but_settings_or_a_configuration_error(text):
     message = ""

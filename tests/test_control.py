@@ -254,7 +254,6 @@ lines = st.one_of(
 )
 
 
-@settings(deadline=None)
 @given(lines)
 def test_any_line_is_a_request_or_an_error_that_can_be_sent(line):
     try:
@@ -268,7 +267,6 @@ def test_any_line_is_a_request_or_an_error_that_can_be_sent(line):
         assert parse(request.model_dump_json(exclude_unset=True).encode()) == request
 
 
-@settings(deadline=None)
 @given(st.dictionaries(st.text(max_size=8), values, max_size=5))
 def test_any_message_is_one_line_of_json(message):
     line = encode(message)
@@ -651,7 +649,7 @@ def test_the_owner_is_not_behind_a_members_flood(serve, path, monkeypatch):
         member.read()
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(
     st.lists(st.one_of(st.binary(max_size=40), st.sampled_from([b"\n", STATUS, STATUS[:7], b"{", b"\xff"])), max_size=8)
 )

@@ -46,7 +46,7 @@ def spots(rng, poses, discs, bolts, clutter, sigma=0.3):
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 def test_ball_is_found_among_bolts_and_dark_spots(seed):
     rng = np.random.default_rng(seed)
     poses = stations(rng, np.array([0.3, 0.5, -0.2]))

@@ -626,13 +626,13 @@ def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing):
 # ---- clients that ask and hang up ----
 
 
-def hit_and_run(world, command, **arguments):
-    """Ask, wait until the daemon has heard it, and be gone."""
+def hit_and_run(world, command, begun=None, **arguments):
+    """Ask, wait until the daemon has heard it, or has `begun`, and be gone."""
     heard, clients = len(world.heard), len(world.daemon._server._clients)
     with contextlib.closing(socket.socket(socket.AF_UNIX)) as s:
         s.connect(str(world.socket))
         s.sendall(json.dumps({"command": command, **arguments}).encode() + b"\n")
-        world.until(lambda: len(world.heard) > heard, "heard")
+        world.until(begun or (lambda: len(world.heard) > heard), "heard")
     world.until(lambda: len(world.daemon._server._clients) <= clients, "seen to be gone")
 
 
@@ -689,8 +689,7 @@ def test_a_set_whose_asker_is_gone_is_not_applied(hearing, monkeypatch):
         return read(wanted)
 
     monkeypatch.setattr(run_module, "read_plan", slowly)
-    hit_and_run(world, "set", assignments=["motion.scale_y=3"])
-    world.until(reading.is_set)
+    hit_and_run(world, "set", reading.is_set, assignments=["motion.scale_y=3"])
     for _ in range(20):
         hit_and_run(world, "set", assignments=["motion.scale_y=4"])
     hold.set()

@@ -1,7 +1,7 @@
 """The desk: of each kind one request under way, the owner's first, little that waits, nothing for who has hung up."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.daemon.desk import CALM, MOST, SHARE, Asked, Desk
@@ -180,7 +180,6 @@ steps = st.lists(
 )
 
 
-@settings(deadline=None)
 @given(steps)
 def test_whatever_is_asked_each_is_answered_once_and_nothing_is_left(steps):
     desk = Desk(lambda: None, Clock())

@@ -147,7 +147,6 @@ def published_a(angles, P):
     )
 
 
-@settings(deadline=None)
 @given(angles_)
 def test_places_and_their_derivatives_are_the_published_ones(angles):
     P = RADIUS * DISCS[:5]
@@ -157,7 +156,6 @@ def test_places_and_their_derivatives_are_the_published_ones(angles):
     assert_allclose(J, central_differences(lambda a: turned(a, P)[0], angles), atol=1e-8)
 
 
-@settings(deadline=None)
 @given(angles_, st.tuples(*[st.floats(-5.0, 5.0)] * 3).map(np.array))
 def test_angular_velocity_and_its_derivatives(angles, rates):
     w, dw_dangles, dw_drates = angular_velocity(angles, rates)
@@ -166,7 +164,6 @@ def test_angular_velocity_and_its_derivatives(angles, rates):
     assert_allclose(dw_drates, central_differences(lambda r: angular_velocity(angles, r)[0], rates), atol=1e-7)
 
 
-@settings(deadline=None)
 @given(angles_, st.integers(0, 1000))
 def test_covariance_is_that_of_the_rotation_vector_and_of_w_obj(angles, seed):
     rng = np.random.default_rng(seed)
@@ -534,7 +531,7 @@ def test_passing_close_to_90_degrees_costs_the_attitude_as_published():
 
 
 @BOTH
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.floats(0.0, 1e4), st.integers(0, 8), st.integers(0, 1000)), max_size=12))
 def test_arbitrary_points_at_arbitrary_times_raise_nothing(model, frames):
     state = model.initial(0.0, np.eye(3))

@@ -64,7 +64,7 @@ def refusal(tmp_path):
 # ---- there and back ----
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), discs=st.integers(1, 12), thin=st.booleans())
 def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):
     """Also where the covariance is singular: a quadratic form in any direction keeps its value."""

@@ -93,7 +93,7 @@ def test_a_recordings_truth_gives_its_rates_between_the_frames():
 # ---- the estimate ----
 
 
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=6, derandomize=True)
 @given(
     scale=st.floats(60.0, 3000.0),
     ratio=st.floats(0.5, 2.0),

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -27,7 +27,6 @@ def total_counts(rotations, matrix):
     return total
 
 
-@settings(deadline=None)
 @given(steps, st.floats(0.01, 2000.0))
 def test_sum_of_counts_is_the_integral_within_one_count(rotations, per_radian):
     matrix = MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)

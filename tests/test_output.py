@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.errors import OutputError
@@ -49,7 +49,6 @@ def test_a_log_is_a_header_and_a_line_per_motion(tmp_path):
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-@settings(deadline=None)
 @given(finite, st.tuples(*[st.integers(-(2**63), 2**63)] * 3), st.tuples(*[finite] * 6))
 def test_every_number_reads_back_to_the_very_same(stamp, counts, numbers):
     words = text.line(Motion(stamp, counts, np.array(numbers[:3]), np.array(numbers[3:]))).split(" ")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.errors import OutputError
@@ -65,7 +65,6 @@ def test_the_text_twin_says_what_is_done(third, counts, words):
     assert " ".join(done + ([f"scroll {pointer.scrolled:+d}"] if pointer.scrolled else [])) == words
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(-500, 500), max_size=50))
 def test_notches_follow_the_counts(turns):
     pointer = Pointer()

@@ -5,12 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as given_settings
 from hypothesis import strategies as st
 
 from spheremouse.pointer import PointerSettings, Resampler, due, take
-
-unhurried = given_settings(deadline=None)  # a test machine may hang
 
 EXACT = PointerSettings(horizon=0.0)
 LATENCY = 0.05  # s, from stamp to arrival
@@ -88,7 +85,6 @@ def played(given_frames, settings, latency=LATENCY):
     return player
 
 
-@unhurried
 @given(frames, st.floats(0.0, 1.0))
 def test_with_horizon_0_the_sum_is_exact_at_every_frame_and_report(given_frames, smooth):
     player = played(given_frames, replace(EXACT, smooth=smooth))
@@ -96,7 +92,6 @@ def test_with_horizon_0_the_sum_is_exact_at_every_frame_and_report(given_frames,
     assert all(np.array_equal(sums, truth[k]) for sums, k in zip(player.sent, player.frame, strict=True))
 
 
-@unhurried
 @given(frames)
 def test_so_it_is_while_nothing_is_tracked(given_frames):
     player = played([(c, r, i, False) for c, r, i, _ in given_frames], PointerSettings())
@@ -104,7 +99,6 @@ def test_so_it_is_while_nothing_is_tracked(given_frames):
     assert all(np.array_equal(sums, truth[k]) for sums, k in zip(player.sent, player.frame, strict=True))
 
 
-@unhurried
 @given(frames, knobs, st.sampled_from([LATENCY, 0.0, -0.2]))
 def test_it_never_runs_against_the_ball(given_frames, settings, latency):
     """On no axis does a report go against the last counts of it that a frame brought, even with stamps ahead."""
@@ -119,7 +113,6 @@ def test_it_never_runs_against_the_ball(given_frames, settings, latency):
         before = np.array(sums)
 
 
-@unhurried
 @given(frames, knobs)
 def test_the_lead_is_bounded(given_frames, settings):
     """Whatever a filter says: by what twice a frame's mean speed makes of the horizon; and nothing stays unsent but
@@ -132,13 +125,11 @@ def test_the_lead_is_bounded(given_frames, settings):
         assert np.all(np.abs(np.subtract(due(player.resampler, np.inf), player.resampler.truth)) <= most + 1e-6)
 
 
-@unhurried
 @given(st.lists(st.tuples(speeds, speeds, speeds), max_size=20), knobs)
 def test_a_ball_at_rest_sends_nothing(rates, settings):
     assert not np.any(played([((0, 0, 0), rate, 1 / 30, True) for rate in rates], settings).sent)
 
 
-@unhurried
 @given(frames, knobs, st.sampled_from([-1, 1]))
 def test_no_loss_and_nothing_twice(given_frames, settings, way):
     """Wherever it stops: once the ball has moved on both ways by more than was overshot, the sum is the truth."""
@@ -151,7 +142,6 @@ def test_no_loss_and_nothing_twice(given_frames, settings, way):
     assert np.array_equal(player.lead, [0, 0, 0])
 
 
-@unhurried
 @given(st.lists(st.tuples(st.integers(0, 300), speeds), min_size=1, max_size=20), knobs)
 def test_what_was_overshot_is_withheld_from_motion_of_the_same_direction(rolls, settings):
     """After a stop the ball moves on in small steps: nothing is sent until it has caught up, and then all."""
@@ -167,7 +157,6 @@ def test_what_was_overshot_is_withheld_from_motion_of_the_same_direction(rolls, 
     assert player.lead[0] == 0
 
 
-@unhurried
 @given(st.integers(1, 300), st.integers(1, 300))
 def test_a_reversal_starts_where_the_pointer_is(there, back):
     """The ball stops short, the pointer has run on, the ball turns round: the pointer moves back by what the ball does,

@@ -102,7 +102,7 @@ PROVENANCE = {
 }
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.booleans(), st.integers(0, 5), st.booleans())
 def test_a_rig_reads_back_as_it_was_saved(tmp_path_factory, seed, targets, known_pose, discs, correlated):
     path = tmp_path_factory.mktemp("rig") / "rig.yaml"

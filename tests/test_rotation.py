@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
@@ -40,20 +40,17 @@ def random_units(n, seed=1):
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-@settings(deadline=None)
 @given(vectors(10.0), vectors(10.0))
 def test_hat_is_the_cross_product(a, b):
     assert_allclose(hat(a) @ b, np.cross(a, b), atol=1e-13)
     assert_allclose(hat(a).T, -hat(a))
 
 
-@settings(deadline=None)
 @given(vectors(10.0))
 def test_exp_is_scipys_rotation_vector(v):
     assert_allclose(exp(v), Rotation.from_rotvec(v).as_matrix(), atol=1e-14)
 
 
-@settings(deadline=None)
 @given(vectors(7.0), vectors(7.0))
 def test_group_laws(a, b):
     A, B = exp(a), exp(b)
@@ -64,7 +61,6 @@ def test_group_laws(a, b):
     assert_allclose(A @ B @ A.T, exp(A @ b), atol=1e-13)  # adjoint
 
 
-@settings(deadline=None)
 @given(vectors(np.pi - 1e-6))
 def test_log_inverts_exp(v):
     assert_allclose(log(exp(v)), v, atol=1e-14, rtol=1e-9)
@@ -100,7 +96,6 @@ def test_batches_are_single_rotations():
         assert_allclose(tangent_basis(v)[i, j], tangent_basis(v[i, j]), atol=1e-15)
 
 
-@settings(deadline=None)
 @given(vectors(6.0))
 def test_left_jacobian_is_the_derivative_of_exp(v):
     h = 1e-6
@@ -117,13 +112,11 @@ def test_left_jacobian_is_its_series_for_small_vectors(length):
         assert_allclose(left_jacobian(v), series, rtol=0, atol=1e-15)
 
 
-@settings(deadline=None)
 @given(angles)
 def test_euler_angles_are_scipys_intrinsic_xyz(a):
     assert_allclose(from_euler(a), Rotation.from_euler("XYZ", a).as_matrix(), atol=1e-14)
 
 
-@settings(deadline=None)
 @given(angles)
 def test_euler_angles_come_back(a):
     R = from_euler(a)
@@ -143,7 +136,6 @@ def test_euler_angles_at_the_singularity_still_give_the_rotation(phi):
     assert_allclose(from_euler(b), R, atol=1e-14)
 
 
-@settings(deadline=None)
 @given(angles, st.tuples(*[st.floats(-5.0, 5.0)] * 3).map(np.array))
 def test_euler_rate_matrix_gives_the_angular_velocity_in_obj(a, a_dot):
     h = 1e-6
@@ -151,7 +143,6 @@ def test_euler_rate_matrix_gives_the_angular_velocity_in_obj(a, a_dot):
     assert_allclose(euler_rate_matrix(a) @ a_dot, w, atol=1e-8)
 
 
-@settings(deadline=None)
 @given(angles)
 def test_euler_rate_matrix_loses_rank_at_90_degrees(a):
     assert np.linalg.det(euler_rate_matrix(a)) == pytest.approx(np.cos(a[1]), abs=1e-14)
@@ -165,7 +156,6 @@ def test_tangent_basis_is_orthonormal_everywhere():
     assert_allclose(np.linalg.det(full), 1.0)
 
 
-@settings(deadline=None)
 @given(vectors(np.pi), st.integers(0, 10_000))
 def test_align_is_scipys_align_vectors(v, seed):
     rng = np.random.default_rng(seed)
@@ -176,7 +166,6 @@ def test_align_is_scipys_align_vectors(v, seed):
     assert_allclose(align(a, b, w), Rotation.align_vectors(b, a, weights=w)[0].as_matrix(), atol=1e-9)
 
 
-@settings(deadline=None)
 @given(vectors(np.pi))
 def test_align_two_directions_is_a_rotation_not_a_reflection(v):
     a = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])

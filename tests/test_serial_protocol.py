@@ -318,7 +318,7 @@ def test_one_percent_of_the_bytes_damaged():
     assert max(map(abs, w.given)) > 2**15
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.integers(0, 2**32),
     st.floats(0.0, 0.1),
@@ -355,7 +355,7 @@ def test_nothing_is_lost_and_nothing_doubled(seed, damage, lose, twice, story):
     assert w.link.uncertain == [0, 0, 0, 0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32), st.floats(0.0, 0.05), st.lists(st.integers(1, 400), min_size=1, max_size=6))
 def test_a_board_that_is_reset_doubles_nothing_and_what_may_be_lost_is_told(seed, damage, times):
     w = world(seed, damage=damage)
@@ -514,7 +514,7 @@ def test_a_sharp_turn_with_answers_under_way_is_not_refused(delay):
     assert world.short == [0, 0, 0, 0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 12), st.integers(0, 12), st.integers(0, 2**32), st.floats(0.0, 0.5))
 def test_no_step_is_refused_whatever_is_under_way(there, back, seed, lose):
     rng = np.random.default_rng(seed)

@@ -21,7 +21,7 @@ def problem(A, b):
 
 
 @given(seed=st.integers(0, 10**6), u=st.integers(1, 8))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_linear_problem_has_its_closed_form(seed, u):
     A, _, b = linear(np.random.default_rng(seed), u=u)
     found = adjust(problem(A, b), np.zeros(u))

@@ -34,7 +34,7 @@ def where(n, first=0):
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_agrees_with_the_same_minimum_found_another_way(seed):
     """Unknown points held on the sphere by two angles each, fitted to the observed ones by SciPy."""
     rng = np.random.default_rng(seed)
@@ -117,7 +117,7 @@ def test_bolt_beside_the_ball_is_off_it():
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_four_points_fix_a_sphere(seed):
     rng = np.random.default_rng(seed)
     u = rng.standard_normal((4, 3))

@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -39,7 +39,6 @@ def test_what_each_angle_means(angles, point, goes):
     assert attitude(np.radians(angles)) @ point == pytest.approx(goes, abs=1e-12)
 
 
-@settings(deadline=None)
 @given(ANGLE, ANGLE, TILT)
 def test_angles_are_those_of_scipy(yaw, pitch, roll):
     R = (Rotation.from_euler("XZY", [pitch, roll, yaw]) * Rotation.from_matrix(UPRIGHT)).as_matrix()
@@ -47,7 +46,6 @@ def test_angles_are_those_of_scipy(yaw, pitch, roll):
     assert wrapped(axes_of(P, R, NONE).angles - (yaw, pitch, roll)) == pytest.approx(np.zeros(3), abs=1e-9)
 
 
-@settings(deadline=None)
 @given(st.floats(-100.0, 100.0))
 def test_wrapped_is_the_same_angle_within_half_a_turn(x):
     assert -np.pi < wrapped(np.array(x)) <= np.pi

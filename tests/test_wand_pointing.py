@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -57,7 +57,6 @@ def way_of(p, R, settings):
     return (rotation[1:] * rotation[:-1].inv()).as_rotvec().sum(axis=0)
 
 
-@settings(deadline=None)
 @given(SEEDS, WAYS, st.floats(0.0, 4.0), st.booleans(), st.booleans(), st.booleans())
 def test_counts_are_the_integral_less_slack_and_remainder(seed, by, play, facing, invert_x, invert_z):
     settings = PointingSettings(by=by, play=play, facing=facing, invert_x=invert_x, invert_z=invert_z, scale_y=1.7)
@@ -70,7 +69,6 @@ def test_counts_are_the_integral_less_slack_and_remainder(seed, by, play, facing
     assert (np.abs(counts.sum(axis=0) - M @ integral) <= np.abs(M) @ np.full(3, play * SIGMA) + 1.0).all()
 
 
-@settings(deadline=None)
 @given(SEEDS, WAYS)
 def test_there_and_back_on_the_same_way_is_nothing_without_play(seed, by):
     p, R = walk(seed)
@@ -80,7 +78,6 @@ def test_there_and_back_on_the_same_way_is_nothing_without_play(seed, by):
     assert np.abs(counts).sum() > 100
 
 
-@settings(deadline=None)
 @given(SEEDS, WAYS, st.floats(1.0, 4.0))
 def test_what_jitters_within_the_play_moves_nothing(seed, by, play):
     rng = np.random.default_rng(seed)
@@ -107,7 +104,6 @@ def test_a_filter_that_becomes_surer_moves_nothing():
     assert after.slack[1] == pytest.approx(np.radians(1))
 
 
-@settings(deadline=None)
 @given(SEEDS, st.lists(st.floats(-0.1, 0.1), min_size=1, max_size=50))
 def test_no_more_is_passed_on_than_comes_in_and_never_against_it(seed, ways):
     rng = np.random.default_rng(seed)
@@ -121,7 +117,6 @@ def test_no_more_is_passed_on_than_comes_in_and_never_against_it(seed, ways):
         slack = after
 
 
-@settings(deadline=None)
 @given(SEEDS, WAYS, st.sampled_from(["lost", "leap"]))
 def test_a_ball_that_was_lost_or_leapt_begins_anew_where_it_is(seed, by, fault):
     p, R = walk(seed)
@@ -192,7 +187,6 @@ def test_shifts_go_where_the_holder_shifts(facing):
         assert counts[1] == pytest.approx(4800 * 0.05 * way, abs=1.0)
 
 
-@settings(deadline=None)
 @given(WAYS, st.booleans(), st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6))
 def test_the_rate_is_that_of_the_counts(by, facing, velocity):
     """So that the pointer may be carried on with it."""
