@@ -30,7 +30,10 @@ def check_any_picture(drawn: tuple[NDArray[np.uint8], int]) -> None:
 
 
 @target("pictures of the camera's size", lambda: st.lists(pictures(160, 120), min_size=1, max_size=4))
-def check_pictures(images: list[NDArray[np.uint8]]) -> None:
+def check_pictures(drawn: list[NDArray[np.uint8]]) -> None:
+    images = [
+        np.require(image, requirements=("C", "W")) for image in drawn
+    ]  # as frames come: no other are compiled for
     rig = small_rig()
     assert rig.pose is not None
     for polarity in ("dark", "light"):
