@@ -15,8 +15,8 @@ import numpy as np
 
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.recorder import Recorder
-from spheremouse.frame import Frame
 from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.tracker import Frame
 
 FPS, SECONDS = 60.0, 6.0
 SIZES = ((640, 480), (1280, 720))

@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 
 from spheremouse import config
 from spheremouse.errors import SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.rotation import Array, log
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulatedFrame, SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import VISIBLE
 from spheremouse.track import Phase, Settings, Tracker, begin, build, step
+from spheremouse.tracker import Frame
 from spheremouse.yaml_file import write_atomically
 
 Mask = NDArray[np.bool_]

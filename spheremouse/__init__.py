@@ -1,6 +1,6 @@
 """Track a ball with a camera and turn its rotation into mouse motion."""
 
-from spheremouse import compiled as _compiled
+from spheremouse import numba_cache as _compiled
 
 __version__ = "0.1.0"
 

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.errors import DatasetError
-from spheremouse.frame import Frame
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import Phase, Settings, Tracker, TrackState, begin, build, step
+from spheremouse.tracker import Frame
 from spheremouse.warm import warm_up
 
 WARM_UP = 10  # frames: caches, the allocator and the processor's clock settle; said wherever figures are

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from spheremouse.evaluate.match import Match
     from spheremouse.evaluate.match_verdict import Verdict
     from spheremouse.evaluate.metrics import Run
-    from spheremouse.frame import Frame
     from spheremouse.motion import MotionSettings
     from spheremouse.rig import Rig
     from spheremouse.simulate.trackball import MouseLog
+    from spheremouse.tracker import Frame
 
 _NO_MATCH = 1  # exit code
 _LEAST = 3.0  # s, of tracked ball

@@ -18,7 +18,6 @@ from rich.table import Table
 
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 from spheremouse.evaluate.metrics import Reference, Run, report
-from spheremouse.frame import Frame
 from spheremouse.live import Board, Tally
 from spheremouse.motion import rotation_between
 from spheremouse.output import open_output
@@ -31,6 +30,7 @@ from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, 
 from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.stopping import Stopping
 from spheremouse.track import Phase, Settings, Tracker, build
+from spheremouse.tracker import Frame
 
 FILES = ("overlay.png", "overlay.mp4", "plot.png", "motion.txt")
 _NOISE = 4.0  # grey values: a webcam in a lit room

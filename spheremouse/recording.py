@@ -40,11 +40,11 @@ from spheremouse.dataset_format import (
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
 from spheremouse.errors import ConfigurationError, DatasetError
 from spheremouse.files.tables import read_columns
-from spheremouse.frame import Frame
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rig_file import load_rig
 from spheremouse.rotation import Array
 from spheremouse.simulate.truth import DiscTruth, Truth
+from spheremouse.tracker import Frame
 
 __all__ = [
     "DatasetWriter",

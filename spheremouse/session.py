@@ -20,12 +20,12 @@ from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run
 from spheremouse.filters.so3_state import So3State
-from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.resect import Resection, find_pose
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step
+from spheremouse.tracker import Frame
 from spheremouse.warm import warm_up
 
 _PATIENCE = 4.0  # s until whoever waits is told why

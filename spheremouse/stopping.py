@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from spheremouse.frame import Frame
+from spheremouse.tracker import Frame
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SAME = 0.5  # s; `timeout` and shells signal the process and at once its group: one wish, not two

@@ -32,13 +32,13 @@ from spheremouse.filters import Filter, FilterState
 from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
-from spheremouse.frame import Frame
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
 from spheremouse.resect import PoseSettings, find_pose, predict_targets
 from spheremouse.rig import Rig, considered_covariance
 from spheremouse.rotation import Array
 from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
+from spheremouse.tracker import Frame
 from spheremouse.watch import Watch, WatchSettings
 
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told

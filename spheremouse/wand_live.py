@@ -20,11 +20,11 @@ from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.ring import Arrival, Newest
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.output._sparing import Sparing
 from spheremouse.source import Camera
 from spheremouse.stopping import Stopping
+from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandState, WandTracker, begin, step
 from spheremouse.wand_plan import Outputs
 from spheremouse.wand_session import Hand, Moved, WandEpoch, check_wand_frame, make_wand_ready

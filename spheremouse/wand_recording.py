@@ -34,10 +34,10 @@ from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, wri
 from spheremouse.errors import DatasetError
 from spheremouse.files.tables import read_columns
 from spheremouse.folders import NewFolder
-from spheremouse.frame import Frame
 from spheremouse.picture_writer import PictureWriter
 from spheremouse.rotation import Array
 from spheremouse.simulate.wand import WandFilm, WandTruth, simulate_wand
+from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 
 WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam

@@ -14,10 +14,10 @@ from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.detect.cap import appearance, ball_mask
 from spheremouse.detect.detections import Image
 from spheremouse.disc_map import DiscMap
-from spheremouse.frame import Frame
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import Array, exp, log
 from spheremouse.track import Settings, Tracker, begin, build, disc_map, step
+from spheremouse.tracker import Frame
 
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])
 _CAMERA = InteriorOrientation(160, 120, 160.0, 160.0, 79.5, 59.5, _LENS)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.frame import Frame
 from spheremouse.rig_file import rig_text
+from spheremouse.tracker import Frame
 
 CONFIG = """\
 schema: 1

@@ -29,7 +29,6 @@ from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections, no_detections
 from spheremouse.errors import SourceError
 from spheremouse.filters.so3 import So3State
-from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import Array, exp, log
@@ -39,6 +38,7 @@ from spheremouse.simulate.hands import PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.profile import Gesture, Gestures
 from spheremouse.simulate.scene import spread_directions
 from spheremouse.track import Phase, Settings, Tracker, TrackState, advance, begin, build, step
+from spheremouse.tracker import Frame
 
 DT = 1.0 / 30.0
 RESUMED = 2.0  # s after a fault, by the stamps, until the ball must be tracked again

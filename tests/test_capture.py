@@ -10,8 +10,8 @@ from spheremouse.daemon import capture as module
 from spheremouse.daemon.capture import Capture, Streamed
 from spheremouse.daemon.ring import Newest
 from spheremouse.errors import SourceError
-from spheremouse.frame import Frame
 from spheremouse.source import Stream
+from spheremouse.tracker import Frame
 
 PATIENCE = 20.0  # s, for what takes milliseconds
 IMAGE = np.zeros((2, 2), np.uint8)

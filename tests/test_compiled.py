@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse import compiled
+from spheremouse import numba_cache as compiled
 
 
 def test_whoever_has_a_place_keeps_it(monkeypatch, tmp_path):

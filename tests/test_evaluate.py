@@ -39,7 +39,6 @@ from spheremouse.evaluate.metrics import (
     report,
     surface_speeds,
 )
-from spheremouse.frame import Frame
 from spheremouse.map_file import save_map, saved_now
 from spheremouse.motion import MotionSettings, rotation_between
 from spheremouse.recording import open_dataset, write_simulation
@@ -49,6 +48,7 @@ from spheremouse.simulate import SimulationOptions, prepare
 from spheremouse.simulate.degrade import degraded
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.track import Phase
+from spheremouse.tracker import Frame
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 620.0, 318.0, 243.0)
 POSE = Pose(Rotation.from_euler("XYZ", [175.0, 4.0, 80.0], degrees=True).as_matrix(), np.array([0.1, -0.05, 2.3]))

@@ -12,12 +12,12 @@ from spheremouse.camera import project
 from spheremouse.detect.cap import ball_outline
 from spheremouse.errors import OutputError
 from spheremouse.filters.so3 import So3State
-from spheremouse.frame import Frame
 from spheremouse.overlay import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks
 from spheremouse.rotation import tangent_basis
 from spheremouse.session import Epoch
 from spheremouse.simulate import default_scene
 from spheremouse.track import Phase, Settings, begin, build, step
+from spheremouse.tracker import Frame
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))
 

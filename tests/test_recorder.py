@@ -27,13 +27,13 @@ from spheremouse.daemon.recordings import next_name, recordings_folder, tidy
 from spheremouse.daemon.snapshot import snapshot
 from spheremouse.dataset_writer import FilmWriter
 from spheremouse.errors import DatasetError, OutputError
-from spheremouse.frame import Frame
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rotation import exp
 from spheremouse.session import track
 from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
 from spheremouse.source import open_source
 from spheremouse.track import Phase, Settings, build, current
+from spheremouse.tracker import Frame
 
 PATIENCE = 60.0  # s, for what takes a moment
 PLENTY = RecordSettings(free_megabytes=0.0)

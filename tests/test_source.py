@@ -11,8 +11,8 @@ import pytest
 
 from spheremouse import spec
 from spheremouse.errors import SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.source import open_source, paced, video
+from spheremouse.tracker import Frame
 
 FPS = 30.0
 FRAMES = 40

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections, no_detections
 from spheremouse.errors import SourceError
-from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rotation import exp, log
@@ -30,6 +29,7 @@ from spheremouse.track import (
     step,
     wants_colour,
 )
+from spheremouse.tracker import Frame
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))

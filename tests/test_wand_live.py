@@ -17,10 +17,10 @@ from spheremouse.daemon import realtime
 from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
-from spheremouse.frame import Frame
 from spheremouse.output import OutputClosed
 from spheremouse.pointer import PointerSettings
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.tracker import Frame
 from spheremouse.wand.track import build
 from spheremouse.wand.warm import warm_up
 from spheremouse.wand_axes import AxesOutput, AxesText

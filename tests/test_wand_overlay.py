@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 from spheremouse.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.cli import app
 from spheremouse.errors import SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.overlay import GREEN, WHITE
 from spheremouse.rotation import exp
 from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build
 from spheremouse.wand_file import save_wand

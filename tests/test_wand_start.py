@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from spheremouse.camera import InteriorOrientation
-from spheremouse.frame import Frame
 from spheremouse.rotation import log
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.simulate.wand_render import WandRenderer
+from spheremouse.tracker import Frame
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
 from spheremouse.wand.likelihood import model

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.frame import Frame
 from spheremouse.rotation import log
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.tracker import Frame
 from spheremouse.wand import track
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, fields

@@ -11,9 +11,9 @@ from daemon_world import DT, Film
 from spheremouse.daemon.ring import Arrival
 from spheremouse.daemon.worker import STAGES, Worker
 from spheremouse.errors import DamagedFrameError, PoseError
-from spheremouse.frame import Frame
 from spheremouse.rig import Targets
 from spheremouse.track import Phase, Settings
+from spheremouse.tracker import Frame
 
 
 @pytest.fixture(scope="module")

@@ -16,10 +16,10 @@ from spheremouse.camera import Pose
 from spheremouse.detect.cap import appearance
 from spheremouse.errors import CalibrationError
 from spheremouse.filters.so3_state import So3State
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import Phase, Settings, TrackState, begin, build, step
+from spheremouse.tracker import Frame
 
 R_OBJ_CAM = np.diag([1.0, -1.0, -1.0])  # axes for the time being: those of the picture, Y up and Z to the camera
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur: what is wrong with it is the same every time

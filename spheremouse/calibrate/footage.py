@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from spheremouse.errors import SourceError
-from spheremouse.frame import Frame
 from spheremouse.source import open_source
+from spheremouse.tracker import Frame
 
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # quick, and half the size
 COLOUR_EVERY = 0.25  # s

@@ -36,7 +36,7 @@ from spheremouse.source import open_source
 from spheremouse.stopping import Stopping
 
 if TYPE_CHECKING:
-    from spheremouse.frame import Frame
+    from spheremouse.tracker import Frame
 
 STILL = 1.0  # px between two frames: motion in the exposure is then a part of that
 

@@ -19,10 +19,10 @@ from spheremouse.camera import InteriorOrientation
 from spheremouse.detect.cap import ball_mask
 from spheremouse.detect.detections import Image
 from spheremouse.errors import CalibrationError, SourceError
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import Settings
+from spheremouse.tracker import Frame
 
 BLOCK = 15.0  # s of rolling that a start is sought in, then twice and four times as much
 _LEAST = 3.0  # s of frames

@@ -12,8 +12,8 @@ from typing import Self
 
 from spheremouse.daemon.ring import Arrival, Newest
 from spheremouse.errors import SourceError, SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.source import Camera, Shot, Source
+from spheremouse.tracker import Frame
 
 PATIENCE = 2.0  # s without a frame after which a stream counts as frozen: exposures are shorter, so are focus hunts
 BACK_OFF = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s

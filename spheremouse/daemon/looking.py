@@ -13,10 +13,10 @@ from spheremouse.camera import Pose
 from spheremouse.detect.detections import Image
 from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.errors import PoseError
-from spheremouse.frame import Frame
 from spheremouse.resect import Resection, find_pose
 from spheremouse.rig import Rig
 from spheremouse.track import Moved, Settings, Tracker, seek_by_colour
+from spheremouse.tracker import Frame
 
 Elsewhere = Callable[[Callable[[], None]], object]  # has something done, one after the other
 

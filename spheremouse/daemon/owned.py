@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.frame import Frame
+from spheremouse.tracker import Frame
 
 
 class Owned:

@@ -25,8 +25,8 @@ from spheremouse.daemon.threads import begin
 from spheremouse.dataset_writer import FilmWriter
 from spheremouse.detect.detections import Image
 from spheremouse.errors import DatasetError, SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig
+from spheremouse.tracker import Frame
 
 _BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
 _BEHIND = 6e6  # bytes that the video keeps in memory before they are in its file, and its index

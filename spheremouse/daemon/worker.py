@@ -19,7 +19,6 @@ from spheremouse.daemon.threads import Work
 from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.motion import Motion
 from spheremouse.resect import Resection, describe, find_pose
 from spheremouse.rig import Rig
@@ -40,6 +39,7 @@ from spheremouse.track import (
     step,
     wants_colour,
 )
+from spheremouse.tracker import Frame
 
 _FAULTS, _FAULTS_WITHIN = 5, 60.0  # errors of our own in so many s that end the process: it is begun anew from outside
 _DAMAGED = 1.0  # s of nothing but damaged frames that are told

@@ -14,10 +14,10 @@ from spheremouse.daemon.plan import Plan
 from spheremouse.detect.detections import Image
 from spheremouse.doctor.controls import Controls, read
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.source import Source, open_source
+from spheremouse.tracker import Frame
 
 GRID = (24, 16)  # rows and columns: fine enough for the bands of a rolling shutter, which are three or four
 SETTLING = 0.4  # s after a camera's first frame that are left out: it finds its exposure

@@ -13,11 +13,11 @@ from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.detect.rings import detect_targets
 from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.resect import find_pose, gather
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array
 from spheremouse.track import Settings, build
+from spheremouse.tracker import Frame
 
 _PLACED = 1e-3  # m: as well as targets keep their place on a frame that is wood or steel
 _USUAL_RADIUS = 0.6  # m, of a ball whose size nobody measured

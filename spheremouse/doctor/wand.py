@@ -8,7 +8,7 @@ import numpy as np
 from spheremouse.daemon.plan import Plan, Request
 from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
-from spheremouse.frame import Frame
+from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker, begin, step
 from spheremouse.wand_plan import Given, wand_tracker
 

@@ -13,7 +13,6 @@ from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
 from spheremouse.experiments.experiment import Result
-from spheremouse.frame import Frame
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rig import Rig
 from spheremouse.session import History, initialise, track
@@ -21,6 +20,7 @@ from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, 
 from spheremouse.simulate.degrade import degraded
 from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.track import Settings, build
+from spheremouse.tracker import Frame
 
 TRACKERS = ("ekf1", "ekf2", "so3")
 

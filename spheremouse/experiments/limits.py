@@ -19,13 +19,13 @@ from spheremouse.experiments.kit import TRACKERS, settings_of
 from spheremouse.experiments.plot import BOUND, decades
 from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.rotation import Array, exp, tangent_basis
 from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.profile import Profile, rest, still, thesis
 from spheremouse.simulate.shapes import Sphere, look
 from spheremouse.track import Phase, Tracker, TrackState, advance, begin, build, step
+from spheremouse.tracker import Frame
 
 TITLE = "Limits: rate, acceleration, covers, and finding the ball again"
 

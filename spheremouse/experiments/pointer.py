@@ -28,7 +28,6 @@ from spheremouse.experiments.limits import (
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
-from spheremouse.frame import Frame
 from spheremouse.motion import Motion, Remainder, to_counts
 from spheremouse.pointer import PointerSettings, Resampler, due, take
 from spheremouse.rotation import Array, log
@@ -36,6 +35,7 @@ from spheremouse.simulate import Renderer, RenderOptions
 from spheremouse.simulate.profile import Gestures, Profile, play, stroke
 from spheremouse.simulate.trackball import MouseLog
 from spheremouse.track import Tracker, TrackState, advance, begin, build, step
+from spheremouse.tracker import Frame
 
 TITLE = "The pointer between frames: delay, distance, smoothness, overshoot"
 

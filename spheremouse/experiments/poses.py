@@ -18,7 +18,6 @@ from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import THESIS
 from spheremouse.experiments.report import failures
-from spheremouse.frame import Frame
 from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.rig import Rig
 from spheremouse.rotation import euler_rate_matrix, exp, log, to_euler
@@ -26,6 +25,7 @@ from spheremouse.simulate import Renderer, RenderOptions, Scene, View, default_s
 from spheremouse.simulate.degrade import degraded
 from spheremouse.simulate.observations import calibrated, simulated_calibration
 from spheremouse.simulate.profile import still
+from spheremouse.tracker import Frame
 
 TITLE = "The camera's pose from four targets"
 

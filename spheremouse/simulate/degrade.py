@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spheremouse.frame import Frame
+from spheremouse.tracker import Frame
 
 _SEED = 0  # of the noise added: the same frame gets the same noise in every run
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from spheremouse.camera import Pose
-from spheremouse.frame import Frame
 from spheremouse.rotation import Array
 from spheremouse.simulate.backdrop import Backdrop, render_backdrop
 from spheremouse.simulate.caps import BallView, Caps, Coverage
@@ -25,6 +24,7 @@ from spheremouse.simulate.layers import render_layers
 from spheremouse.simulate.profile import Profile
 from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.truth import DiscTruth
+from spheremouse.tracker import Frame
 
 # Normal noise by its quantiles: five times as fast as NumPy's, true to 4.3 standard deviations, where it ends.
 _NORMAL = ndtri((np.arange(65536) + 0.5) / 65536.0).astype(np.float32)

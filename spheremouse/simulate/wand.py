@@ -12,12 +12,12 @@ import numpy as np
 
 from spheremouse.camera import InteriorOrientation
 from spheremouse.errors import ConfigurationError
-from spheremouse.frame import Frame
 from spheremouse.rotation import Array
 from spheremouse.simulate import MOST_FRAMES, option_name
 from spheremouse.simulate.wand_path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand_render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
 from spheremouse.simulate.wand_things import Passing
+from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, grzonka_ball
 
 Motion = Literal["drive", "hand"]

@@ -11,9 +11,9 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from spheremouse.errors import SourceError
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.spec import resolve
+from spheremouse.tracker import Frame
 
 
 class Source(Protocol):

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.camera import InteriorOrientation, project
-from spheremouse.frame import Frame
 from spheremouse.rotation import Array, exp
 from spheremouse.settings import HAND, HAND_TURN, PART, SECONDS, Bounds, param
+from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.camera import InteriorOrientation, project
-from spheremouse.frame import Frame
 from spheremouse.rotation import Array, exp
+from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball
 from spheremouse.wand.pointing import Pointing, PointingSettings, point
 from spheremouse.wand.track import WandSettings, begin, build, step

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from spheremouse import config
 from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig, in_metres
 from spheremouse.rig_file import load_rig, rig_text
 from spheremouse.track import Settings, begin, build, step
+from spheremouse.tracker import Frame
 from spheremouse.wand import track as wand
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand_file import load_wand, wand_text

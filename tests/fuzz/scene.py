@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spheremouse.frame import Frame
 from spheremouse.rig import Rig
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import Settings, begin, build, step
+from spheremouse.tracker import Frame
 
 DT = 1.0 / 30.0
 
