@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.rotation import log
+from spheremouse.geometry.rotation import log
 from spheremouse.simulate.observations import calibrated, normalised_errors, simulated_calibration
 from spheremouse.yaml_file import write_atomically
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from spheremouse.associate import Identification, identify
-from spheremouse.rotation import exp, log
+from spheremouse.geometry.rotation import exp, log
 
 CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25

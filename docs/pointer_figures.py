@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from spheremouse.geometry.rotation import Array
 from spheremouse.pointer import PointerSettings, Resampler, due, take
-from spheremouse.rotation import Array
 from spheremouse.session import initialise, track
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import Phase, Settings, build

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from spheremouse import config
 from spheremouse.errors import SpheremouseError
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.motion import Motion
-from spheremouse.rotation import Array, log
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulatedFrame, SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import VISIBLE

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from spheremouse import constellation_kernel as kernel
 from spheremouse.constellation import attitude, shared_rotation
-from spheremouse.rotation import Array, align
+from spheremouse.geometry.rotation import Array, align
 
 
 def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

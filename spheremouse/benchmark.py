@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.errors import DatasetError
+from spheremouse.geometry.rotation import Array
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import Phase, Settings, Tracker, TrackState, begin, build, step

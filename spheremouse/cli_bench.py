@@ -37,8 +37,8 @@ from spheremouse.benchmark import (
     Times,
 )
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.rotation import Array
 from spheremouse.progress import progress_bar
-from spheremouse.rotation import Array
 from spheremouse.yaml_file import write_atomically
 
 _NAMES = {

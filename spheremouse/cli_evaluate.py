@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.table import Table
 
 from spheremouse import config
-from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.cli_evaluate_wand import WandEvaluation, evaluate_wands, wand_table
 from spheremouse.complaint import complain
 from spheremouse.daemon.settings import Configuration
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.progress import progress_bar
 from spheremouse.recording import Recording, open_dataset, read_frames

@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 from spheremouse import config
-from spheremouse.camera import InteriorOrientation
 from spheremouse.complaint import complain
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.wand import followed, wand_report
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.progress import progress_bar
 from spheremouse.rig_file import load_camera
 from spheremouse.wand.ball import WandBall

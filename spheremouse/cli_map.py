@@ -8,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 app = typer.Typer(no_args_is_help=True, help="Look at a saved map of discs, or compare two.")
 _ANOTHER_BALL = 1  # exit code
@@ -51,9 +51,9 @@ def compare_(
 
     The exit code is 0 for the same ball and 1 where they have too few discs in common to be one.
     """
+    from spheremouse.geometry.rotation import log
     from spheremouse.map_compare import compare, in_words
     from spheremouse.map_file import BALL_DIFFERS, load_map
-    from spheremouse.rotation import log
 
     one, other = load_map(a), load_map(b)
     before, after = one.map, other.map

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse import constellation_kernel as kernel
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 _BINS = 256  # of the cosine between two known directions
 _SMALL = 1e-6  # squared sine of half an angle: such a pair, or its opposite, fixes no attitude

@@ -16,7 +16,7 @@ from spheremouse.files.bounded import read_bytes, read_text
 from spheremouse.files.films import film_images, film_size, open_film
 from spheremouse.files.pictures import FRAME_PIXELS, decoded, px, read_header
 from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 FILES = ("scene.json", "video.mkv", "frames", "truth.csv", "discs.csv", "stamps.csv", "rig.yaml", "config.yaml")
 MATRIX_COLUMNS = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))  # R_obj_ball by rows

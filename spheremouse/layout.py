@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.associate import identify
 from spheremouse.coincidence import nearest_doubles, turns_of_all, weights
-from spheremouse.rotation import Array, exp, hat, log, tangent_basis
+from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 from spheremouse.simulate.scene import spread_directions
 
 FEWEST, MOST = 4, 120  # discs

@@ -18,7 +18,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.rotation import Array, to_euler
+from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.session import Epoch
 from spheremouse.timing import FrameTimes
 from spheremouse.track import Phase

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from spheremouse.associate import assign, identify
 from spheremouse.disc_map import DiscMap
-from spheremouse.rotation import Array, align, tangent_basis
+from spheremouse.geometry.rotation import Array, align, tangent_basis
 
 _LEAST, _MOST = 0.005, 0.05  # rad: a disc nearer to its old place has stayed (3 mm on the ball); farther, it has not
 _REACH = 0.2  # rad: a disc gone here and one new there, nearer than 12 cm on the ball, is one that was moved

@@ -19,9 +19,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from spheremouse import __version__
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.rotation import Array
 from spheremouse.migrate import converted
 from spheremouse.rig import MOST_DISCS, Rig
-from spheremouse.rotation import Array
 from spheremouse.validate import validated
 from spheremouse.yaml_file import Document, Problem, read_document, shown, write_atomically
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from spheremouse.rotation import Array, log_into
+from spheremouse.geometry.rotation import Array, log_into
 from spheremouse.settings import FACTOR, PER_RADIAN, param
 
 _DUE = 1.0 - 1e-9  # counts; less than one by rounding alone

@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.detect.cap import appearance, ball_outline
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 from spheremouse.folders import NewFolder
+from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
+from spheremouse.geometry.rotation import Array
 from spheremouse.resect import Resection, predict_targets
 from spheremouse.rig import Rig, directions_at
-from spheremouse.rotation import Array
 from spheremouse.session import Epoch
 from spheremouse.track import Phase, Tracker, TrackState, current
 

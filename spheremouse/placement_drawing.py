@@ -8,7 +8,7 @@ import html
 
 import numpy as np
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 _RIM = 56.0  # radius of a hemisphere on paper
 

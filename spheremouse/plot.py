@@ -13,7 +13,7 @@ import numpy as np
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.metrics import attitude_error
 from spheremouse.files.atomic import write
-from spheremouse.rotation import Array, log
+from spheremouse.geometry.rotation import Array, log
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from spheremouse.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.dataset_format import (
     BLOB_COLUMNS,
     DISC_COLUMNS,
@@ -40,9 +39,10 @@ from spheremouse.dataset_format import (
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
 from spheremouse.errors import ConfigurationError, DatasetError
 from spheremouse.files.tables import read_columns
+from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rig_file import load_rig
-from spheremouse.rotation import Array
 from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.tracker import Frame
 

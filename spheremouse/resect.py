@@ -14,7 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from spheremouse.camera import (
+from spheremouse.detect.detections import Image
+from spheremouse.detect.rings import MOST, TargetDetections
+from spheremouse.errors import PoseError
+from spheremouse.geometry.camera import (
     Pose,
     ellipse_to_pixel,
     project,
@@ -23,11 +26,8 @@ from spheremouse.camera import (
     reduced_to_pixel,
     unproject,
 )
-from spheremouse.detect.detections import Image
-from spheremouse.detect.rings import MOST, TargetDetections
-from spheremouse.errors import PoseError
+from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, exp, hat
 from spheremouse.settings import SHARE, SIGMA_PX, param
 
 _CHOICES = 250  # of one copy of each target that are tried: each is a resection of its own and takes milliseconds

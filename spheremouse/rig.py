@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose, unprojected
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, Pose, unprojected
+from spheremouse.geometry.rotation import Array
 
 COLOURS = "CMY"
 CODES = ("CMY", "CYM", "MCY", "MYC", "YCM", "YMC")  # inside to outside

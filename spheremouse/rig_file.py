@@ -16,9 +16,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from ruamel.yaml import YAML
 from scipy.linalg import block_diag
 
-from spheremouse.camera import MAX_SIDE, InteriorOrientation, Pose, pose_from_matrix, too_large
+from spheremouse.geometry.camera import MAX_SIDE, InteriorOrientation, Pose, pose_from_matrix, too_large
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import CODES, MOST_DISCS, UNKNOWN_READOUT, Ball, Rig, Targets
-from spheremouse.rotation import Array
 from spheremouse.validate import read_checked
 from spheremouse.yaml_file import SCHEMA, Key, Problem, write_atomically
 

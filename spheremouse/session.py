@@ -14,16 +14,16 @@ from threading import Timer
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose
 from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run
 from spheremouse.filters.so3_state import So3State
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.motion import Motion
 from spheremouse.resect import Resection, find_pose
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step
 from spheremouse.tracker import Frame
 from spheremouse.warm import warm_up

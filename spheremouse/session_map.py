@@ -18,10 +18,10 @@ import numpy as np
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.atomic import clear_left, open_to_read, replace
+from spheremouse.geometry.rotation import Array
 from spheremouse.map_compare import compare, compare_at, in_words, turned, variances
 from spheremouse.map_file import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.track import TrackState, disc_map
 
 EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost

@@ -17,7 +17,6 @@ from spheremouse import bearing
 from spheremouse import watch as watching
 from spheremouse.associate import common_rotation, identify
 from spheremouse.bearing import BearingSettings, Shift
-from spheremouse.camera import Pose, project
 from spheremouse.detect import static
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.detect.cap import ball_mask
@@ -32,11 +31,12 @@ from spheremouse.filters import Filter, FilterState
 from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
+from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.rotation import Array
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
 from spheremouse.resect import PoseSettings, find_pose, predict_targets
 from spheremouse.rig import Rig, considered_covariance
-from spheremouse.rotation import Array
 from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
 from spheremouse.tracker import Frame
 from spheremouse.watch import Watch, WatchSettings

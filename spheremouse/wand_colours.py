@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, MEAN_BRIGHTNESS, ColourSettings, fields, tone
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.evaluate.wand import RECOVERED, WandRun, errors, followed, found_from, is_lost
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.wand import WandFilm, WandOptions, WandTruth, prepare_wand, simulate_wand
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.track import WandSettings, begin, build, step

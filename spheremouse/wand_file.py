@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from spheremouse.rotation import Array, align, log
+from spheremouse.geometry.rotation import Array, align, log
 from spheremouse.validate import read_checked
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings

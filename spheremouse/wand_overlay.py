@@ -8,9 +8,9 @@ from collections import deque
 
 import numpy as np
 
-from spheremouse.camera import InteriorOrientation, project, sphere_outline
+from spheremouse.geometry.camera import InteriorOrientation, project, sphere_outline
+from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.overlay import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
-from spheremouse.rotation import Array, tangent_basis
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from spheremouse.camera import InteriorOrientation
 from spheremouse.daemon.plan import Plan, Request, beside
 from spheremouse.daemon.wand_settings import WandRunSettings
 from spheremouse.errors import ConfigurationError, SourceError
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Output, open_output
 from spheremouse.source import Source, Stream, open_source, paced
 from spheremouse.wand.ball import WandBall, grzonka_ball

@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from spheremouse.camera import InteriorOrientation
 from spheremouse.dataset_format import (
     MATRIX_COLUMNS,
     CameraEntry,
@@ -34,8 +33,9 @@ from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, wri
 from spheremouse.errors import DatasetError
 from spheremouse.files.tables import read_columns
 from spheremouse.folders import NewFolder
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import Array
 from spheremouse.picture_writer import PictureWriter
-from spheremouse.rotation import Array
 from spheremouse.simulate.wand import WandFilm, WandTruth, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc

@@ -11,8 +11,8 @@ import numpy as np
 
 from spheremouse.errors import SourceError
 from spheremouse.evaluate.wand import WandRun
+from spheremouse.geometry.rotation import Array
 from spheremouse.motion import Motion
-from spheremouse.rotation import Array
 from spheremouse.session import told_why
 from spheremouse.tracker import Frame
 from spheremouse.wand.pointing import Pointing, PointingSettings, begun_anew, point, pointing_rate

@@ -10,12 +10,12 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.detect.cap import appearance, ball_mask
 from spheremouse.detect.detections import Image
 from spheremouse.disc_map import DiscMap
+from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
+from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import Array, exp, log
 from spheremouse.track import Settings, Tracker, begin, build, disc_map, step
 from spheremouse.tracker import Frame
 

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.detect.detections import Image
 from spheremouse.detect.rings import RingSettings, detect_targets
+from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project, project_circle
+from spheremouse.geometry.rotation import Array, exp, hat, log
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, exp, hat, log
 from spheremouse.settings import PART, PIXELS, SECONDS, SIGMA_PX, param
 
 _FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 
 from spheremouse.adjustment.board import View
-from spheremouse.camera import InteriorOrientation, project, unproject
 from spheremouse.detect.board import Pattern
-from spheremouse.rotation import exp
+from spheremouse.geometry.camera import InteriorOrientation, project, unproject
+from spheremouse.geometry.rotation import exp
 
 PATTERN = Pattern(9, 6, 0.03)
 CAMERA = InteriorOrientation(640, 480, 610.0, 605.0, 326.0, 236.0, np.array([-0.28, 0.12, 4e-4, -3e-4, -0.02]))

@@ -27,7 +27,7 @@ from spheremouse.daemon import capture, reporter, run, worker
 from spheremouse.daemon.client import Client
 from spheremouse.daemon.reporter import ReporterStatus
 from spheremouse.errors import ControlError, OutputError, SourceError
-from spheremouse.rotation import Array, log
+from spheremouse.geometry.rotation import Array, log
 from tests.daemon_world import DT, Film, Shot, World, left_over, matrix
 from tests.soak import resident
 

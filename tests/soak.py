@@ -25,13 +25,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections, no_detections
 from spheremouse.errors import SourceError
 from spheremouse.filters.so3 import So3State
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.motion import Motion
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import Array, exp, log
 from spheremouse.session import initialise
 from spheremouse.simulate import HandVisit, Renderer, default_scene
 from spheremouse.simulate.hands import PlacedHand, draw_hand, place_hand

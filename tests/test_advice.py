@@ -16,7 +16,7 @@ from spheremouse.adjustment.device import Axes, Device, Distance
 from spheremouse.adjustment.device_adjustment import DiscViews, adjust_device
 from spheremouse.adjustment.start import TargetViews
 from spheremouse.adjustment.what_if import network, sigmas, spread, targets_seen, with_distances, with_photos
-from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 960.0, 540.0)
 TARGETS = np.array([[-0.33, 0.2, 0.57], [-0.33, -0.6, 0.57], [0.33, -0.6, 0.57], [0.33, 0.2, 0.57]])

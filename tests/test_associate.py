@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from spheremouse.associate import assign, common_rotation, identify
-from spheremouse.rotation import exp, log
+from spheremouse.geometry.rotation import exp, log
 
 CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25

@@ -6,11 +6,11 @@ from conftest import directions
 from numpy.testing import assert_allclose
 
 from spheremouse.bearing import BearingSettings, averaged, fits, is_off, shift_of
-from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import exp
 from spheremouse.intersect import intersect
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import exp
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.35]))

@@ -9,10 +9,10 @@ from scipy.stats import chi2
 
 from spheremouse.adjustment import board as adjustment
 from spheremouse.adjustment.board import View, calibrate_board, held_out, resected
-from spheremouse.camera import project
 from spheremouse.detect.board import Pattern, dictionary_seen, find_board, rectified
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import exp, log
+from spheremouse.geometry.camera import project
+from spheremouse.geometry.rotation import exp, log
 
 SIZE = CAMERA.width, CAMERA.height
 TRUTH = np.concatenate([CAMERA.intrinsic, CAMERA.distortion])

@@ -9,8 +9,8 @@ from scipy.stats import chi2
 from spheremouse.adjustment import bundle
 from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted, solve_block
 from spheremouse.adjustment.device import Axes, Device, Distance
-from spheremouse.camera import InteriorOrientation, Pose
-from spheremouse.rotation import Array, exp, log
+from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import Array, exp, log
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
 SD = np.array([0.3, 0.3, 0.3, 0.3, 1e-3, 4e-3, 5e-5, 5e-5, 5e-3])  # of an interior orientation from a board

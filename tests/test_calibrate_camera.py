@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from spheremouse.calibrate import page
 from spheremouse.calibrate.live import Session
-from spheremouse.camera import project
 from spheremouse.cli import app
 from spheremouse.detect.board import Pattern, find_board
 from spheremouse.errors import CalibrationError, SpheremouseError
+from spheremouse.geometry.camera import project
 from spheremouse.rig_file import load_camera
 
 SIZE = CAMERA.width, CAMERA.height

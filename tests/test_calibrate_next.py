@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from spheremouse.calibrate.device_file import UNTOUCHED, device_template, load_device
 from spheremouse.calibrate.evening import BOARD_ENOUGH, DEVICE_ENOUGH, checklist
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.camera import InteriorOrientation
 from spheremouse.cli import app
 from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.rig_file import save_camera, save_rig
 

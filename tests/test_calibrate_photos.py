@@ -13,8 +13,8 @@ from numpy.testing import assert_array_equal
 from PIL import Image
 
 from spheremouse.calibrate.photos import check_size, image, read_photos
-from spheremouse.camera import InteriorOrientation
 from spheremouse.errors import CalibrationError
+from spheremouse.geometry.camera import InteriorOrientation
 
 ORIENTATION = 0x0112
 W, H = 96, 64

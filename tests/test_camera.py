@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from spheremouse.camera import (
+from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,
     distort,
@@ -17,7 +17,7 @@ from spheremouse.camera import (
     reduced_to_pixel,
     unproject,
 )
-from spheremouse.rotation import exp, tangent_basis
+from spheremouse.geometry.rotation import exp, tangent_basis
 
 STRONG = np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11])
 FOLD = np.sqrt(np.min(np.roots([7 * -0.11, 5 * 0.3, 3 * -0.49, 1]).real))  # where that lens stops growing: 1.12

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.detect.cap import appearance, ball_mask, ball_outline, largest_disc
+from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.rig import Ball, Rig, Targets
 
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))

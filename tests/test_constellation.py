@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 from spheremouse import constellation_kernel as kernel
 from spheremouse.constellation import Model, attitude
-from spheremouse.rotation import align, exp, log, tangent_basis
+from spheremouse.geometry.rotation import align, exp, log, tangent_basis
 
 CAMERA = np.array([0.0, 0.0, 1.0])
 HORIZON = 0.25

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from test_bundle import CAMERA, stations
 
 from spheremouse.adjustment.correspond import Spots, near_sphere, numbered, on_ball
-from spheremouse.camera import project
 from spheremouse.errors import CalibrationError
+from spheremouse.geometry.camera import project
 
 CENTRE, RADIUS, DISC = np.array([0.32, 0.6, -0.56]), 0.6, 0.02
 

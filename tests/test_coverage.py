@@ -17,7 +17,7 @@ from spheremouse.adjustment.coverage import (
     region_grid,
     regions_of,
 )
-from spheremouse.rotation import exp
+from spheremouse.geometry.rotation import exp
 
 SIZE = 600, 400
 

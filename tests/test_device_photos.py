@@ -13,10 +13,10 @@ from spheremouse.adjustment.correspond import ball_rig
 from spheremouse.adjustment.device import DistanceError
 from spheremouse.adjustment.device_photos import calibrate_device
 from spheremouse.calibrate.device_file import load_device
-from spheremouse.camera import InteriorOrientation, pose_from_matrix, project
 from spheremouse.detect.cap import appearance
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import exp, log
+from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.observations import calibrated, normalised_errors, simulated_calibration
 
 RUNS = 24

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 from scipy.spatial.transform import Rotation
 
-from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections
 from spheremouse.filters.euler import (
     ConstantDiscsFilter,
@@ -21,9 +20,10 @@ from spheremouse.filters.euler import (
     angular_velocity,
     turned,
 )
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import euler_rate_matrix, exp, from_euler, hat, log
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import euler_rate_matrix, exp, from_euler, hat, log
 
 RADIUS = 0.6
 DT = 1.0 / 30.0

@@ -16,7 +16,6 @@ from scipy.stats import pearsonr
 from typer.testing import CliRunner
 
 from spheremouse import cli_evaluate, plot
-from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.bound import Bound, manoeuvre, posterior_bound
@@ -39,11 +38,12 @@ from spheremouse.evaluate.metrics import (
     report,
     surface_speeds,
 )
+from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.map_file import save_map, saved_now
 from spheremouse.motion import MotionSettings, rotation_between
 from spheremouse.recording import open_dataset, write_simulation
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import tangent_basis
 from spheremouse.simulate import SimulationOptions, prepare
 from spheremouse.simulate.degrade import degraded
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth

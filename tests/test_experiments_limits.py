@@ -24,7 +24,7 @@ from spheremouse.experiments.limits import (
 )
 from spheremouse.experiments.plot import save
 from spheremouse.experiments.report import write_report
-from spheremouse.rotation import log
+from spheremouse.geometry.rotation import log
 from spheremouse.simulate import Renderer, RenderOptions
 
 QUICK, WHOLE = Request(True, None), Request(False, None)

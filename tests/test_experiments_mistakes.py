@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.camera import project
 from spheremouse.experiments import mistakes, viewing
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, section, wrong
 from spheremouse.experiments.report import write_report
+from spheremouse.geometry.camera import project
 from spheremouse.simulate import default_scene
 from spheremouse.track import Phase
 

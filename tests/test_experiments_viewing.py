@@ -12,7 +12,7 @@ from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.plot import apart, save
 from spheremouse.experiments.report import write_report
 from spheremouse.experiments.viewing import KINDS, jobs, points, section, thinned, tour
-from spheremouse.rotation import log
+from spheremouse.geometry.rotation import log
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.camera import InteriorOrientation, Pose, row_of, unproject
 from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.geometry.camera import InteriorOrientation, Pose, row_of, unproject
+from spheremouse.geometry.rotation import exp
 from spheremouse.intersect import intersect
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import exp
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))

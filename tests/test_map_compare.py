@@ -6,8 +6,8 @@ from conftest import directions
 from scipy.spatial.transform import Rotation
 
 from spheremouse.disc_map import DiscMap
+from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.map_compare import compare, compare_at, in_words, turned
-from spheremouse.rotation import tangent_basis
 
 SIGMA = 1e-3
 

@@ -12,12 +12,12 @@ from conftest import directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse.camera import InteriorOrientation
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.map_file import SavedMap, age, check_fits, load_map, map_path, map_text, old_path, save_map, saved_now
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import tangent_basis
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)

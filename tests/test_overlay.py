@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.camera import project
 from spheremouse.detect.cap import ball_outline
 from spheremouse.errors import OutputError
 from spheremouse.filters.so3 import So3State
+from spheremouse.geometry.camera import project
+from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.overlay import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks
-from spheremouse.rotation import tangent_basis
 from spheremouse.session import Epoch
 from spheremouse.simulate import default_scene
 from spheremouse.track import Phase, Settings, begin, build, step

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.camera import Pose
 from spheremouse.daemon.privacy import kept, masked
 from spheremouse.detect.cap import appearance, ball_mask, largest_disc
 from spheremouse.detect.discs import disc_detector
 from spheremouse.errors import PoseError
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import exp
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Targets
-from spheremouse.rotation import exp
 from spheremouse.session import initialise, track
 from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
 from spheremouse.track import Settings, build

@@ -80,7 +80,7 @@ def test_folded_code_is_called_and_linked_as_before():
 import numpy as np
 from numba import njit
 from spheremouse.daemon import realtime
-from spheremouse.rotation import log_into
+from spheremouse.geometry.rotation import log_into
 v, R = np.zeros(3), np.eye(3)
 log_into(R, v)
 print(realtime._fold_up_code())

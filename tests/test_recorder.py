@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse.camera import Pose
 from spheremouse.cli import app
 from spheremouse.daemon import recorder as module
 from spheremouse.daemon.privacy import kept, masked
@@ -27,8 +26,9 @@ from spheremouse.daemon.recordings import next_name, recordings_folder, tidy
 from spheremouse.daemon.snapshot import snapshot
 from spheremouse.dataset_writer import FilmWriter
 from spheremouse.errors import DatasetError, OutputError
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import exp
 from spheremouse.recording import open_dataset, read_frames
-from spheremouse.rotation import exp
 from spheremouse.session import track
 from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
 from spheremouse.source import open_source

@@ -12,14 +12,14 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections
 from spheremouse.detect.rings import TargetDetections
 from spheremouse.errors import PoseError
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import log, tangent_basis
 from spheremouse.intersect import intersect
 from spheremouse.resect import PoseSettings, Sighting, describe, gather, predict_targets, resect
 from spheremouse.rig import CODES, Ball, Rig, Targets, considered_covariance
-from spheremouse.rotation import log, tangent_basis
 
 SIGMA = 0.05  # px
 CORNERS = np.array([[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629]])

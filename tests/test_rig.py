@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.detect.detections import Detections
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.intersect import intersect
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Ball, Rig, Targets, considered_covariance, directions_at, in_metres

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.recording import open_dataset
 from spheremouse.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.rig_file import load_camera, load_rig, rig_text, save_camera, save_rig, with_camera

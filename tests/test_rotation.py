@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from spheremouse.rotation import (
+from spheremouse.geometry.rotation import (
     align,
     euler_rate_matrix,
     exp,

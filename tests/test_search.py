@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.detect.cap import Appearance, appearance
 from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.detect.search import Hunt, hunt, went
+from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.rig import Ball, Rig, Targets
 
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))

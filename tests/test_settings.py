@@ -4,9 +4,9 @@ import pytest
 
 from spheremouse import config
 from spheremouse.calibrate.device_file import _DeviceFile
-from spheremouse.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.map_file import _MapFile
 from spheremouse.rig_file import _CameraFile, _RigFile
 from spheremouse.wand.colour import ColourSettings

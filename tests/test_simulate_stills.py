@@ -16,13 +16,13 @@ from numpy.testing import assert_allclose
 from spheremouse.calibrate import practice as shell
 from spheremouse.calibrate.device_file import load_device
 from spheremouse.calibrate.practice import axes_of, device_of, device_yaml, practice, sides
-from spheremouse.camera import InteriorOrientation, project
 from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError
+from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.rotation import exp
 from spheremouse.recording import open_dataset
 from spheremouse.resect import predict_targets
-from spheremouse.rotation import exp
 from spheremouse.simulate.board import Board, board_coverage
 from spheremouse.simulate.stations import board_stations, device_stations, looking, seen_targets
 from spheremouse.simulate.stills import Photo, StillsOptions, photos, prepare_stills, truth_of

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from conftest import datasets_dir
 
-from spheremouse.camera import InteriorOrientation
 from spheremouse.errors import ConfigurationError
-from spheremouse.rotation import exp
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.simulate.wand_ball import disc_paints, label_at, paint_ball, window
 from spheremouse.simulate.wand_path import (

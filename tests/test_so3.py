@@ -11,14 +11,14 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.filters.so3_state import augment, inject
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import exp, log
 from spheremouse.simulate.profile import play
 
 RADIUS = 0.6

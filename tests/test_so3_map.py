@@ -12,8 +12,8 @@ from spheremouse.disc_map import DiscMap
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.filters.so3_kernel import CORE, FIRST, READOUT
 from spheremouse.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
+from spheremouse.geometry.rotation import exp, log, tangent_basis
 from spheremouse.intersect import SpherePoints
-from spheremouse.rotation import exp, log, tangent_basis
 
 RADIUS, HORIZON, DT, SIGMA = 0.6, 0.25, 1.0 / 30.0, 3e-4
 SETTINGS = So3Settings()

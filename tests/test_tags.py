@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.camera import project
-from spheremouse.rotation import exp
+from spheremouse.geometry.camera import project
+from spheremouse.geometry.rotation import exp
 from spheremouse.simulate import default_scene
 from spheremouse.simulate.backdrop import render_backdrop
 from spheremouse.simulate.furniture import frame

@@ -9,12 +9,12 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
-from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.detect.detections import Detections, no_detections
 from spheremouse.errors import SourceError
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.motion import Motion
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import exp, log
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import (
     Phase,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spheremouse.rotation import exp, log
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.wand.course import begun, measured, predicted, speed_covariance, told
 
 ACCELERATION = np.repeat([2.0, 10.0], 3)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.rotation import exp
+from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.edge import distances, on_edges

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.rotation import exp
+from spheremouse.geometry.rotation import exp
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
 from spheremouse.wand_file import load_wand, save_wand, symmetry, wand_text

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.camera import InteriorOrientation, project, project_sphere
-from spheremouse.rotation import exp, log
+from spheremouse.geometry.camera import InteriorOrientation, project, project_sphere
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball

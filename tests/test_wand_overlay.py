@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.cli import app
 from spheremouse.errors import SpheremouseError
+from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unproject
+from spheremouse.geometry.rotation import exp
 from spheremouse.overlay import GREEN, WHITE
-from spheremouse.rotation import exp
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball

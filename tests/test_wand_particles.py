@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from spheremouse.rotation import exp, log
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.wand.particles import (
     Motions,
     Particles,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.camera import InteriorOrientation
-from spheremouse.rotation import log
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import log
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.simulate.wand_render import WandRenderer
 from spheremouse.tracker import Frame

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.rotation import log
+from spheremouse.geometry.rotation import log
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand import track

@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse import watch as watching
-from spheremouse.camera import Pose
 from spheremouse.detect.rings import RingSettings
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Rig
-from spheremouse.rotation import exp, log
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.watch import WatchSettings
 

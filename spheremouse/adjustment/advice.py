@@ -25,8 +25,8 @@ from spheremouse.adjustment.what_if import (
     with_distances,
     with_photos,
 )
-from spheremouse.camera import Pose
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 
 WORTH = 1.3  # times better: less is not worth the way
 ENOUGH = 2.5e-3  # of the radius: half of what Wittich 2017, table 11, had and tracked with

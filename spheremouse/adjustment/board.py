@@ -16,9 +16,9 @@ from scipy import sparse
 from scipy.stats import chi2
 
 from spheremouse.adjustment.solve import Jacobian, cofactors, huber, redundancy, snooped, variance_factors
-from spheremouse.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array, exp, hat, left_jacobian, log
+from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
+from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 MIN_VIEWS = 3

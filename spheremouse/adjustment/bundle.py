@@ -15,7 +15,7 @@ from scipy import sparse
 
 from spheremouse.adjustment.device import Device
 from spheremouse.adjustment.solve import Adjusted, Jacobian, adjust, cofactors
-from spheremouse.camera import (
+from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,
     ellipse_to_pixel,
@@ -25,7 +25,7 @@ from spheremouse.camera import (
     project_circle,
     with_interior,
 )
-from spheremouse.rotation import Array, exp, hat, left_jacobian
+from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 
 INTERIOR = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 

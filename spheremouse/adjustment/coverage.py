@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 VIEWS = 10  # from which the mean of their errors is a third of one's
 LEANS = ("left", "right", "up", "down")  # where the board's face turns, as the camera sees it

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,11 +26,11 @@ from spheremouse.adjustment.device import Device, DistanceError
 from spheremouse.adjustment.solve import redundancy, snooped, variance_factors
 from spheremouse.adjustment.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.adjustment.start import TargetViews
-from spheremouse.camera import InteriorOrientation, Pose, interior_vector, with_interior
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import CalibrationError
+from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, with_interior
+from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
-from spheremouse.rotation import Array, exp, tangent_basis
 
 DOUBTFUL_RMS = 0.5  # px RMS that sharp photos with a camera file of their own stay far below
 _FALSE = float(chi2.ppf(1.0 - 1e-4, 2))  # an image point further off than chance puts one of ten thousand

@@ -24,13 +24,13 @@ from spheremouse.adjustment.device_adjustment import (
 )
 from spheremouse.adjustment.sphere import FEWEST
 from spheremouse.adjustment.start import TargetViews, first_block, target_views
-from spheremouse.camera import InteriorOrientation
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.detect.detections import Detections, Image
 from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array, hat
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import Array, hat
 
 _TARGET_SIGMA = 0.05  # px, of a ring's centre (resect.PoseSettings)
 _SPOT_SIGMA = 0.5  # px, of a dark spot's centroid: threshold, slope of the light, eccentricity

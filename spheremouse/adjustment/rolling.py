@@ -15,9 +15,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from spheremouse.adjustment.solve import snooped, variance_factors
-from spheremouse.camera import InteriorOrientation, interior_jacobian, project, row_of
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array, exp, hat, log, tangent_basis
+from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
+from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 
 _OUTLIER = 18.4  # squared normalised residual: of points with normal errors one in ten thousand goes beyond
 _RATES = 0.005  # part by which rates taken from attitudes a frame apart are off when a hand pushes

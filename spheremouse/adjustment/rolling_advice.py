@@ -3,7 +3,7 @@
 import numpy as np
 
 from spheremouse.adjustment.rolling import Rolled, Rolling
-from spheremouse.rotation import Array, log
+from spheremouse.geometry.rotation import Array, log
 
 GOOD_RATIO, GOOD_DIRECTION = 1e-3, float(np.deg2rad(0.02))  # beyond these tracking suffers
 _ONE_AXIS = 0.05  # share of the turning about any other axis, below which the ball was rolled about one alone

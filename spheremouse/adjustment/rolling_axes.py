@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 
 from spheremouse.adjustment.device import Device
 from spheremouse.adjustment.rolling import Rolled, Rolling, lens_root
-from spheremouse.camera import (
+from spheremouse.errors import CalibrationError
+from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,
     ellipse_to_pixel,
@@ -24,10 +25,9 @@ from spheremouse.camera import (
     unproject,
     with_interior,
 )
-from spheremouse.errors import CalibrationError
+from spheremouse.geometry.rotation import Array, align, exp, hat, left_jacobian, log
 from spheremouse.resect import Sighting, predict_targets
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import Array, align, exp, hat, left_jacobian, log
 
 _SIZE = 0.005, 0.002  # part by which printed rings may be off in size: all of them alike, and each by itself
 _RIM = 0.05, 0.02  # px, of a ring's radius as seen: colours that run do so alike on all

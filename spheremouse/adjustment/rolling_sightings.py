@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from spheremouse.adjustment.rolling import Rolling, Sightings
 from spheremouse.associate import identify
-from spheremouse.camera import Pose
 from spheremouse.detect.cap import appearance
 from spheremouse.errors import CalibrationError
 from spheremouse.filters.so3_state import So3State
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.track import Phase, Settings, TrackState, begin, build, step
 from spheremouse.tracker import Frame
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.detect.cap import appearance
 from spheremouse.detect.detections import Image
 from spheremouse.errors import CalibrationError
+from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Ball, Rig, Targets, directions_at
-from spheremouse.rotation import Array
 
 _SCALES = (9, 17, 33, 65)  # px, widths of the closing: discs up to two thirds of that are found
 _DARKER = 0.2  # least depth of a spot, of what surrounds it: print is 0.8, haze and gloss halve it

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import splu
 
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 Jacobian = sparse.csr_array
 Evaluate = Callable[[Array], tuple[Array, Jacobian]]

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 FEWEST = 5  # points: four fix a sphere, the fifth checks it (Wittich 2017, section 3.7)
 _STILL = 1e-9  # m

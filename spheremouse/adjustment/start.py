@@ -12,10 +12,10 @@ import numpy as np
 
 from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, distances, predicted, solve_block
 from spheremouse.adjustment.device import Device, DistanceError
-from spheremouse.camera import InteriorOrientation, Pose, unproject
 from spheremouse.detect.rings import TargetDetections
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array, align
+from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
+from spheremouse.geometry.rotation import Array, align
 
 _DEPTH = 0.02  # of the depth, by which a ring's size may mislead: half a pixel of a ring of 25 px
 _CENTRE = 0.5  # px, of a ring's centre in so rough a start

@@ -14,8 +14,8 @@ from spheremouse.adjustment.device import Distance
 from spheremouse.adjustment.device_adjustment import DeviceCalibration
 from spheremouse.adjustment.solve import cofactors
 from spheremouse.adjustment.sphere import fit_sphere
-from spheremouse.camera import Pose, project
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.rotation import Array
 
 _TARGET_SLANT, _DISC_SLANT = np.cos(np.radians(70.0)), np.cos(np.radians(65.0))  # rings, discs are found up to there
 _APART = np.cos(np.radians(10.0))  # between rays that tell where a disc is (correspond)

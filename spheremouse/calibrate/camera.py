@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note
 from spheremouse.errors import CalibrationError
+from spheremouse.geometry.rotation import Array
 from spheremouse.progress import progress_bar
-from spheremouse.rotation import Array
 from spheremouse.yaml_file import write_json
 
 if TYPE_CHECKING:

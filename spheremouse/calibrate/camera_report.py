@@ -15,8 +15,8 @@ from spheremouse.adjustment.coverage import LEANS, VIEWS, bare, listed, unleant
 from spheremouse.calibrate import page
 from spheremouse.calibrate.camera import Calibrated, false_views, thumbnail
 from spheremouse.calibrate.photos import image
-from spheremouse.camera import interior_vector
-from spheremouse.rotation import Array, log
+from spheremouse.geometry.camera import interior_vector
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.yaml_file import write_atomically
 
 if TYPE_CHECKING:
@@ -341,7 +341,7 @@ def _pose_rows(done: Calibrated) -> list[list[str]]:
 
 def _position_covariance(done: Calibrated, k: int, C: Array) -> Array:
     """Of -R't, (3, 3) m², from that of rotation (in cam) and translation."""
-    from spheremouse.rotation import hat
+    from spheremouse.geometry.rotation import hat
 
     R, t = done.found.rotations[k], done.found.translations[k]
     J = np.hstack([-R.T @ hat(t), -R.T])

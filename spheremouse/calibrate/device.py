@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from spheremouse.adjustment.device import Device
     from spheremouse.adjustment.device_adjustment import DeviceCalibration
     from spheremouse.calibrate.photos import Photo
-    from spheremouse.camera import InteriorOrientation
+    from spheremouse.geometry.camera import InteriorOrientation
     from spheremouse.track import Settings
 
 EXAMPLE = "Example: spheremouse calibrate device device/ --device device.yaml --camera camera.yaml --out rig.yaml"

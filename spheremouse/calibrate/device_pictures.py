@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from spheremouse.adjustment.device_adjustment import DeviceCalibration
 from spheremouse.calibrate.page import BLUE, GOLD, GREEN, GRID, INK, MUTED, PAPER, RED, drawn
-from spheremouse.camera import Pose, project
-from spheremouse.rotation import Array, tangent_basis
+from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.rotation import Array, tangent_basis
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

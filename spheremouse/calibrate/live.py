@@ -27,11 +27,11 @@ from spheremouse.adjustment.coverage import (
     regions_of,
 )
 from spheremouse.calibrate.photos import ENDINGS, image, read_photos
-from spheremouse.camera import InteriorOrientation
 from spheremouse.detect.board import Pattern, Sighting, find_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import Array
 from spheremouse.source import open_source
 from spheremouse.stopping import Stopping
 

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from spheremouse.geometry.rotation import Array
 from spheremouse.plot import require_matplotlib
-from spheremouse.rotation import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.calibrate.outputs import note
-from spheremouse.camera import InteriorOrientation
 from spheremouse.errors import CalibrationError
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.pictures import MOST_BYTES, PHOTO_PIXELS, Header, Size, decoded, px, read_header
+from spheremouse.geometry.camera import InteriorOrientation
 
 ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
 _OTHER_ENDINGS = (".heic", ".heif", ".avif", ".webp", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -28,7 +28,7 @@ from spheremouse.calibrate.prints_page import (
     paper,
 )
 from spheremouse.errors import CalibrationError
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 TARGETS = {1: "MCY", 2: "CYM", 3: "YMC", 4: "CMY", 5: "MYC", 6: "YCM"}  # as device.yaml numbers them
 INKS: dict[str, Colour] = {"C": (0.0, 1.0, 1.0), "M": (1.0, 0.0, 1.0), "Y": (1.0, 1.0, 0.0)}

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from spheremouse.calibrate.prints_sheets import TARGETS
-from spheremouse.rotation import Array, exp
+from spheremouse.geometry.rotation import Array, exp
 
 _INK = {"C": "#00ffff", "M": "#ff00ff", "Y": "#ffff00"}
 _RINGS = (12.0, 24.0, 36.0)  # mm

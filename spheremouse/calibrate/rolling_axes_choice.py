@@ -8,9 +8,9 @@ from spheremouse.adjustment.device import Device
 from spheremouse.adjustment.rolling import Rolled
 from spheremouse.adjustment.rolling_axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.calibrate.rolling_session import Views
-from spheremouse.camera import InteriorOrientation
 from spheremouse.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.errors import CalibrationError, PoseError
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.resect import PoseSettings, gather
 from spheremouse.rig import Rig
 

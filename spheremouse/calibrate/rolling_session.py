@@ -15,12 +15,12 @@ from spheremouse.adjustment.rolling import Rolled, adjust_rolling
 from spheremouse.adjustment.rolling_sightings import Tracked, provisional_pose, track_rolling
 from spheremouse.adjustment.rolling_start import RollingStart, Spots, dark_spots, start, start_rig
 from spheremouse.calibrate.footage import Footage
-from spheremouse.camera import InteriorOrientation
 from spheremouse.detect.cap import ball_mask
 from spheremouse.detect.detections import Image
 from spheremouse.errors import CalibrationError, SourceError
+from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.track import Settings
 from spheremouse.tracker import Frame
 

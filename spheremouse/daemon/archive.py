@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse import config
-from spheremouse.camera import Pose
 from spheremouse.daemon.desk import Asked
 from spheremouse.daemon.protocol import Record, Snapshot, refused
 from spheremouse.daemon.recorder import Recorder
@@ -24,6 +23,7 @@ from spheremouse.daemon.snapshot import snapshot
 from spheremouse.daemon.threads import Crew
 from spheremouse.daemon.worker import Step
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
+from spheremouse.geometry.camera import Pose
 from spheremouse.rig import Rig
 from spheremouse.track import Tracker
 

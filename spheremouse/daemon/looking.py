@@ -9,10 +9,10 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import TypeVar
 
-from spheremouse.camera import Pose
 from spheremouse.detect.detections import Image
 from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.errors import PoseError
+from spheremouse.geometry.camera import Pose
 from spheremouse.resect import Resection, find_pose
 from spheremouse.rig import Rig
 from spheremouse.track import Moved, Settings, Tracker, seek_by_colour

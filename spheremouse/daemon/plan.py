@@ -10,9 +10,9 @@ from pathlib import Path
 from spheremouse import config
 from spheremouse import output as outputs
 from spheremouse import source as sources
-from spheremouse.camera import InteriorOrientation
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.map_file import map_path
 from spheremouse.rig import Rig
 from spheremouse.rig_file import load_camera, load_rig, with_camera

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from spheremouse.camera import Pose
 from spheremouse.daemon.looking import Elsewhere, FirstPose, Seeker, at_once
 from spheremouse.daemon.owned import Owned
 from spheremouse.daemon.ring import Arrival
@@ -19,6 +18,7 @@ from spheremouse.daemon.threads import Work
 from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
+from spheremouse.geometry.camera import Pose
 from spheremouse.motion import Motion
 from spheremouse.resect import Resection, describe, find_pose
 from spheremouse.rig import Rig

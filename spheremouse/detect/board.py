@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, project, unproject
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, project, unproject
+from spheremouse.geometry.rotation import Array
 
 DICTIONARIES = tuple(f"DICT_{n}X{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000))
 MARKER_SHARE = 0.75  # of a square's side, the marker's of boards that this program prints

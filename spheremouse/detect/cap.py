@@ -11,10 +11,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, distorted, sphere_outline
 from spheremouse.detect.detections import Image
+from spheremouse.geometry.camera import Pose, distorted, sphere_outline
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 
 _CORNERS = 24  # of the polygon that stands for a distorted outline
 

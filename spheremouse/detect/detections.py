@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 Image = NDArray[Any]  # (h, w, 3) BGR or (h, w), uint8; Any because OpenCV's stubs name no type
 

@@ -14,15 +14,15 @@ import cv2
 import numpy as np
 from numba import njit
 
-from spheremouse.camera import MAX_SIDE, Pose
 from spheremouse.detect.cap import appearance, ball_mask, largest_disc
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, noise_of, smoothing_kernel
 from spheremouse.detect.search import Hunt, Lattice, hunt, lattice, went
 from spheremouse.detect.window import View, look_at, view_of
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import MAX_SIDE, Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig, directions_at
-from spheremouse.rotation import Array
 from spheremouse.settings import AREA, PART, SHARE, SIGMA_PX, param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs

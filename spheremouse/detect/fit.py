@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.detect.detections import Image
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 _SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
 _UNEVEN = 0.02  # of the contrast: unevenness of print and ball that a good fit leaves

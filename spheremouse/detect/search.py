@@ -12,7 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.detect.detections import Image
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 _STRIDE = (2, 8)  # columns and rows of the reduced picture between samples of one frame: few rows are few cache misses
 _SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame: together every other row

@@ -13,10 +13,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose
 from spheremouse.detect.cap import seen_at
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.settings import PIXELS, SECONDS, param
 
 

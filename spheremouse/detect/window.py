@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from spheremouse.camera import Pose, row_of
 from spheremouse.detect.cap import appearance_into, seen_into
 from spheremouse.detect.detections import Detections, Image, no_detections
 from spheremouse.detect.fit import FitSettings, measure_into
+from spheremouse.geometry.camera import Pose, row_of
+from spheremouse.geometry.rotation import Array, exp_into
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, exp_into
 
 
 @dataclass(frozen=True, slots=True)

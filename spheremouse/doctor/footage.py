@@ -14,8 +14,8 @@ from spheremouse.daemon.plan import Plan
 from spheremouse.detect.detections import Image
 from spheremouse.doctor.controls import Controls, read
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.source import Source, open_source
 from spheremouse.tracker import Frame
 

@@ -14,7 +14,7 @@ from spheremouse.detect.discs import DiscSettings
 from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.doctor.footage import Footage
 from spheremouse.doctor.timing import steadiness
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 _CLIPPED = 254  # grey value: the last two hold what is blown out, whatever the noise
 _BRIGHTEST = 95.0  # per cent of the picture that are darker

@@ -6,16 +6,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from spheremouse.camera import Pose
 from spheremouse.detect.cap import ball_outline, largest_disc
 from spheremouse.detect.detections import Detections, Image
 from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.detect.rings import detect_targets
 from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import SpheremouseError
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.resect import find_pose, gather
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.track import Settings, build
 from spheremouse.tracker import Frame
 

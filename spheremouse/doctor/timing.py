@@ -6,7 +6,7 @@ import numpy as np
 
 from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.doctor.footage import Footage
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 _SLOW = 0.95  # of the promised rate: of two seconds' frames the count alone is uncertain by one in sixty
 _LOST = 0.01  # of the frames: a filter bridges them, yet a camera in order loses none

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, project
 from spheremouse.evaluate.centres import Sight
+from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log, tangent_basis
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, exp, hat, left_jacobian, log, tangent_basis
 from spheremouse.simulate.truth import Truth
 
 _UNKNOWN = 100.0  # rad/s, standard deviation of a rate of which nothing is known

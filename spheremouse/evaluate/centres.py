@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
 
 # px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a

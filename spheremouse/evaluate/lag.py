@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.trackball import MouseLog
 
 GRID = 0.02  # s, resolution of the search

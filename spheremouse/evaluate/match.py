@@ -20,7 +20,7 @@ from scipy.linalg import cholesky_banded, solve_banded
 
 from spheremouse.evaluate.lag import Peak, Travel, Turning, search, travel
 from spheremouse.evaluate.metrics import Run, pearson
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.trackball import MouseLog
 
 INTERVAL = 0.1  # s

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
-from spheremouse.camera import Pose
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import MATCH, distances, measured
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, log
 from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.track import Phase
 

@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from spheremouse.evaluate.metrics import mean_nees
-from spheremouse.rotation import Array, log
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.wand import WandTruth
 from spheremouse.wand.ball import WandBall
 

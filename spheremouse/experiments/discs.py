@@ -19,7 +19,7 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.plot import BOUND, decades
 from spheremouse.experiments.report import failures, value
 from spheremouse.experiments.viewing import FAR_OFF, FOLLOWED, brief, films_cell, is_lost
-from spheremouse.rotation import Array, exp
+from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate import HandVisit, Simulation, prepare
 from spheremouse.simulate.profile import Gesture, Gestures
 from spheremouse.simulate.scene import spread_directions

@@ -16,7 +16,7 @@ from spheremouse.experiments import r1, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import TRACKERS, Film, made, options_of, settings_of, taken, tracked
 from spheremouse.experiments.report import failures, value
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate import SimulationOptions, prepare, profile
 from spheremouse.simulate.trackball import MouseLog
 from spheremouse.simulate.truth import Truth

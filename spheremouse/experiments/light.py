@@ -19,7 +19,7 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.kit import TRACKERS, Film, bound_rms, made, options_of, settings_of, taken, tracked
 from spheremouse.experiments.plot import BOUND, THESIS
 from spheremouse.experiments.report import failures, value
-from spheremouse.rotation import Array, to_euler
+from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.simulate import prepare
 from spheremouse.simulate.degrade import degraded
 

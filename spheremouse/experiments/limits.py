@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import project, unproject
 from spheremouse.detect.detections import Detections
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import TRACKERS, settings_of
 from spheremouse.experiments.plot import BOUND, decades
 from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
+from spheremouse.geometry.camera import project, unproject
+from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, exp, tangent_basis
 from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.profile import Profile, rest, still, thesis
 from spheremouse.simulate.shapes import Sphere, look

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.camera import project_sphere
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, surface_travel
 from spheremouse.experiments import kit, sights
@@ -33,8 +32,9 @@ from spheremouse.experiments.viewing import (
     plain_numbers,
     suited,
 )
+from spheremouse.geometry.camera import project_sphere
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, log
 from spheremouse.simulate.truth import Truth
 
 TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"

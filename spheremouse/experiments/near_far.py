@@ -14,7 +14,7 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.plot import BOUND, plain_numbers
 from spheremouse.experiments.poses import THESIS_TABLES
 from spheremouse.experiments.report import failures
-from spheremouse.rotation import exp
+from spheremouse.geometry.rotation import exp
 from spheremouse.session import initialise
 from spheremouse.simulate import View, prepare
 

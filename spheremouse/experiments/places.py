@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
-from spheremouse.camera import project
 from spheremouse.detect.cap import appearance
 from spheremouse.detect.discs import disc_detector
 from spheremouse.errors import PoseError
@@ -24,7 +23,8 @@ from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures, value
-from spheremouse.rotation import Array, tangent_basis
+from spheremouse.geometry.camera import project
+from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene, prepare
 from spheremouse.simulate.profile import thesis
 from spheremouse.simulate.shapes import Sphere, Viewpoint, look

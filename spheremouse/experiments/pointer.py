@@ -28,9 +28,9 @@ from spheremouse.experiments.limits import (
 from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.motion import Motion, Remainder, to_counts
 from spheremouse.pointer import PointerSettings, Resampler, due, take
-from spheremouse.rotation import Array, log
 from spheremouse.simulate import Renderer, RenderOptions
 from spheremouse.simulate.profile import Gestures, Profile, play, stroke
 from spheremouse.simulate.trackball import MouseLog

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import THESIS
 from spheremouse.experiments.report import failures
+from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
 from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.rig import Rig
-from spheremouse.rotation import euler_rate_matrix, exp, log, to_euler
 from spheremouse.simulate import Renderer, RenderOptions, Scene, View, default_scene
 from spheremouse.simulate.degrade import degraded
 from spheremouse.simulate.observations import calibrated, simulated_calibration

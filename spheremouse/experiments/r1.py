@@ -13,7 +13,7 @@ import numpy as np
 from spheremouse.evaluate.lag import travel
 from spheremouse.evaluate.metrics import Run, pearson, surface_travel
 from spheremouse.experiments.kit import Film, made, options_of
-from spheremouse.rotation import Array, log
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate import prepare
 from spheremouse.simulate.profile import Profile, play
 from spheremouse.simulate.trackball import MouseLog, Trackball, simulate_log, trackball_matrix

@@ -21,8 +21,8 @@ from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.report import failures
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array
 from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.truth import VISIBLE, DiscTruth, Truth
 

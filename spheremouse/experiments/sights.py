@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from spheremouse.camera import Pose
 from spheremouse.detect.detections import Detections
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import Sight
@@ -25,6 +24,7 @@ from spheremouse.evaluate.metrics import (
 )
 from spheremouse.experiments.experiment import Result
 from spheremouse.experiments.kit import Film
+from spheremouse.geometry.camera import Pose
 from spheremouse.rig import Rig
 from spheremouse.session import Epoch, History, initialise
 from spheremouse.simulate.truth import VISIBLE

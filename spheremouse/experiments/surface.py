@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
-from spheremouse.camera import Pose
 from spheremouse.detect.cap import seen_at
 from spheremouse.detect.detections import Detections
 from spheremouse.detect.discs import disc_detector
@@ -21,10 +20,11 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.plot import THESIS, plain_numbers
 from spheremouse.experiments.poses import THESIS_TABLES, calibrated_rig
 from spheremouse.experiments.report import failures
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array, euler_rate_matrix, tangent_basis, to_euler
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.resect import PoseSettings, Sighting, predict_targets, resect
 from spheremouse.rig import Rig
-from spheremouse.rotation import Array, euler_rate_matrix, tangent_basis, to_euler
 from spheremouse.simulate import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
 from spheremouse.simulate.hands import draw_hand, place_hand
 from spheremouse.simulate.shapes import Sphere, look

@@ -13,16 +13,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import Pose, project
 from spheremouse.detect.rings import TargetDetections, detect_targets
 from spheremouse.errors import PoseError
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND, THESIS, decades
 from spheremouse.experiments.report import failures
+from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.rig import CODES, Rig, Targets
-from spheremouse.rotation import Array, exp, log
 from spheremouse.simulate import Scene, default_scene
 from spheremouse.simulate.backdrop import render_backdrop
 from spheremouse.simulate.furniture import frame, room

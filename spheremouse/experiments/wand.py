@@ -11,7 +11,7 @@ from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import plain_numbers
 from spheremouse.experiments.report import failures
-from spheremouse.rotation import log
+from spheremouse.geometry.rotation import log
 
 TITLE = "The hand-held ball (Grzonka 2005, chapter 4)"
 _SPEEDS = "speeds"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 
-from spheremouse.camera import MAX_PIXELS
+from spheremouse.geometry.camera import MAX_PIXELS
 
 Size = tuple[int, int]  # px, width and height
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.bounded import lines, opened
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 MOST_NUMBERS = 50_000_000  # of the columns that are wanted
 

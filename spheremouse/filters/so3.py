@@ -18,9 +18,9 @@ from spheremouse.associate import assign
 from spheremouse.filters import so3_kernel as kernel
 from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.filters.so3_state import So3State, augment, delays, drop, inject
+from spheremouse.geometry.rotation import Array
 from spheremouse.intersect import SpherePoints
 from spheremouse.rig import MOST_DISCS
-from spheremouse.rotation import Array
 from spheremouse.settings import FACTOR, FRAMES, HAND_TURN, SECONDS, SHARE, SIGMAS, param
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite

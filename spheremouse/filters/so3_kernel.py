@@ -8,7 +8,7 @@ tangent axes (rad). Functions with an upper-case P work on the joint covariance 
 import numpy as np
 from numba import njit
 
-from spheremouse.rotation import exp_into, left_jacobian_into
+from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
 CORE = 9  # rotation, rate, acceleration
 CONSIDER = 10  # pose and ball

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from spheremouse.disc_map import DiscMap
 from spheremouse.filters import so3_kernel as kernel
 from spheremouse.filters.so3_kernel import CORE, FIRST, READOUT
+from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 from spheremouse.intersect import SpherePoints
-from spheremouse.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
 _NO_PROCESS = np.zeros((CORE, CORE))
 

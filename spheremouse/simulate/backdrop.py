@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import unproject
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import unproject
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.shapes import Face, Shape, Sphere, Viewpoint, look

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose, project, unproject
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project, unproject
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.backdrop import render_backdrop
 from spheremouse.simulate.caps import half_plane
 from spheremouse.simulate.furniture import BLACK, LAMPS, PAPER, room

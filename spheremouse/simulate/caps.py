@@ -12,8 +12,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import project, project_sphere, reduced_to_pixel, unproject
-from spheremouse.rotation import Array, tangent_basis
+from spheremouse.geometry.camera import project, project_sphere, reduced_to_pixel, unproject
+from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spheremouse.camera import Pose
-from spheremouse.rotation import Array, exp, tangent_basis
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.scene import Scene
 
 _CANDIDATES = 48  # places looked at for a disc that is moved

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import project
+from spheremouse.geometry.camera import project
 from spheremouse.simulate.scene import Scene
 
 PER_METRE = 500  # pixels of the drawing

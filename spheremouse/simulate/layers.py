@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import project_sphere, reduced_to_pixel, unproject
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import project_sphere, reduced_to_pixel, unproject
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.backdrop import Backdrop, render_backdrop
 from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.shapes import look

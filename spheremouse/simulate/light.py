@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.shapes import Colour
 
 _SKY = np.array([0.50, 0.47, 0.45])  # blue, green, red: light from above

@@ -13,8 +13,8 @@ from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted
 from spheremouse.adjustment.device import Axes, Device, Distance
 from spheremouse.adjustment.device_adjustment import DeviceCalibration, DiscViews, adjust_device
 from spheremouse.adjustment.start import TargetViews
-from spheremouse.camera import InteriorOrientation, Pose
-from spheremouse.rotation import Array, exp, log
+from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.scene import spread_directions
 
 _TARGETS = np.array(

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from spheremouse.rotation import Array, euler_rate_matrix, exp, from_euler
+from spheremouse.geometry.rotation import Array, euler_rate_matrix, exp, from_euler
 
 TURN_SECONDS = 3.0  # s, of a turn of `roll`
 

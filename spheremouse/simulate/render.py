@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from spheremouse.camera import Pose
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.backdrop import Backdrop, render_backdrop
 from spheremouse.simulate.caps import BallView, Caps, Coverage
 from spheremouse.simulate.events import Dimming, Flicker, Lift

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from spheremouse.camera import InteriorOrientation, Pose
+from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import Array, from_euler
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rotation import Array, from_euler
 from spheremouse.simulate.furniture import BLACK, LAMPS, STRIPS, WHITE_BALL, frame, room
 from spheremouse.simulate.light import Lighting
 from spheremouse.simulate.shapes import Colour, Shape

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 Colour = tuple[float, float, float]  # share of light given back: blue, green, red
 Vector = tuple[float, float, float]

@@ -7,9 +7,9 @@ every part of the picture.
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose, project
 from spheremouse.errors import ConfigurationError
-from spheremouse.rotation import Array, exp
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.board import MIDDLE, Board
 from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.shapes import Sphere, look

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, Pose
 from spheremouse.errors import ConfigurationError
+from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Targets
-from spheremouse.rotation import Array
 from spheremouse.simulate.backdrop import render_backdrop
 from spheremouse.simulate.board import Board, render_board
 from spheremouse.simulate.caps import Caps

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import project, unproject
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import project, unproject
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.furniture import BLACK, FRONT, INK, PAPER
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.scene import Scene

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 HIDDEN, PARTLY_HIDDEN, VISIBLE = 1, 2, 3  # state of a disc on the near side of the ball
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from spheremouse.rotation import Array, exp, log
+from spheremouse.geometry.rotation import Array, exp, log
 
 PITCH = np.radians(10.0)  # rad, the camera looks down
 CAMERA_HEIGHT = 0.95  # m above the floor (Grzonka 2005, chapter 4)

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, project
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.hands import draw_hand
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.wand_ball import Layer, WandLight, disc_paints, paint_ball

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from spheremouse.camera import InteriorOrientation, project, unproject
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, project, unproject
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, Face, box, post
 from spheremouse.simulate.wand_ball import Layer

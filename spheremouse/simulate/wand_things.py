@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, project
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.hands import ABOVE, HALF_WIDTH, PER_METRE
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, box

@@ -6,7 +6,7 @@ None leaves a parameter as the camera has it. What is set is put back when the c
 from dataclasses import dataclass
 from typing import Literal
 
-from spheremouse.camera import MAX_SIDE, too_large
+from spheremouse.geometry.camera import MAX_SIDE, too_large
 from spheremouse.settings import STEPS, param
 
 PixelName = Literal["MJPG", "YUYV", "NV12", "GREY"]

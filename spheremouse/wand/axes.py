@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spheremouse.rotation import Array, euler_rate_matrix, from_euler, to_euler
+from spheremouse.geometry.rotation import Array, euler_rate_matrix, from_euler, to_euler
 
 _QUARTER = 0.5 * np.pi
 _SINGULAR = 1e-6  # cosine of phi below which the angles say nothing

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 _POINTS_AT = 0.65  # of a disc's radius, its four outer points, where nobody says: between the thesis' 0.48 and 0.69
 _FLIP = np.diag([1.0, -1.0, 1.0])  # x right, y up, z away (left-handed) to x right, y down, z forward

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 from spheremouse.settings import param
 
 Image = NDArray[np.uint8]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from spheremouse.rotation import Array, exp, left_jacobian, log
+from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 
 _LASTS = 0.2  # s, that a hand's acceleration lasts: to and fro once a second, it is over half its height for a third
 _STEPS = 10  # of so long at most: after two seconds nothing is known of a velocity any more

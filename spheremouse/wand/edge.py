@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import distorted
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import distorted
+from spheremouse.geometry.rotation import Array
 from spheremouse.wand.colour import Image, Region
 from spheremouse.wand.likelihood import FULLY, Model
 from spheremouse.wand.limb import DIRECTIONS, outline

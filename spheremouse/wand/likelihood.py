@@ -20,8 +20,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, distorted
-from spheremouse.rotation import Array, tangent_basis
+from spheremouse.geometry.camera import InteriorOrientation, distorted
+from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import FIELD_SIGMA, Fields
 

@@ -8,8 +8,8 @@ ball's colour to what lies beside it is looked for across the predicted outline.
 import numpy as np
 from numba import njit
 
-from spheremouse.camera import distorted
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import distorted
+from spheremouse.geometry.rotation import Array
 from spheremouse.wand.colour import Image
 
 DIRECTIONS = 24  # around the outline; every four pixels of a ball 50 px across

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.rotation import Array, align, exp, exp_into, log, log_into
+from spheremouse.geometry.rotation import Array, align, exp, exp_into, log, log_into
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 

@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.motion import Motion, Remainder, to_counts
-from spheremouse.rotation import Array, log
 from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
 from spheremouse.wand.course import between
 from spheremouse.wand.track import WandPhase, WandPose

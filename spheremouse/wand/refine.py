@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from spheremouse.camera import distorted
-from spheremouse.rotation import Array, exp_into
+from spheremouse.geometry.camera import distorted
+from spheremouse.geometry.rotation import Array, exp_into
 from spheremouse.wand import limb
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import (

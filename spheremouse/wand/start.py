@@ -14,8 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, project, unproject
-from spheremouse.rotation import Array
+from spheremouse.geometry.camera import InteriorOrientation, project, unproject
+from spheremouse.geometry.rotation import Array
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields, Image
 from spheremouse.wand.likelihood import BEGINS, FULLY, Model

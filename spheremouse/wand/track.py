@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, project
-from spheremouse.rotation import Array, exp
+from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.rotation import Array, exp
 from spheremouse.settings import HAND, HAND_TURN, PART, SECONDS, Bounds, param
 from spheremouse.tracker import Frame
 from spheremouse.wand import limb

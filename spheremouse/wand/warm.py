@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.camera import InteriorOrientation, project
-from spheremouse.rotation import Array, exp
+from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball
 from spheremouse.wand.pointing import Pointing, PointingSettings, point

@@ -31,8 +31,8 @@ from spheremouse.daemon import run
 from spheremouse.daemon.client import Client
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.geometry.rotation import log
 from spheremouse.output import uinput
-from spheremouse.rotation import log
 from spheremouse.session import make_ready
 
 linuxpy = pytest.importorskip("linuxpy.video.device")

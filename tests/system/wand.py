@@ -16,7 +16,7 @@ from daemon import FILMS, INTERVAL, LONGEST, H, Program, Reader, W, Writer, remo
 from modules import insert
 
 from spheremouse import wand_live, wand_run
-from spheremouse.rotation import log
+from spheremouse.geometry.rotation import log
 from spheremouse.wand import warm
 from spheremouse.wand.pointing import PointingSettings
 

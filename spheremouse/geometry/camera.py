@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 
-from spheremouse.rotation import Array
+from spheremouse.geometry.rotation import Array
 
 # The largest pictures: 8K has 7680x4320, the largest webcams less, a telephone's photo 50 million pixels. One of so
 # many takes 200 MB in colour, and everything that is made of it is a few times that.
