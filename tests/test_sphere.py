@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
-from spheremouse.adjustment.sphere import fit_sphere, off_sphere, through_four
 from spheremouse.errors import CalibrationError
+from spheremouse.geometry.least_squares.sphere import fit_sphere, off_sphere, through_four
 
 CENTRE, RADIUS = np.array([0.3, 0.6, -0.56]), 0.6
 

@@ -13,7 +13,6 @@ from scipy import sparse
 from scipy.stats import chi2
 
 from spheremouse.adjustment.device_adjustment import DeviceCalibration, image_residuals
-from spheremouse.adjustment.solve import redundancy
 from spheremouse.adjustment.what_if import (
     Network,
     Sigmas,
@@ -26,6 +25,7 @@ from spheremouse.adjustment.what_if import (
     with_photos,
 )
 from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.least_squares.adjust import redundancy
 from spheremouse.geometry.rotation import Array
 
 WORTH = 1.3  # times better: less is not worth the way

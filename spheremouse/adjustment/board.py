@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.stats import chi2
 
-from spheremouse.adjustment.solve import Jacobian, cofactors, huber, redundancy, snooped, variance_factors
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
+from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors, huber, redundancy, snooped, variance_factors
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")

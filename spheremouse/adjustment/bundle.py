@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from spheremouse.adjustment.device import Device
-from spheremouse.adjustment.solve import Adjusted, Jacobian, adjust, cofactors
 from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,
@@ -25,6 +24,7 @@ from spheremouse.geometry.camera import (
     project_circle,
     with_interior,
 )
+from spheremouse.geometry.least_squares.adjust import Adjusted, Jacobian, adjust, cofactors
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 
 INTERIOR = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spheremouse.adjustment.sphere import through_four
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
+from spheremouse.geometry.least_squares.sphere import through_four
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Ball, Rig, Targets, directions_at
 

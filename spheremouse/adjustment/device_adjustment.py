@@ -23,12 +23,12 @@ from spheremouse.adjustment.bundle import (
     solve_block,
 )
 from spheremouse.adjustment.device import Device, DistanceError
-from spheremouse.adjustment.solve import redundancy, snooped, variance_factors
-from spheremouse.adjustment.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.adjustment.start import TargetViews
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, with_interior
+from spheremouse.geometry.least_squares.adjust import redundancy, snooped, variance_factors
+from spheremouse.geometry.least_squares.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 

@@ -22,7 +22,6 @@ from spheremouse.adjustment.device_adjustment import (
     check_distances,
     moved_to_ball,
 )
-from spheremouse.adjustment.sphere import FEWEST
 from spheremouse.adjustment.start import TargetViews, first_block, target_views
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.detect.detections import Detections, Image
@@ -30,6 +29,7 @@ from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.geometry.least_squares.sphere import FEWEST
 from spheremouse.geometry.rotation import Array, hat
 
 _TARGET_SIGMA = 0.05  # px, of a ring's centre (resect.PoseSettings)

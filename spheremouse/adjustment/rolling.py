@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spheremouse.adjustment.solve import snooped, variance_factors
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
+from spheremouse.geometry.least_squares.adjust import snooped, variance_factors
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 
 _OUTLIER = 18.4  # squared normalised residual: of points with normal errors one in ten thousand goes beyond

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, design
 from spheremouse.adjustment.device import Distance
 from spheremouse.adjustment.device_adjustment import DeviceCalibration
-from spheremouse.adjustment.solve import cofactors
-from spheremouse.adjustment.sphere import fit_sphere
 from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.least_squares.adjust import cofactors
+from spheremouse.geometry.least_squares.sphere import fit_sphere
 from spheremouse.geometry.rotation import Array
 
 _TARGET_SLANT, _DISC_SLANT = np.cos(np.radians(70.0)), np.cos(np.radians(65.0))  # rings, discs are found up to there
