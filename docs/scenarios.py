@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse import config
 from spheremouse.errors import SpheremouseError
+from spheremouse.files import config
+from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.motion import Motion
 from spheremouse.session import initialise
@@ -29,7 +30,6 @@ from spheremouse.simulate import SimulatedFrame, SimulationOptions, prepare, sim
 from spheremouse.simulate.truth import VISIBLE
 from spheremouse.track import Phase, Settings, Tracker, begin, build, step
 from spheremouse.tracker import Frame
-from spheremouse.yaml_file import write_atomically
 
 Mask = NDArray[np.bool_]
 

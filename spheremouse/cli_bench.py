@@ -37,9 +37,9 @@ from spheremouse.benchmark import (
     Times,
 )
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.progress import progress_bar
-from spheremouse.yaml_file import write_atomically
 
 _NAMES = {
     STEP: "step: detect and filter",

@@ -5,9 +5,9 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from spheremouse import config
 from spheremouse.errors import ConfigurationError, SpheremouseError
-from spheremouse.yaml_file import write_atomically
+from spheremouse.files import config
+from spheremouse.files.yaml import write_atomically
 
 app = typer.Typer(no_args_is_help=True, help="Show, check or write a configuration file.")
 

@@ -10,25 +10,25 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from spheremouse import config
 from spheremouse.cli_evaluate_wand import WandEvaluation, evaluate_wands, wand_table
 from spheremouse.complaint import complain
 from spheremouse.daemon.settings import Configuration
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
+from spheremouse.files import config
+from spheremouse.files.rig import load_camera, load_rig, with_camera
+from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.progress import progress_bar
 from spheremouse.recording import Recording, open_dataset, read_frames
 from spheremouse.rig import Rig, in_metres
-from spheremouse.rig_file import load_camera, load_rig, with_camera
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
 from spheremouse.simulate.degrade import degraded
 from spheremouse.track import Settings, build
 from spheremouse.wand_recording import is_wand
-from spheremouse.yaml_file import write_json
 
 
 def evaluate(

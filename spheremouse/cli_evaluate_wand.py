@@ -11,14 +11,14 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from spheremouse import config
 from spheremouse.complaint import complain
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.wand import followed, wand_report
+from spheremouse.files import config
+from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.progress import progress_bar
-from spheremouse.rig_file import load_camera
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandSettings, build

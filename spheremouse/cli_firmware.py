@@ -13,8 +13,8 @@ import typer
 from spheremouse import firmware
 from spheremouse.calibrate.outputs import Force, Json, check_outputs
 from spheremouse.errors import ConfigurationError, OutputError
+from spheremouse.files.yaml import write_json
 from spheremouse.firmware import Drive, words
-from spheremouse.yaml_file import write_json
 
 app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check, simulate.")
 

@@ -13,6 +13,7 @@ from rich.table import Table
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import plain_json
 from spheremouse.files.bounded import read_text
+from spheremouse.files.yaml import MAX_BYTES, read_document, write_atomically, write_json
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.layout import (
     CLEAR,
@@ -32,7 +33,6 @@ from spheremouse.layout import (
 from spheremouse.placement_guide import Accuracy, Design, on_the_tape, places, write_guide
 from spheremouse.progress import progress_bar
 from spheremouse.simulate.scene import spread_directions
-from spheremouse.yaml_file import MAX_BYTES, read_document, write_atomically, write_json
 
 _RADIUS, _DISC_RADIUS = 0.6, 0.02  # m
 _CARELESS = (0.2, 0.5, 1.0, 2.0, 4.0)  # of the distance at which places pass for alike

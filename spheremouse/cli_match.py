@@ -91,14 +91,14 @@ def match(
     if json_file != Path("-"):
         _print(found, verdict, ball, trackball, after, before, radius, frames, run)
     if json_file is not None:
-        from spheremouse.yaml_file import write_json
+        from spheremouse.files.yaml import write_json
 
         write_json(json_file, figures(found, verdict, after))
     if after is None:
         raise typer.Exit(_NO_MATCH)
     quiet = json_file == Path("-")
     if out is not None:
-        from spheremouse.yaml_file import write_atomically
+        from spheremouse.files.yaml import write_atomically
 
         write_atomically(out, fragment(after, f"{recording} and {log}", verdict.text))
         if not quiet:
@@ -178,7 +178,7 @@ def _stamped(frames: Iterator["Frame"], file: Path) -> Iterator["Frame"]:
 
 def section(settings: "MotionSettings") -> str:
     """Scale and axes as a section of the configuration."""
-    from spheremouse.config import to_yaml
+    from spheremouse.files.config import to_yaml
 
     keys = (*_KEYS, "invert_z") if settings.invert_z else _KEYS
     if settings.counts_per_radian is not None:
@@ -188,7 +188,7 @@ def section(settings: "MotionSettings") -> str:
 
 def fragment(settings: "MotionSettings", source: str, verdict: str) -> str:
     """A configuration file with scale and axes of a trackball, and nothing else."""
-    from spheremouse.yaml_file import SCHEMA
+    from spheremouse.files.yaml import SCHEMA
 
     lines = [f"# {' '.join(text.split())}" for text in (f"Scale and axes of the trackball in {source}.", verdict)]
     return "\n".join([*lines, f"schema: {SCHEMA}", section(settings)])
@@ -248,7 +248,7 @@ def _print(
 
 
 def _assignments(after: "MotionSettings", before: "MotionSettings") -> list[str]:
-    from spheremouse.config import to_yaml
+    from spheremouse.files.config import to_yaml
 
     changed = [k for k in _KEYS if getattr(after, k) != getattr(before, k)]
     return [f"motion.{k}={to_yaml(getattr(after, k))}" for k in changed]

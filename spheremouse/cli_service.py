@@ -160,7 +160,7 @@ def _conversions(place: Place) -> Iterator[service.Deed]:
 
     What another user's folder refuses is no reason to stop.
     """
-    from spheremouse import migrate
+    from spheremouse.files import migrate
     from spheremouse.files.as_owner import as_owner
 
     for folder in (place.configuration, place.state):

@@ -14,12 +14,12 @@ import numpy as np
 
 from spheremouse.dataset_format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS
 from spheremouse.errors import DatasetError
-from spheremouse.folders import NewFolder
+from spheremouse.files.folders import NewFolder
+from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.picture_writer import FAST, PictureWriter
 from spheremouse.rig import Rig
-from spheremouse.rig_file import rig_text
 from spheremouse.simulate import Change, Simulation, simulate
 from spheremouse.simulate.truth import DiscTruth
 from spheremouse.tracker import Frame

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from spheremouse.detect.cap import appearance, ball_outline
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
-from spheremouse.folders import NewFolder
+from spheremouse.files.folders import NewFolder
 from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
 from spheremouse.resect import Resection, predict_targets

@@ -38,11 +38,11 @@ from spheremouse.dataset_format import (
 )
 from spheremouse.dataset_writer import DatasetWriter, write_simulation
 from spheremouse.errors import ConfigurationError, DatasetError
+from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
-from spheremouse.rig_file import load_rig
 from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.tracker import Frame
 

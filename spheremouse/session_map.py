@@ -18,9 +18,9 @@ import numpy as np
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.atomic import clear_left, open_to_read, replace
+from spheremouse.files.disc_map import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.geometry.rotation import Array
 from spheremouse.map_compare import compare, compare_at, in_words, turned, variances
-from spheremouse.map_file import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.rig import Rig
 from spheremouse.track import TrackState, disc_map
 

@@ -31,8 +31,8 @@ from spheremouse.dataset_format import (
 )
 from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, write_scene
 from spheremouse.errors import DatasetError
+from spheremouse.files.folders import NewFolder
 from spheremouse.files.tables import read_columns
-from spheremouse.folders import NewFolder
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.picture_writer import PictureWriter

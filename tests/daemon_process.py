@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.rig_file import rig_text
+from spheremouse.files.rig import rig_text
 from spheremouse.tracker import Frame
 
 CONFIG = """\

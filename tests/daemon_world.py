@@ -21,10 +21,10 @@ from spheremouse.daemon.client import Client
 from spheremouse.daemon.plan import Request, read_plan
 from spheremouse.daemon.run import Daemon
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
+from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.motion import MotionSettings
 from spheremouse.rig import Rig
-from spheremouse.rig_file import rig_text
 from spheremouse.simulate import Renderer, default_scene
 from spheremouse.simulate.profile import Gesture, Gestures
 from spheremouse.tracker import Frame

@@ -10,16 +10,16 @@ import pytest
 
 from spheremouse.daemon.recordings import tidy
 from spheremouse.files import atomic
-from spheremouse.folders import clear_left_folders
+from spheremouse.files.folders import clear_left_folders
+from spheremouse.files.yaml import write_atomically
 from spheremouse.session_map import MapKeeper
 from spheremouse.warm import _RIG
-from spheremouse.yaml_file import write_atomically
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are others there")
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from spheremouse.yaml_file import write_atomically
+from spheremouse.files.yaml import write_atomically
 os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
 write_atomically(Path(sys.argv[1]), "half")
 """
@@ -151,7 +151,7 @@ def test_empty_folders_of_killed_recordings_are_removed_once_they_are_old(tmp_pa
 @posix
 def test_the_names_that_are_removed_are_the_names_that_are_made(tmp_path):
     from spheremouse.errors import DatasetError
-    from spheremouse.folders import NewFolder
+    from spheremouse.files.folders import NewFolder
 
     NewFolder(tmp_path / "r.1", DatasetError)
     (made,) = tmp_path.iterdir()

@@ -15,8 +15,8 @@ from spheremouse.calibrate.live import Session
 from spheremouse.cli import app
 from spheremouse.detect.board import Pattern, find_board
 from spheremouse.errors import CalibrationError, SpheremouseError
+from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import project
-from spheremouse.rig_file import load_camera
 
 SIZE = CAMERA.width, CAMERA.height
 BOARD = ("--board", "9x6", "--square", "30mm")

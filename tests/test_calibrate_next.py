@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse.calibrate.device_file import UNTOUCHED, device_template, load_device
 from spheremouse.calibrate.evening import BOARD_ENOUGH, DEVICE_ENOUGH, checklist
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.cli import app
 from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.files.device import UNTOUCHED, device_template, load_device
+from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.rig_file import save_camera, save_rig
 
 SIZE = (64, 48)
 CAMERA = InteriorOrientation(*SIZE, 60.0, 60.0, 31.5, 23.5)

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from spheremouse.files.wand import save_wand
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import ColourSettings
-from spheremouse.wand_file import save_wand
 from spheremouse.wand_recording import write_wand
 
 

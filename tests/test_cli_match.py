@@ -6,8 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from spheremouse import cli_match, config
+from spheremouse import cli_match
 from spheremouse.daemon.settings import Configuration
+from spheremouse.files import config
 from spheremouse.mouse_log import read_log, write_log
 from spheremouse.recording import open_dataset, write_simulation
 from spheremouse.simulate import SimulationOptions, prepare
@@ -125,7 +126,7 @@ def test_what_cannot_be_used_is_one_line_and_exit_code_2(spheremouse, film, log,
 
 
 def test_a_video_with_a_table_of_stamps_is_as_good_as_the_dataset(spheremouse, film, log, tmp_path):
-    from spheremouse.rig_file import save_rig
+    from spheremouse.files.rig import save_rig
 
     rig, video, stamps = tmp_path / "rig.yaml", tmp_path / "film.mkv", tmp_path / "stamps.csv"
     dataset = open_dataset(film)

@@ -13,13 +13,13 @@ from spheremouse import cli_wand, wand_experiments
 from spheremouse.cli_evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
+from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
 from spheremouse.wand.track import WandSettings
 from spheremouse.wand_colours import Circle, disc_mask, find, judged, pick
 from spheremouse.wand_experiments import Film, Job, Variant, films, jobs, rows, verdicts
-from spheremouse.wand_file import load_wand, save_wand
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")

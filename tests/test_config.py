@@ -9,8 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from spheremouse import cli_config, config, yaml_file
+from spheremouse import cli_config
 from spheremouse.errors import ConfigurationError
+from spheremouse.files import config
+from spheremouse.files import yaml as yaml_file
 from spheremouse.settings import param
 from spheremouse.track import Settings
 

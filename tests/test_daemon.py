@@ -30,7 +30,7 @@ from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon import run as run_module
 from spheremouse.daemon.client import Client
 from spheremouse.errors import ConfigurationError, ControlError
-from spheremouse.rig_file import rig_text
+from spheremouse.files.rig import rig_text
 
 PATIENCE = 60.0  # s
 OTHER = 54321  # a uid that nobody has

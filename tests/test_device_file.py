@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from spheremouse.adjustment.device import Axes, Distance
-from spheremouse.calibrate.device_file import device_template, load_device, untouched
 from spheremouse.calibrate.lengths import parse_board, parse_length
 from spheremouse.calibrate.prints_sheets import TARGETS
 from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.files.device import device_template, load_device, untouched
 
 TEXT = """\
 targets:

@@ -12,9 +12,9 @@ from scipy.stats import chi2
 from spheremouse.adjustment.correspond import ball_rig
 from spheremouse.adjustment.device import DistanceError
 from spheremouse.adjustment.device_photos import calibrate_device
-from spheremouse.calibrate.device_file import load_device
 from spheremouse.detect.cap import appearance
 from spheremouse.errors import CalibrationError
+from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.observations import calibrated, normalised_errors, simulated_calibration

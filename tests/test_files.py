@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from oversized import mkv, png, sparse
 
-from spheremouse import validate, yaml_file
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.camera_options import parse_size
 from spheremouse.cli_wand import _image
 from spheremouse.daemon import protocol
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.files import bounded, pictures, plain_json, tables
+from spheremouse.files import bounded, pictures, plain_json, tables, validate
+from spheremouse.files import yaml as yaml_file
+from spheremouse.files.rig import load_camera
 from spheremouse.mouse_log import read_log
 from spheremouse.recording import open_dataset
-from spheremouse.rig_file import load_camera
 from spheremouse.source import open_source
 from spheremouse.wand_recording import is_wand
 

@@ -14,9 +14,19 @@ from hypothesis import strategies as st
 
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.disc_map import (
+    SavedMap,
+    age,
+    check_fits,
+    load_map,
+    map_path,
+    map_text,
+    old_path,
+    save_map,
+    saved_now,
+)
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import tangent_basis
-from spheremouse.map_file import SavedMap, age, check_fits, load_map, map_path, map_text, old_path, save_map, saved_now
 from spheremouse.rig import Ball, Rig, Targets
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)

@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse import map_file, migrate, yaml_file
 from spheremouse.errors import ConfigurationError
-from spheremouse.yaml_file import parse_document, read_document
+from spheremouse.files import disc_map as map_file
+from spheremouse.files import migrate
+from spheremouse.files import yaml as yaml_file
+from spheremouse.files.yaml import parse_document, read_document
 
 OLD = """\
 # A cabinet in the hall.
@@ -142,10 +144,10 @@ def test_no_digit_of_a_number_is_lost(values):
 def test_rigs_maps_devices_and_configurations_are_told_apart(tmp_path):
     from datetime import UTC, datetime
 
-    from spheremouse.calibrate.device_file import _TEMPLATE
-    from spheremouse.config import dump_commented
     from spheremouse.disc_map import DiscMap
-    from spheremouse.rig_file import rig_text
+    from spheremouse.files.config import dump_commented
+    from spheremouse.files.device import _TEMPLATE
+    from spheremouse.files.rig import rig_text
     from spheremouse.track import Settings
     from spheremouse.warm import _RIG
 

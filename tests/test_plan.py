@@ -9,7 +9,7 @@ import pytest
 from spheremouse.daemon.plan import Plan, Request, read_plan, without_map
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError
-from spheremouse.rig_file import rig_text
+from spheremouse.files.rig import rig_text
 from spheremouse.simulate import default_scene
 
 

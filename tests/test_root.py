@@ -18,19 +18,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse import firmware, migrate, service
+from spheremouse import firmware, service
 from spheremouse.cli_service import app
 from spheremouse.daemon import control_socket
 from spheremouse.dataset_writer import write_simulation
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
-from spheremouse.files import atomic
+from spheremouse.files import atomic, migrate
 from spheremouse.files.as_owner import as_owner
-from spheremouse.folders import NewFolder
+from spheremouse.files.folders import NewFolder
+from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
 from spheremouse.overlay import OverlayFile
 from spheremouse.recording import open_dataset
 from spheremouse.simulate import SimulationOptions, prepare
-from spheremouse.yaml_file import write_atomically
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux") or os.geteuid() != 0, reason="only root can be lured, and give folders away"
@@ -452,7 +452,7 @@ def test_installing_the_firmware_writes_through_nothing_on_the_drive(root, state
 def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
     """/dev/stdout and /dev/fd/N, when they are files too: for root, /dev/stdout itself could be replaced."""
     out = root / "out"
-    code = "from pathlib import Path; from spheremouse.yaml_file import write_atomically as w; print('one'); "
+    code = "from pathlib import Path; from spheremouse.files.yaml import write_atomically as w; print('one'); "
     code += "w(Path('/dev/fd/1'), 'two\\n'); print('three')"
     with out.open("w") as file:
         subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)

@@ -371,7 +371,7 @@ def test_names_agree_with_the_code():
 
 
 def test_the_configuration_to_begin_with_is_one_that_the_program_reads(root):
-    from spheremouse import config
+    from spheremouse.files import config
 
     settings = pytest.importorskip("spheremouse.daemon.settings")
     call("install", root=root)

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from spheremouse import session_map
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.map_compare import turned
-from spheremouse.map_file import load_map, save_map, saved_now
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.session_map import MapKeeper, changed, succession
 

@@ -2,15 +2,15 @@
 
 import pytest
 
-from spheremouse import config
-from spheremouse.calibrate.device_file import _DeviceFile
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError
+from spheremouse.files import config
+from spheremouse.files.device import _DeviceFile
+from spheremouse.files.disc_map import _MapFile
+from spheremouse.files.rig import _CameraFile, _RigFile
+from spheremouse.files.wand import _Wand
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
-from spheremouse.map_file import _MapFile
-from spheremouse.rig_file import _CameraFile, _RigFile
 from spheremouse.wand.colour import ColourSettings
-from spheremouse.wand_file import _Wand
 
 FREE = ("provenance",)  # sections for people, which nothing reads
 

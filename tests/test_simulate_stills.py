@@ -14,11 +14,11 @@ from conftest import datasets_dir
 from numpy.testing import assert_allclose
 
 from spheremouse.calibrate import practice as shell
-from spheremouse.calibrate.device_file import load_device
 from spheremouse.calibrate.practice import axes_of, device_of, device_yaml, practice, sides
 from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError
+from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import exp
 from spheremouse.recording import open_dataset

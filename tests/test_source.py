@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse import spec
 from spheremouse.errors import SpheremouseError
+from spheremouse.files import spec
 from spheremouse.source import open_source, paced, video
 from spheremouse.tracker import Frame
 

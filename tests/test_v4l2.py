@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from spheremouse.config import dump_commented, load, override
 from spheremouse.errors import ConfigurationError, DamagedFrameError, SourceError
+from spheremouse.files.config import dump_commented, load, override
 from spheremouse.source import open_source, v4l2
 from spheremouse.source._camera_settings import CameraSettings
 from spheremouse.source._pixels import Layout

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.wand import load_wand, save_wand, symmetry, wand_text
 from spheremouse.geometry.rotation import exp
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
-from spheremouse.wand_file import load_wand, save_wand, symmetry, wand_text
 
 GIVEN = Path(__file__).parents[1] / "calibration" / "wand"
 

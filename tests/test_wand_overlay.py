@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from spheremouse.cli import app
 from spheremouse.errors import SpheremouseError
+from spheremouse.files.wand import save_wand
 from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.geometry.rotation import exp
 from spheremouse.overlay import GREEN, WHITE
@@ -16,7 +17,6 @@ from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build
-from spheremouse.wand_file import save_wand
 from spheremouse.wand_overlay import WandOverlay, pin, rims
 from spheremouse.wand_recording import write_wand
 from spheremouse.wand_session import WandEpoch

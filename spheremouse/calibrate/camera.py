@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note
 from spheremouse.errors import CalibrationError
+from spheremouse.files.yaml import write_json
 from spheremouse.geometry.rotation import Array
 from spheremouse.progress import progress_bar
-from spheremouse.yaml_file import write_json
 
 if TYPE_CHECKING:
     from spheremouse.adjustment.board import BoardAdjustment, View
@@ -86,7 +86,7 @@ def camera(
     """
     from spheremouse.calibrate.camera_report import camera_json, camera_text, write_camera_report
     from spheremouse.calibrate.photos import read_photos
-    from spheremouse.rig_file import save_camera
+    from spheremouse.files.rig import save_camera
 
     pattern = _pattern(board, square, marker, dictionary)
     if distortion not in _TERMS:

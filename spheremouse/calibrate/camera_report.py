@@ -15,9 +15,9 @@ from spheremouse.adjustment.coverage import LEANS, VIEWS, bare, listed, unleant
 from spheremouse.calibrate import page
 from spheremouse.calibrate.camera import Calibrated, false_views, thumbnail
 from spheremouse.calibrate.photos import image
+from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.camera import interior_vector
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.yaml_file import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

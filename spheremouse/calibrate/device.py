@@ -10,8 +10,8 @@ import typer
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note, sha256
 from spheremouse.errors import CalibrationError
+from spheremouse.files.yaml import read_document, write_json
 from spheremouse.progress import progress_bar
-from spheremouse.yaml_file import read_document, write_json
 
 if TYPE_CHECKING:
     from spheremouse.adjustment.advice import Advice
@@ -54,14 +54,14 @@ def device(
     """
     from spheremouse.adjustment.advice import advise
     from spheremouse.adjustment.device_adjustment import DOUBTFUL_RMS
-    from spheremouse.calibrate.device_file import load_device, untouched
     from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.cli_config import root
-    from spheremouse.config import in_force
-    from spheremouse.map_file import map_path, save_map, saved_now
+    from spheremouse.files.config import in_force
+    from spheremouse.files.device import load_device, untouched
+    from spheremouse.files.disc_map import map_path, save_map, saved_now
+    from spheremouse.files.rig import load_camera, save_rig
     from spheremouse.plot import has_matplotlib
-    from spheremouse.rig_file import load_camera, save_rig
 
     page = report or out.with_suffix(".html")
     the_map = map_path(out)

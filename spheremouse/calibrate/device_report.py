@@ -20,8 +20,8 @@ from spheremouse.calibrate import page
 from spheremouse.calibrate.device_pictures import certainty, magnification, overview, photo_picture, side_views
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
-from spheremouse.yaml_file import write_atomically
 
 _MARKS = {"good": ("✓", "green"), "note": ("·", "cyan"), "warning": ("!", "red")}
 _AXES = ("X", "Y", "Z")

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from spheremouse.calibrate.device_file import UNTOUCHED, load_device, untouched
 from spheremouse.calibrate.lengths import parse_board
 from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.rig_file import load_camera, load_rig
-from spheremouse.yaml_file import read_document
+from spheremouse.files.device import UNTOUCHED, load_device, untouched
+from spheremouse.files.rig import load_camera, load_rig
+from spheremouse.files.yaml import read_document
 
 DEFAULT = Path("cabinet")
 # Photos, as in the printed recipe. Three views of a plane fix a lens (Zhang 2000); four tilts and near and far and four

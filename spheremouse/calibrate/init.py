@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.device_file import device_template
 from spheremouse.calibrate.evening import default_folder, next_command
 from spheremouse.errors import CalibrationError
-from spheremouse.yaml_file import write_atomically
+from spheremouse.files.device import device_template
+from spheremouse.files.yaml import write_atomically
 
 EXAMPLE = "Example: spheremouse calibrate init cabinet"
 

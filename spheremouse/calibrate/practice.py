@@ -16,7 +16,7 @@ import typer
 from spheremouse.calibrate.outputs import copyable
 from spheremouse.camera_options import parse_distortion, parse_size
 from spheremouse.errors import CalibrationError
-from spheremouse.folders import NewFolder
+from spheremouse.files.folders import NewFolder
 from spheremouse.geometry.rotation import Array
 from spheremouse.progress import progress_bar
 from spheremouse.recording import open_dataset

@@ -10,7 +10,7 @@ import typer
 
 from spheremouse.calibrate.outputs import Force, Json, check_outputs
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.yaml_file import write_json
+from spheremouse.files.yaml import write_json
 
 EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
 
@@ -111,11 +111,11 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 
 def _calibrate(given: _Given) -> None:
-    from spheremouse.calibrate.device_file import load_device
     from spheremouse.calibrate.rolling_axes_choice import AxesFrom
     from spheremouse.calibrate.rolling_session import solve
-    from spheremouse.map_file import map_path
-    from spheremouse.rig_file import load_camera, load_rig, with_camera
+    from spheremouse.files.device import load_device
+    from spheremouse.files.disc_map import map_path
+    from spheremouse.files.rig import load_camera, load_rig, with_camera
     from spheremouse.session import make_ready
     from spheremouse.source import open_source
     from spheremouse.track import Settings
@@ -279,10 +279,10 @@ def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any
     )
     from spheremouse.calibrate.rolling_report import figures, text
     from spheremouse.disc_map import DiscMap
+    from spheremouse.files.disc_map import map_path, save_map, saved_now
+    from spheremouse.files.rig import save_rig
     from spheremouse.map_compare import turned
-    from spheremouse.map_file import map_path, save_map, saved_now
     from spheremouse.rig import Rig, Targets
-    from spheremouse.rig_file import save_rig
 
     rolled = solution.rolled
     found, source = axes.find(rolled, solution.views)[:2]

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from spheremouse import config
 from spheremouse.daemon.desk import Asked
 from spheremouse.daemon.protocol import Record, Snapshot, refused
 from spheremouse.daemon.recorder import Recorder
@@ -23,6 +22,7 @@ from spheremouse.daemon.snapshot import snapshot
 from spheremouse.daemon.threads import Crew
 from spheremouse.daemon.worker import Step
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
+from spheremouse.files import config
 from spheremouse.geometry.camera import Pose
 from spheremouse.rig import Rig
 from spheremouse.track import Tracker

@@ -35,8 +35,8 @@ from spheremouse.daemon.protocol import (
 from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.files.yaml import one_line
 from spheremouse.output._sparing import Sparing
-from spheremouse.yaml_file import one_line
 
 Handle = Callable[[Request, Reply], None]
 

@@ -18,7 +18,7 @@ from spheremouse.daemon.control_settings import MetricsSettings
 from spheremouse.daemon.protocol import STATES
 from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError
-from spheremouse.yaml_file import one_line
+from spheremouse.files.yaml import one_line
 
 _AT_ONCE = 4  # requests; who comes when there are more is hung up on
 _LONGEST = 5.0  # s that one may take

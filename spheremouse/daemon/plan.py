@@ -7,16 +7,16 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from spheremouse import config
 from spheremouse import output as outputs
 from spheremouse import source as sources
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
+from spheremouse.files import config
+from spheremouse.files.disc_map import map_path
+from spheremouse.files.rig import load_camera, load_rig, with_camera
+from spheremouse.files.spec import resolve
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.map_file import map_path
 from spheremouse.rig import Rig
-from spheremouse.rig_file import load_camera, load_rig, with_camera
-from spheremouse.spec import resolve
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files import plain_json
-from spheremouse.validate import nearest, validated
-from spheremouse.yaml_file import Document, one_line
+from spheremouse.files.validate import nearest, validated
+from spheremouse.files.yaml import Document, one_line
 
 MAX_LINE = 65536  # bytes, with its end of line; both ways
 MAX_MARKS = 4000  # brackets, braces and commas in a request: Python stands still while it reads JSON, 0.1 ms a thousand

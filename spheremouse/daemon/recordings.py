@@ -14,7 +14,7 @@ from typing import IO, Any
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.atomic import clear_left
-from spheremouse.folders import clear_left_folders
+from spheremouse.files.folders import clear_left_folders
 
 try:
     import fcntl

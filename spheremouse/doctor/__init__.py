@@ -31,8 +31,8 @@ from spheremouse.doctor import sight as sights
 from spheremouse.doctor.finding import Finding, Section, Verdict, ok, refused, unchecked, wrong
 from spheremouse.doctor.footage import Footage, film
 from spheremouse.errors import SpheremouseError
+from spheremouse.files.rig import with_camera
 from spheremouse.rig import Rig
-from spheremouse.rig_file import with_camera
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_plan import open_given
 

@@ -7,15 +7,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from spheremouse import config
 from spheremouse.daemon.plan import Plan, Request, read_plan
 from spheremouse.daemon.settings import Configuration
 from spheremouse.doctor.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
-from spheremouse.map_file import age, check_fits, load_map, map_path
+from spheremouse.files import config
+from spheremouse.files.disc_map import age, check_fits, load_map, map_path
+from spheremouse.files.yaml import read_document
 from spheremouse.rig import Rig
 from spheremouse.service import Place
-from spheremouse.yaml_file import read_document
 
 _DAY = 86400.0  # s
 

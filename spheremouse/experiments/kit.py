@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse import config
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
 from spheremouse.experiments.experiment import Result
+from spheremouse.files import config
 from spheremouse.geometry.camera import Pose
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rig import Rig

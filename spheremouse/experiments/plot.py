@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.experiment import Figure
+from spheremouse.files.yaml import write_atomically
 from spheremouse.plot import require_matplotlib
-from spheremouse.yaml_file import write_atomically
 
 # ---- for a reader ----
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from spheremouse import __version__
 from spheremouse.experiments.experiment import Figure, Result, Section, Table
 from spheremouse.experiments.plot import save
-from spheremouse.yaml_file import write_atomically, write_json
+from spheremouse.files.yaml import write_atomically, write_json
 
 # ---- for a reader ----
 

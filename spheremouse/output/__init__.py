@@ -9,8 +9,8 @@ from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
+from spheremouse.files.spec import resolve
 from spheremouse.motion import Motion
-from spheremouse.spec import resolve
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Callable
 
 from spheremouse.errors import OutputError
+from spheremouse.files.spec import options
 from spheremouse.output import Output, desktop, serial, uinput
-from spheremouse.spec import options
 
 THIRD = ("none", "wheel")  # what all of them can
 

@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
+from spheremouse.files.spec import options
 from spheremouse.motion import Motion
-from spheremouse.spec import options
 
 THIRD = ("none", "wheel")
 NOTCH = 120  # counts, as of the other outputs' fine wheels

@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
+from spheremouse.files.spec import options
 from spheremouse.motion import Motion
-from spheremouse.spec import options
 
 NAME = "spheremouse"
 BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1

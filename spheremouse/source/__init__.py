@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from spheremouse.errors import SourceError
+from spheremouse.files.spec import resolve
 from spheremouse.rig import Rig
-from spheremouse.spec import resolve
 from spheremouse.tracker import Frame
 
 

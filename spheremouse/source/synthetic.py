@@ -5,7 +5,7 @@ For example `synthetic:motion=play,seconds=10,noise=5`; lists in brackets, as in
 
 import re
 
-from spheremouse.config import override
+from spheremouse.files.config import override
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.source import Stream, paced
 

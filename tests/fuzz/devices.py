@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from spheremouse import config
 from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
+from spheremouse.files import config
+from spheremouse.files.rig import load_rig, rig_text
+from spheremouse.files.wand import load_wand, wand_text
+from spheremouse.files.yaml import parse_document
 from spheremouse.rig import Rig, in_metres
-from spheremouse.rig_file import load_rig, rig_text
 from spheremouse.track import Settings, begin, build, step
 from spheremouse.tracker import Frame
 from spheremouse.wand import track as wand
 from spheremouse.wand.colour import DEFAULT_COLOURS
-from spheremouse.wand_file import load_wand, wand_text
-from spheremouse.yaml_file import parse_document
 from tests.fuzz.extremes import USUAL
 from tests.fuzz.parameters import Configuration, as_usual, clip, follow, hand, in_time, sound
 from tests.fuzz.targets import file, refused, target

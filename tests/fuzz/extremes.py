@@ -6,7 +6,7 @@ import typing
 from collections.abc import Iterator
 from typing import Any, Literal
 
-from spheremouse import config
+from spheremouse.files import config
 
 USUAL = (0.0, -1.0, -1e12, 1e-300, 1e-12, 1e-6, 1e-3, 1.0, 2.0, 3.0, 30.0, 1e3, 1001.0, 1e6, 1e9, 1e12, 1e300)
 LENGTHS = (0, 1, 2, 3, 8, 100)  # of lists

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from spheremouse import config
-from spheremouse.rig_file import rig_text
+from spheremouse.files import config
+from spheremouse.files.rig import rig_text
 from spheremouse.track import Settings
 from tests.fuzz.control import MESSAGES
 from tests.fuzz.scene import small_rig

@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 import numpy as np
 from hypothesis import strategies as st
 
-from spheremouse import config
 from spheremouse.daemon.settings import Configuration
 from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
+from spheremouse.files import config
 from spheremouse.recording import open_dataset, read_frames
 from spheremouse.resect import gather, resect
 from spheremouse.rig import Rig

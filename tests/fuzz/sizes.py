@@ -10,13 +10,12 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from spheremouse import config
 from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.cli_wand import _image
-from spheremouse.files import plain_json
+from spheremouse.files import config, plain_json
+from spheremouse.files.rig import load_camera
 from spheremouse.mouse_log import read_log
 from spheremouse.recording import open_dataset, read_frames
-from spheremouse.rig_file import load_camera
 from spheremouse.source import open_source
 from spheremouse.track import Settings
 from spheremouse.wand_recording import is_wand, open_wand

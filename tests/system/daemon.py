@@ -26,11 +26,12 @@ from film import SLOW
 from modules import insert
 from numba.core.dispatcher import Dispatcher
 
-from spheremouse import cli, cli_ctl, cli_run, config
+from spheremouse import cli, cli_ctl, cli_run
 from spheremouse.daemon import run
 from spheremouse.daemon.client import Client
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.files import config
 from spheremouse.geometry.rotation import log
 from spheremouse.output import uinput
 from spheremouse.session import make_ready

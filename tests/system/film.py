@@ -18,8 +18,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from spheremouse.files.rig import load_rig, rig_text, save_camera
 from spheremouse.recording import open_dataset, read_frames
-from spheremouse.rig_file import load_rig, rig_text, save_camera
 from spheremouse.track import LossSettings, Settings, begin, build, step
 from spheremouse.tracker import Frame
 from spheremouse.wand import warm as wand_warm

@@ -23,7 +23,7 @@ from spheremouse.daemon.control import ControlServer
 from spheremouse.daemon.control_settings import ControlSettings
 from spheremouse.daemon.protocol import STATES
 from spheremouse.errors import ControlError
-from spheremouse.rig_file import save_rig
+from spheremouse.files.rig import save_rig
 from spheremouse.source import open_source
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())

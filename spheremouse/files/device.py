@@ -14,10 +14,10 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from spheremouse.adjustment.device import Axes, Device, Distance
 from spheremouse.files.bounded import read_bytes
+from spheremouse.files.rig import Code
+from spheremouse.files.validate import validated
+from spheremouse.files.yaml import MAX_BYTES, SCHEMA, Document, Problem, read_document, without_schema
 from spheremouse.rig import CODES
-from spheremouse.rig_file import Code
-from spheremouse.validate import validated
-from spheremouse.yaml_file import MAX_BYTES, SCHEMA, Document, Problem, read_document, without_schema
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.validate import nearest, validated
-from spheremouse.yaml_file import (
+from spheremouse.files.validate import nearest, validated
+from spheremouse.files.yaml import (
     SCHEMA,
     Document,
     Key,

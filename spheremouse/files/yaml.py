@@ -132,7 +132,7 @@ def without_schema(document: Document) -> Document:
     """The document less its `schema` key, which must be the version this program reads."""
     if not isinstance(document.data, dict):
         raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {SCHEMA}`")])
-    from spheremouse.migrate import converted  # late: it reads and writes by this module
+    from spheremouse.files.migrate import converted  # late: it reads and writes by this module
 
     document = converted(document)
     data = dict(document.data)

@@ -18,7 +18,7 @@ from ruamel.yaml.representer import RoundTripRepresenter
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import open_to_read, replace
-from spheremouse.yaml_file import MAX_BYTES, Document, Problem, parse_bytes, parse_document
+from spheremouse.files.yaml import MAX_BYTES, Document, Problem, parse_bytes, parse_document
 
 Step = Callable[[MutableMapping[str, Any]], None]
 

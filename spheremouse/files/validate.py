@@ -12,7 +12,7 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from spheremouse.yaml_file import (
+from spheremouse.files.yaml import (
     MAX_PROBLEMS,
     Document,
     Key,

@@ -9,7 +9,7 @@ import pkgutil
 from types import ModuleType
 
 from spheremouse.errors import SpheremouseError
-from spheremouse.validate import nearest
+from spheremouse.files.validate import nearest
 
 
 def kinds(package: ModuleType) -> list[str]:

@@ -13,11 +13,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from spheremouse.files.validate import read_checked
+from spheremouse.files.yaml import SCHEMA, Document, Problem, write_atomically
 from spheremouse.geometry.rotation import Array, align, log
-from spheremouse.validate import read_checked
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
-from spheremouse.yaml_file import SCHEMA, Document, Problem, write_atomically
 
 _ALIKE = np.radians(6.0)  # discs this near to one another are taken for the same one: half of the smallest disc
 _TURNED = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect
