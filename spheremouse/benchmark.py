@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from spheremouse.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.errors import DatasetError
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
-from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rig import Rig
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulationOptions, prepare, simulate

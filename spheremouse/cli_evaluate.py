@@ -17,18 +17,18 @@ from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
 from spheremouse.files import config
+from spheremouse.files.dataset.ball import Recording, open_dataset, read_frames
+from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.progress import progress_bar
-from spheremouse.recording import Recording, open_dataset, read_frames
 from spheremouse.rig import Rig, in_metres
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
 from spheremouse.simulate.degrade import degraded
 from spheremouse.track import Settings, build
-from spheremouse.wand_recording import is_wand
 
 
 def evaluate(

@@ -16,6 +16,7 @@ from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.wand import followed, wand_report
 from spheremouse.files import config
+from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_frames
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.progress import progress_bar
@@ -23,7 +24,6 @@ from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandSettings, build
 from spheremouse.wand_plan import read_balls, told_apart
-from spheremouse.wand_recording import WandRecording, open_wand, read_wand_frames
 from spheremouse.wand_session import Known, WandHistory, track_wand
 
 _NO_TRUTH = "no truth.csv to compare with: no errors are known; frames tracked and times say what can be said without"

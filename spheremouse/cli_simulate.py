@@ -8,8 +8,8 @@ import typer
 
 from spheremouse.camera_options import parse_distortion, parse_size
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.dataset.ball import write_simulation
 from spheremouse.progress import progress_bar
-from spheremouse.recording import write_simulation
 from spheremouse.simulate import Motion, SimulationOptions, View, prepare
 
 _DEFAULT = SimulationOptions()

@@ -92,7 +92,7 @@ def simulate(
     Ray-cast and anti-aliased: discs as true spherical caps, shading, highlights, robot or hand, a room that changes
     with the seed. Nothing is written unless all of it is.
     """
-    from spheremouse.wand_recording import write_wand
+    from spheremouse.files.dataset.wand import write_wand
 
     if motion == "drive" and distance is not None:
         raise ConfigurationError("--distance: belongs to a hand; on a drive the robot's way decides")
@@ -208,7 +208,7 @@ def _tells(colour: object, name: str) -> bool:
 
 def _image(path: Path) -> NDArray[np.uint8]:
     """A picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
-    from spheremouse.wand_recording import open_wand, read_wand_frames
+    from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 
     if path.is_dir():
         return next(read_wand_frames(open_wand(path))).image

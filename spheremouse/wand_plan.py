@@ -8,6 +8,7 @@ from pathlib import Path
 from spheremouse.daemon.plan import Plan, Request, beside
 from spheremouse.daemon.wand_settings import WandRunSettings
 from spheremouse.errors import ConfigurationError, SourceError
+from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.wand import load_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Output, open_output
@@ -16,7 +17,6 @@ from spheremouse.wand.ball import WandBall, grzonka_ball
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandTracker, build
 from spheremouse.wand_axes import AxesOutput
-from spheremouse.wand_recording import open_wand, read_wand_frames
 
 
 @dataclass(frozen=True, slots=True)

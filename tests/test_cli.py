@@ -21,12 +21,12 @@ from conftest import directions
 
 from spheremouse import cli, demo
 from spheremouse.disc_map import DiscMap
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.map_compare import compare
 from spheremouse.motion import MotionSettings
-from spheremouse.recording import open_dataset, read_frames
 from spheremouse.stopping import Stopping
 from spheremouse.timing import FrameTimes
 

@@ -31,7 +31,7 @@ from spheremouse.benchmark import (
 )
 from spheremouse.cli_bench import report, targets
 from spheremouse.errors import DatasetError
-from spheremouse.recording import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
 

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
+from spheremouse.files.dataset.wand import write_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import ColourSettings
-from spheremouse.wand_recording import write_wand
 
 
 def film(path, **options):

@@ -732,7 +732,7 @@ def test_a_disk_that_is_full_ends_a_recording_and_nothing_else(playing, monkeypa
 
     ask(world, "record", folder="first")
     world.until(lambda: (ask(world, "status")["recording"] or {}).get("frames", 0) > 3)
-    monkeypatch.setattr("spheremouse.dataset_writer.FilmWriter.add", refuse)
+    monkeypatch.setattr("spheremouse.files.dataset.write.FilmWriter.add", refuse)
     world.until(lambda: said(world, "No space left"), "said")
     assert ask(world, "status")["recording"] is None
     monkeypatch.setattr("spheremouse.session_map.save_map", refuse)

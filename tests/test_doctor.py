@@ -38,12 +38,12 @@ from spheremouse.doctor.finding import Section, Verdict, ok, warning, wrong
 from spheremouse.doctor.footage import GRID, Footage, film
 from spheremouse.doctor.private import redactor
 from spheremouse.errors import SourceError
+from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_rig, save_rig
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
 from spheremouse.motion import Motion
 from spheremouse.output import text
-from spheremouse.recording import open_dataset
 from spheremouse.service import Place
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED

@@ -11,13 +11,13 @@ from spheremouse.daemon.plan import Request
 from spheremouse.doctor import files
 from spheremouse.doctor.finding import Verdict
 from spheremouse.doctor.wand import sight
+from spheremouse.files.dataset.wand import open_wand, read_wand_frames, write_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.service import Place
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import build
-from spheremouse.wand_recording import open_wand, read_wand_frames, write_wand
 
 
 @pytest.fixture(scope="module")

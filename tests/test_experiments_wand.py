@@ -10,11 +10,11 @@ from spheremouse import wand_experiments
 from spheremouse.experiments import wand
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.plot import save
+from spheremouse.files.dataset.wand import write_wand
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandSettings
 from spheremouse.wand_experiments import Film, Variant
-from spheremouse.wand_recording import write_wand
 
 FILM = Film(
     "drive",

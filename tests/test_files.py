@@ -21,11 +21,11 @@ from spheremouse.daemon import protocol
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.files import bounded, pictures, plain_json, tables, validate
 from spheremouse.files import yaml as yaml_file
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.rig import load_camera
 from spheremouse.mouse_log import read_log
-from spheremouse.recording import open_dataset
 from spheremouse.source import open_source
-from spheremouse.wand_recording import is_wand
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
@@ -59,7 +59,7 @@ from pathlib import Path
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.cli_wand import _image
 from spheremouse.errors import SpheremouseError
-from spheremouse.recording import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.source import open_source
 
 def pages():
@@ -180,7 +180,7 @@ def test_a_table_whose_rows_do_not_end_is_refused(tmp_path, text, words):
 
 def test_the_stamps_of_a_day_are_read():
     """10 million rows are within the bounds, which a day at 120 frames per second has; its numbers take 332 MB."""
-    from spheremouse.dataset_format import MOST_FRAMES, STAMP_COLUMNS
+    from spheremouse.files.dataset.format import MOST_FRAMES, STAMP_COLUMNS
 
     assert MOST_FRAMES == 86_400 * 120
     assert MOST_FRAMES * len(STAMP_COLUMNS) <= tables.MOST_NUMBERS

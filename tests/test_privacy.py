@@ -11,9 +11,9 @@ from spheremouse.daemon.privacy import kept, masked
 from spheremouse.detect.cap import appearance, ball_mask, largest_disc
 from spheremouse.detect.discs import disc_detector
 from spheremouse.errors import PoseError
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.recording import open_dataset, read_frames
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Targets
 from spheremouse.session import initialise, track

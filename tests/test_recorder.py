@@ -24,11 +24,11 @@ from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.recorder import Recorder
 from spheremouse.daemon.recordings import next_name, recordings_folder, tidy
 from spheremouse.daemon.snapshot import snapshot
-from spheremouse.dataset_writer import FilmWriter
 from spheremouse.errors import DatasetError, OutputError
+from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.recording import open_dataset, read_frames
 from spheremouse.session import track
 from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
 from spheremouse.source import open_source

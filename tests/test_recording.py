@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from spheremouse.errors import DatasetError
+from spheremouse.files.dataset.ball import DatasetWriter, open_dataset, read_frames, write_simulation
 from spheremouse.geometry.rotation import exp, from_euler
-from spheremouse.recording import DatasetWriter, open_dataset, read_frames, write_simulation
 from spheremouse.rig import UNKNOWN_READOUT
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth

@@ -25,11 +25,11 @@ from spheremouse.adjustment.rolling_axes import (
 from spheremouse.adjustment.rolling_start import Spots, start
 from spheremouse.calibrate.cli import app
 from spheremouse.errors import CalibrationError
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map
 from spheremouse.files.rig import load_rig, save_camera, save_rig
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import align, exp, hat, log, tangent_basis
-from spheremouse.recording import open_dataset, read_frames
 from spheremouse.resect import Sighting, predict_targets
 from spheremouse.rig import CODES, Ball, Rig, Targets
 from spheremouse.simulate.observations import calibrated, simulated_calibration

@@ -21,15 +21,15 @@ from typer.testing import CliRunner
 from spheremouse import firmware, service
 from spheremouse.cli_service import app
 from spheremouse.daemon import control_socket
-from spheremouse.dataset_writer import write_simulation
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
 from spheremouse.files import atomic, migrate
 from spheremouse.files.as_owner import as_owner
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.dataset.write import write_simulation
 from spheremouse.files.folders import NewFolder
 from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
 from spheremouse.overlay import OverlayFile
-from spheremouse.recording import open_dataset
 from spheremouse.simulate import SimulationOptions, prepare
 
 pytestmark = pytest.mark.skipif(

@@ -10,9 +10,9 @@ import pytest
 
 from spheremouse.cli_simulate import simulate as film
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.dataset.ball import open_dataset, read_frames, write_simulation
 from spheremouse.geometry.camera import Pose, project_circle, project_sphere, reduced_to_pixel
 from spheremouse.geometry.rotation import hat, to_euler
-from spheremouse.recording import open_dataset, read_frames, write_simulation
 from spheremouse.simulate import (
     MOST_FRAMES,
     Dimming,

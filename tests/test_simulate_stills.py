@@ -18,10 +18,10 @@ from spheremouse.calibrate.practice import axes_of, device_of, device_yaml, prac
 from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError
+from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import exp
-from spheremouse.recording import open_dataset
 from spheremouse.resect import predict_targets
 from spheremouse.simulate.board import Board, board_coverage
 from spheremouse.simulate.stations import board_stations, device_stations, looking, seen_targets

@@ -8,6 +8,7 @@ import pytest
 from conftest import datasets_dir
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
@@ -34,7 +35,6 @@ from spheremouse.simulate.wand_render import (
 )
 from spheremouse.simulate.wand_room import lay
 from spheremouse.wand.ball import WandBall, grzonka_ball, wand_disc
-from spheremouse.wand_recording import open_wand, read_wand_frames
 
 CAMERA = InteriorOrientation(1280, 960, 2100.0, 2100.0, 640.0, 480.0)
 LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])

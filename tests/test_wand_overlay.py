@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from spheremouse.cli import app
 from spheremouse.errors import SpheremouseError
+from spheremouse.files.dataset.wand import write_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.geometry.rotation import exp
@@ -18,7 +19,6 @@ from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build
 from spheremouse.wand_overlay import WandOverlay, pin, rims
-from spheremouse.wand_recording import write_wand
 from spheremouse.wand_session import WandEpoch
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 505.0, 322.0, 238.0, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))

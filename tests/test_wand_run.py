@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.daemon.plan import Request, check_kinds, read_plan
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.dataset.wand import open_wand, write_wand
 from spheremouse.files.rig import save_camera
 from spheremouse.files.wand import save_wand
 from spheremouse.simulate.wand import WandOptions, prepare_wand
@@ -19,7 +20,6 @@ from spheremouse.wand.axes import UPRIGHT
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand_axes import HEADER, NAMES
-from spheremouse.wand_recording import open_wand, write_wand
 
 WAND = ("run", "--tracker", "wand")
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spheremouse.recording import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.session import initialise, track
 from spheremouse.track import Settings, build
 from spheremouse.warm import warm_up

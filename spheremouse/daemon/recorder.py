@@ -21,9 +21,9 @@ from spheremouse.daemon.privacy import kept
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.recordings import disk_is_full, made_folder, marked, refuse_full_disk, release
 from spheremouse.daemon.threads import begin
-from spheremouse.dataset_writer import FilmWriter
 from spheremouse.detect.detections import Image
 from spheremouse.errors import DatasetError, SpheremouseError
+from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.rig import Rig
 from spheremouse.tracker import Frame

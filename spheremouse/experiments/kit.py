@@ -12,8 +12,8 @@ from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
 from spheremouse.experiments.experiment import Result
 from spheremouse.files import config
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
-from spheremouse.recording import open_dataset, read_frames
 from spheremouse.rig import Rig
 from spheremouse.session import History, initialise, track
 from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, simulate

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from spheremouse.errors import SourceError
-from spheremouse.recording import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.source import Stream, paced
 
 

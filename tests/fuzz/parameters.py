@@ -19,7 +19,7 @@ from spheremouse.daemon.settings import Configuration
 from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
-from spheremouse.recording import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.resect import gather, resect
 from spheremouse.rig import Rig
 from spheremouse.simulate.wand import WandFilm, WandOptions, prepare_wand, simulate_wand

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from spheremouse.recording import open_dataset, read_frames
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.source import open_source
 from spheremouse.track import Settings
 from tests.fuzz.scene import use

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from spheremouse.dataset_format import (
+from spheremouse.errors import ConfigurationError, DatasetError
+from spheremouse.files.dataset.format import (
     BLOB_COLUMNS,
     DISC_COLUMNS,
     MATRIX_COLUMNS,
@@ -36,8 +37,7 @@ from spheremouse.dataset_format import (
     read_picture,
     recorded_images,
 )
-from spheremouse.dataset_writer import DatasetWriter, write_simulation
-from spheremouse.errors import ConfigurationError, DatasetError
+from spheremouse.files.dataset.write import DatasetWriter, write_simulation
 from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix

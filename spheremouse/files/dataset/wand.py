@@ -14,7 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from spheremouse.dataset_format import (
+from spheremouse.errors import DatasetError
+from spheremouse.files.dataset.format import (
     MATRIX_COLUMNS,
     CameraEntry,
     Entry,
@@ -29,13 +30,12 @@ from spheremouse.dataset_format import (
     read_json,
     recorded_images,
 )
-from spheremouse.dataset_writer import finish_pictures, refuse_to_overwrite, write_scene
-from spheremouse.errors import DatasetError
+from spheremouse.files.dataset.pictures import PictureWriter
+from spheremouse.files.dataset.write import finish_pictures, refuse_to_overwrite, write_scene
 from spheremouse.files.folders import NewFolder
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.picture_writer import PictureWriter
 from spheremouse.simulate.wand import WandFilm, WandTruth, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc

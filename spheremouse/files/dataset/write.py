@@ -12,13 +12,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from spheremouse.dataset_format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS
 from spheremouse.errors import DatasetError
+from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS
+from spheremouse.files.dataset.pictures import FAST, PictureWriter
 from spheremouse.files.folders import NewFolder
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.picture_writer import FAST, PictureWriter
 from spheremouse.rig import Rig
 from spheremouse.simulate import Change, Simulation, simulate
 from spheremouse.simulate.truth import DiscTruth

@@ -9,9 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.dataset_format import picture_file
 from spheremouse.detect.detections import Image
 from spheremouse.errors import DatasetError
+from spheremouse.files.dataset.format import picture_file
 from spheremouse.files.films import film_images, open_film
 
 SMALL = ("FFV1", "HFYU")  # codecs in the order they are tried: half the size
