@@ -10,11 +10,11 @@ import pytest
 from boards import CAMERA, PATTERN, picture, places
 from typer.testing import CliRunner
 
-from spheremouse.calibrate import page
 from spheremouse.calibrate.live import Session
 from spheremouse.cli import app
 from spheremouse.detect.board import Pattern, find_board
 from spheremouse.errors import CalibrationError, SpheremouseError
+from spheremouse.files.report import page
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import project
 

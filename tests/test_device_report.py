@@ -11,11 +11,11 @@ import pytest
 from rich.console import Console
 
 from spheremouse.adjustment.advice import advise
-from spheremouse.calibrate import page
 from spheremouse.calibrate.device_pictures import magnification, photo_picture
 from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.report import page
 from spheremouse.geometry.camera import ellipse_to_pixel, project_sphere
 from spheremouse.simulate.observations import calibrated, simulated_calibration
 

@@ -12,9 +12,9 @@ from rich.table import Table
 
 from spheremouse.adjustment.board import PARAMETERS
 from spheremouse.adjustment.coverage import LEANS, VIEWS, bare, listed, unleant
-from spheremouse.calibrate import page
 from spheremouse.calibrate.camera import Calibrated, false_views, thumbnail
 from spheremouse.calibrate.photos import image
+from spheremouse.files.report import page
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.camera import interior_vector
 from spheremouse.geometry.rotation import Array, log

@@ -16,10 +16,10 @@ from rich.text import Text
 
 from spheremouse.adjustment.advice import Advice, advise, coverage, distance_redundancy
 from spheremouse.adjustment.device_adjustment import DeviceCalibration
-from spheremouse.calibrate import page
 from spheremouse.calibrate.device_pictures import certainty, magnification, overview, photo_picture, side_views
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.report import page
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 
