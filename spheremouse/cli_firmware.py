@@ -137,8 +137,8 @@ def simulate(
     ] = None,
 ) -> None:
     """A board without a board: a serial port on which the firmware answers; prints what its mouse does."""
+    from spheremouse.capture.stopping import Stopping
     from spheremouse.output._serial_simulator import Simulator
-    from spheremouse.stopping import Stopping
 
     if link is not None:
         if not link.parent.is_dir():

@@ -57,10 +57,10 @@ def match(
     missing. Says how well the two agree, and the settings with which the pointer moves as the trackball moved it.
     Exit codes: 0 they agree, 1 they do not, or the ball was not moved enough; 2 unusable input.
     """
+    from spheremouse.capture.mouse import read_log
     from spheremouse.daemon.plan import Request, read_plan
     from spheremouse.evaluate import match as core
     from spheremouse.evaluate.match_verdict import judge, settings_of
-    from spheremouse.mouse_log import read_log
 
     _check_outputs(out, force, json_file)
     trackball = read_log(log)
@@ -133,9 +133,9 @@ def _spec(recording: str) -> str:
 
 def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> tuple["Run", "Rig", int]:
     """The run, the device, and how many frames there were; a recording that is cut short gives what is there."""
+    from spheremouse.capture import open_source
     from spheremouse.progress import progress_bar
     from spheremouse.session import History, initialise, track
-    from spheremouse.source import open_source
     from spheremouse.track import build
 
     history = History()

@@ -12,12 +12,12 @@ import typer
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 
 if TYPE_CHECKING:
+    from spheremouse.capture import Source
+    from spheremouse.capture.stopping import Stopping
     from spheremouse.daemon.plan import Plan, Request
     from spheremouse.daemon.worker import Step
     from spheremouse.live import Board, Tally
     from spheremouse.overlay import OverlayFile
-    from spheremouse.source import Source
-    from spheremouse.stopping import Stopping
 
 
 def run(
@@ -117,13 +117,13 @@ def run(
     A ball in a hand is tracked with --tracker wand: it needs a camera file and no rig, moves the pointer as the ball
     turns, and writes position and attitude as text. It cannot be asked by `spheremouse ctl`.
     """
+    from spheremouse.capture import open_source
+    from spheremouse.capture.stopping import Stopping
     from spheremouse.daemon.cameras import is_camera
     from spheremouse.daemon.plan import Request, check_kinds, read_plan, without_map
     from spheremouse.daemon.standard_error import unhurried
     from spheremouse.live import Board, Tally
     from spheremouse.overlay import OverlayFile
-    from spheremouse.source import open_source
-    from spheremouse.stopping import Stopping
 
     if output is not None and len(output) > 1:
         raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")

@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.live import Board, Tally
@@ -28,7 +29,6 @@ from spheremouse.rig import Rig
 from spheremouse.session import Epoch, History, Start, initialise, track
 from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import DiscTruth, Truth
-from spheremouse.stopping import Stopping
 from spheremouse.track import Phase, Settings, Tracker, build
 from spheremouse.tracker import Frame
 

@@ -12,18 +12,18 @@ from collections.abc import Callable
 
 import numpy as np
 
+from spheremouse.capture import Camera
+from spheremouse.capture.fetch import PATIENCE, Capture
+from spheremouse.capture.newest import Arrival, Newest
+from spheremouse.capture.owned import Owned
+from spheremouse.capture.stopping import Stopping
 from spheremouse.daemon import realtime
-from spheremouse.daemon.capture import PATIENCE, Capture
 from spheremouse.daemon.notify import Notifier
-from spheremouse.daemon.owned import Owned
 from spheremouse.daemon.reporter import Reporter
-from spheremouse.daemon.ring import Arrival, Newest
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.motion import Motion
 from spheremouse.output._sparing import Sparing
-from spheremouse.source import Camera
-from spheremouse.stopping import Stopping
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandState, WandTracker, begin, step
 from spheremouse.wand_plan import Outputs

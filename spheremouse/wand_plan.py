@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from spheremouse.capture import Source, Stream, open_source, paced
 from spheremouse.daemon.plan import Plan, Request, beside
 from spheremouse.daemon.wand_settings import WandRunSettings
 from spheremouse.errors import ConfigurationError, SourceError
@@ -12,7 +13,6 @@ from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.wand import load_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Output, open_output
-from spheremouse.source import Source, Stream, open_source, paced
 from spheremouse.wand.ball import WandBall, grzonka_ball
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandTracker, build

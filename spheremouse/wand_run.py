@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from spheremouse.capture import Source
+from spheremouse.capture.stopping import Stopping
 from spheremouse.daemon.cameras import is_camera, opener, refuse_if_taken
 from spheremouse.daemon.plan import Plan, Request
 from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.live import Tally
 from spheremouse.overlay import OverlayFile
-from spheremouse.source import Source
-from spheremouse.stopping import Stopping
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_board import WandBoard
 from spheremouse.wand_live import WandLive

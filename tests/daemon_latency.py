@@ -20,9 +20,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from spheremouse.capture import open_source
 from spheremouse.daemon.client import Client
 from spheremouse.errors import ControlError
-from spheremouse.source import open_source
 
 HEAD = (
     "recording", "frames/s", "latency", "detect", "filter", "of the interval", "of a core", "with the film", "MB",

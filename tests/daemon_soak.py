@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from spheremouse.daemon import capture, reporter, run, worker
+from spheremouse.capture import fetch as capture
+from spheremouse.daemon import reporter, run, worker
 from spheremouse.daemon.client import Client
 from spheremouse.daemon.reporter import ReporterStatus
 from spheremouse.errors import ControlError, OutputError, SourceError

@@ -6,11 +6,11 @@ import time
 import numpy as np
 import pytest
 
-from spheremouse.daemon import capture as module
-from spheremouse.daemon.capture import Capture, Streamed
-from spheremouse.daemon.ring import Newest
+from spheremouse.capture import Stream
+from spheremouse.capture import fetch as module
+from spheremouse.capture.fetch import Capture, Streamed
+from spheremouse.capture.newest import Newest
 from spheremouse.errors import SourceError
-from spheremouse.source import Stream
 from spheremouse.tracker import Frame
 
 PATIENCE = 20.0  # s, for what takes milliseconds

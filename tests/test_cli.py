@@ -20,6 +20,7 @@ import pytest
 from conftest import directions
 
 from spheremouse import cli, demo
+from spheremouse.capture.stopping import Stopping
 from spheremouse.disc_map import DiscMap
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map, save_map, saved_now
@@ -27,7 +28,6 @@ from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.map_compare import compare
 from spheremouse.motion import MotionSettings
-from spheremouse.stopping import Stopping
 from spheremouse.timing import FrameTimes
 
 COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"], ["map"], ["map", "show"], ["map", "compare"],
@@ -396,7 +396,7 @@ def test_an_internal_error_asks_for_a_report_and_shows_its_traceback_only_on_req
     def broken(*_, **__):
         raise ZeroDivisionError("one\ntwo")
 
-    monkeypatch.setattr("spheremouse.source.open_source", broken)
+    monkeypatch.setattr("spheremouse.capture.open_source", broken)
     words = ("run", "--source", "synthetic", "--output", "null")
     code, out, err = spheremouse(*words)
     assert (code, out) == (70, "")
@@ -492,7 +492,7 @@ def test_a_second_signal_is_a_second_wish_only_after_a_while(monkeypatch):
             for _ in range(3):
                 os.kill(os.getpid(), signal.SIGINT)
             assert stopping.asked
-            monkeypatch.setattr("spheremouse.stopping._SAME", -1.0)
+            monkeypatch.setattr("spheremouse.capture.stopping._SAME", -1.0)
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
     finally:

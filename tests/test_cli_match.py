@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from spheremouse import cli_match
+from spheremouse.capture.mouse import read_log, write_log
 from spheremouse.daemon.settings import Configuration
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, write_simulation
-from spheremouse.mouse_log import read_log, write_log
 from spheremouse.simulate import SimulationOptions, prepare
 from spheremouse.simulate.profile import play
 from spheremouse.simulate.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix

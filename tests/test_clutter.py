@@ -12,7 +12,7 @@ from test_rings import INK, RADII, SETTINGS, blank, photo, target
 from test_worker import SETTINGS as TWO_VIEWS
 from test_worker import Shot
 
-from spheremouse.daemon.ring import Arrival
+from spheremouse.capture.newest import Arrival
 from spheremouse.daemon.worker import Worker
 from spheremouse.detect import rings
 from spheremouse.detect.rings import MOST, TargetDetections, detect_targets

@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from daemon_world import DT, Film, World
 
-from spheremouse.daemon import capture as capture_module
+from spheremouse.capture import fetch as capture_module
 from spheremouse.daemon import realtime
 from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon import run as run_module

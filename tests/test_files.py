@@ -16,6 +16,8 @@ from oversized import mkv, png, sparse
 
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.camera_options import parse_size
+from spheremouse.capture import open_source
+from spheremouse.capture.mouse import read_log
 from spheremouse.cli_wand import _image
 from spheremouse.daemon import protocol
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
@@ -24,8 +26,6 @@ from spheremouse.files import yaml as yaml_file
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.rig import load_camera
-from spheremouse.mouse_log import read_log
-from spheremouse.source import open_source
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
@@ -60,7 +60,7 @@ from spheremouse.calibrate.photos import read_photos
 from spheremouse.cli_wand import _image
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.source import open_source
+from spheremouse.capture import open_source
 
 def pages():
     return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.daemon import lock
-from spheremouse.daemon.lock import Claimed, claimed, holder
+from spheremouse.capture import lock
+from spheremouse.capture.lock import Claimed, claimed, holder
 from spheremouse.errors import SourceError
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from spheremouse.daemon.lock import claimed
+from spheremouse.capture.lock import claimed
 with claimed(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

@@ -11,9 +11,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse import cli, mouse_log
+from spheremouse import cli
+from spheremouse.capture import mouse as mouse_log
+from spheremouse.capture.mouse import (
+    Assembler,
+    Listener,
+    LogFile,
+    Mouse,
+    MouseReport,
+    choose,
+    mice,
+    read_log,
+    write_log,
+)
 from spheremouse.errors import DatasetError, SourceError
-from spheremouse.mouse_log import Assembler, Listener, LogFile, Mouse, MouseReport, choose, mice, read_log, write_log
 from spheremouse.simulate.trackball import MouseLog
 
 SYN, REL, KEY = 0, 2, 1

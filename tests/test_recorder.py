@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from spheremouse.capture import open_source
 from spheremouse.cli import app
 from spheremouse.daemon import recorder as module
 from spheremouse.daemon.privacy import kept, masked
@@ -31,7 +32,6 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session import track
 from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
-from spheremouse.source import open_source
 from spheremouse.track import Phase, Settings, build, current
 from spheremouse.tracker import Frame
 

@@ -3,7 +3,7 @@
 import threading
 import time
 
-from spheremouse.daemon.ring import Arrival, Newest
+from spheremouse.capture.newest import Arrival, Newest
 
 PATIENCE = 20.0  # s
 

@@ -24,6 +24,7 @@ from spheremouse.adjustment.rolling_axes import (
 )
 from spheremouse.adjustment.rolling_start import Spots, start
 from spheremouse.calibrate.cli import app
+from spheremouse.capture import Stream
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map
@@ -33,7 +34,6 @@ from spheremouse.geometry.rotation import align, exp, hat, log, tangent_basis
 from spheremouse.resect import Sighting, predict_targets
 from spheremouse.rig import CODES, Ball, Rig, Targets
 from spheremouse.simulate.observations import calibrated, simulated_calibration
-from spheremouse.source import Stream
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 642.0, 322.0, 237.0, np.array([-0.2, 0.08, 1e-3, -5e-4, 0.0]))
 
@@ -543,7 +543,7 @@ def test_a_live_camera_is_guided(far26, tmp_path, monkeypatch):
     camera = tmp_path / "camera.yaml"
     save_camera(camera, recording.rig.camera)
     live = [Stream(read_frames(recording), live=True, fps=30.0) for _ in range(2)]
-    monkeypatch.setattr("spheremouse.source.open_source", lambda *_: live.pop())
+    monkeypatch.setattr("spheremouse.capture.open_source", lambda *_: live.pop())
     result = run("--source", "opencv:0", "--camera", camera, "--seconds", "3")
     assert "roll the ball slowly in all directions" in result.stderr
     assert "now FORWARD" in result.stderr

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from spheremouse.capture import open_source, paced, video
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import spec
-from spheremouse.source import open_source, paced, video
 from spheremouse.tracker import Frame
 
 FPS = 30.0
@@ -141,7 +141,7 @@ def test_opencv_and_ffmpeg_add_no_lines_of_their_own(film, tmp_path):
     (tmp_path / "text.mkv").write_text("no video")
     for name, expected in {"half.mkv": "ends after", "text.mkv": "not a video"}.items():
         program = (
-            "import sys\nfrom spheremouse.source import open_source\n"
+            "import sys\nfrom spheremouse.capture import open_source\n"
             "try:\n    list(open_source(sys.argv[1]))\nexcept Exception as e:\n    print(e)\n"
         )
         run = python(program, f"video:{tmp_path / name}")
@@ -213,11 +213,11 @@ def test_unknown_kinds_are_told_the_known_ones():
 
 
 def test_a_new_source_is_a_new_file(tmp_path, monkeypatch):
-    import spheremouse.source
+    import spheremouse.capture
 
     (tmp_path / "mine.py").write_text("def open(argument, realtime):\n    return argument, realtime\n")
-    monkeypatch.setattr(spheremouse.source, "__path__", [*spheremouse.source.__path__, str(tmp_path)])
-    assert "mine" in spec.kinds(spheremouse.source)
+    monkeypatch.setattr(spheremouse.capture, "__path__", [*spheremouse.capture.__path__, str(tmp_path)])
+    assert "mine" in spec.kinds(spheremouse.capture)
     assert open_source("mine:a:b,c=d", realtime=True) == ("a:b,c=d", True)
 
 
@@ -249,8 +249,8 @@ def test_a_video_in_real_time_is_the_same_video(film):
 
 def test_only_the_module_asked_for_is_imported():
     program = (
-        "import sys, spheremouse.output\nfrom spheremouse.source import open_source\n"
+        "import sys, spheremouse.output\nfrom spheremouse.capture import open_source\n"
         "try:\n    open_source('video:/none')\nexcept Exception:\n    pass\n"
-        "print([m for m in ('evdev', 'spheremouse.source.dataset', 'spheremouse.simulate') if m in sys.modules])"
+        "print([m for m in ('evdev', 'spheremouse.capture.dataset', 'spheremouse.simulate') if m in sys.modules])"
     )
     assert python(program).stdout == "[]\n"

@@ -12,10 +12,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from spheremouse.capture import open_source
+from spheremouse.capture.settings import CameraSettings
 from spheremouse.errors import ConfigurationError, DamagedFrameError, SourceError
 from spheremouse.files.config import dump_commented, load, override
-from spheremouse.source import open_source, v4l2
-from spheremouse.source._camera_settings import CameraSettings
+from spheremouse.source import v4l2
 from spheremouse.source._pixels import Layout
 from spheremouse.source._stamps import Moment
 

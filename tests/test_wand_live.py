@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from spheremouse.daemon import capture as capture_module
+from spheremouse.capture import fetch as capture_module
 from spheremouse.daemon import realtime
 from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon.settings import Configuration

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from daemon_world import DT, Film
 
-from spheremouse.daemon.ring import Arrival
+from spheremouse.capture.newest import Arrival
 from spheremouse.daemon.worker import STAGES, Worker
 from spheremouse.errors import DamagedFrameError, PoseError
 from spheremouse.rig import Targets

@@ -7,8 +7,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from spheremouse.capture import open_source
 from spheremouse.errors import SourceError
-from spheremouse.source import open_source
 from spheremouse.tracker import Frame
 
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # quick, and half the size

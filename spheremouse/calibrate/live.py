@@ -27,13 +27,13 @@ from spheremouse.adjustment.coverage import (
     regions_of,
 )
 from spheremouse.calibrate.photos import ENDINGS, image, read_photos
+from spheremouse.capture import open_source
+from spheremouse.capture.stopping import Stopping
 from spheremouse.detect.board import Pattern, Sighting, find_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.source import open_source
-from spheremouse.stopping import Stopping
 
 if TYPE_CHECKING:
     from spheremouse.tracker import Frame

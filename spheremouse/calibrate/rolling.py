@@ -113,11 +113,11 @@ def _span(text: str, name: str) -> tuple[float, float]:
 def _calibrate(given: _Given) -> None:
     from spheremouse.calibrate.rolling_axes_choice import AxesFrom
     from spheremouse.calibrate.rolling_session import solve
+    from spheremouse.capture import open_source
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
     from spheremouse.files.rig import load_camera, load_rig, with_camera
     from spheremouse.session import make_ready
-    from spheremouse.source import open_source
     from spheremouse.track import Settings
 
     maps = None if given.out is None else map_path(given.out)
@@ -228,8 +228,8 @@ def _check_radius(radius: float | None, ball: Any, rough: float) -> None:
 
 def _footage(given: _Given, live: bool, ask: bool) -> Any:
     from spheremouse.calibrate.footage import Kept, Recorded
-    from spheremouse.source import open_source
-    from spheremouse.stopping import Stopping
+    from spheremouse.capture import open_source
+    from spheremouse.capture.stopping import Stopping
 
     if not live:
         return Recorded(given.source, given.seconds), None

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from spheremouse.daemon.capture import Streamed
-from spheremouse.daemon.lock import Claimed, claimed
+from spheremouse.capture import Camera, Source, open_source
+from spheremouse.capture.fetch import Streamed
+from spheremouse.capture.lock import Claimed, claimed
 from spheremouse.daemon.plan import Plan
-from spheremouse.source import Camera, Source, open_source
 
 
 def is_camera(spec: str) -> bool:

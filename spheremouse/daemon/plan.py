@@ -7,8 +7,8 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from spheremouse import capture as sources
 from spheremouse import output as outputs
-from spheremouse import source as sources
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config

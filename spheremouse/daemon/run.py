@@ -20,10 +20,13 @@ from typing import Any
 import numpy as np
 
 from spheremouse import __version__
+from spheremouse.capture import Camera
+from spheremouse.capture.fetch import PATIENCE, Capture
+from spheremouse.capture.newest import Newest
+from spheremouse.capture.stopping import Stopping, on_hang_up
 from spheremouse.daemon import realtime
 from spheremouse.daemon.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.daemon.cameras import held, is_camera
-from spheremouse.daemon.capture import PATIENCE, Capture
 from spheremouse.daemon.changes import AT_START, differences, latest, stages_of, stamps_of
 from spheremouse.daemon.control import ControlServer
 from spheremouse.daemon.desk import Asked, Desk
@@ -36,7 +39,6 @@ from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.daemon.recordings import recordings_folder, tidy
 from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.reporter import Reporter
-from spheremouse.daemon.ring import Newest
 from spheremouse.daemon.states import Facts, State, judge, news
 from spheremouse.daemon.threads import Crew, begin
 from spheremouse.daemon.worker import Step, Worker
@@ -48,8 +50,6 @@ from spheremouse.pointer import Counts, minus, plus
 from spheremouse.rig import Rig
 from spheremouse.session import make_ready
 from spheremouse.session_map import MapKeeper
-from spheremouse.source import Camera
-from spheremouse.stopping import Stopping, on_hang_up
 from spheremouse.timing import FrameTimes
 from spheremouse.track import Tracker, TrackState
 

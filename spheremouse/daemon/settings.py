@@ -3,12 +3,12 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
+from spheremouse.capture.settings import CameraSettings
 from spheremouse.daemon.control_settings import ControlSettings, MetricsSettings
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.wand_settings import WandRunSettings
 from spheremouse.pointer import PointerSettings
 from spheremouse.settings import param
-from spheremouse.source._camera_settings import CameraSettings
 from spheremouse.track import Settings
 
 

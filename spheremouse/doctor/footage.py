@@ -9,14 +9,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.daemon.lock import claimed
+from spheremouse.capture import Source, open_source
+from spheremouse.capture.lock import claimed
 from spheremouse.daemon.plan import Plan
 from spheremouse.detect.detections import Image
 from spheremouse.doctor.controls import Controls, read
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.source import Source, open_source
 from spheremouse.tracker import Frame
 
 GRID = (24, 16)  # rows and columns: fine enough for the bands of a rolling shutter, which are three or four

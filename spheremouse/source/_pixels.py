@@ -14,8 +14,8 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
+from spheremouse.capture.settings import PixelName
 from spheremouse.errors import DamagedFrameError
-from spheremouse.source._camera_settings import PixelName
 
 Image = NDArray[np.uint8]
 

@@ -21,9 +21,9 @@ from linuxpy.video.device import (
     set_control,
 )
 
+from spheremouse.capture.settings import CameraSettings
 from spheremouse.errors import SourceError
 from spheremouse.files.validate import nearest
-from spheremouse.source._camera_settings import CameraSettings
 
 _MANUAL, _SHUTTER_PRIORITY = 1, 2  # V4L2_CID_EXPOSURE_AUTO with an exposure that is told
 _EXPOSURE_UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE

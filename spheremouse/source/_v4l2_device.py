@@ -38,8 +38,8 @@ from linuxpy.video.device import (
 )
 from numpy.typing import NDArray
 
+from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.errors import SourceError
-from spheremouse.source._camera_settings import CameraSettings, PixelName
 from spheremouse.source._pixels import FORMATS, Layout
 
 CAPTURE = BufferType.VIDEO_CAPTURE

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Self, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.capture import Stream
+from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.files.spec import options
-from spheremouse.source import Stream
-from spheremouse.source._camera_settings import CameraSettings, PixelName
 from spheremouse.source._pixels import Layout, bgr, luma
 from spheremouse.source._stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
 from spheremouse.tracker import Frame

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
+from spheremouse.capture import open_source
 from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.source import open_source
 from spheremouse.track import Settings
 from tests.fuzz.scene import use
 from tests.fuzz.strategies import mutated, mutated_bytes, mutated_json

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from spheremouse.capture import open_source
 from spheremouse.daemon.control_settings import ControlSettings
 from spheremouse.detect.rings import detect_targets
 from spheremouse.files import config
 from spheremouse.files.rig import load_camera, load_rig, rig_text
 from spheremouse.files.yaml import parse_document
 from spheremouse.output import open_output
-from spheremouse.source import open_source
 from spheremouse.track import Settings
 from tests.fuzz.scene import film, known, small_rig, use
 from tests.fuzz.strategies import letters, mutated, numbers, words

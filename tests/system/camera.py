@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from modules import insert
 
+from spheremouse.capture import open_source
+from spheremouse.capture.settings import CameraSettings
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.source import open_source
-from spheremouse.source._camera_settings import CameraSettings
 from spheremouse.source.v4l2 import open_camera
 
 linuxpy = pytest.importorskip("linuxpy.video.device")

@@ -10,8 +10,8 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 
+from spheremouse.capture.mouse import Listener, choose, mice, read_log
 from spheremouse.errors import SourceError
-from spheremouse.mouse_log import Listener, choose, mice, read_log
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes

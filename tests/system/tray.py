@@ -18,13 +18,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from desk import Desk, end, gtk, missing, process, until
 
+from spheremouse.capture import open_source
 from spheremouse.daemon.client import Client
 from spheremouse.daemon.control import ControlServer
 from spheremouse.daemon.control_settings import ControlSettings
 from spheremouse.daemon.protocol import STATES
 from spheremouse.errors import ControlError
 from spheremouse.files.rig import save_rig
-from spheremouse.source import open_source
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 

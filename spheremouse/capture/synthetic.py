@@ -5,9 +5,9 @@ For example `synthetic:motion=play,seconds=10,noise=5`; lists in brackets, as in
 
 import re
 
+from spheremouse.capture import Stream, paced
 from spheremouse.files.config import override
 from spheremouse.simulate import SimulationOptions, prepare, simulate
-from spheremouse.source import Stream, paced
 
 
 def open(argument: str, realtime: bool) -> Stream:

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from spheremouse.daemon.ring import Arrival, Newest
+from spheremouse.capture import Camera, Shot, Source
+from spheremouse.capture.newest import Arrival, Newest
 from spheremouse.errors import SourceError, SpheremouseError
-from spheremouse.source import Camera, Shot, Source
 from spheremouse.tracker import Frame
 
 PATIENCE = 2.0  # s without a frame after which a stream counts as frozen: exposures are shorter, so are focus hunts

@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from spheremouse.capture import Stream, paced
 from spheremouse.errors import SourceError
 from spheremouse.files.films import open_film
-from spheremouse.source import Stream, paced
 from spheremouse.tracker import Frame
 
 _SNAP = 0.6e-3  # s: half a millisecond of rounding and a little more

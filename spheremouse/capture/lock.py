@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from spheremouse.capture import Camera, Shot
 from spheremouse.errors import SourceError
-from spheremouse.source import Camera, Shot
 
 
 @contextlib.contextmanager

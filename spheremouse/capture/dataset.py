@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from spheremouse.capture import Stream, paced
 from spheremouse.errors import SourceError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.source import Stream, paced
 
 
 def open(argument: str, realtime: bool) -> Stream:

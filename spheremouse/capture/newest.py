@@ -7,7 +7,7 @@ own back at once.
 import threading
 from dataclasses import dataclass
 
-from spheremouse.source import Shot
+from spheremouse.capture import Shot
 
 
 @dataclass(frozen=True, slots=True)
