@@ -91,7 +91,7 @@ class AnothersCamera(Camera):
 def main(folder, uid=""):
     """As the command line does it; as the user of that number, where one is given."""
     from spheremouse import cli
-    from spheremouse.source import v4l2
+    from spheremouse.capture import v4l2
 
     folder = Path(folder)
     pictures = np.load(folder / "film.npy")

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from spheremouse.capture.v4l2.pixels import FORMATS, Layout, bgr, luma
 from spheremouse.errors import DamagedFrameError
-from spheremouse.source._pixels import FORMATS, Layout, bgr, luma
 
 W, H = 64, 48
 RNG = np.random.default_rng(5)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse.source._stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
+from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
 
 FPS = 30.0
 REAL = 1.7e9  # s, realtime less monotonic

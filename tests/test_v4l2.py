@@ -12,13 +12,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from spheremouse.capture import open_source
+from spheremouse.capture import open_source, v4l2
 from spheremouse.capture.settings import CameraSettings
+from spheremouse.capture.v4l2.pixels import Layout
+from spheremouse.capture.v4l2.stamps import Moment
 from spheremouse.errors import ConfigurationError, DamagedFrameError, SourceError
 from spheremouse.files.config import dump_commented, load, override
-from spheremouse.source import v4l2
-from spheremouse.source._pixels import Layout
-from spheremouse.source._stamps import Moment
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="V4L2 is of Linux")
 

@@ -23,7 +23,7 @@ def opener(plan: Plan, first: Source | None = None) -> Callable[[], Camera]:
     def open_it() -> Camera:
         kind, _, argument = plan.source.partition(":")
         if kind == "v4l2":
-            from spheremouse.source import v4l2
+            from spheremouse.capture import v4l2
 
             return v4l2.open_camera(argument, plan.configuration.camera)
         return Streamed(waiting.pop() if waiting else open_source(plan.source, realtime=True), plan.source)

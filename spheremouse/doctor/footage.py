@@ -99,7 +99,7 @@ class _Reel:
 
 
 def _of_camera(plan: Plan, seconds: float, node: Path | None) -> Footage:
-    from spheremouse.source.v4l2 import open_camera
+    from spheremouse.capture.v4l2 import open_camera
 
     with contextlib.ExitStack() as stack:
         camera = stack.enter_context(open_camera(plan.source.partition(":")[2], plan.configuration.camera))

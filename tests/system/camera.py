@@ -18,8 +18,8 @@ from modules import insert
 
 from spheremouse.capture import open_source
 from spheremouse.capture.settings import CameraSettings
+from spheremouse.capture.v4l2 import open_camera
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.source.v4l2 import open_camera
 
 linuxpy = pytest.importorskip("linuxpy.video.device")
 

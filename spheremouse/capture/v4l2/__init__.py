@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from spheremouse.capture import Stream
 from spheremouse.capture.settings import CameraSettings, PixelName
+from spheremouse.capture.v4l2.pixels import Layout, bgr, luma
+from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.files.spec import options
-from spheremouse.source._pixels import Layout, bgr, luma
-from spheremouse.source._stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
 from spheremouse.tracker import Frame
 
 if TYPE_CHECKING:
-    from spheremouse.source._v4l2_controls import Controls
-    from spheremouse.source._v4l2_device import Device, Mode
+    from spheremouse.capture.v4l2.controls import Controls
+    from spheremouse.capture.v4l2.device import Device, Mode
 
 BUFFERS = 6  # two may be held, and the driver fills others meanwhile
 
@@ -179,8 +179,8 @@ def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
     """The camera that `DEVICE[,KEY=VALUE...]` names, set as `settings` and above them the argument ask; it streams."""
     if not sys.platform.startswith("linux"):
         raise SourceError("v4l2: is of Linux; write opencv:0 for the first camera here")
-    from spheremouse.source._v4l2_controls import read_controls
-    from spheremouse.source._v4l2_device import Device, find, lasting_name
+    from spheremouse.capture.v4l2.controls import read_controls
+    from spheremouse.capture.v4l2.device import Device, find, lasting_name
 
     name, settings = parse(argument, settings)
     device = Device(find(name))

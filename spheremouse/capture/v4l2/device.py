@@ -39,8 +39,8 @@ from linuxpy.video.device import (
 from numpy.typing import NDArray
 
 from spheremouse.capture.settings import CameraSettings, PixelName
+from spheremouse.capture.v4l2.pixels import FORMATS, Layout
 from spheremouse.errors import SourceError
-from spheremouse.source._pixels import FORMATS, Layout
 
 CAPTURE = BufferType.VIDEO_CAPTURE
 
