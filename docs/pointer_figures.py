@@ -13,7 +13,7 @@ import numpy as np
 
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
-from spheremouse.pointer import PointerSettings, Resampler, due, take
+from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.session import initialise, track
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import Phase, Settings, build

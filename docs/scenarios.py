@@ -24,7 +24,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulatedFrame, SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import VISIBLE

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from spheremouse.evaluate.match import Match
     from spheremouse.evaluate.match_verdict import Verdict
     from spheremouse.evaluate.metrics import Run
-    from spheremouse.motion import MotionSettings
+    from spheremouse.output.counts import MotionSettings
     from spheremouse.rig import Rig
     from spheremouse.simulate.trackball import MouseLog
     from spheremouse.tracker import Frame

@@ -20,8 +20,8 @@ from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.live import Board, Tally
-from spheremouse.motion import rotation_between
 from spheremouse.output import open_output
+from spheremouse.output.counts import rotation_between
 from spheremouse.overlay import Image, Overlay, OverlayFile, target_marks, write_picture
 from spheremouse.plot import plot_run
 from spheremouse.resect import describe

@@ -21,7 +21,7 @@ from spheremouse.evaluate.metrics import Run
 from spheremouse.filters.so3_state import So3State
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 from spheremouse.resect import Resection, find_pose
 from spheremouse.rig import Rig
 from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step

@@ -34,7 +34,7 @@ from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consid
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array
 from spheremouse.intersect import SpherePoints, intersect
-from spheremouse.motion import Motion, MotionSettings, Remainder, rotation_between, to_counts
+from spheremouse.output.counts import Motion, MotionSettings, Remainder, rotation_between, to_counts
 from spheremouse.resect import PoseSettings, find_pose, predict_targets
 from spheremouse.rig import Rig, considered_covariance
 from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param

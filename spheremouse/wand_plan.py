@@ -13,10 +13,10 @@ from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.wand import load_wand
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Output, open_output
+from spheremouse.output.axes import AxesOutput
 from spheremouse.wand.ball import WandBall, grzonka_ball
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandTracker, build
-from spheremouse.wand_axes import AxesOutput
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,10 +12,10 @@ import numpy as np
 from spheremouse.errors import SourceError
 from spheremouse.evaluate.wand import WandRun
 from spheremouse.geometry.rotation import Array
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
+from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate
 from spheremouse.session import told_why
 from spheremouse.tracker import Frame
-from spheremouse.wand.pointing import Pointing, PointingSettings, begun_anew, point, pointing_rate
 from spheremouse.wand.track import WandPhase, WandPose, WandState, WandTracker, begin, step
 from spheremouse.wand.warm import warm_up
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.output._sparing import letters
+from spheremouse.output.sparing import letters
 from spheremouse.wand.track import WandPhase, WandPose
 
 PATIENCE = 5.0  # s of frames without a ball that was never seen, after which that is worth a word

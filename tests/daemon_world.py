@@ -23,7 +23,7 @@ from spheremouse.daemon.run import Daemon
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.motion import MotionSettings
+from spheremouse.output.counts import MotionSettings
 from spheremouse.rig import Rig
 from spheremouse.simulate import Renderer, default_scene
 from spheremouse.simulate.profile import Gesture, Gestures

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spheremouse.daemon.reporter import Reporter
-from spheremouse.motion import Motion
-from spheremouse.pointer import PointerSettings
+from spheremouse.output.counts import Motion
+from spheremouse.output.pointer import PointerSettings
+from spheremouse.output.reporter import Reporter
 from spheremouse.session import initialise
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import Settings, begin, build, step

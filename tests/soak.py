@@ -30,7 +30,7 @@ from spheremouse.errors import SourceError
 from spheremouse.filters.so3 import So3State
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.session import initialise
 from spheremouse.simulate import HandVisit, Renderer, default_scene

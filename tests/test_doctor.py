@@ -42,8 +42,8 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_rig, save_rig
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
-from spheremouse.motion import Motion
 from spheremouse.output import text
+from spheremouse.output.counts import Motion
 from spheremouse.service import Place
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED

@@ -42,7 +42,7 @@ from spheremouse.files.dataset.ball import open_dataset, write_simulation
 from spheremouse.files.disc_map import save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import tangent_basis
-from spheremouse.motion import MotionSettings, rotation_between
+from spheremouse.output.counts import MotionSettings, rotation_between
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.simulate import SimulationOptions, prepare
 from spheremouse.simulate.degrade import degraded

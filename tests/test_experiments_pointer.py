@@ -20,8 +20,8 @@ from spheremouse.experiments.pointer import (
     settings,
 )
 from spheremouse.experiments.report import write_report
-from spheremouse.motion import MotionSettings
-from spheremouse.pointer import PointerSettings
+from spheremouse.output.counts import MotionSettings
+from spheremouse.output.pointer import PointerSettings
 from spheremouse.simulate.profile import Gestures, play, stroke
 
 WHOLE = Request(False, None)

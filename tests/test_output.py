@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
 from spheremouse.output import open_output, text, uinput
+from spheremouse.output.counts import Motion
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -98,7 +98,7 @@ def test_a_full_disk_is_an_error_and_leaving_stays_possible():
 PROGRAM = """
 import numpy as np
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 from spheremouse.output import open_output
 sent = 0
 try:

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
 from spheremouse.output import desktop, open_output
+from spheremouse.output.counts import Motion
 from spheremouse.output.desktop import Desktop
 
 REPOSITORY = Path(__file__).parents[1]
@@ -124,7 +124,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 from spheremouse.output import open_output
 
 try:

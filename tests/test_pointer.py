@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse.pointer import PointerSettings, Resampler, due, take
+from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 
 EXACT = PointerSettings(horizon=0.0)
 LATENCY = 0.05  # s, from stamp to arrival

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from spheremouse.daemon import reporter as module
-from spheremouse.daemon.reporter import Reporter
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
 from spheremouse.output import OutputClosed, open_output
-from spheremouse.pointer import PointerSettings
+from spheremouse.output import reporter as module
+from spheremouse.output.counts import Motion
+from spheremouse.output.pointer import PointerSettings
+from spheremouse.output.reporter import Reporter
 
 PATIENCE = 20.0  # s, for what takes milliseconds
 EXACT = PointerSettings(horizon=0.0)

@@ -13,10 +13,10 @@ from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
 from spheremouse.firmware import load_protocol
-from spheremouse.motion import Motion
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
 from spheremouse.output._serial_protocol import STOP, Flags, encode
+from spheremouse.output.counts import Motion
 from spheremouse.output.serial import Serial, find_board
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")

@@ -6,7 +6,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse.output._sparing import Sparing
+from spheremouse.output.sparing import Sparing
 
 KINDS = ("gone", "back")
 

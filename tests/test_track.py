@@ -13,7 +13,7 @@ from spheremouse.detect.detections import Detections, no_detections
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.simulate import SimulationOptions, prepare, simulate
 from spheremouse.track import (

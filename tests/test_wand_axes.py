@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
 from spheremouse.output import OutputClosed
+from spheremouse.output.axes import HEADER, NAMES, AxesOutput, AxesText
+from spheremouse.output.counts import Motion
 from spheremouse.wand.axes import UPRIGHT, attitude, axes_of, wrapped
 from spheremouse.wand.track import WandPhase, WandPose
-from spheremouse.wand_axes import HEADER, NAMES, AxesOutput, AxesText
 
 ANGLE = st.floats(-3.1, 3.1)
 TILT = st.floats(-1.5, 1.5)

@@ -14,16 +14,16 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.capture import fetch as capture_module
 from spheremouse.daemon import realtime
-from spheremouse.daemon import reporter as reporter_module
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.output import OutputClosed
-from spheremouse.pointer import PointerSettings
+from spheremouse.output import reporter as reporter_module
+from spheremouse.output.axes import AxesOutput, AxesText
+from spheremouse.output.pointer import PointerSettings
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import build
 from spheremouse.wand.warm import warm_up
-from spheremouse.wand_axes import AxesOutput, AxesText
 from spheremouse.wand_live import WandLive
 from spheremouse.wand_plan import Outputs
 from spheremouse.wand_told import Told

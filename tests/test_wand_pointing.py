@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from spheremouse.motion import Remainder
-from spheremouse.wand.pointing import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
+from spheremouse.output.counts import Remainder
+from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
 from spheremouse.wand.track import WandPhase, WandPose
 
 DT = 1.0 / 30.0

@@ -15,11 +15,11 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.wand import open_wand, write_wand
 from spheremouse.files.rig import save_camera
 from spheremouse.files.wand import save_wand
+from spheremouse.output.axes import HEADER, NAMES
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.wand.axes import UPRIGHT
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import ColourSettings
-from spheremouse.wand_axes import HEADER, NAMES
 
 WAND = ("run", "--tracker", "wand")
 

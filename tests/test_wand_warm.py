@@ -11,7 +11,7 @@ import numpy as np
 
 from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.track import WandSettings, build
-from spheremouse.wand.pointing import PointingSettings
+from spheremouse.output.hand import PointingSettings
 from spheremouse.wand.warm import warm_up
 from spheremouse.wand_session import Hand, track_wand
 

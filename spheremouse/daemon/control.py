@@ -36,7 +36,7 @@ from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files.yaml import one_line
-from spheremouse.output._sparing import Sparing
+from spheremouse.output.sparing import Sparing
 
 Handle = Callable[[Request, Reply], None]
 

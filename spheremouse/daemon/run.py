@@ -38,15 +38,15 @@ from spheremouse.daemon.plan import Request as PlanRequest
 from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.daemon.recordings import recordings_folder, tidy
 from spheremouse.daemon.reply import Reply
-from spheremouse.daemon.reporter import Reporter
 from spheremouse.daemon.states import Facts, State, judge, news
 from spheremouse.daemon.threads import Crew, begin
 from spheremouse.daemon.worker import Step, Worker
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output import Output, open_output
-from spheremouse.output._sparing import Sparing, letters
-from spheremouse.pointer import Counts, minus, plus
+from spheremouse.output.pointer import Counts, minus, plus
+from spheremouse.output.reporter import Reporter
+from spheremouse.output.sparing import Sparing, letters
 from spheremouse.rig import Rig
 from spheremouse.session import make_ready
 from spheremouse.session_map import MapKeeper

@@ -7,7 +7,7 @@ from spheremouse.capture.settings import CameraSettings
 from spheremouse.daemon.control_settings import ControlSettings, MetricsSettings
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.wand_settings import WandRunSettings
-from spheremouse.pointer import PointerSettings
+from spheremouse.output.pointer import PointerSettings
 from spheremouse.settings import param
 from spheremouse.track import Settings
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from spheremouse.output._sparing import letters
+from spheremouse.output.sparing import letters
 from spheremouse.track import Phase
 
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from spheremouse.output.hand import PointingSettings
 from spheremouse.settings import param
-from spheremouse.wand.pointing import PointingSettings
 from spheremouse.wand.track import WandSettings
 
 MOST_BALLS = 8  # each takes its time in every frame, and two people have four hands

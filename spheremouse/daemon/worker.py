@@ -19,7 +19,7 @@ from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
 from spheremouse.geometry.camera import Pose
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 from spheremouse.resect import Resection, describe, find_pose
 from spheremouse.rig import Rig
 from spheremouse.session import Epoch

@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 
 from spheremouse.evaluate.match import Match
-from spheremouse.motion import MotionSettings
+from spheremouse.output.counts import MotionSettings
 
 _CHANCE = 40.0  # logarithm of a likelihood ratio: logs of other simulated plays reached 14 at their best lag
 _RIVAL = 0.8  # of the best lag's: a second one that good may be the right one

@@ -1,7 +1,7 @@
 """How late, how rough and how far off the resampled pointer is, against the camera's frame rate and its own settings.
 
 `so3` follows a ball that somebody plays with, and one that is stopped; its counts and rates go through the daemon's
-own resampling (`spheremouse.pointer`) with the frames' stamps and times of arrival. Nothing here reads a clock.
+own resampling (`spheremouse.output.pointer`) with the frames' stamps and times of arrival. Nothing here reads a clock.
 """
 
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.motion import Motion, Remainder, to_counts
-from spheremouse.pointer import PointerSettings, Resampler, due, take
+from spheremouse.output.counts import Motion, Remainder, to_counts
+from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.simulate import Renderer, RenderOptions
 from spheremouse.simulate.profile import Gestures, Profile, play, stroke
 from spheremouse.simulate.trackball import MouseLog

@@ -10,7 +10,7 @@ from typing import Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import resolve
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error

@@ -8,8 +8,8 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.motion import Motion
 from spheremouse.output._serial_simulator import Simulator
+from spheremouse.output.counts import Motion
 from spheremouse.output.serial import Serial, Statistics
 
 

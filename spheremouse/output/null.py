@@ -4,7 +4,7 @@ from types import TracebackType
 from typing import Self
 
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
+from spheremouse.output.counts import Motion
 
 
 class Null:

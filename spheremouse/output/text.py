@@ -16,8 +16,8 @@ from typing import Self, TextIO
 
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import open_to_write
-from spheremouse.motion import Motion
 from spheremouse.output import OutputClosed
+from spheremouse.output.counts import Motion
 
 NAMES = "# stamp dx dy dz rx ry rz wx wy wz"
 HEADER = f"{NAMES} (s, counts, rotation since the last line in rad and rate in rad/s, both in obj)"

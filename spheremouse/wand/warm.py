@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array, exp
+from spheremouse.output.hand import Pointing, PointingSettings, point
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball
-from spheremouse.wand.pointing import Pointing, PointingSettings, point
 from spheremouse.wand.track import WandSettings, begin, build, step
 
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])

@@ -20,13 +20,13 @@ from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
+from spheremouse.output.hand import Pointing, point, pointing_rate
 from spheremouse.resect import gather, resect
 from spheremouse.rig import Rig
 from spheremouse.simulate.wand import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
 from spheremouse.tracker import Frame
 from spheremouse.wand import track as wand
-from spheremouse.wand.pointing import Pointing, point, pointing_rate
 from spheremouse.wand.warm import warm_up as warm_up_wand
 from spheremouse.warm import warm_up
 from tests.fuzz.extremes import extremes, numbers

@@ -15,8 +15,8 @@ import gadget
 import numpy as np
 import pytest
 
-from spheremouse.motion import Motion
 from spheremouse.output import open_output
+from spheremouse.output.counts import Motion
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from spheremouse.errors import OutputError
-from spheremouse.motion import Motion
 from spheremouse.output import open_output, uinput
+from spheremouse.output.counts import Motion
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes

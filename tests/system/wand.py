@@ -17,8 +17,8 @@ from modules import insert
 
 from spheremouse import wand_live, wand_run
 from spheremouse.geometry.rotation import log
+from spheremouse.output.hand import PointingSettings
 from spheremouse.wand import warm
-from spheremouse.wand.pointing import PointingSettings
 
 IMPORTED = (wand_live, wand_run)  # once, before the forks
 

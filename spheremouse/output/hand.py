@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.motion import Motion, Remainder, to_counts
+from spheremouse.output.counts import Motion, Remainder, to_counts
 from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
 from spheremouse.wand.course import between
 from spheremouse.wand.track import WandPhase, WandPose

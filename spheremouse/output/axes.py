@@ -11,8 +11,8 @@ from typing import TextIO
 
 import numpy as np
 
-from spheremouse.motion import Motion
 from spheremouse.output import text
+from spheremouse.output.counts import Motion
 from spheremouse.output.text import Text
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.track import WandPhase, WandPose
