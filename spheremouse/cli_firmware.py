@@ -10,18 +10,18 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from spheremouse import firmware
 from spheremouse.calibrate.outputs import Force, Json, check_outputs
 from spheremouse.errors import ConfigurationError, OutputError
 from spheremouse.files.yaml import write_json
-from spheremouse.firmware import Drive, words
+from spheremouse.output.serial import firmware
+from spheremouse.output.serial.firmware import Drive, words
 
 app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check, simulate.")
 
 _INTERVAL = 4e-3  # s, of a camera with 250 frames a second
 _SHARE = 0.05  # of it, that sending may add
 _BAD = 0.01  # share of frames that may come damaged before a line is called bad
-_SLOWEST = 38400  # baud, as output/serial.py has it
+_SLOWEST = 38400  # baud, as output/serial/__init__.py has it
 _DAMAGE = "Share of bytes that are damaged, each way; above 3 a session may not come to begin."
 
 _DriveOption = Annotated[
@@ -138,7 +138,7 @@ def simulate(
 ) -> None:
     """A board without a board: a serial port on which the firmware answers; prints what its mouse does."""
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.output._serial_simulator import Simulator
+    from spheremouse.output.serial.simulator import Simulator
 
     if link is not None:
         if not link.parent.is_dir():
@@ -183,7 +183,7 @@ def measure(
     force: Force = False,
 ) -> None:
     """Measure what sending costs, against a simulated board in a process of its own, whose times are in it."""
-    from spheremouse.output._serial_benchmark import measure as measured
+    from spheremouse.output.serial.benchmark import measure as measured
 
     check_outputs([json_file], [], force)
     m = measured(rate, max(2, int(rate * seconds)), damage / 100.0, baud)
@@ -319,8 +319,8 @@ def _wrong_version(runs: firmware.Version, ours: firmware.Version, kind: int) ->
 
 def _ask(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
     """Identity of the board that answers, how it fares, and what is wrong with that."""
-    from spheremouse.output._serial_protocol import Flags
     from spheremouse.output.serial import Serial, find_board
+    from spheremouse.output.serial.link import Flags
 
     name = find_board() if port == "auto" else port
     output = Serial(lambda: name, baud, "none", lambda _: None)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.firmware import load_protocol
-from spheremouse.output._serial_protocol import Link
+from spheremouse.output.serial.firmware import load_protocol
+from spheremouse.output.serial.link import Link
 
 PROTOCOL: Any = load_protocol()
 

@@ -15,11 +15,11 @@ import pytest
 from serial_world import Board, Wire, World, exchange
 from typer.testing import CliRunner
 
-from spheremouse import firmware
 from spheremouse.cli_firmware import app
 from spheremouse.errors import OutputError
-from spheremouse.firmware import words
-from spheremouse.output import _serial_protocol as host
+from spheremouse.output.serial import firmware
+from spheremouse.output.serial import link as host
+from spheremouse.output.serial.firmware import words
 
 HERE = Path(__file__).parent
 PICO = firmware.folder()
@@ -749,7 +749,7 @@ def test_a_drive_that_breaks_keeps_the_old_or_the_new_file(drive, monkeypatch):
 
 def test_checking_over_the_port():
     pytest.importorskip("pty")
-    from spheremouse.output._serial_simulator import Simulator
+    from spheremouse.output.serial.simulator import Simulator
 
     with Simulator() as simulator:
         result = run("check", "--port", simulator.port, "--json", "-")
@@ -763,7 +763,7 @@ def test_checking_over_the_port():
 
 def test_a_board_whose_computer_sleeps_is_not_all_well(tmp_path):
     pytest.importorskip("pty")
-    from spheremouse.output._serial_simulator import Simulator
+    from spheremouse.output.serial.simulator import Simulator
 
     with Simulator() as simulator:
         simulator.awake = False
@@ -778,7 +778,7 @@ def test_a_board_whose_computer_sleeps_is_not_all_well(tmp_path):
 def test_checking_over_a_bad_line():
     """One frame that is lost is no reason to give up; many are a reason to say so."""
     pytest.importorskip("pty")
-    from spheremouse.output._serial_simulator import Simulator
+    from spheremouse.output.serial.simulator import Simulator
 
     with Simulator(damage=0.02, seed=2) as simulator:
         for _ in range(5):
@@ -799,7 +799,7 @@ def test_checking_over_a_bad_line():
 )
 def test_another_version_runs(runs, kind, advice):
     pytest.importorskip("pty")
-    from spheremouse.output._serial_simulator import Simulator
+    from spheremouse.output.serial.simulator import Simulator
 
     protocol = firmware.load_protocol()
     protocol.FIRMWARE, protocol.SIMULATOR = runs, kind
@@ -840,8 +840,7 @@ def test_measuring_refuses_before_it_measures(tmp_path):
 
 
 def test_a_measure_in_which_nothing_arrives_is_no_success(monkeypatch):
-    from spheremouse.output import _serial_benchmark as benchmark
-    from spheremouse.output.serial import Statistics
+    from spheremouse.output.serial import Statistics, benchmark
 
     nothing = Statistics((float("nan"), float("nan")), 0, 0, 0, 0, 0, 0, 0, 0, 5)
     found = benchmark.Measured(np.full(5, 1e-6), np.empty(0), 100.0, 0, False, nothing)

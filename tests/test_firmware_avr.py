@@ -8,8 +8,8 @@ import avr_board
 import numpy as np
 import pytest
 
-from spheremouse.firmware import folder, load_protocol
-from spheremouse.output import _serial_protocol as host
+from spheremouse.output.serial import link as host
+from spheremouse.output.serial.firmware import folder, load_protocol
 
 HELLO_1 = host.hello(0, 0xABCD0001)
 FINE = 0b0101  # both resolution multipliers

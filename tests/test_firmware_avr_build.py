@@ -14,7 +14,7 @@ import avr_board
 import numpy as np
 import pytest
 
-from spheremouse.output import _serial_protocol as host
+from spheremouse.output.serial import link as host
 
 FIRMWARE = avr_board.SOURCES.parent
 CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores/arduino")

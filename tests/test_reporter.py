@@ -466,7 +466,7 @@ class Playing:
 @pytest.fixture
 def board():
     pytest.importorskip("pty", reason="no pseudo-terminals here")
-    from spheremouse.output._serial_simulator import Simulator
+    from spheremouse.output.serial.simulator import Simulator
 
     with Simulator() as simulator:
         yield simulator
@@ -495,7 +495,7 @@ def put_to_sleep(board):
 def test_a_board_that_takes_nothing_is_a_failed_output_and_what_it_did_not_confirm_was_not_sent(
     start, board, fault, reason, tmp_path
 ):
-    from spheremouse.output._serial_simulator import Simulator
+    from spheremouse.output.serial.simulator import Simulator
 
     link = tmp_path / "board"
     link.symlink_to(board.port)

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse import firmware, service
+from spheremouse import service
 from spheremouse.cli_service import app
 from spheremouse.daemon import control_socket
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
@@ -29,6 +29,7 @@ from spheremouse.files.dataset.write import write_simulation
 from spheremouse.files.folders import NewFolder
 from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
+from spheremouse.output.serial import firmware
 from spheremouse.overlay import OverlayFile
 from spheremouse.simulate import SimulationOptions, prepare
 

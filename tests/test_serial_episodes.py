@@ -5,7 +5,7 @@ import pytest
 from serial_episodes import Kind, cost, play, verdict
 from serial_world import Board
 
-from spheremouse.output import _serial_protocol as host
+from spheremouse.output.serial import link as host
 
 
 class AvrBoard:

@@ -12,18 +12,18 @@ import serial as pyserial
 from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
-from spheremouse.firmware import load_protocol
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
-from spheremouse.output._serial_protocol import STOP, Flags, encode
 from spheremouse.output.counts import Motion
 from spheremouse.output.serial import Serial, find_board
+from spheremouse.output.serial.firmware import load_protocol
+from spheremouse.output.serial.link import STOP, Flags, encode
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402
 import tty  # noqa: E402
 
-from spheremouse.output._serial_simulator import Simulator  # noqa: E402  needs them
+from spheremouse.output.serial.simulator import Simulator  # noqa: E402  needs them
 
 
 def motion(x=0, y=0, z=0):

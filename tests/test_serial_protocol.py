@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from serial_world import PROTOCOL as BOARD
 from serial_world import Board, Wire, World, exchange
 
-from spheremouse.output import _serial_protocol as host
-from spheremouse.output._serial_protocol import Flags, Link, Splitter, parse, signed
+from spheremouse.output.serial import link as host
+from spheremouse.output.serial.link import Flags, Link, Splitter, parse, signed
 
 PAGE = (Path(__file__).parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
 u16, u32 = st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)

@@ -14,7 +14,7 @@ from types import ModuleType, TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
-from spheremouse.firmware import load_protocol
+from spheremouse.output.serial.firmware import load_protocol
 
 Counts = tuple[int, int, int, int]  # x, y, wheel, pan
 

@@ -22,8 +22,8 @@ from typing import Any, Self
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import options
 from spheremouse.output import Passage
-from spheremouse.output._serial_protocol import VERSION, Flags, Identity, Link, Status
 from spheremouse.output.counts import Motion
+from spheremouse.output.serial.link import VERSION, Flags, Identity, Link, Status
 from spheremouse.output.sparing import Sparing
 
 BAUD, SLOWEST = 115200, 38400
