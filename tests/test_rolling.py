@@ -23,8 +23,8 @@ from spheremouse.adjustment.rolling_axes import (
     with_rolled,
 )
 from spheremouse.adjustment.rolling_start import Spots, start
-from spheremouse.calibrate.cli import app
 from spheremouse.capture import Stream
+from spheremouse.commands.calibrate import app
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map

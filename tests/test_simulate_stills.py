@@ -13,8 +13,8 @@ import pytest
 from conftest import datasets_dir
 from numpy.testing import assert_allclose
 
-from spheremouse.calibrate import practice as shell
-from spheremouse.calibrate.practice import axes_of, device_of, device_yaml, practice, sides
+from spheremouse.commands.calibrate import practice as shell
+from spheremouse.commands.calibrate.practice import axes_of, device_of, device_yaml, practice, sides
 from spheremouse.detect.discs import DiscSettings, disc_detector
 from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError

@@ -2,7 +2,9 @@
 
 import typer
 
-from spheremouse.calibrate import camera, device, init, next, practice, prints, rolling
+from spheremouse.calibrate import camera
+from spheremouse.commands.calibrate import device, init, next, practice, rolling
+from spheremouse.commands.calibrate import print as prints
 
 app = typer.Typer(
     no_args_is_help=True,
