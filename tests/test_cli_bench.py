@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse import benchmark
-from spheremouse.benchmark import (
+from spheremouse.commands.bench import measure as benchmark
+from spheremouse.commands.bench import report, targets
+from spheremouse.commands.bench.measure import (
     BLOBS,
     DETECT,
     FILTER,
@@ -29,7 +30,6 @@ from spheremouse.benchmark import (
     compare,
     in_a_row,
 )
-from spheremouse.cli_bench import report, targets
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 
@@ -102,7 +102,7 @@ def test_memory_is_that_of_the_process():
     """In a process of its own: here, what other tests leave behind goes back to the system at any moment."""
     asked = """
 import numpy as np
-from spheremouse.benchmark import resident_bytes
+from spheremouse.commands.bench.measure import resident_bytes
 before = resident_bytes()
 held = np.ones(1 << 25)
 print(0 if before is None else (resident_bytes() - before) / held.nbytes)

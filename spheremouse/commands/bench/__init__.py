@@ -21,8 +21,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from spheremouse import benchmark
-from spheremouse.benchmark import (
+from spheremouse.commands.bench import measure as benchmark
+from spheremouse.commands.bench.measure import (
     BLOBS,
     COMPARED,
     DETECT,
