@@ -14,8 +14,10 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from spheremouse import doctor, service
+from spheremouse import doctor
 from spheremouse.cli_doctor import doctor as command
+from spheremouse.commands.service import systemd as service
+from spheremouse.commands.service.systemd import Place
 from spheremouse.daemon.plan import Request, read_plan
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.detect.cap import ball_mask
@@ -44,7 +46,6 @@ from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
 from spheremouse.output import text
 from spheremouse.output.counts import Motion
-from spheremouse.service import Place
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"

@@ -6,14 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse import doctor, service
+from spheremouse import doctor
+from spheremouse.commands.service import systemd as service
+from spheremouse.commands.service.systemd import Place
 from spheremouse.daemon.plan import Request
 from spheremouse.doctor import files
 from spheremouse.doctor.finding import Verdict
 from spheremouse.doctor.wand import sight
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames, write_wand
 from spheremouse.files.wand import save_wand
-from spheremouse.service import Place
 from spheremouse.simulate.wand import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball

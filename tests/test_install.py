@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse import service
+from spheremouse.commands.service import systemd as service
 
 SCRIPT = service.folder() / "install.sh"
 KIND = f"Python {sys.version_info[0]}.{sys.version_info[1]}, {platform.machine()}\n"

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse import service
-from spheremouse.cli_service import app
+from spheremouse.commands.service import app
+from spheremouse.commands.service import systemd as service
 from spheremouse.daemon import control_socket
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
 from spheremouse.files import atomic, migrate

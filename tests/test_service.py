@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse import service
-from spheremouse.cli_service import app
+from spheremouse.commands.service import app
+from spheremouse.commands.service import systemd as service
+from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ServiceError
-from spheremouse.service import Place
 
 PROGRAM = "/opt/spheremouse/current/bin/spheremouse"
 UNIT = "etc/systemd/system/spheremouse.service"
@@ -254,8 +254,10 @@ def test_what_is_left_to_do_is_said_where_all_is_placed_and_it_does_not_run(home
     """Before the calibration to calibrate, then to start it; not to install what is there."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(home))
     (home / "systemd").mkdir()  # systemd runs
-    monkeypatch.setattr("spheremouse.cli_service._output", lambda command: "inactive" if "is-active" in command else "")
-    monkeypatch.setattr("spheremouse.cli_service._run", lambda commands, quiet=False: True)
+    monkeypatch.setattr(
+        "spheremouse.commands.service._output", lambda command: "inactive" if "is-active" in command else ""
+    )
+    monkeypatch.setattr("spheremouse.commands.service._run", lambda commands, quiet=False: True)
     call("install", "--user")
     rig = home / ".config/spheremouse/rig.yaml"
     for expected, absent in (("calibrate", "journalctl"), ("systemctl --user start", "calibrate")):

@@ -13,10 +13,10 @@ from typing import Annotated
 
 import typer
 
-from spheremouse import service
+from spheremouse.commands.service import systemd as service
+from spheremouse.commands.service.systemd import UNIT, USER, Place
 from spheremouse.errors import ServiceError
 from spheremouse.files.atomic import exchangeable
-from spheremouse.service import UNIT, USER, Place
 
 app = typer.Typer(no_args_is_help=True, help="Start with the computer: install, uninstall, status.")
 
