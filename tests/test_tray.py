@@ -12,12 +12,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from spheremouse import tray, tray_live
+from spheremouse.commands.tray import icon as tray_live
+from spheremouse.commands.tray import view as tray
+from spheremouse.commands.tray.icon import Link, TrayError
+from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
 from spheremouse.daemon.control import ControlServer
 from spheremouse.daemon.control_settings import ControlSettings
 from spheremouse.daemon.protocol import refused
-from spheremouse.tray import NO_DAEMON, SEPARATOR, STATES, Notices, View
-from spheremouse.tray_live import Link, TrayError
 
 GROUNDS = {"dark": 40, "light": 240}
 ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from PIL import Image, ImageChops, ImageStat
 
-from spheremouse.tray import STATES, icon
+from spheremouse.commands.tray.view import STATES, icon
 
 PROGRAMS = ("Xvfb", "trayer", "xdotool", "dbus-daemon", "dbus-monitor")
 SIDE = 32  # px, of the panel

@@ -21,6 +21,6 @@ def tray(
     a bug report. It goes on when the daemon ends and waits for the next. It needs pystray: pip install
     'spheremouse[tray]'.
     """
-    from spheremouse.tray_live import Tray
+    from spheremouse.commands.tray.icon import Tray
 
     Tray(socket, lambda text: print(f"spheremouse tray: {text}", file=sys.stderr, flush=True)).run()
