@@ -14,15 +14,7 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from spheremouse import doctor
-from spheremouse.cli_doctor import doctor as command
-from spheremouse.commands.service import systemd as service
-from spheremouse.commands.service.systemd import Place
-from spheremouse.daemon.plan import Request, read_plan
-from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.detect.cap import ball_mask
-from spheremouse.detect.discs import DiscSettings
-from spheremouse.doctor import (
+from spheremouse.commands.doctor import (
     access,
     computer,
     controls,
@@ -35,10 +27,18 @@ from spheremouse.doctor import (
     running,
     timing,
 )
-from spheremouse.doctor import sight as sights
-from spheremouse.doctor.finding import Section, Verdict, ok, warning, wrong
-from spheremouse.doctor.footage import GRID, Footage, film
-from spheremouse.doctor.private import redactor
+from spheremouse.commands.doctor import doctor as command
+from spheremouse.commands.doctor import examine as doctor
+from spheremouse.commands.doctor import sight as sights
+from spheremouse.commands.doctor.finding import Section, Verdict, ok, warning, wrong
+from spheremouse.commands.doctor.footage import GRID, Footage, film
+from spheremouse.commands.doctor.private import redactor
+from spheremouse.commands.service import systemd as service
+from spheremouse.commands.service.systemd import Place
+from spheremouse.daemon.plan import Request, read_plan
+from spheremouse.daemon.record_settings import RecordSettings
+from spheremouse.detect.cap import ball_mask
+from spheremouse.detect.discs import DiscSettings
 from spheremouse.errors import SourceError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_rig, save_rig
@@ -183,7 +183,7 @@ def test_compiled_code_counts_where_it_is_for_this_processor(tmp_path, monkeypat
     from numba import njit
     from numba.core.registry import cpu_target
 
-    from spheremouse.doctor import program
+    from spheremouse.commands.doctor import program
 
     source = tmp_path / "compiled_for_doctor.py"
     source.write_text("def twice(x):\n    return 2 * x\n")

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse import doctor
+from spheremouse.commands.doctor import examine as doctor
+from spheremouse.commands.doctor import files
+from spheremouse.commands.doctor.finding import Verdict
+from spheremouse.commands.doctor.wand import sight
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.daemon.plan import Request
-from spheremouse.doctor import files
-from spheremouse.doctor.finding import Verdict
-from spheremouse.doctor.wand import sight
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames, write_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.simulate.wand import WandOptions, prepare_wand

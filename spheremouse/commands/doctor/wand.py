@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.daemon.plan import Plan, Request
-from spheremouse.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker, begin, step

@@ -10,11 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.daemon.cameras import node_of
-from spheremouse.daemon.plan import Plan, Request, without_map
-from spheremouse.detect.cap import ball_mask
-from spheremouse.detect.fit import noise_of
-from spheremouse.doctor import (
+from spheremouse.commands.doctor import (
     computer,
     controls,
     files,
@@ -27,9 +23,13 @@ from spheremouse.doctor import (
     timing,
     wand,
 )
-from spheremouse.doctor import sight as sights
-from spheremouse.doctor.finding import Finding, Section, Verdict, ok, refused, unchecked, wrong
-from spheremouse.doctor.footage import Footage, film
+from spheremouse.commands.doctor import sight as sights
+from spheremouse.commands.doctor.finding import Finding, Section, Verdict, ok, refused, unchecked, wrong
+from spheremouse.commands.doctor.footage import Footage, film
+from spheremouse.daemon.cameras import node_of
+from spheremouse.daemon.plan import Plan, Request, without_map
+from spheremouse.detect.cap import ball_mask
+from spheremouse.detect.fit import noise_of
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.rig import Rig

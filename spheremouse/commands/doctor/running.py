@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse import __version__
+from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.daemon.client import Client, NoDaemonError
-from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.errors import ControlError
 
 _LOST = 0.01  # of the frames; fewer a filter bridges unseen

@@ -4,8 +4,8 @@ import importlib.util
 import os
 from pathlib import Path
 
-from spheremouse.doctor.access import refusal
-from spheremouse.doctor.finding import Finding, Verdict, ok, refused, unchecked, warning, wrong
+from spheremouse.commands.doctor.access import refusal
+from spheremouse.commands.doctor.finding import Finding, Verdict, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import OutputError
 
 UINPUT = Path("/dev/uinput")

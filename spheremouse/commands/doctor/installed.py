@@ -5,10 +5,10 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+from spheremouse.commands.doctor.access import group_of
+from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import UNIT, USER, Place
-from spheremouse.doctor.access import group_of
-from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
 
 _ASKED = ("ActiveState", "SubState", "Result", "NRestarts")
 

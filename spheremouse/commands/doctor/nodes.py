@@ -5,8 +5,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from spheremouse.doctor.access import account, groups, refusal
-from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
+from spheremouse.commands.doctor.access import account, groups, refusal
+from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 
 _SYS, _DEV, _BY_ID = Path("/sys/class/video4linux"), Path("/dev"), Path("/dev/v4l/by-id")
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.doctor.finding import Finding, ok, unchecked, warning, wrong
-from spheremouse.doctor.footage import Footage
+from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
+from spheremouse.commands.doctor.footage import Footage
 from spheremouse.geometry.rotation import Array
 
 _SLOW = 0.95  # of the promised rate: of two seconds' frames the count alone is uncertain by one in sixty

@@ -11,9 +11,9 @@ import numpy as np
 
 from spheremouse.capture import Source, open_source
 from spheremouse.capture.lock import claimed
+from spheremouse.commands.doctor.controls import Controls, read
 from spheremouse.daemon.plan import Plan
 from spheremouse.detect.detections import Image
-from spheremouse.doctor.controls import Controls, read
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig

@@ -43,11 +43,11 @@ def doctor(
     """
     from rich.console import Console
 
+    from spheremouse.commands.doctor.examine import examine
+    from spheremouse.commands.doctor.finding import Section, Verdict
+    from spheremouse.commands.doctor.private import redactor
+    from spheremouse.commands.doctor.report import data, show, summary
     from spheremouse.daemon.plan import Request
-    from spheremouse.doctor import examine
-    from spheremouse.doctor.finding import Section, Verdict
-    from spheremouse.doctor.private import redactor
-    from spheremouse.doctor.report import data, show, summary
     from spheremouse.errors import ConfigurationError
 
     if balls and tracker != "wand":

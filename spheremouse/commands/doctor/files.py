@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from spheremouse.commands.doctor.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.commands.service.systemd import Place
 from spheremouse.daemon.plan import Plan, Request, read_plan
 from spheremouse.daemon.settings import Configuration
-from spheremouse.doctor.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.disc_map import age, check_fits, load_map, map_path

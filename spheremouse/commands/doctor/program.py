@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse import __version__
-from spheremouse.doctor.finding import Finding, ok, warning
+from spheremouse.commands.doctor.finding import Finding, ok, warning
 
 _LEAST = (3, 11)
 

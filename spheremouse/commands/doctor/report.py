@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spheremouse import __version__
-from spheremouse.doctor.finding import Finding, Section, Verdict
+from spheremouse.commands.doctor.finding import Finding, Section, Verdict
 
 FORMAT = 1  # of the data
 _LOOKS = {

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spheremouse.doctor.finding import Finding, ok, unchecked, warning
+from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning
 
 _MANUAL, _SHUTTER_PRIORITY = 1, 2  # V4L2_CID_EXPOSURE_AUTO with an exposure that stays
 _UNIT = 1e-4  # s, of V4L2_CID_EXPOSURE_ABSOLUTE
