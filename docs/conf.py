@@ -113,12 +113,12 @@ def settings_page() -> str:
 
 def command_line_page() -> str:
     """`--help` of every command."""
-    if not exists("spheremouse.cli"):
+    if not exists("spheremouse.commands"):
         return "*Not in this version yet.*\n"
     import typer.main
     import typer.testing
 
-    cli = importlib.import_module("spheremouse.cli")
+    cli = importlib.import_module("spheremouse.commands")
     app = next(value for value in vars(cli).values() if isinstance(value, typer.Typer))
     runner = typer.testing.CliRunner(env={"COLUMNS": "100", "TERMINAL_WIDTH": "100", "NO_COLOR": "1", "TERM": "dumb"})
 

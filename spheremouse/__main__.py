@@ -1,5 +1,5 @@
 """`python -m spheremouse` is `spheremouse`."""
 
-from spheremouse.cli import main
+from spheremouse.commands import main
 
 main()

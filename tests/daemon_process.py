@@ -90,7 +90,7 @@ class AnothersCamera(Camera):
 
 def main(folder, uid=""):
     """As the command line does it; as the user of that number, where one is given."""
-    from spheremouse import cli
+    from spheremouse import commands as cli
     from spheremouse.capture import v4l2
 
     folder = Path(folder)

@@ -11,7 +11,7 @@ from boards import CAMERA, PATTERN, picture, places
 from typer.testing import CliRunner
 
 from spheremouse.calibrate.live import Session
-from spheremouse.cli import app
+from spheremouse.commands import app
 from spheremouse.detect.board import Pattern, find_board
 from spheremouse.errors import CalibrationError, SpheremouseError
 from spheremouse.files.report import page

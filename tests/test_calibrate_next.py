@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from spheremouse.calibrate.evening import BOARD_ENOUGH, DEVICE_ENOUGH, checklist
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.cli import app
+from spheremouse.commands import app
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import UNTOUCHED, device_template, load_device
 from spheremouse.files.rig import save_camera, save_rig

@@ -29,7 +29,7 @@ from spheremouse.calibrate.prints_sheets import (
     target_pages,
 )
 from spheremouse.calibrate.prints_sketches import sketches
-from spheremouse.cli import app
+from spheremouse.commands import app
 from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import SpheremouseError
 from spheremouse.rig import CODES

@@ -19,8 +19,9 @@ import numpy as np
 import pytest
 from conftest import directions
 
-from spheremouse import cli, demo
+from spheremouse import commands as cli
 from spheremouse.capture.stopping import Stopping
+from spheremouse.commands import demo
 from spheremouse.disc_map import DiscMap
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map, save_map, saved_now

@@ -15,7 +15,7 @@ import tiny_experiment
 import typer
 from typer.testing import CliRunner
 
-from spheremouse import cli_experiments
+from spheremouse.commands import experiments as cli_experiments
 from spheremouse.errors import SpheremouseError
 from spheremouse.experiments import NAMES
 from spheremouse.experiments import run as run_module

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from spheremouse import cli_layout
-from spheremouse.cli import app
-from spheremouse.cli_layout import advice, read_layout
+from spheremouse.commands import app
+from spheremouse.commands import layout as cli_layout
+from spheremouse.commands.layout import advice, read_layout
 from spheremouse.errors import ConfigurationError
 from spheremouse.layout import Trials, in_order, judge
 from spheremouse.placement_guide import on_the_tape, places

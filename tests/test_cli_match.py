@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from spheremouse import cli_match
 from spheremouse.capture.mouse import read_log, write_log
+from spheremouse.commands import match as cli_match
 from spheremouse.daemon.settings import Configuration
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, write_simulation

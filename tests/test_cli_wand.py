@@ -9,8 +9,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from spheremouse import cli_wand, wand_experiments
-from spheremouse.cli_evaluate import evaluate
+from spheremouse import wand_experiments
+from spheremouse.commands import wand as cli_wand
+from spheremouse.commands.evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
 from spheremouse.files.wand import load_wand, save_wand

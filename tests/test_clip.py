@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.cli import app
+from spheremouse.commands import app
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"

@@ -47,7 +47,7 @@ def test_a_folder_that_others_may_write_is_not_trusted(monkeypatch, tmp_path):
 @pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="takes root to become somebody else")
 def test_an_account_without_a_home_can_run_it(tmp_path):
     """As a service's user that owns nothing; skipped where that user cannot read this checkout either."""
-    code = "import os; os.setgroups([]); os.setgid(65534); os.setuid(65534); import spheremouse.cli; print('fine')"
+    code = "import os; os.setgroups([]); os.setgid(65534); os.setuid(65534); import spheremouse.commands; print('fine')"
     environment = {"PATH": os.environ["PATH"], "HOME": "/nonexistent", "TMPDIR": "/tmp"}
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment, cwd="/"

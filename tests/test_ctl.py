@@ -14,7 +14,7 @@ from rich.console import Console
 from test_control import Daemon, conversations
 from typer.testing import CliRunner
 
-from spheremouse import cli_ctl
+from spheremouse.commands import ctl as cli_ctl
 from spheremouse.daemon import protocol
 from spheremouse.daemon.control import ControlServer
 from spheremouse.daemon.control_settings import ControlSettings
@@ -290,7 +290,7 @@ def test_watching_streams_until_interrupted(path, daemon, as_json):
     hearing = (
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # a job in the background is deaf
     )
-    code = f"{hearing}; from spheremouse.cli_ctl import app; app({[*words, '--socket', str(path)]!r})"
+    code = f"{hearing}; from spheremouse.commands.ctl import app; app({[*words, '--socket', str(path)]!r})"
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     lines = [process.stdout.readline() for _ in range(3)]

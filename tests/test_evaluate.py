@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import pearsonr
 from typer.testing import CliRunner
 
-from spheremouse import cli_evaluate, plot
+from spheremouse import plot
+from spheremouse.commands import evaluate as cli_evaluate
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.bound import Bound, manoeuvre, posterior_bound

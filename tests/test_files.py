@@ -15,10 +15,10 @@ import pytest
 from oversized import mkv, png, sparse
 
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.camera_options import parse_size
 from spheremouse.capture import open_source
 from spheremouse.capture.mouse import read_log
-from spheremouse.cli_wand import _image
+from spheremouse.commands.options import parse_size
+from spheremouse.commands.wand import _image
 from spheremouse.daemon import protocol
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.files import bounded, pictures, plain_json, tables, validate
@@ -57,7 +57,7 @@ IN_A_CHILD = """
 import resource, sys
 from pathlib import Path
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.cli_wand import _image
+from spheremouse.commands.wand import _image
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.capture import open_source

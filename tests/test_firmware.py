@@ -15,7 +15,7 @@ import pytest
 from serial_world import Board, Wire, World, exchange
 from typer.testing import CliRunner
 
-from spheremouse.cli_firmware import app
+from spheremouse.commands.firmware import app
 from spheremouse.errors import OutputError
 from spheremouse.output.serial import firmware
 from spheremouse.output.serial import link as host

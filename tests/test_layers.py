@@ -119,7 +119,7 @@ def test_the_walk_sees_every_way_to_import(tmp_path):
         "frame.py": "from spheremouse import detect",
         "detect/__init__.py": "from . import discs\nfrom .discs import x\nfrom ..rotation import exp",
         "detect/discs.py": "from ..filters import so3\ndef f():\n    import time.x",
-        "filters/__init__.py": "from spheremouse.detect.discs import x\nimport spheremouse.cli",
+        "filters/__init__.py": "from spheremouse.detect.discs import x\nimport spheremouse.commands",
         "cli.py": "import os, threading\nfrom spheremouse.filters import Filter",
     }
     for name, text in files.items():

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse import cli
+from spheremouse import commands as cli
 from spheremouse.capture import mouse as mouse_log
 from spheremouse.capture.mouse import (
     Assembler,

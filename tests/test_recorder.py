@@ -18,7 +18,7 @@ import pytest
 from typer.testing import CliRunner
 
 from spheremouse.capture import open_source
-from spheremouse.cli import app
+from spheremouse.commands import app
 from spheremouse.daemon import recorder as module
 from spheremouse.daemon.privacy import kept, masked
 from spheremouse.daemon.record_settings import RecordSettings

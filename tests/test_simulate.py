@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.cli_simulate import simulate as film
+from spheremouse.commands.simulate import simulate as film
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import open_dataset, read_frames, write_simulation
 from spheremouse.geometry.camera import Pose, project_circle, project_sphere, reduced_to_pixel

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse.cli import app
+from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.dataset.wand import write_wand
 from spheremouse.files.wand import save_wand

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.rotation import Array
-from spheremouse.progress import progress_bar
 
 if TYPE_CHECKING:
     from spheremouse.adjustment.board import BoardAdjustment, View

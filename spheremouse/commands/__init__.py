@@ -1,0 +1,144 @@
+"""The command line: `spheremouse COMMAND`. Errors are one line on standard error and exit code 2, never a traceback."""
+
+import os
+import signal
+import sys
+from collections.abc import Iterator, MutableMapping
+from importlib import import_module
+from typing import Annotated, Any, NoReturn
+
+import typer
+from threadpoolctl import threadpool_limits
+from typer.core import TyperGroup
+
+from spheremouse import __version__
+from spheremouse.commands.complaint import complain
+from spheremouse.errors import SpheremouseError
+
+_USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+_COMMANDS = {
+    # name: module, function or group in it, what its help ends with
+    "run": ("cli_run", "run", "Example: spheremouse run --source dataset:demo/roll --output text:-"),
+    "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
+    "simulate": (
+        "cli_simulate", "simulate", "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",
+    ),
+    "evaluate": (
+        "cli_evaluate", "evaluate", "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
+    ),
+    "match": ("cli_match", "match", "Example: spheremouse match recording trackball.csv --out trackball.yaml"),
+    "log-mouse": ("cli_log_mouse", "log_mouse", "Example: spheremouse log-mouse --device Logitech --out trackball.csv"),
+    "bench": ("cli_bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),
+    "layout": ("cli_layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
+    "doctor": ("cli_doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
+    "tray": ("cli_tray", "tray", "Example: spheremouse tray"),
+    "ctl": ("cli_ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
+    "service": ("cli_service", "app", "Example: sudo spheremouse service install"),
+    "wand": ("cli_wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
+    "experiments": ("cli_experiments", "experiments", "Example: spheremouse experiments wand --quick --out out"),
+    "config": ("cli_config", "app", "Example: spheremouse config init spheremouse.yaml"),
+    "calibrate": ("calibrate.cli", "app", "Begin with: spheremouse calibrate next"),
+    "firmware": ("cli_firmware", "app", "Example: spheremouse firmware check"),
+    "map": ("cli_map", "app", "Example: spheremouse map show rig.map.yaml"),
+}  # fmt: skip
+
+
+class _Commands(MutableMapping[str, Any]):
+    """The commands by their names; a module is loaded when its command is wanted: most need none of the others."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            self._made[name] = _command(name, *_COMMANDS[name])
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_COMMANDS)
+
+    def __len__(self) -> int:
+        return len(_COMMANDS)
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._made[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._made[name]
+
+
+class _Group(TyperGroup):
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = _Commands()
+
+
+def _command(name: str, module: str, attribute: str, epilog: str) -> Any:
+    found = getattr(import_module(f"spheremouse.{module}"), attribute)
+    one = _typer()
+    if isinstance(found, typer.Typer):
+        one.add_typer(found, name=name, epilog=epilog)
+        return typer.main.get_group(one).commands[name]
+    one.command(name, epilog=epilog)(found)
+    return typer.main.get_command(one)
+
+
+def _typer(**options: Any) -> typer.Typer:
+    return typer.Typer(
+        no_args_is_help=True,
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings=_SETTINGS,
+        **options,
+    )
+
+
+app = _typer(cls=_Group)
+
+_debug = False
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"spheremouse {__version__}")
+        raise typer.Exit
+
+
+@app.callback(epilog="Begin with: spheremouse demo")
+def spheremouse(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an internal error.")] = False,
+) -> None:
+    """Watch a ball with a camera, measure how it turns, and be the mouse."""
+    global _debug  # noqa: PLW0603  read by `main` when everything else has been unwound
+    _debug = debug
+
+
+def main() -> NoReturn:
+    """The entry point: runs a command and turns what it raises into a message and an exit code."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # what FFmpeg has to say of a file, our own errors say
+    for number in (signal.SIGTERM, signal.SIGHUP) if hasattr(signal, "SIGHUP") else (signal.SIGTERM,):
+        signal.signal(number, lambda n, _: sys.exit(128 + n))  # unwinds, so that nothing is left half
+    try:
+        with threadpool_limits(1):  # our matrices are small: threads of the linear algebra only wait for each other
+            app(prog_name="spheremouse")
+    except SpheremouseError as e:
+        complain(str(e))
+        sys.exit(_USERS_ERROR)
+    except KeyboardInterrupt:
+        complain("interrupted")
+        sys.exit(128 + signal.SIGINT)
+    except BrokenPipeError:  # whoever read us has gone
+        sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  until the end
+        sys.exit(1)
+    except Exception as e:
+        if _debug:
+            raise
+        what = " ".join(f"{type(e).__name__}: {e}".split())
+        complain(f"internal error, please report it with what `spheremouse --debug ...` prints: {what}")
+        sys.exit(_OUR_ERROR)
+    sys.exit(0)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse import wand_experiments as wand
-from spheremouse.cli_evaluate_wand import axes, shown
+from spheremouse.commands.evaluate.wand import axes, shown
 from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import plain_numbers

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.capture import open_source
 from spheremouse.capture.mouse import read_log
-from spheremouse.cli_wand import _image
+from spheremouse.commands.wand import _image
 from spheremouse.files import config, plain_json
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.wand import is_wand, open_wand

@@ -26,7 +26,9 @@ from film import SLOW
 from modules import insert
 from numba.core.dispatcher import Dispatcher
 
-from spheremouse import cli, cli_ctl, cli_run
+from spheremouse import commands as cli
+from spheremouse.commands import ctl as cli_ctl
+from spheremouse.commands import run as cli_run
 from spheremouse.daemon import run
 from spheremouse.daemon.client import Client
 from spheremouse.daemon.settings import Configuration

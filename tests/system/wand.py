@@ -15,7 +15,8 @@ import pytest
 from daemon import FILMS, INTERVAL, LONGEST, H, Program, Reader, W, Writer, remove, told_at_the_end, until
 from modules import insert
 
-from spheremouse import wand_live, wand_run
+from spheremouse import wand_live
+from spheremouse.commands.run import wand as wand_run
 from spheremouse.geometry.rotation import log
 from spheremouse.output.hand import PointingSettings
 from spheremouse.wand import warm

@@ -36,10 +36,10 @@ from spheremouse.commands.bench.measure import (
     Steps,
     Times,
 )
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
-from spheremouse.progress import progress_bar
 
 _NAMES = {
     STEP: "step: detect and filter",

@@ -9,9 +9,9 @@ import typer
 
 from spheremouse import __version__
 from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note, sha256
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.yaml import read_document, write_json
-from spheremouse.progress import progress_bar
 
 if TYPE_CHECKING:
     from spheremouse.adjustment.advice import Advice
@@ -56,7 +56,7 @@ def device(
     from spheremouse.adjustment.device_adjustment import DOUBTFUL_RMS
     from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
     from spheremouse.calibrate.photos import check_size, read_photos
-    from spheremouse.cli_config import root
+    from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
     from spheremouse.files.device import load_device, untouched
     from spheremouse.files.disc_map import map_path, save_map, saved_now

@@ -14,12 +14,12 @@ import numpy as np
 import typer
 
 from spheremouse.calibrate.outputs import copyable
-from spheremouse.camera_options import parse_distortion, parse_size
+from spheremouse.commands.options import parse_distortion, parse_size
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.folders import NewFolder
 from spheremouse.geometry.rotation import Array
-from spheremouse.progress import progress_bar
 from spheremouse.simulate.stills import DeviceShape, Stills, StillsOptions, photos, prepare_stills, truth_of
 
 EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"

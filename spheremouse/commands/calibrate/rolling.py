@@ -169,7 +169,7 @@ class _Bar:
     """One progress bar for each way through the frames."""
 
     def __init__(self, count: int | None, seconds: float | None, fps: float | None) -> None:
-        from spheremouse.progress import progress_bar
+        from spheremouse.commands.terminal import progress_bar
 
         self._progress = progress_bar()
         self._total = count

@@ -134,7 +134,7 @@ def _spec(recording: str) -> str:
 def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> tuple["Run", "Rig", int]:
     """The run, the device, and how many frames there were; a recording that is cut short gives what is there."""
     from spheremouse.capture import open_source
-    from spheremouse.progress import progress_bar
+    from spheremouse.commands.terminal import progress_bar
     from spheremouse.session import History, initialise, track
     from spheremouse.track import build
 

@@ -16,7 +16,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.complaint import complain
+from spheremouse.commands.complaint import complain
 from spheremouse.daemon.client import Client, NoDaemonError
 from spheremouse.errors import ControlError
 

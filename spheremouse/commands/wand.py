@@ -9,13 +9,13 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from spheremouse.camera_options import parse_distortion, parse_size
+from spheremouse.commands.options import parse_distortion, parse_size
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import replace
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
 from spheremouse.files.wand import WandFile, load_wand, save_wand
-from spheremouse.progress import progress_bar
 from spheremouse.simulate.wand import Light, Motion, WandOptions, prepare_wand
 
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")

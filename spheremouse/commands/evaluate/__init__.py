@@ -10,8 +10,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from spheremouse.cli_evaluate_wand import WandEvaluation, evaluate_wands, wand_table
-from spheremouse.complaint import complain
+from spheremouse.commands.complaint import complain
+from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands, wand_table
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.daemon.settings import Configuration
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
@@ -23,7 +24,6 @@ from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.plot import plot_run, require_matplotlib
-from spheremouse.progress import progress_bar
 from spheremouse.rig import Rig, in_metres
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map

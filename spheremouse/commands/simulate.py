@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.camera_options import parse_distortion, parse_size
+from spheremouse.commands.options import parse_distortion, parse_size
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import write_simulation
-from spheremouse.progress import progress_bar
 from spheremouse.simulate import Motion, SimulationOptions, View, prepare
 
 _DEFAULT = SimulationOptions()

@@ -140,7 +140,7 @@ def run(
         shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
         wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
         if of_wand:
-            from spheremouse.wand_run import WandOptions, run_wand
+            from spheremouse.commands.run.wand import WandOptions, run_wand
 
             run_wand(request, plan, WandOptions(tuple(balls or ()), realtime, wanted, overlay, frames))
             return

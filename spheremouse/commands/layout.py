@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import plain_json
 from spheremouse.files.bounded import read_text
@@ -31,7 +32,6 @@ from spheremouse.layout import (
     search,
 )
 from spheremouse.placement_guide import Accuracy, Design, on_the_tape, places, write_guide
-from spheremouse.progress import progress_bar
 from spheremouse.simulate.scene import spread_directions
 
 _RADIUS, _DISC_RADIUS = 0.6, 0.02  # m
