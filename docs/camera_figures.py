@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from spheremouse.capture.v4l2.pixels import FORMATS, Layout, bgr, luma
 from spheremouse.files.yaml import write_atomically
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
 PAGE = Path(__file__).with_name("camera.md")
 MARKS = ("<!-- made by docs/camera_figures.py --write -->", "<!-- end -->")

@@ -15,7 +15,7 @@ import numpy as np
 
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.recorder import Recorder
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 
 FPS, SECONDS = 60.0, 6.0

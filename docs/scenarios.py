@@ -26,7 +26,7 @@ from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion
 from spheremouse.session import initialise
-from spheremouse.simulate import SimulatedFrame, SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulatedFrame, SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import VISIBLE
 from spheremouse.track import Phase, Settings, Tracker, begin, build, step
 from spheremouse.tracker import Frame

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from spheremouse.associate import identify
 from spheremouse.coincidence import nearest_doubles, turns_of_all, weights
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
-from spheremouse.simulate.scene import spread_directions
+from spheremouse.simulate.ball.scene import spread_directions
 
 FEWEST, MOST = 4, 120  # discs
 CLEAR = 3.0  # contradictions: one disc hidden and one look-alike leave more than nothing

@@ -25,8 +25,8 @@ from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.rig import Rig
-from spheremouse.simulate import Renderer, default_scene
-from spheremouse.simulate.profile import Gesture, Gestures
+from spheremouse.simulate.ball.film import Renderer, default_scene
+from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.tracker import Frame
 
 DT = 1.0 / 30.0  # s between two stamps

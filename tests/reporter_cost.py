@@ -22,7 +22,7 @@ from spheremouse.output.counts import Motion
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import Reporter
 from spheremouse.session import initialise
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.track import Settings, begin, build, step
 
 FPS = 60.0

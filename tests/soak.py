@@ -33,10 +33,10 @@ from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.output.counts import Motion
 from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.session import initialise
-from spheremouse.simulate import HandVisit, Renderer, default_scene
-from spheremouse.simulate.hands import PlacedHand, draw_hand, place_hand
-from spheremouse.simulate.profile import Gesture, Gestures
-from spheremouse.simulate.scene import spread_directions
+from spheremouse.simulate.ball.film import HandVisit, Renderer, default_scene
+from spheremouse.simulate.ball.hands import PlacedHand, draw_hand, place_hand
+from spheremouse.simulate.ball.profile import Gesture, Gestures
+from spheremouse.simulate.ball.scene import spread_directions
 from spheremouse.track import Phase, Settings, Tracker, TrackState, advance, begin, build, step
 from spheremouse.tracker import Frame
 

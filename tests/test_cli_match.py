@@ -11,9 +11,9 @@ from spheremouse.commands import match as cli_match
 from spheremouse.daemon.settings import Configuration
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, write_simulation
-from spheremouse.simulate import SimulationOptions, prepare
-from spheremouse.simulate.profile import play
-from spheremouse.simulate.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
+from spheremouse.simulate.ball.film import SimulationOptions, prepare
+from spheremouse.simulate.ball.profile import play
+from spheremouse.simulate.ball.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
 
 MATRIX = trackball_matrix(-480.0, 480.0)
 LAG = 0.0171

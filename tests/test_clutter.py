@@ -18,7 +18,7 @@ from spheremouse.detect import rings
 from spheremouse.detect.rings import MOST, TargetDetections, detect_targets
 from spheremouse.errors import PoseError
 from spheremouse.resect import PoseSettings, Sighting, find_pose, predict_targets, resect
-from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 
 PROPORTION = RADII / RADII[-1]
 PATIENCE = 30.0  # s, for what takes a fraction of one

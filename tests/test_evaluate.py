@@ -45,8 +45,8 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.output.counts import MotionSettings, rotation_between
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.simulate import SimulationOptions, prepare
-from spheremouse.simulate.degrade import degraded
+from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.track import Phase
 from spheremouse.tracker import Frame

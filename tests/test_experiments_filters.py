@@ -8,7 +8,7 @@ import pytest
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.filters import _gapped, acceleration, jobs, play, section, simulated
 from spheremouse.experiments.plot import save
-from spheremouse.simulate.profile import thesis
+from spheremouse.simulate.ball.profile import thesis
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)

@@ -3,7 +3,7 @@
 import pytest
 
 from spheremouse.experiments.kit import bound, bound_rms, made, options_of, settings_of, tracked
-from spheremouse.simulate import prepare
+from spheremouse.simulate.ball.film import prepare
 
 
 def test_the_bound_of_a_run_is_that_of_its_report_and_noisier_pictures_have_a_higher_one():

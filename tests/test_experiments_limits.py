@@ -25,7 +25,7 @@ from spheremouse.experiments.limits import (
 from spheremouse.experiments.plot import save
 from spheremouse.experiments.report import write_report
 from spheremouse.geometry.rotation import log
-from spheremouse.simulate import Renderer, RenderOptions
+from spheremouse.simulate.ball.film import Renderer, RenderOptions
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

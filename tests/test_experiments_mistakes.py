@@ -12,7 +12,7 @@ from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, section, wrong
 from spheremouse.experiments.report import write_report
 from spheremouse.geometry.camera import project
-from spheremouse.simulate import default_scene
+from spheremouse.simulate.ball.film import default_scene
 from spheremouse.track import Phase
 
 QUICK, WHOLE = Request(True, None), Request(False, None)

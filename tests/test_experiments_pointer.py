@@ -22,7 +22,7 @@ from spheremouse.experiments.pointer import (
 from spheremouse.experiments.report import write_report
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.pointer import PointerSettings
-from spheremouse.simulate.profile import Gestures, play, stroke
+from spheremouse.simulate.ball.profile import Gestures, play, stroke
 
 WHOLE = Request(False, None)
 MATRIX = MotionSettings().matrix(0.6)

@@ -12,7 +12,7 @@ from spheremouse.experiments.report import write_report
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
 from spheremouse.resect import Sighting, predict_targets
-from spheremouse.simulate import default_scene
+from spheremouse.simulate.ball.film import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 
 from spheremouse.experiments.r1 import LAG, SCALE, TRACKBALL, Slowed, agreement, of_truth
 from spheremouse.geometry.rotation import log
-from spheremouse.simulate.profile import play
-from spheremouse.simulate.trackball import MouseLog, simulate_log
+from spheremouse.simulate.ball.profile import play
+from spheremouse.simulate.ball.trackball import MouseLog, simulate_log
 from spheremouse.simulate.truth import Truth
 
 

@@ -10,7 +10,7 @@ from spheremouse.detect.cap import appearance
 from spheremouse.experiments import renderer
 from spheremouse.experiments.experiment import Request, Table
 from spheremouse.experiments.report import write_report
-from spheremouse.simulate import default_scene
+from spheremouse.simulate.ball.film import default_scene
 from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
 
 FINE = 9  # parts of a pixel's side in painted ellipses

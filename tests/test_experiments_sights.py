@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.experiments import sights
 from spheremouse.experiments.kit import made, options_of, settings_of, tracked
-from spheremouse.simulate import prepare
+from spheremouse.simulate.ball.film import prepare
 
 
 @pytest.fixture(scope="module")

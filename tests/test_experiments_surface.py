@@ -9,7 +9,7 @@ import pytest
 from spheremouse.experiments import surface
 from spheremouse.experiments.experiment import Request, Table
 from spheremouse.experiments.report import write_report
-from spheremouse.simulate import default_scene
+from spheremouse.simulate.ball.film import default_scene
 
 QUICK = Request(True, None)
 

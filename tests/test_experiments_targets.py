@@ -12,7 +12,7 @@ from spheremouse.experiments.report import write_report
 from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of, section
 from spheremouse.resect import predict_targets
 from spheremouse.rig import CODES
-from spheremouse.simulate import default_scene
+from spheremouse.simulate.ball.film import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

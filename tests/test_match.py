@@ -12,8 +12,8 @@ from spheremouse.evaluate.match import match, reproduced
 from spheremouse.evaluate.match_verdict import Kind, axes_of, judge, settings_of
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
-from spheremouse.simulate.profile import Gestures, play, stroke
-from spheremouse.simulate.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
+from spheremouse.simulate.ball.profile import Gestures, play, stroke
+from spheremouse.simulate.ball.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
 from spheremouse.simulate.truth import Truth
 
 FPS, RADIUS = 30.0, 0.6

@@ -25,7 +25,7 @@ from spheremouse.capture.mouse import (
     write_log,
 )
 from spheremouse.errors import DatasetError, SourceError
-from spheremouse.simulate.trackball import MouseLog
+from spheremouse.simulate.ball.trackball import MouseLog
 
 SYN, REL, KEY = 0, 2, 1
 X, Y, WHEEL = 0, 1, 8

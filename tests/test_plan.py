@@ -10,7 +10,7 @@ from spheremouse.daemon.plan import Plan, Request, read_plan, without_map
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig import rig_text
-from spheremouse.simulate import default_scene
+from spheremouse.simulate.ball.film import default_scene
 
 
 @pytest.fixture(scope="module")

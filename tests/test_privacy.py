@@ -17,7 +17,7 @@ from spheremouse.geometry.rotation import exp
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Targets
 from spheremouse.session import initialise, track
-from spheremouse.simulate import SimulationOptions, default_scene, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 from spheremouse.track import Settings, build
 
 FILMS = {

@@ -31,7 +31,7 @@ from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
 from spheremouse.overlay import OverlayFile
-from spheremouse.simulate import SimulationOptions, prepare
+from spheremouse.simulate.ball.film import SimulationOptions, prepare
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux") or os.geteuid() != 0, reason="only root can be lured, and give folders away"

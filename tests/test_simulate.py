@@ -13,7 +13,10 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import open_dataset, read_frames, write_simulation
 from spheremouse.geometry.camera import Pose, project_circle, project_sphere, reduced_to_pixel
 from spheremouse.geometry.rotation import hat, to_euler
-from spheremouse.simulate import (
+from spheremouse.simulate.ball.backdrop import render_backdrop
+from spheremouse.simulate.ball.caps import BallView, Caps
+from spheremouse.simulate.ball.events import bumped, displaced, facing
+from spheremouse.simulate.ball.film import (
     MOST_FRAMES,
     Dimming,
     Flicker,
@@ -26,13 +29,10 @@ from spheremouse.simulate import (
     prepare,
     simulate,
 )
-from spheremouse.simulate.backdrop import render_backdrop
-from spheremouse.simulate.caps import BallView, Caps
-from spheremouse.simulate.events import bumped, displaced, facing
-from spheremouse.simulate.layers import render_layers
+from spheremouse.simulate.ball.layers import render_layers
+from spheremouse.simulate.ball.profile import creep, flick, play, rest, roll, still, thesis
+from spheremouse.simulate.ball.scene import spread_directions
 from spheremouse.simulate.light import develop, reflectance
-from spheremouse.simulate.profile import creep, flick, play, rest, roll, still, thesis
-from spheremouse.simulate.scene import spread_directions
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
 
 LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])

@@ -23,9 +23,9 @@ from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import exp
 from spheremouse.resect import predict_targets
-from spheremouse.simulate.board import Board, board_coverage
-from spheremouse.simulate.stations import board_stations, device_stations, looking, seen_targets
-from spheremouse.simulate.stills import Photo, StillsOptions, photos, prepare_stills, truth_of
+from spheremouse.simulate.ball.board import Board, board_coverage
+from spheremouse.simulate.ball.stations import board_stations, device_stations, looking, seen_targets
+from spheremouse.simulate.ball.stills import Photo, StillsOptions, photos, prepare_stills, truth_of
 
 LENS = np.array([-0.49, 0.3, -0.0001, -0.0001, -0.11])
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 535.0, LENS)

@@ -19,7 +19,7 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.simulate.profile import play
+from spheremouse.simulate.ball.profile import play
 
 RADIUS = 0.6
 HORIZON = 0.25

@@ -15,7 +15,7 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import Motion
 from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.track import (
     Phase,
     Settings,

@@ -13,7 +13,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.resect import predict_targets
 from spheremouse.rig import Rig
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.watch import WatchSettings
 
 S, RINGS = WatchSettings(), RingSettings()

@@ -26,7 +26,7 @@ from spheremouse.files.atomic import NewFile
 from spheremouse.files.bounded import lines, opened
 
 if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
-    from spheremouse.simulate.trackball import MouseLog
+    from spheremouse.simulate.ball.trackball import MouseLog
 
 COLUMNS = ("t", "dx", "dy", "wheel", "lost")
 MOST = 5_000_000  # reports of a log: 80 minutes at 1000 Hz, 150 MB
@@ -163,7 +163,7 @@ def read_log(path: Path) -> "MouseLog":
     """Read a log; DatasetError says file and line. Columns wheel and lost may be missing, # lines are passed over."""
     import numpy as np
 
-    from spheremouse.simulate.trackball import MouseLog
+    from spheremouse.simulate.ball.trackball import MouseLog
 
     rows, first, last, count = array("d"), 0.0, -math.inf, 0
     places: list[int] = []

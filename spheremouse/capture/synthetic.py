@@ -7,7 +7,7 @@ import re
 
 from spheremouse.capture import Stream, paced
 from spheremouse.files.config import override
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
 
 def open(argument: str, realtime: bool) -> Stream:

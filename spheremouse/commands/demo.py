@@ -27,7 +27,7 @@ from spheremouse.plot import plot_run
 from spheremouse.resect import describe
 from spheremouse.rig import Rig
 from spheremouse.session import Epoch, History, Start, initialise, track
-from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.track import Phase, Settings, Tracker, build
 from spheremouse.tracker import Frame

@@ -32,7 +32,7 @@ from spheremouse.layout import (
     search,
 )
 from spheremouse.placement_guide import Accuracy, Design, on_the_tape, places, write_guide
-from spheremouse.simulate.scene import spread_directions
+from spheremouse.simulate.ball.scene import spread_directions
 
 _RADIUS, _DISC_RADIUS = 0.6, 0.02  # m
 _CARELESS = (0.2, 0.5, 1.0, 2.0, 4.0)  # of the distance at which places pass for alike

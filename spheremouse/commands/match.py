@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from spheremouse.evaluate.metrics import Run
     from spheremouse.output.counts import MotionSettings
     from spheremouse.rig import Rig
-    from spheremouse.simulate.trackball import MouseLog
+    from spheremouse.simulate.ball.trackball import MouseLog
     from spheremouse.tracker import Frame
 
 _NO_MATCH = 1  # exit code

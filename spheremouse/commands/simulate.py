@@ -10,7 +10,7 @@ from spheremouse.commands.options import parse_distortion, parse_size
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import write_simulation
-from spheremouse.simulate import Motion, SimulationOptions, View, prepare
+from spheremouse.simulate.ball.film import Motion, SimulationOptions, View, prepare
 
 _DEFAULT = SimulationOptions()
 

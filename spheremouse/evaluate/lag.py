@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.trackball import MouseLog
+from spheremouse.simulate.ball.trackball import MouseLog
 
 GRID = 0.02  # s, resolution of the search
 _BAND = 5  # steps of the grid: means over 0.1 s, which hands hardly go beyond

@@ -21,7 +21,7 @@ from scipy.linalg import cholesky_banded, solve_banded
 from spheremouse.evaluate.lag import Peak, Travel, Turning, search, travel
 from spheremouse.evaluate.metrics import Run, pearson
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.trackball import MouseLog
+from spheremouse.simulate.ball.trackball import MouseLog
 
 INTERVAL = 0.1  # s
 _LONGEST = 0.5  # s between two frames; beyond that nobody knows what a hand did

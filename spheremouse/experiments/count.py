@@ -15,7 +15,7 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.kit import TRACKERS, bound_rms, made, options_of, settings_of, tracked
 from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.report import failures, value
-from spheremouse.simulate import SimulationOptions, prepare
+from spheremouse.simulate.ball.film import SimulationOptions, prepare
 
 TITLE = "Number of discs (Wittich 2017, table 20)"
 

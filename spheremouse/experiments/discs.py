@@ -20,9 +20,9 @@ from spheremouse.experiments.plot import BOUND, decades
 from spheremouse.experiments.report import failures, value
 from spheremouse.experiments.viewing import FAR_OFF, FOLLOWED, brief, films_cell, is_lost
 from spheremouse.geometry.rotation import Array, exp
-from spheremouse.simulate import HandVisit, Simulation, prepare
-from spheremouse.simulate.profile import Gesture, Gestures
-from spheremouse.simulate.scene import spread_directions
+from spheremouse.simulate.ball.film import HandVisit, Simulation, prepare
+from spheremouse.simulate.ball.profile import Gesture, Gestures
+from spheremouse.simulate.ball.scene import spread_directions
 from spheremouse.simulate.truth import VISIBLE
 
 TITLE = "Discs: their size, their places, hands on the ball (Wittich 2017, chapter 5)"

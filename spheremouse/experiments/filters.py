@@ -17,8 +17,9 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.kit import TRACKERS, Film, made, options_of, settings_of, taken, tracked
 from spheremouse.experiments.report import failures, value
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate import SimulationOptions, prepare, profile
-from spheremouse.simulate.trackball import MouseLog
+from spheremouse.simulate.ball import profile
+from spheremouse.simulate.ball.film import SimulationOptions, prepare
+from spheremouse.simulate.ball.trackball import MouseLog
 from spheremouse.simulate.truth import Truth
 
 TITLE = "Filter models (Wittich 2017, table 19, figs. 35 to 37)"

@@ -16,8 +16,8 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.rig import Rig
 from spheremouse.session import History, initialise, track
-from spheremouse.simulate import SimulatedFrame, Simulation, SimulationOptions, simulate
-from spheremouse.simulate.degrade import degraded
+from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, simulate
 from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.track import Settings, build
 from spheremouse.tracker import Frame

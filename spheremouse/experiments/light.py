@@ -20,8 +20,8 @@ from spheremouse.experiments.kit import TRACKERS, Film, bound_rms, made, options
 from spheremouse.experiments.plot import BOUND, THESIS
 from spheremouse.experiments.report import failures, value
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.simulate import prepare
-from spheremouse.simulate.degrade import degraded
+from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.film import prepare
 
 TITLE = "Noise and brightness (Wittich 2017, table 24, figs. 40 and 41)"
 

@@ -21,8 +21,8 @@ from spheremouse.experiments.viewing import films_cell
 from spheremouse.geometry.camera import project, unproject
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.rig import Rig
-from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene
-from spheremouse.simulate.profile import Profile, rest, still, thesis
+from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
+from spheremouse.simulate.ball.profile import Profile, rest, still, thesis
 from spheremouse.simulate.shapes import Sphere, look
 from spheremouse.track import Phase, Tracker, TrackState, advance, begin, build, step
 from spheremouse.tracker import Frame

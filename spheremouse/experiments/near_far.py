@@ -16,7 +16,7 @@ from spheremouse.experiments.poses import THESIS_TABLES
 from spheremouse.experiments.report import failures
 from spheremouse.geometry.rotation import exp
 from spheremouse.session import initialise
-from spheremouse.simulate import View, prepare
+from spheremouse.simulate.ball.film import View, prepare
 
 TITLE = "Near and far camera"
 

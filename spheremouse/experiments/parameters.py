@@ -14,7 +14,7 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.kit import Film, bound, made, options_of, settings_of, taken, tracked
 from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.report import failures, value
-from spheremouse.simulate import SimulationOptions, prepare
+from spheremouse.simulate.ball.film import SimulationOptions, prepare
 
 TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to 18)"
 

@@ -25,10 +25,10 @@ from spheremouse.experiments.plot import BOUND
 from spheremouse.experiments.report import failures, value
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array, tangent_basis
-from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene, prepare
-from spheremouse.simulate.profile import thesis
+from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene, prepare
+from spheremouse.simulate.ball.profile import thesis
+from spheremouse.simulate.ball.stations import looking
 from spheremouse.simulate.shapes import Sphere, Viewpoint, look
-from spheremouse.simulate.stations import looking
 from spheremouse.simulate.truth import VISIBLE, Truth
 
 TITLE = "Where to put the camera"

@@ -31,9 +31,9 @@ from spheremouse.experiments.viewing import films_cell
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion, Remainder, to_counts
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
-from spheremouse.simulate import Renderer, RenderOptions
-from spheremouse.simulate.profile import Gestures, Profile, play, stroke
-from spheremouse.simulate.trackball import MouseLog
+from spheremouse.simulate.ball.film import Renderer, RenderOptions
+from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
+from spheremouse.simulate.ball.trackball import MouseLog
 from spheremouse.track import Tracker, TrackState, advance, begin, build, step
 from spheremouse.tracker import Frame
 

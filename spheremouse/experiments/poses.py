@@ -21,10 +21,10 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
 from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.rig import Rig
-from spheremouse.simulate import Renderer, RenderOptions, Scene, View, default_scene
-from spheremouse.simulate.degrade import degraded
+from spheremouse.simulate.ball.degrade import degraded
+from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, View, default_scene
+from spheremouse.simulate.ball.profile import still
 from spheremouse.simulate.observations import calibrated, simulated_calibration
-from spheremouse.simulate.profile import still
 from spheremouse.tracker import Frame
 
 TITLE = "The camera's pose from four targets"

@@ -23,7 +23,7 @@ from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.report import failures
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
-from spheremouse.simulate import Renderer, RenderOptions, Scene, default_scene
+from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.truth import VISIBLE, DiscTruth, Truth
 
 TITLE = "The renderer against Blender"

@@ -25,8 +25,8 @@ from spheremouse.geometry.rotation import Array, euler_rate_matrix, tangent_basi
 from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.resect import PoseSettings, Sighting, predict_targets, resect
 from spheremouse.rig import Rig
-from spheremouse.simulate import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
-from spheremouse.simulate.hands import draw_hand, place_hand
+from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
+from spheremouse.simulate.ball.hands import draw_hand, place_hand
 from spheremouse.simulate.shapes import Sphere, look
 from spheremouse.simulate.truth import VISIBLE
 

@@ -23,10 +23,10 @@ from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.rig import CODES, Rig, Targets
-from spheremouse.simulate import Scene, default_scene
-from spheremouse.simulate.backdrop import render_backdrop
-from spheremouse.simulate.furniture import frame, room
-from spheremouse.simulate.tags import Sheet, painted, ring_sheet, tag_cells, tag_corners, tag_sheet
+from spheremouse.simulate.ball.backdrop import render_backdrop
+from spheremouse.simulate.ball.film import Scene, default_scene
+from spheremouse.simulate.ball.furniture import frame, room
+from spheremouse.simulate.ball.tags import Sheet, painted, ring_sheet, tag_cells, tag_corners, tag_sheet
 
 TITLE = "Targets on the frame: number, size, kind (Wittich 2017, chapter 5)"
 

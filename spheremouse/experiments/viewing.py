@@ -16,8 +16,8 @@ from spheremouse.experiments.experiment import Figure, Job, Request, Result, Res
 from spheremouse.experiments.plot import BOUND, label_ends, plain_numbers
 from spheremouse.experiments.report import failures
 from spheremouse.rig import UNKNOWN_READOUT, Rig
-from spheremouse.simulate import prepare
-from spheremouse.simulate.profile import Gesture, Gestures
+from spheremouse.simulate.ball.film import prepare
+from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.truth import DiscTruth, Truth
 
 TITLE = "How the camera films: frame rate, resolution, blur, rolling shutter (Wittich 2017, chapter 5)"

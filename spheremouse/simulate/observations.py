@@ -15,7 +15,7 @@ from spheremouse.adjustment.device_adjustment import DeviceCalibration, DiscView
 from spheremouse.adjustment.start import TargetViews
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, exp, log
-from spheremouse.simulate.scene import spread_directions
+from spheremouse.simulate.ball.scene import spread_directions
 
 _TARGETS = np.array(
     [[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629], [0.3256, 0.1546, 0.5629]]

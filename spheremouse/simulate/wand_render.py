@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.hands import draw_hand
+from spheremouse.simulate.ball.hands import draw_hand
 from spheremouse.simulate.light import develop
 from spheremouse.simulate.wand_ball import Layer, WandLight, disc_paints, paint_ball
 from spheremouse.simulate.wand_path import WandPath, world_to_cam

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.hands import ABOVE, HALF_WIDTH, PER_METRE
+from spheremouse.simulate.ball.hands import ABOVE, HALF_WIDTH, PER_METRE
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, box
 from spheremouse.simulate.wand_ball import Layer, paint_of

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spheremouse.rig import Rig
 from spheremouse.session import initialise
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.track import Settings, begin, build, step
 from spheremouse.tracker import Frame
 

@@ -25,7 +25,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig
 from spheremouse.session import initialise
-from spheremouse.simulate import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.track import Phase, Settings, Tracker, TrackState, begin, build, step
 from spheremouse.tracker import Frame
 from spheremouse.warm import warm_up

@@ -20,7 +20,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.folders import NewFolder
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.stills import DeviceShape, Stills, StillsOptions, photos, prepare_stills, truth_of
+from spheremouse.simulate.ball.stills import DeviceShape, Stills, StillsOptions, photos, prepare_stills, truth_of
 
 EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"
 

@@ -27,7 +27,7 @@ from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.rig import Rig, in_metres
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
-from spheremouse.simulate.degrade import degraded
+from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.track import Settings, build
 
 

@@ -20,7 +20,7 @@ from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.rig import Rig
-from spheremouse.simulate import Change, Simulation, simulate
+from spheremouse.simulate.ball.film import Change, Simulation, simulate
 from spheremouse.simulate.truth import DiscTruth
 from spheremouse.tracker import Frame
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import project, project_sphere, reduced_to_pixel, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
-from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
 
 AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.furniture import BLACK, FRONT, INK, PAPER
+from spheremouse.simulate.ball.furniture import BLACK, FRONT, INK, PAPER
+from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import develop
-from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.shapes import Colour
 
 _MARGIN = 1.22  # outer radii from the middle of a sheet to its edge, as the cards of `furniture.frame`

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import project_sphere, reduced_to_pixel, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.backdrop import Backdrop, render_backdrop
-from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop
+from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.shapes import look
 
 

@@ -16,13 +16,13 @@ from scipy.special import ndtri
 
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.backdrop import Backdrop, render_backdrop
-from spheremouse.simulate.caps import BallView, Caps, Coverage
-from spheremouse.simulate.events import Dimming, Flicker, Lift
-from spheremouse.simulate.hands import HandVisit, PlacedHand, draw_hand, place_hand
-from spheremouse.simulate.layers import render_layers
-from spheremouse.simulate.profile import Profile
-from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.ball.backdrop import Backdrop, render_backdrop
+from spheremouse.simulate.ball.caps import BallView, Caps, Coverage
+from spheremouse.simulate.ball.events import Dimming, Flicker, Lift
+from spheremouse.simulate.ball.hands import HandVisit, PlacedHand, draw_hand, place_hand
+from spheremouse.simulate.ball.layers import render_layers
+from spheremouse.simulate.ball.profile import Profile
+from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.truth import DiscTruth
 from spheremouse.tracker import Frame
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
-from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.ball.scene import Scene
 
 _CANDIDATES = 48  # places looked at for a disc that is moved
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.backdrop import render_backdrop
-from spheremouse.simulate.caps import half_plane
-from spheremouse.simulate.furniture import BLACK, LAMPS, PAPER, room
+from spheremouse.simulate.ball.backdrop import render_backdrop
+from spheremouse.simulate.ball.caps import half_plane
+from spheremouse.simulate.ball.furniture import BLACK, LAMPS, PAPER, room
+from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import Lighting, develop
-from spheremouse.simulate.scene import Scene
 
 MIDDLE = np.array([0.0, 0.45, 0.6])  # m, obj: where the board hangs, facing +Z
 _FRONT = np.array([0.0, 0.0, 1.0])

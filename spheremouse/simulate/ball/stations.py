@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp
-from spheremouse.simulate.board import MIDDLE, Board
-from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.ball.board import MIDDLE, Board
+from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.shapes import Sphere, look
 
 _AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame

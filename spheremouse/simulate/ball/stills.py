@@ -16,13 +16,13 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Targets
-from spheremouse.simulate.backdrop import render_backdrop
-from spheremouse.simulate.board import Board, render_board
-from spheremouse.simulate.caps import Caps
-from spheremouse.simulate.furniture import LAMPS, STRIPS, frame, room
+from spheremouse.simulate.ball.backdrop import render_backdrop
+from spheremouse.simulate.ball.board import Board, render_board
+from spheremouse.simulate.ball.caps import Caps
+from spheremouse.simulate.ball.furniture import LAMPS, STRIPS, frame, room
+from spheremouse.simulate.ball.scene import Scene, default_scene
+from spheremouse.simulate.ball.stations import board_stations, device_stations
 from spheremouse.simulate.light import Lighting
-from spheremouse.simulate.scene import Scene, default_scene
-from spheremouse.simulate.stations import board_stations, device_stations
 
 _BLUR = 0.5  # px, standard deviation of a lens in focus
 _REFERENCE = (1920, 1080, 1404.0)  # px: width, height and focal length of a wide webcam

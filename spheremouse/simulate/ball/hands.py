@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import project
-from spheremouse.simulate.scene import Scene
+from spheremouse.simulate.ball.scene import Scene
 
 PER_METRE = 500  # pixels of the drawing
 _SCALE = 1.3  # a big hand: two of them hide about a third of the ball

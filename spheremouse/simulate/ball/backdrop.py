@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import unproject
 from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.ball.scene import Scene
 from spheremouse.simulate.light import develop
-from spheremouse.simulate.scene import Scene
 from spheremouse.simulate.shapes import Face, Shape, Sphere, Viewpoint, look
 
 _FINE = 6  # rays across a pixel where shapes meet

@@ -1,0 +1,278 @@
+"""A simulated camera films a simulated ball: frames and exact truth, without files, clocks or a graphics card.
+
+`SimulationOptions` says what to film, in the words of the command line; `prepare` builds it and `simulate` films it.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.simulate.ball.events import Change, Dimming, Flicker, Lift, bumped, displaced, facing
+from spheremouse.simulate.ball.furniture import BLACK, WHITE_BALL
+from spheremouse.simulate.ball.hands import HandVisit
+from spheremouse.simulate.ball.profile import TURN_SECONDS, Profile, creep, flick, play, rest, roll, still, thesis
+from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedFrame
+from spheremouse.simulate.ball.scene import Scene, View, default_scene
+from spheremouse.simulate.light import reflectance
+
+__all__ = [
+    "MOST_FRAMES",
+    "Change",
+    "Dimming",
+    "Flicker",
+    "HandVisit",
+    "Lift",
+    "Motion",
+    "RenderOptions",
+    "Renderer",
+    "Scene",
+    "SimulatedFrame",
+    "Simulation",
+    "SimulationOptions",
+    "View",
+    "default_scene",
+    "prepare",
+    "simulate",
+]
+
+Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick"]
+Triple = tuple[float, float, float]
+
+MOST_FRAMES = 1_000_000  # of one recording: nine hours at 30 Hz, 300 GB of video
+_MOST_FPS = 1000.0  # Hz
+_MOST_PIXELS = 8192  # px, a side
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationOptions:
+    """What to film; the fields are the options of `spheremouse simulate`."""
+
+    discs: int = 26
+    view: View = "far"
+    motion: Motion = "thesis"
+    turns: float = 20.0  # of motion "roll"
+    seconds: float | None = None  # s; None: as long as the motion takes
+    fps: float = 30.0  # Hz
+    noise: float = 0.0  # grey values
+    brightness: float = 0.0  # grey values
+    blur: float = 0.0  # s, exposure time
+    readout: float = 0.0  # s, rolling shutter
+    seed: int = 0
+    layout: int | None = None  # seed of the places of the discs: another one is another ball; None: that of `seed`
+    size: tuple[int, int] = (640, 480)  # px, width and height
+    dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)  # k1, k2, p1, p2, k3
+    ball_colour: Triple | None = None  # blue, green, red, 0..255 as on a screen; None: white
+    disc_colour: Triple | None = None  # None: black
+    hands: bool = False  # one hand for a while, later two
+    cover: float | None = None  # s, when two hands cover a third of the ball
+    cover_seconds: float = 1.0  # s
+    dim: float | None = None  # factor on the brightness for a while
+    dim_at: float | None = None  # s; None: the middle fifth of the time
+    dim_seconds: float = 1.0  # s, where dim_at is given
+    flicker: float = 0.0  # 0..1, share of the light that comes and goes with the mains
+    mains: float = 50.0  # Hz
+    limited: bool = False  # grey values 16..235
+    bump: float | None = None  # s, when the camera is pushed
+    bump_by: tuple[float, float, float, float, float, float] = (2.0, 1.0, -2.0, 0.1, -0.2, 0.1)  # mm, deg; cam axes
+    lift: float | None = None  # s, when the ball is lifted off its bearings
+    lift_by: Triple = (0.0, 30.0, 0.0)  # mm, obj
+    lift_seconds: float = 1.0  # s
+    eccentric: float = 0.0  # mm from the point the ball turns about to its centre
+    disc_off: float | None = None  # s, when a disc falls off
+    disc_moved: float | None = None  # s, when a disc is put elsewhere
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """Everything that `simulate` needs."""
+
+    scene: Scene  # at the start
+    profile: Profile
+    options: RenderOptions
+    seconds: float  # s
+    fps: float  # Hz
+    seed: int
+    changes: tuple[Change, ...] = ()  # of the scene, by time
+
+    @property
+    def frames(self) -> int:
+        """How many there will be."""
+        return max(1, round(self.seconds * self.fps))
+
+
+Named = Callable[[str], str]
+
+
+def option_name(field: str) -> str:
+    """A field as the command line has it."""
+    return "--" + field.replace("_", "-")
+
+
+def prepare(options: SimulationOptions, named: Named = option_name) -> Simulation:
+    """Scene, motion and effects of some options; ConfigurationError where they make no sense.
+
+    `named` says how a field is called where it came from.
+    """
+    _check(options, named)
+    if options.seconds is not None:
+        _check_length(options.seconds, options.fps, named("seconds"))
+    elif options.motion == "roll":
+        _check_length(TURN_SECONDS * options.turns, options.fps, named("turns"))
+    profile = _profile(options)
+    seconds = profile.seconds if options.seconds is None else options.seconds
+    for field in ("bump", "lift", "cover", "dim_at", "disc_off", "disc_moved"):
+        time = getattr(options, field)
+        if time is not None and time >= seconds:
+            raise ConfigurationError(f"{named(field)}: {time:g} s is after the end, at {seconds:g} s")
+    width, height = options.size
+    try:
+        scene = default_scene(
+            options.discs,
+            options.view,
+            options.seed if options.layout is None else options.layout,
+            width=width,
+            height=height,
+            distortion=np.array(options.dist),
+            exposure_s=options.blur,
+            readout_s=options.readout,
+            ball_colour=WHITE_BALL if options.ball_colour is None else reflectance(options.ball_colour),
+            disc_colour=BLACK if options.disc_colour is None else reflectance(options.disc_colour),
+        )
+    except ValueError as e:
+        raise ConfigurationError(f"{named('discs')}: {e}") from None
+    changes = _changes(options, scene, profile, named)
+    return Simulation(scene, profile, _effects(options, seconds), seconds, options.fps, options.seed, changes)
+
+
+def simulate(simulation: Simulation, renderer: Renderer | None = None) -> Iterator[SimulatedFrame]:
+    """Its frames one by one, with truth; stamps start at 0. A `renderer` made before may be handed in."""
+    renderer = Renderer(simulation.scene, simulation.options) if renderer is None else renderer
+    rng = np.random.Generator(np.random.SFC64([simulation.seed, 1]))  # NumPy's fastest: noise takes most of the time
+    changes = list(simulation.changes)
+    for index in range(simulation.frames):
+        t = index / simulation.fps
+        while changes and t >= changes[0].time:
+            scene = changes.pop(0).scene
+            same = scene.pose is renderer.scene.pose
+            renderer = Renderer(scene, simulation.options, renderer.backdrop if same else None)
+        yield renderer.frame(simulation.profile, t, index, rng)
+
+
+def _profile(options: SimulationOptions) -> Profile:
+    seconds = options.seconds
+    if options.motion == "thesis":
+        return thesis()
+    if options.motion == "roll":
+        return roll(options.turns, seconds)
+    if options.motion == "play":
+        return play(20.0 if seconds is None else seconds, np.random.default_rng([options.seed, 2]))
+    if options.motion == "rest":
+        return rest()
+    if options.motion == "creep":
+        return creep()
+    if options.motion == "flick":
+        return flick()
+    return still(10.0)
+
+
+def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
+    hands: list[HandVisit] = []
+    if options.hands:
+        hands += [
+            HandVisit(0.25 * seconds, 0.45 * seconds, True),
+            HandVisit(0.65 * seconds, 0.90 * seconds, True),
+            HandVisit(0.68 * seconds, 0.90 * seconds, False),
+        ]
+    if options.cover is not None:  # half a second to come and to go
+        start, end = options.cover - 0.5, options.cover + options.cover_seconds + 0.5
+        hands += [HandVisit(start, end, right, size=1.12) for right in (True, False)]
+    dimming: tuple[Dimming, ...] = ()
+    if options.dim is not None and options.dim_at is not None:
+        dimming = (Dimming(options.dim_at, options.dim_at + options.dim_seconds, options.dim),)
+    elif options.dim is not None:
+        dimming = (Dimming(0.4 * seconds, 0.6 * seconds, options.dim),)
+    x, y, z = (1e-3 * v for v in options.lift_by)
+    lifts = () if options.lift is None else (Lift(options.lift, options.lift + options.lift_seconds, (x, y, z)),)
+    off = 1e-3 * options.eccentric / 3.0**0.5
+    return RenderOptions(
+        noise=options.noise,
+        brightness=options.brightness,
+        dimming=dimming,
+        hands=tuple(hands),
+        flicker=None if options.flicker == 0.0 else Flicker(options.flicker, options.mains),
+        limited=options.limited,
+        lifts=lifts,
+        eccentric=(off, off, off),
+    )
+
+
+def _changes(options: SimulationOptions, scene: Scene, profile: Profile, named: Named) -> tuple[Change, ...]:
+    """What changes, by time, each from what the one before has left."""
+    times = {"bump": options.bump, "disc off": options.disc_off, "disc moved": options.disc_moved}
+    changes: list[Change] = []
+    for what, time in sorted(((w, t) for w, t in times.items() if t is not None), key=lambda item: item[1]):
+        disc = None
+        if what == "bump":
+            scene = bumped(scene, options.bump_by)
+        else:
+            disc = facing(scene, profile.attitude(np.array([time]))[0])
+            try:
+                scene = replace(scene, fallen=(*scene.fallen, disc)) if what == "disc off" else displaced(scene, disc)
+            except ValueError as e:
+                raise ConfigurationError(f"{named('disc_moved')}: {e}") from None
+        changes.append(Change(time, scene, what, disc))
+    return tuple(changes)
+
+
+def _check_length(seconds: float, fps: float, name: str) -> None:
+    if seconds * fps > MOST_FRAMES + 0.5:
+        raise ConfigurationError(
+            f"{name}: {seconds:g} s at {fps:g} Hz are {seconds * fps:.7g} frames; "
+            f"at most {MOST_FRAMES} make a recording, {MOST_FRAMES / fps:.6g} s at that rate"
+        )
+
+
+def _check(options: SimulationOptions, named: Named) -> None:
+    above = ("turns", "fps", "discs", "seconds", "cover_seconds", "dim_seconds", "mains", "lift_seconds")
+    from_zero = (
+        *("noise", "blur", "readout", "seed", "layout", "cover", "dim", "dim_at", "bump", "lift", "eccentric"),
+        *("disc_off", "disc_moved", "flicker"),
+    )
+    for name in above:
+        value = getattr(options, name)
+        if value is not None and (not value > 0 or not np.isfinite(value)):
+            raise ConfigurationError(f"{named(name)}: {value} must be above 0{'' if value <= 0 else ' and finite'}")
+    for name in from_zero:
+        value = getattr(options, name)
+        if value is not None and (not value >= 0 or not np.isfinite(value)):
+            raise ConfigurationError(f"{named(name)}: {value} must be 0 or more{'' if value < 0 else ', and finite'}")
+    for name in ("brightness", "dist", "bump_by", "lift_by"):
+        if not np.all(np.isfinite(getattr(options, name))):
+            raise ConfigurationError(f"{named(name)}: {getattr(options, name)} must be numbers")
+    if not 1 <= min(options.size) <= max(options.size) <= _MOST_PIXELS:
+        raise ConfigurationError(f"{named('size')}: {options.size[0]}x{options.size[1]} must be 1 to {_MOST_PIXELS} px")
+    if options.fps > _MOST_FPS:
+        raise ConfigurationError(f"{named('fps')}: {options.fps:g} Hz must not be above {_MOST_FPS:g} Hz")
+    if options.flicker > 1.0:
+        raise ConfigurationError(
+            f"{named('flicker')}: {options.flicker:g} must not be above 1: light has no more to lose"
+        )
+    for name, value in (("blur", options.blur), ("readout", options.readout)):
+        if value > 1.0 / options.fps:
+            raise ConfigurationError(f"{named(name)}: {value:g} s is longer than a frame at {options.fps:g} Hz")
+    for name in ("ball_colour", "disc_colour"):
+        colour = getattr(options, name)
+        if colour is not None and not all(0.0 <= c <= 255.0 for c in colour):
+            raise ConfigurationError(f"{named(name)}: {colour} must be blue, green and red, each from 0 to 255")
+    if options.dim_at is not None and options.dim is None:
+        raise ConfigurationError(f"{named('dim_at')}: says when; {named('dim')} must say by what factor")
+    if np.linalg.norm(options.lift_by) + options.eccentric > 200.0:
+        name = "eccentric" if options.eccentric > 100.0 else "lift_by"
+        raise ConfigurationError(f"{named(name)}: the ball must stay within 200 mm of its place")
+    if np.linalg.norm(options.bump_by[:3]) > 200.0 or np.linalg.norm(options.bump_by[3:]) > 20.0:
+        raise ConfigurationError(
+            f"{named('bump_by')}: at most 200 mm and 20 degrees: the ball must stay in the picture"
+        )
