@@ -6,7 +6,7 @@ import pytest
 
 from spheremouse.files.dataset.wand import write_wand
 from spheremouse.files.wand import save_wand
-from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import ColourSettings
 

@@ -15,7 +15,7 @@ from spheremouse.commands.evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
 from spheremouse.files.wand import load_wand, save_wand
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
 from spheremouse.wand.track import WandSettings

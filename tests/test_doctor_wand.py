@@ -15,7 +15,7 @@ from spheremouse.commands.service.systemd import Place
 from spheremouse.daemon.plan import Request
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames, write_wand
 from spheremouse.files.wand import save_wand
-from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import build

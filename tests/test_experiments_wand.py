@@ -11,7 +11,7 @@ from spheremouse.experiments import wand
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.plot import save
 from spheremouse.files.dataset.wand import write_wand
-from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandSettings
 from spheremouse.wand_experiments import Film, Variant

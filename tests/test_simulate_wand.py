@@ -11,9 +11,9 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import exp
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
-from spheremouse.simulate.wand_ball import disc_paints, label_at, paint_ball, window
-from spheremouse.simulate.wand_path import (
+from spheremouse.simulate.wand.ball import disc_paints, label_at, paint_ball, window
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.path import (
     BALL_HEIGHT,
     CAMERA_HEIGHT,
     REST_AFTER,
@@ -23,7 +23,7 @@ from spheremouse.simulate.wand_path import (
     turning_rates,
     world_to_cam,
 )
-from spheremouse.simulate.wand_render import (
+from spheremouse.simulate.wand.render import (
     Carried,
     WandRenderer,
     WandScene,
@@ -33,7 +33,7 @@ from spheremouse.simulate.wand_render import (
     indoor_light,
     outdoor_light,
 )
-from spheremouse.simulate.wand_room import lay
+from spheremouse.simulate.wand.room import lay
 from spheremouse.wand.ball import WandBall, grzonka_ball, wand_disc
 
 CAMERA = InteriorOrientation(1280, 960, 2100.0, 2100.0, 640.0, 480.0)

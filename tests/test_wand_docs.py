@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.track import WandPhase, begin, build, step
 from spheremouse.wand_plan import read_balls
 

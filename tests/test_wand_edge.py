@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spheremouse.geometry.rotation import exp
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import model

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from spheremouse.evaluate.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
 from spheremouse.geometry.rotation import exp
-from spheremouse.simulate.wand import WandOptions, WandTruth, prepare_wand
+from spheremouse.simulate.wand.film import WandOptions, WandTruth, prepare_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand_experiments import kept_of
 

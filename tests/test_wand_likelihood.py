@@ -8,7 +8,7 @@ import pytest
 
 from spheremouse.geometry.camera import InteriorOrientation, project, project_sphere
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields

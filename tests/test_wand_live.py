@@ -20,7 +20,7 @@ from spheremouse.output import OutputClosed
 from spheremouse.output import reporter as reporter_module
 from spheremouse.output.axes import AxesOutput, AxesText
 from spheremouse.output.pointer import PointerSettings
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import build
 from spheremouse.wand.warm import warm_up

@@ -14,7 +14,7 @@ from spheremouse.files.wand import save_wand
 from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.geometry.rotation import exp
 from spheremouse.overlay import GREEN, WHITE
-from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build

@@ -8,7 +8,7 @@ from conftest import datasets_dir
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand, read_wand_frames, write_wand
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 
 OPTIONS = WandOptions(motion="hand", seconds=0.3, fps=10.0, size=(160, 120), seed=1, balls=2)

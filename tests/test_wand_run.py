@@ -16,7 +16,7 @@ from spheremouse.files.dataset.wand import open_wand, write_wand
 from spheremouse.files.rig import save_camera
 from spheremouse.files.wand import save_wand
 from spheremouse.output.axes import HEADER, NAMES
-from spheremouse.simulate.wand import WandOptions, prepare_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.axes import UPRIGHT
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import ColourSettings

@@ -7,8 +7,8 @@ import pytest
 
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import log
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
-from spheremouse.simulate.wand_render import WandRenderer
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.render import WandRenderer
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spheremouse.geometry.rotation import log
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand import track
 from spheremouse.wand.ball import contrast_ball, led_ball

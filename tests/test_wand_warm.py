@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from spheremouse.simulate.wand import WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.track import WandSettings, build
 from spheremouse.output.hand import PointingSettings
 from spheremouse.wand.warm import warm_up

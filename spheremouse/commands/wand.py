@@ -16,7 +16,7 @@ from spheremouse.files.atomic import replace
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
 from spheremouse.files.wand import WandFile, load_wand, save_wand
-from spheremouse.simulate.wand import Light, Motion, WandOptions, prepare_wand
+from spheremouse.simulate.wand.film import Light, Motion, WandOptions, prepare_wand
 
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
 

@@ -23,7 +23,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.output.hand import Pointing, point, pointing_rate
 from spheremouse.resect import gather, resect
 from spheremouse.rig import Rig
-from spheremouse.simulate.wand import WandFilm, WandOptions, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
 from spheremouse.tracker import Frame
 from spheremouse.wand import track as wand

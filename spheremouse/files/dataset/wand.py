@@ -36,7 +36,7 @@ from spheremouse.files.folders import NewFolder
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.wand import WandFilm, WandTruth, simulate_wand
+from spheremouse.simulate.wand.film import WandFilm, WandTruth, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 

@@ -15,8 +15,8 @@ from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, Face, box, post
-from spheremouse.simulate.wand_ball import Layer
-from spheremouse.simulate.wand_path import CAMERA_HEIGHT, world_to_cam
+from spheremouse.simulate.wand.ball import Layer
+from spheremouse.simulate.wand.path import CAMERA_HEIGHT, world_to_cam
 
 _FINE = 4  # subpixels across a pixel where things are drawn
 _SHIFT = 4  # bits of the fixed point numbers that OpenCV draws with

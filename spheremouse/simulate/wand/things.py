@@ -14,8 +14,8 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.hands import ABOVE, HALF_WIDTH, PER_METRE
 from spheremouse.simulate.light import reflectance
 from spheremouse.simulate.shapes import Colour, box
-from spheremouse.simulate.wand_ball import Layer, paint_of
-from spheremouse.simulate.wand_room import paint_faces
+from spheremouse.simulate.wand.ball import Layer, paint_of
+from spheremouse.simulate.wand.room import paint_faces
 
 # m, in the ball's frame: a robot as long as that of the shared recording; its top touches the ball
 _BODY = ((-0.095, -0.065, -0.128), (0.095, 0.065, -0.049))

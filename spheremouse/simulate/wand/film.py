@@ -14,9 +14,9 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import MOST_FRAMES, option_name
-from spheremouse.simulate.wand_path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
-from spheremouse.simulate.wand_render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
-from spheremouse.simulate.wand_things import Passing
+from spheremouse.simulate.wand.path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
+from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
+from spheremouse.simulate.wand.things import Passing
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, grzonka_ball
 
