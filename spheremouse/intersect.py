@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Detections
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.geometry.camera import Pose, row_of, unprojected
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig, first_hit

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.detect.cap import appearance, ball_outline
+from spheremouse.ball.detect.appearance import appearance, ball_outline
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 from spheremouse.files.folders import NewFolder

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from spheremouse.detect.detections import Image
-from spheremouse.detect.rings import MOST, TargetDetections
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.rings import MOST, TargetDetections
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import (
     Pose,

@@ -14,7 +14,7 @@ from threading import Timer
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.detect.rings import detect_targets
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run

@@ -16,15 +16,15 @@ from scipy.special import pdtrc
 from spheremouse import bearing
 from spheremouse import watch as watching
 from spheremouse.associate import common_rotation, identify
+from spheremouse.ball.detect import lookalikes as static
+from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
+from spheremouse.ball.detect.rings import RingSettings, detect_targets
+from spheremouse.ball.detect.search import Hunt
 from spheremouse.bearing import BearingSettings, Shift
-from spheremouse.detect import static
-from spheremouse.detect.blobs import BlobDetector, BlobSettings
-from spheremouse.detect.cap import ball_mask
-from spheremouse.detect.detections import Detections, Image, no_detections
-from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
-from spheremouse.detect.rings import RingSettings, detect_targets
-from spheremouse.detect.search import Hunt
-from spheremouse.detect.static import Lookalikes, StaticSettings
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.filters import Filter, FilterState

@@ -10,8 +10,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from spheremouse.detect.cap import appearance, ball_mask
-from spheremouse.detect.detections import Image
+from spheremouse.ball.detect.appearance import appearance, ball_mask
+from spheremouse.ball.detect.detections import Image
 from spheremouse.disc_map import DiscMap
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, exp, log

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Image
-from spheremouse.detect.rings import RingSettings, detect_targets
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import Array, exp, hat, log
 from spheremouse.resect import predict_targets

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.errors import SourceError
 from spheremouse.filters.so3 import So3State
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project

@@ -5,8 +5,8 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.bearing import BearingSettings, averaged, fits, is_off, shift_of
-from spheremouse.detect.detections import Detections
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
 from spheremouse.intersect import intersect

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from spheremouse.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 
 DETECTOR = BlobDetector(BlobSettings())
 FINE = 8  # samples per pixel and axis

@@ -17,6 +17,7 @@ import pytest
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
+from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.calibrate.lengths import Board
 from spheremouse.calibrate.prints_page import PAPERS, _figure, pdf
 from spheremouse.calibrate.prints_recipe import recipe
@@ -30,7 +31,6 @@ from spheremouse.calibrate.prints_sheets import (
 )
 from spheremouse.calibrate.prints_sketches import sketches
 from spheremouse.commands import app
-from spheremouse.detect.rings import RingSettings, detect_targets
 from spheremouse.errors import SpheremouseError
 from spheremouse.rig import CODES
 

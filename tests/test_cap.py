@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.detect.cap import appearance, ball_mask, ball_outline, largest_disc
+from spheremouse.ball.detect.appearance import appearance, ball_mask, ball_outline, largest_disc
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.rig import Ball, Rig, Targets
 

@@ -12,10 +12,10 @@ from test_rings import INK, RADII, SETTINGS, blank, photo, target
 from test_worker import SETTINGS as TWO_VIEWS
 from test_worker import Shot
 
+from spheremouse.ball.detect import rings
+from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
 from spheremouse.capture.newest import Arrival
 from spheremouse.daemon.worker import Worker
-from spheremouse.detect import rings
-from spheremouse.detect.rings import MOST, TargetDetections, detect_targets
 from spheremouse.errors import PoseError
 from spheremouse.resect import PoseSettings, Sighting, find_pose, predict_targets, resect
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate

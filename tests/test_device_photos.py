@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from spheremouse.adjustment.correspond import ball_rig
 from spheremouse.adjustment.device import DistanceError
 from spheremouse.adjustment.device_photos import calibrate_device
-from spheremouse.detect.cap import appearance
+from spheremouse.ball.detect.appearance import appearance
 from spheremouse.errors import CalibrationError
 from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project

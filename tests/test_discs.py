@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from spheremouse.detect.discs import DiscSettings, disc_detector
-from spheremouse.detect.search import Hunt
+from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.search import Hunt
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import exp

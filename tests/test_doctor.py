@@ -14,6 +14,8 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
+from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.commands.doctor import (
     access,
     computer,
@@ -37,8 +39,6 @@ from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.daemon.plan import Request, read_plan
 from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.detect.cap import ball_mask
-from spheremouse.detect.discs import DiscSettings
 from spheremouse.errors import SourceError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_rig, save_rig

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 from scipy.spatial.transform import Rotation
 
-from spheremouse.detect.detections import Detections
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.filters.euler import (
     ConstantDiscsFilter,
     EulerSettings,

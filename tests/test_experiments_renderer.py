@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from spheremouse.detect.cap import appearance
+from spheremouse.ball.detect.appearance import appearance
 from spheremouse.experiments import renderer
 from spheremouse.experiments.experiment import Request, Table
 from spheremouse.experiments.report import write_report

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from spheremouse.detect.rings import TargetDetections
+from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.experiments import targets
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.report import write_report

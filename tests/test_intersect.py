@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.geometry.camera import InteriorOrientation, Pose, row_of, unproject
 from spheremouse.geometry.rotation import exp
 from spheremouse.intersect import intersect

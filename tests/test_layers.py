@@ -116,18 +116,18 @@ def test_the_walk_sees_every_way_to_import(tmp_path):
     files = {
         "rotation.py": "import numpy\nfrom spheremouse.settings import param",
         "settings.py": "",
-        "frame.py": "from spheremouse import detect",
-        "detect/__init__.py": "from . import discs\nfrom .discs import x\nfrom ..rotation import exp",
-        "detect/discs.py": "from ..filters import so3\ndef f():\n    import time.x",
-        "filters/__init__.py": "from spheremouse.detect.discs import x\nimport spheremouse.commands",
+        "frame.py": "from spheremouse.ball import detect",
+        "ball/detect/__init__.py": "from . import discs\nfrom .discs import x\nfrom ..rotation import exp",
+        "ball/detect/discs.py": "from ..filters import so3\ndef f():\n    import time.x",
+        "filters/__init__.py": "from spheremouse.ball.detect.discs import x\nimport spheremouse.commands",
         "cli.py": "import os, threading\nfrom spheremouse.filters import Filter",
     }
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
     assert violations(root) == [
-        "detect/discs.py imports filters, which is below it",
-        "detect/discs.py imports time",
+        "ball/detect/discs.py imports filters, which is below it",
+        "ball/detect/discs.py imports time",
         "filters/__init__.py imports cli, of the shell",
         "frame.py imports detect, which is below it",
     ]

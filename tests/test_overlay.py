@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.detect.cap import ball_outline
+from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.errors import OutputError
 from spheremouse.filters.so3 import So3State
 from spheremouse.geometry.camera import project

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
+from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.daemon.privacy import kept, masked
-from spheremouse.detect.cap import appearance, ball_mask, largest_disc
-from spheremouse.detect.discs import disc_detector
 from spheremouse.errors import PoseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.detect.detections import Detections
-from spheremouse.detect.rings import TargetDetections
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import log, tangent_basis

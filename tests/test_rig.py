@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from spheremouse.detect.detections import Detections
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.intersect import intersect
 from spheremouse.resect import predict_targets

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from spheremouse.detect.cap import Appearance, appearance
-from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
-from spheremouse.detect.search import Hunt, hunt, went
+from spheremouse.ball.detect.appearance import Appearance, appearance
+from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.ball.detect.search import Hunt, hunt, went
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.rig import Ball, Rig, Targets
 

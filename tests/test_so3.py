@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.detect.detections import Detections
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.filters.so3_state import augment, inject

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spheremouse.detect.static import Lookalikes, StaticSettings, judge, mask, unmasked
+from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings, judge, mask, unmasked
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
 from spheremouse.rig import Ball, Rig, Targets, directions_at

@@ -9,7 +9,7 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
-from spheremouse.detect.detections import Detections, no_detections
+from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse import watch as watching
-from spheremouse.detect.rings import RingSettings
+from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.resect import predict_targets

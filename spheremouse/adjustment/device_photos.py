@@ -23,10 +23,10 @@ from spheremouse.adjustment.device_adjustment import (
     moved_to_ball,
 )
 from spheremouse.adjustment.start import TargetViews, first_block, target_views
-from spheremouse.detect.blobs import BlobDetector, BlobSettings
-from spheremouse.detect.detections import Detections, Image
-from spheremouse.detect.discs import DiscSettings, disc_detector
-from spheremouse.detect.rings import RingSettings, TargetDetections, detect_targets
+from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.sphere import FEWEST

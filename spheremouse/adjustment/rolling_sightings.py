@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from spheremouse.adjustment.rolling import Rolling, Sightings
 from spheremouse.associate import identify
-from spheremouse.detect.cap import appearance
+from spheremouse.ball.detect.appearance import appearance
 from spheremouse.errors import CalibrationError
 from spheremouse.filters.so3_state import So3State
 from spheremouse.geometry.camera import Pose

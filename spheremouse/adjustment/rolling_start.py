@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from spheremouse.detect.cap import appearance
-from spheremouse.detect.detections import Image
+from spheremouse.ball.detect.appearance import appearance
+from spheremouse.ball.detect.detections import Image
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array

@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, distances, predicted, solve_block
 from spheremouse.adjustment.device import Device, DistanceError
-from spheremouse.detect.rings import TargetDetections
+from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, align

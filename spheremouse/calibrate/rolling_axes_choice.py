@@ -7,8 +7,8 @@ import numpy as np
 from spheremouse.adjustment.device import Device
 from spheremouse.adjustment.rolling import Rolled
 from spheremouse.adjustment.rolling_axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets
+from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.calibrate.rolling_session import Views
-from spheremouse.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.errors import CalibrationError, PoseError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.resect import PoseSettings, gather

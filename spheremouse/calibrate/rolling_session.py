@@ -14,9 +14,9 @@ import numpy as np
 from spheremouse.adjustment.rolling import Rolled, adjust_rolling
 from spheremouse.adjustment.rolling_sightings import Tracked, provisional_pose, track_rolling
 from spheremouse.adjustment.rolling_start import RollingStart, Spots, dark_spots, start, start_rig
+from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.detect.detections import Image
 from spheremouse.calibrate.footage import Footage
-from spheremouse.detect.cap import ball_mask
-from spheremouse.detect.detections import Image
 from spheremouse.errors import CalibrationError, SourceError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array

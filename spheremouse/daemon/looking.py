@@ -9,8 +9,8 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import TypeVar
 
-from spheremouse.detect.detections import Image
-from spheremouse.detect.rings import TargetDetections, detect_targets
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.resect import Resection, find_pose

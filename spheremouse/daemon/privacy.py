@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 
 from spheremouse import watch
-from spheremouse.detect.detections import Image
-from spheremouse.detect.discs import DiscDetector
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.geometry.camera import Pose
 from spheremouse.rig import Rig
 from spheremouse.track import Settings, build

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse import track
+from spheremouse.ball.detect.detections import Image
 from spheremouse.daemon.privacy import kept
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.recordings import disk_is_full, made_folder, marked, refuse_full_disk, release
 from spheremouse.daemon.threads import begin
-from spheremouse.detect.detections import Image
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose

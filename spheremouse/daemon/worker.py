@@ -11,11 +11,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.owned import Owned
 from spheremouse.daemon.looking import Elsewhere, FirstPose, Seeker, at_once
 from spheremouse.daemon.threads import Work
-from spheremouse.detect.rings import detect_targets
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
 from spheremouse.geometry.camera import Pose

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Detections
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import TRACKERS, settings_of
 from spheremouse.experiments.plot import BOUND, decades

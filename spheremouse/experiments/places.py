@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
-from spheremouse.detect.cap import appearance
-from spheremouse.detect.discs import disc_detector
+from spheremouse.ball.detect.appearance import appearance
+from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import posterior_bound
 from spheremouse.evaluate.centres import MATCH, Sight, distances

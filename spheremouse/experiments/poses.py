@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from spheremouse.detect.rings import TargetDetections, detect_targets
+from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import THESIS

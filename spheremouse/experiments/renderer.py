@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
-from spheremouse.detect.cap import Appearance, appearance
-from spheremouse.detect.detections import Detections
-from spheremouse.detect.discs import disc_detector
+from spheremouse.ball.detect.appearance import Appearance, appearance
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers

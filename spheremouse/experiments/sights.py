@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from spheremouse.detect.detections import Detections
+from spheremouse.ball.detect.detections import Detections
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import Sight
 from spheremouse.evaluate.metrics import (

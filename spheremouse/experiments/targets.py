@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.detect.rings import TargetDetections, detect_targets
+from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.errors import PoseError
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table

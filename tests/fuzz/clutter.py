@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spheremouse.detect.rings import MOST, RingSettings, detect_targets
+from spheremouse.ball.detect.rings import MOST, RingSettings, detect_targets
 from spheremouse.resect import find_pose
 from spheremouse.rig import CODES
 from spheremouse.track import Settings

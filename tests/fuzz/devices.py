@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from spheremouse.detect.rings import detect_targets
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.rig import load_rig, rig_text

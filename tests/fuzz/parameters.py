@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 from hypothesis import strategies as st
 
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.daemon.settings import Configuration
-from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames

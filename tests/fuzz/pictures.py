@@ -7,10 +7,10 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spheremouse.detect.blobs import BlobDetector, BlobSettings
-from spheremouse.detect.detections import Detections
-from spheremouse.detect.discs import DiscSettings, disc_detector
-from spheremouse.detect.rings import RingSettings, detect_targets
+from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.resect import gather, resect
 from spheremouse.track import Settings, advance, begin, build
 from tests.fuzz.scene import DT, known, pictures, small_rig, use

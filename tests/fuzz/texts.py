@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.capture import open_source
 from spheremouse.daemon.control_settings import ControlSettings
-from spheremouse.detect.rings import detect_targets
 from spheremouse.files import config
 from spheremouse.files.rig import load_camera, load_rig, rig_text
 from spheremouse.files.yaml import parse_document

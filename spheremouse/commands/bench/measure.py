@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array

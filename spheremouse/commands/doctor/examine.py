@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.detect.fit import noise_of
 from spheremouse.commands.doctor import (
     computer,
     controls,
@@ -28,8 +30,6 @@ from spheremouse.commands.doctor.finding import Finding, Section, Verdict, ok, r
 from spheremouse.commands.doctor.footage import Footage, film
 from spheremouse.daemon.cameras import node_of
 from spheremouse.daemon.plan import Plan, Request, without_map
-from spheremouse.detect.cap import ball_mask
-from spheremouse.detect.fit import noise_of
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.rig import Rig

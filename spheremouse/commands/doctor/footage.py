@@ -9,11 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from spheremouse.ball.detect.detections import Image
 from spheremouse.capture import Source, open_source
 from spheremouse.capture.lock import claimed
 from spheremouse.commands.doctor.controls import Controls, read
 from spheremouse.daemon.plan import Plan
-from spheremouse.detect.detections import Image
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig

@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.commands.doctor.footage import Footage
 from spheremouse.commands.doctor.timing import steadiness
-from spheremouse.detect.detections import Image
-from spheremouse.detect.discs import DiscSettings
 from spheremouse.geometry.rotation import Array
 
 _CLIPPED = 254  # grey value: the last two hold what is blown out, whatever the noise

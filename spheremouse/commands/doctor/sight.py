@@ -6,11 +6,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from spheremouse.ball.detect.appearance import ball_outline, largest_disc
+from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
-from spheremouse.detect.cap import ball_outline, largest_disc
-from spheremouse.detect.detections import Detections, Image
-from spheremouse.detect.discs import DiscDetector, DiscSettings, disc_detector
-from spheremouse.detect.rings import detect_targets
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array

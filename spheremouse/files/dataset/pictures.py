@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.detect.detections import Image
+from spheremouse.ball.detect.detections import Image
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.format import picture_file
 from spheremouse.files.films import film_images, open_film

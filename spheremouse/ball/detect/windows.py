@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from spheremouse.detect.cap import appearance_into, seen_into
-from spheremouse.detect.detections import Detections, Image, no_detections
-from spheremouse.detect.fit import FitSettings, measure_into
+from spheremouse.ball.detect.appearance import appearance_into, seen_into
+from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.fit import FitSettings, measure_into
 from spheremouse.geometry.camera import Pose, row_of
 from spheremouse.geometry.rotation import Array, exp_into
 from spheremouse.rig import Rig

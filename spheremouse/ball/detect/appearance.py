@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Image
+from spheremouse.ball.detect.detections import Image
 from spheremouse.geometry.camera import Pose, distorted, sphere_outline
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Image
+from spheremouse.ball.detect.detections import Image
 from spheremouse.geometry.rotation import Array
 
 _SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from spheremouse.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.settings import AREA, SHARE, SIGMA_PX, WIDTH, param
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.detect.detections import Image
+from spheremouse.ball.detect.detections import Image
 from spheremouse.geometry.rotation import Array
 
 _STRIDE = (2, 8)  # columns and rows of the reduced picture between samples of one frame: few rows are few cache misses

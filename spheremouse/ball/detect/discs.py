@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 from numba import njit
 
-from spheremouse.detect.cap import appearance, ball_mask, largest_disc
-from spheremouse.detect.detections import Detections, Image, no_detections
-from spheremouse.detect.fit import FitSettings, noise_of, smoothing_kernel
-from spheremouse.detect.search import Hunt, Lattice, hunt, lattice, went
-from spheremouse.detect.window import View, look_at, view_of
+from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
+from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.fit import FitSettings, noise_of, smoothing_kernel
+from spheremouse.ball.detect.search import Hunt, Lattice, hunt, lattice, went
+from spheremouse.ball.detect.windows import View, look_at, view_of
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
 from spheremouse.geometry.rotation import Array

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from spheremouse.detect.detections import Image
+from spheremouse.ball.detect.detections import Image
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import COLOURS
 from spheremouse.settings import SHARE, WIDTH, param
