@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spheremouse import constellation_kernel as kernel
-from spheremouse.constellation import attitude, shared_rotation
+from spheremouse.ball.constellation import hypotheses as kernel
+from spheremouse.ball.constellation.identify import attitude, shared_rotation
 from spheremouse.geometry.rotation import Array, align
 
 

@@ -10,8 +10,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
-from spheremouse import constellation_kernel as kernel
-from spheremouse.constellation import Model, attitude
+from spheremouse.ball.constellation import hypotheses as kernel
+from spheremouse.ball.constellation.identify import Model, attitude
 from spheremouse.geometry.rotation import align, exp, log, tangent_basis
 
 CAMERA = np.array([0.0, 0.0, 1.0])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse import constellation_kernel as kernel
+from spheremouse.ball.constellation import hypotheses as kernel
 from spheremouse.geometry.rotation import Array
 
 
