@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.rings import detect_targets
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run
-from spheremouse.filters.so3_state import So3State
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Motion

@@ -24,13 +24,13 @@ from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detec
 from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.filters import Filter, FilterState
+from spheremouse.ball.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
+from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.ball.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
 from spheremouse.bearing import BearingSettings, Shift
 from spheremouse.disc_map import DiscMap
 from spheremouse.errors import PoseError, SourceError
-from spheremouse.filters import Filter, FilterState
-from spheremouse.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
-from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
-from spheremouse.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array
 from spheremouse.intersect import SpherePoints, intersect

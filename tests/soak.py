@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections, no_detections
+from spheremouse.ball.filters.so3 import So3State
 from spheremouse.errors import SourceError
-from spheremouse.filters.so3 import So3State
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.output.counts import Motion

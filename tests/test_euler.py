@@ -11,7 +11,7 @@ from scipy.linalg import block_diag, solve_discrete_are, solve_discrete_lyapunov
 from scipy.spatial.transform import Rotation
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.filters.euler import (
+from spheremouse.ball.filters.euler import (
     ConstantDiscsFilter,
     EulerSettings,
     EulerState,

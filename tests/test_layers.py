@@ -119,8 +119,8 @@ def test_the_walk_sees_every_way_to_import(tmp_path):
         "frame.py": "from spheremouse.ball import detect",
         "ball/detect/__init__.py": "from . import discs\nfrom .discs import x\nfrom ..rotation import exp",
         "ball/detect/discs.py": "from ..filters import so3\ndef f():\n    import time.x",
-        "filters/__init__.py": "from spheremouse.ball.detect.discs import x\nimport spheremouse.commands",
-        "cli.py": "import os, threading\nfrom spheremouse.filters import Filter",
+        "ball/filters/__init__.py": "from spheremouse.ball.detect.discs import x\nimport spheremouse.commands",
+        "cli.py": "import os, threading\nfrom spheremouse.ball.filters import Filter",
     }
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -128,6 +128,6 @@ def test_the_walk_sees_every_way_to_import(tmp_path):
     assert violations(root) == [
         "ball/detect/discs.py imports filters, which is below it",
         "ball/detect/discs.py imports time",
-        "filters/__init__.py imports cli, of the shell",
+        "ball/filters/__init__.py imports cli, of the shell",
         "frame.py imports detect, which is below it",
     ]

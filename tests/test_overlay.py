@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.detect.appearance import ball_outline
+from spheremouse.ball.filters.so3 import So3State
 from spheremouse.errors import OutputError
-from spheremouse.filters.so3 import So3State
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.overlay import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.filters.so3 import So3Filter, So3Settings, relocate
-from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
-from spheremouse.filters.so3_state import augment, inject
+from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.ball.filters.so3_state import augment, inject
+from spheremouse.ball.filters.so3_update import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.intersect import SpherePoints, intersect

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from spheremouse.adjustment.rolling import Rolling, Sightings
 from spheremouse.associate import identify
 from spheremouse.ball.detect.appearance import appearance
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.errors import CalibrationError
-from spheremouse.filters.so3_state import So3State
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.rig import Rig

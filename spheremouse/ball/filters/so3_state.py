@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.filters import so3_update as kernel
+from spheremouse.ball.filters.so3_update import CORE, FIRST, READOUT
 from spheremouse.disc_map import DiscMap
-from spheremouse.filters import so3_kernel as kernel
-from spheremouse.filters.so3_kernel import CORE, FIRST, READOUT
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 from spheremouse.intersect import SpherePoints
 

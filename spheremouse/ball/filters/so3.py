@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.associate import assign
-from spheremouse.filters import so3_kernel as kernel
-from spheremouse.filters.so3_kernel import CONSIDER, CORE, FIRST, READOUT
-from spheremouse.filters.so3_state import So3State, augment, delays, drop, inject
+from spheremouse.ball.filters import so3_update as kernel
+from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
+from spheremouse.ball.filters.so3_update import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.geometry.rotation import Array
 from spheremouse.intersect import SpherePoints
 from spheremouse.rig import MOST_DISCS
