@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.associate import Identification, identify
+from spheremouse.ball.associate import Identification, identify
 from spheremouse.geometry.rotation import exp, log
 
 CAMERA = np.array([0.0, 0.0, 1.0])

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from spheremouse.ball.track import Phase, Settings, build
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.session import initialise, track
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.track import Phase, Settings, build
 
 PAGE = Path(__file__).with_name("pointer.md")
 PICTURE = Path(__file__).parent / "images" / "pointer.svg"

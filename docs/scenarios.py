@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.track import Phase, Settings, Tracker, begin, build, step
+from spheremouse.ball.truth import VISIBLE
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.yaml import write_atomically
@@ -27,8 +29,6 @@ from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion
 from spheremouse.session import initialise
 from spheremouse.simulate.ball.film import SimulatedFrame, SimulationOptions, prepare, simulate
-from spheremouse.simulate.truth import VISIBLE
-from spheremouse.track import Phase, Settings, Tracker, begin, build, step
 from spheremouse.tracker import Frame
 
 Mask = NDArray[np.bool_]

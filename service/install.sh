@@ -178,7 +178,7 @@ warm() {
     say "compiling for this machine, a minute or more"
     # what it finds in its cache is its own affair; without our terminal it cannot type there
     setsid -w runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse "$prefix/$1/bin/python" \
-        -m spheremouse.warm 2>&1 | printable ||
+        -m spheremouse.ball.warm 2>&1 | printable ||
         say "compiling beforehand did not work; the first start will do it"
 }
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.associate import identify
+from spheremouse.ball.associate import identify
 from spheremouse.coincidence import nearest_doubles, turns_of_all, weights
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 from spheremouse.simulate.ball.scene import spread_directions

@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_outline
+from spheremouse.ball.pose import Resection, predict_targets
+from spheremouse.ball.rig import Rig, directions_at
+from spheremouse.ball.track import Phase, Tracker, TrackState, current
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 from spheremouse.files.folders import NewFolder
 from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
-from spheremouse.resect import Resection, predict_targets
-from spheremouse.rig import Rig, directions_at
 from spheremouse.session import Epoch
-from spheremouse.track import Phase, Tracker, TrackState, current
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red

@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.rings import detect_targets
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.pose import Resection, find_pose
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Settings, Tracker, TrackState, begin, check_size, step
+from spheremouse.ball.warm import warm_up
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Motion
-from spheremouse.resect import Resection, find_pose
-from spheremouse.rig import Rig
-from spheremouse.track import Settings, Tracker, TrackState, begin, check_size, step
 from spheremouse.tracker import Frame
-from spheremouse.warm import warm_up
 
 _PATIENCE = 4.0  # s until whoever waits is told why
 

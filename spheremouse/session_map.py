@@ -15,14 +15,14 @@ from typing import Self
 
 import numpy as np
 
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.compare_maps import compare, compare_at, in_words, turned, variances
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import TrackState, disc_map
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.atomic import clear_left, open_to_read, replace
 from spheremouse.files.disc_map import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now
 from spheremouse.geometry.rotation import Array
-from spheremouse.map_compare import compare, compare_at, in_words, turned, variances
-from spheremouse.rig import Rig
-from spheremouse.track import TrackState, disc_map
 
 EVERY = 60.0  # s between two looks whether the map has changed: what a power cut may cost
 _AS_GOOD = 0.8  # part of the saved discs that a map of the same ball must know to take their place

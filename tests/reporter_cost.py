@@ -18,12 +18,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from spheremouse.ball.track import Settings, begin, build, step
 from spheremouse.output.counts import Motion
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import Reporter
 from spheremouse.session import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.track import Settings, begin, build, step
 
 FPS = 60.0
 HEAD = ("at work", "Hz", "switch interval", "of a core", "reports/s", "give to send", "late", "a mere sleep is late")

@@ -27,17 +27,17 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.filters.so3 import So3State
+from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.track import Phase, Settings, Tracker, TrackState, advance, begin, build, step
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.output.counts import Motion
-from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.session import initialise
 from spheremouse.simulate.ball.film import HandVisit, Renderer, default_scene
 from spheremouse.simulate.ball.hands import PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.scene import spread_directions
-from spheremouse.track import Phase, Settings, Tracker, TrackState, advance, begin, build, step
 from spheremouse.tracker import Frame
 
 DT = 1.0 / 30.0

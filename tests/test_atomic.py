@@ -8,12 +8,12 @@ import time
 
 import pytest
 
+from spheremouse.ball.warm import _RIG
 from spheremouse.daemon.recordings import tidy
 from spheremouse.files import atomic
 from spheremouse.files.folders import clear_left_folders
 from spheremouse.files.yaml import write_atomically
 from spheremouse.session_map import MapKeeper
-from spheremouse.warm import _RIG
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are others there")
 KILLED = """

@@ -5,12 +5,12 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
+from spheremouse.ball.bearings import BearingSettings, averaged, fits, is_off, shift_of
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.bearing import BearingSettings, averaged, fits, is_off, shift_of
+from spheremouse.ball.points import intersect
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
-from spheremouse.intersect import intersect
-from spheremouse.rig import Ball, Rig, Targets
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 2.35]))

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from spheremouse.adjustment import bundle
 from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted, solve_block
-from spheremouse.adjustment.device import Axes, Device, Distance
+from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, exp, log
 

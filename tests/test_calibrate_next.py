@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.calibrate.evening import BOARD_ENOUGH, DEVICE_ENOUGH, checklist
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.commands import app
@@ -16,7 +17,6 @@ from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import UNTOUCHED, device_template, load_device
 from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.rig import Ball, Rig, Targets
 
 SIZE = (64, 48)
 CAMERA = InteriorOrientation(*SIZE, 60.0, 60.0, 31.5, 23.5)

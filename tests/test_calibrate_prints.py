@@ -18,6 +18,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
+from spheremouse.ball.rig import CODES
 from spheremouse.calibrate.lengths import Board
 from spheremouse.calibrate.prints_page import PAPERS, _figure, pdf
 from spheremouse.calibrate.prints_recipe import recipe
@@ -32,7 +33,6 @@ from spheremouse.calibrate.prints_sheets import (
 from spheremouse.calibrate.prints_sketches import sketches
 from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
-from spheremouse.rig import CODES
 
 pytest.importorskip("matplotlib")
 

@@ -20,14 +20,14 @@ import pytest
 from conftest import directions
 
 from spheremouse import commands as cli
+from spheremouse.ball.compare_maps import compare
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.capture.stopping import Stopping
 from spheremouse.commands import demo
-from spheremouse.disc_map import DiscMap
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.map_compare import compare
 from spheremouse.output.counts import MotionSettings
 from spheremouse.timing import FrameTimes
 

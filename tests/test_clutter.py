@@ -14,10 +14,10 @@ from test_worker import Shot
 
 from spheremouse.ball.detect import rings
 from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
+from spheremouse.ball.pose import PoseSettings, Sighting, find_pose, predict_targets, resect
 from spheremouse.capture.newest import Arrival
 from spheremouse.daemon.worker import Worker
 from spheremouse.errors import PoseError
-from spheremouse.resect import PoseSettings, Sighting, find_pose, predict_targets, resect
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 
 PROPORTION = RADII / RADII[-1]
@@ -205,7 +205,7 @@ def test_copies_of_every_target_are_told_from_the_real_ones():
 
 def test_more_copies_than_can_be_tried_are_refused_at_once(monkeypatch):
     rig, _, made = sightings(10)
-    monkeypatch.setattr("spheremouse.resect._candidates", lambda *_: pytest.fail("one was tried"))
+    monkeypatch.setattr("spheremouse.ball.pose._candidates", lambda *_: pytest.fail("one was tried"))
     with pytest.raises(PoseError, match=r"too many copies of targets .*10 of .*cover them"):
         resect(made, rig, np.zeros((480, 640), np.uint8))
 

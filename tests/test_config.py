@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from spheremouse.ball.track import Settings
 from spheremouse.commands import config as cli_config
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files import yaml as yaml_file
 from spheremouse.settings import param
-from spheremouse.track import Settings
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from spheremouse.adjustment.device import Axes, Distance
+from spheremouse.ball.device import Axes, Distance
 from spheremouse.calibrate.lengths import parse_board, parse_length
 from spheremouse.calibrate.prints_sheets import TARGETS
 from spheremouse.errors import CalibrationError, ConfigurationError

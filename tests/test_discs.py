@@ -10,10 +10,10 @@ from scipy.stats import chi2
 
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.rig import Ball, Rig, Targets
 
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 PLAIN = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)

@@ -20,10 +20,10 @@ from spheremouse.ball.filters.euler import (
     angular_velocity,
     turned,
 )
+from spheremouse.ball.points import SpherePoints, intersect
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, from_euler, hat, log
-from spheremouse.intersect import SpherePoints, intersect
-from spheremouse.rig import Ball, Rig, Targets
 
 RADIUS = 0.6
 DT = 1.0 / 30.0

@@ -16,8 +16,11 @@ from scipy.stats import pearsonr
 from typer.testing import CliRunner
 
 from spheremouse import plot
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.track import Phase
+from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.commands import evaluate as cli_evaluate
-from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.bound import Bound, manoeuvre, posterior_bound
 from spheremouse.evaluate.centres import Sight
@@ -44,11 +47,8 @@ from spheremouse.files.disc_map import save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.output.counts import MotionSettings, rotation_between
-from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
-from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
-from spheremouse.track import Phase
 from spheremouse.tracker import Frame
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 620.0, 318.0, 243.0)

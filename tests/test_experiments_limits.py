@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.associate import assign
+from spheremouse.ball.associate import assign
 from spheremouse.experiments import limits
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.limits import (

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from spheremouse.ball.track import Phase
 from spheremouse.experiments import mistakes, viewing
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, section, wrong
 from spheremouse.experiments.report import write_report
 from spheremouse.geometry.camera import project
 from spheremouse.simulate.ball.film import default_scene
-from spheremouse.track import Phase
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 RIG = default_scene().rig()

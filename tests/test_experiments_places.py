@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from spheremouse.ball.truth import VISIBLE
 from spheremouse.experiments import kit, places
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.places import Place, Size, expected, fitted, jobs, scene_from, section, targets_in_view
 from spheremouse.experiments.report import write_report
 from spheremouse.simulate.ball.film import Renderer
 from spheremouse.simulate.ball.profile import thesis
-from spheremouse.simulate.truth import VISIBLE
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 FRONT = Place(0, 0, 2.35, 640.0)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.experiments import poses
 from spheremouse.experiments.experiment import Request, Table
 from spheremouse.experiments.report import write_report
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
-from spheremouse.resect import Sighting, predict_targets
 from spheremouse.simulate.ball.film import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)

@@ -7,11 +7,11 @@ import pytest
 from scipy.special import ndtr
 
 from spheremouse.ball.detect.appearance import appearance
+from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.experiments import renderer
 from spheremouse.experiments.experiment import Request, Table
 from spheremouse.experiments.report import write_report
 from spheremouse.simulate.ball.film import default_scene
-from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
 
 FINE = 9  # parts of a pixel's side in painted ellipses
 

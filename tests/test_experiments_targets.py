@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.detect.rings import TargetDetections
+from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.rig import CODES
 from spheremouse.experiments import targets
 from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.report import write_report
 from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of, section
-from spheremouse.resect import predict_targets
-from spheremouse.rig import CODES
 from spheremouse.simulate.ball.film import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)

@@ -8,10 +8,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.detect.detections import Detections, no_detections
+from spheremouse.ball.points import intersect
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, row_of, unproject
 from spheremouse.geometry.rotation import exp
-from spheremouse.intersect import intersect
-from spheremouse.rig import Ball, Rig, Targets
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 967.0, 540.0, np.array([-0.49, 0.3, -1e-4, -1e-4, -0.11]))
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))

@@ -5,9 +5,9 @@ import pytest
 from conftest import directions
 from scipy.spatial.transform import Rotation
 
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.compare_maps import compare, compare_at, in_words, turned
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.geometry.rotation import tangent_basis
-from spheremouse.map_compare import compare, compare_at, in_words, turned
 
 SIGMA = 1e-3
 

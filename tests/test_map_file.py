@@ -12,7 +12,8 @@ from conftest import directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.disc_map import (
     SavedMap,
@@ -27,7 +28,6 @@ from spheremouse.files.disc_map import (
 )
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import tangent_basis
-from spheremouse.rig import Ball, Rig, Targets
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)

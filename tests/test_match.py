@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.lag import Turning, search, travel
 from spheremouse.evaluate.match import match, reproduced
 from spheremouse.evaluate.match_verdict import Kind, axes_of, judge, settings_of
@@ -14,7 +15,6 @@ from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.simulate.ball.profile import Gestures, play, stroke
 from spheremouse.simulate.ball.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
-from spheremouse.simulate.truth import Truth
 
 FPS, RADIUS = 30.0, 0.6
 BEGIN = 5000.0  # s, of the frames' clock

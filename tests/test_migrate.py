@@ -144,12 +144,12 @@ def test_no_digit_of_a_number_is_lost(values):
 def test_rigs_maps_devices_and_configurations_are_told_apart(tmp_path):
     from datetime import UTC, datetime
 
-    from spheremouse.disc_map import DiscMap
+    from spheremouse.ball.disc_map import DiscMap
+    from spheremouse.ball.track import Settings
+    from spheremouse.ball.warm import _RIG
     from spheremouse.files.config import dump_commented
     from spheremouse.files.device import _TEMPLATE
     from spheremouse.files.rig import rig_text
-    from spheremouse.track import Settings
-    from spheremouse.warm import _RIG
 
     saved = map_file.SavedMap(DiscMap(np.eye(3), np.eye(6) * 1e-4, np.ones(3, int)), 0.6, 0.02, datetime.now(UTC), "0")
     texts = {

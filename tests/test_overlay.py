@@ -10,13 +10,13 @@ import pytest
 
 from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.ball.filters.so3 import So3State
+from spheremouse.ball.track import Phase, Settings, begin, build, step
 from spheremouse.errors import OutputError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.overlay import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks
 from spheremouse.session import Epoch
 from spheremouse.simulate.ball.film import default_scene
-from spheremouse.track import Phase, Settings, begin, build, step
 from spheremouse.tracker import Frame
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))

@@ -9,16 +9,16 @@ import pytest
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
 from spheremouse.ball.detect.discs import disc_detector
+from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.rig import Targets
+from spheremouse.ball.track import Settings, build
 from spheremouse.daemon.privacy import kept, masked
 from spheremouse.errors import PoseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.resect import predict_targets
-from spheremouse.rig import Targets
 from spheremouse.session import initialise, track
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
-from spheremouse.track import Settings, build
 
 FILMS = {
     "play": SimulationOptions(motion="play", seconds=2.0, noise=4.0, seed=1),

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from spheremouse.ball.track import Phase, Settings, build, current
 from spheremouse.capture import open_source
 from spheremouse.commands import app
 from spheremouse.daemon import recorder as module
@@ -32,7 +33,6 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session import track
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
-from spheremouse.track import Phase, Settings, build, current
 from spheremouse.tracker import Frame
 
 PATIENCE = 60.0  # s, for what takes a moment

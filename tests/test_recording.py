@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from spheremouse.ball.rig import UNKNOWN_READOUT
+from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import DatasetWriter, open_dataset, read_frames, write_simulation
 from spheremouse.geometry.rotation import exp, from_euler
-from spheremouse.rig import UNKNOWN_READOUT
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.tracker import Frame
 
 FRAMES = 6

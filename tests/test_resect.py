@@ -14,12 +14,12 @@ from scipy.stats import chi2
 
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.rings import TargetDetections
+from spheremouse.ball.points import intersect
+from spheremouse.ball.pose import PoseSettings, Sighting, describe, gather, predict_targets, resect
+from spheremouse.ball.rig import CODES, Ball, Rig, Targets, considered_covariance
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import log, tangent_basis
-from spheremouse.intersect import intersect
-from spheremouse.resect import PoseSettings, Sighting, describe, gather, predict_targets, resect
-from spheremouse.rig import CODES, Ball, Rig, Targets, considered_covariance
 
 SIGMA = 0.05  # px
 CORNERS = np.array([[-0.3244, 0.1546, 0.5629], [-0.3244, -0.5954, 0.5629], [0.3256, -0.5954, 0.5629]])

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.points import intersect
+from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.rig import Ball, Rig, Targets, considered_covariance, directions_at, in_metres
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.intersect import intersect
-from spheremouse.resect import predict_targets
-from spheremouse.rig import Ball, Rig, Targets, considered_covariance, directions_at, in_metres
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 UNIT = 0.55  # m

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
+from spheremouse.ball.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_camera, load_rig, rig_text, save_camera, save_rig, with_camera
 from spheremouse.files.yaml import read_document
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.rig import CODES, UNKNOWN_READOUT, Ball, Rig, Targets
 
 TEXT = """\
 schema: 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
-from spheremouse.rig import CODES
+from spheremouse.ball.rig import CODES
 
 RADII = np.array([0.012, 0.024, 0.036])
 SETTINGS = RingSettings()

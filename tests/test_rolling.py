@@ -9,7 +9,6 @@ from conftest import directions
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
-from spheremouse.adjustment.device import Axes, Device, Distance
 from spheremouse.adjustment.rolling import Rolling, Sightings, _cost, _equations, _moved, _rates, adjust_rolling
 from spheremouse.adjustment.rolling_advice import advise
 from spheremouse.adjustment.rolling_axes import Axes as RolledAxes
@@ -23,6 +22,9 @@ from spheremouse.adjustment.rolling_axes import (
     with_rolled,
 )
 from spheremouse.adjustment.rolling_start import Spots, start
+from spheremouse.ball.device import Axes, Device, Distance
+from spheremouse.ball.pose import Sighting, predict_targets
+from spheremouse.ball.rig import CODES, Ball, Rig, Targets
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
 from spheremouse.errors import CalibrationError
@@ -31,8 +33,6 @@ from spheremouse.files.disc_map import load_map
 from spheremouse.files.rig import load_rig, save_camera, save_rig
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import align, exp, hat, log, tangent_basis
-from spheremouse.resect import Sighting, predict_targets
-from spheremouse.rig import CODES, Ball, Rig, Targets
 from spheremouse.simulate.observations import calibrated, simulated_calibration
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 642.0, 322.0, 237.0, np.array([-0.2, 0.08, 1e-3, -5e-4, 0.0]))

@@ -11,12 +11,12 @@ from conftest import directions
 from scipy.spatial.transform import Rotation
 
 from spheremouse import session_map
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.compare_maps import turned
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.map_compare import turned
-from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.session_map import MapKeeper, changed, succession
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)

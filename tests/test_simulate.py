@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
 from spheremouse.commands.simulate import simulate as film
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.dataset.ball import open_dataset, read_frames, write_simulation
@@ -33,7 +34,6 @@ from spheremouse.simulate.ball.layers import render_layers
 from spheremouse.simulate.ball.profile import creep, flick, play, rest, roll, still, thesis
 from spheremouse.simulate.ball.scene import spread_directions
 from spheremouse.simulate.light import develop, reflectance
-from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
 
 LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])
 

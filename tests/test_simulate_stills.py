@@ -15,6 +15,7 @@ from numpy.testing import assert_allclose
 
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
+from spheremouse.ball.pose import predict_targets
 from spheremouse.commands.calibrate import practice as shell
 from spheremouse.commands.calibrate.practice import axes_of, device_of, device_yaml, practice, sides
 from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError
@@ -22,7 +23,6 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import exp
-from spheremouse.resect import predict_targets
 from spheremouse.simulate.ball.board import Board, board_coverage
 from spheremouse.simulate.ball.stations import board_stations, device_stations, looking, seen_targets
 from spheremouse.simulate.ball.stills import Photo, StillsOptions, photos, prepare_stills, truth_of

@@ -15,10 +15,10 @@ from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.ball.filters.so3_state import augment, inject
 from spheremouse.ball.filters.so3_update import CONSIDER, CORE, FIRST, READOUT
+from spheremouse.ball.points import SpherePoints, intersect
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.intersect import SpherePoints, intersect
-from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.simulate.ball.profile import play
 
 RADIUS = 0.6

@@ -8,12 +8,12 @@ from conftest import directions
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
 from spheremouse.ball.filters.so3_update import CORE, FIRST, READOUT
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import exp, log, tangent_basis
-from spheremouse.intersect import SpherePoints
 
 RADIUS, HORIZON, DT, SIGMA = 0.6, 0.25, 1.0 / 30.0, 3e-4
 SETTINGS = So3Settings()

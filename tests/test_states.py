@@ -4,8 +4,8 @@ import re
 
 import pytest
 
+from spheremouse.ball.track import Phase
 from spheremouse.daemon.states import Facts, State, judge, news
-from spheremouse.track import Phase
 
 TRANSCRIPTS = {
     "an ordinary start": """

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings, judge, mask, unmasked
+from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
-from spheremouse.rig import Ball, Rig, Targets, directions_at
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))

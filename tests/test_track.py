@@ -10,13 +10,8 @@ from conftest import directions
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.detect.detections import Detections, no_detections
-from spheremouse.errors import SourceError
-from spheremouse.geometry.camera import InteriorOrientation, Pose, project
-from spheremouse.geometry.rotation import exp, log
-from spheremouse.output.counts import Motion
-from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.track import (
+from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.track import (
     Phase,
     Settings,
     TrackState,
@@ -29,6 +24,11 @@ from spheremouse.track import (
     step,
     wants_colour,
 )
+from spheremouse.errors import SourceError
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import exp, log
+from spheremouse.output.counts import Motion
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)

@@ -13,8 +13,8 @@ import numpy as np
 
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.session import initialise, track
-from spheremouse.track import Settings, build
-from spheremouse.warm import warm_up
+from spheremouse.ball.track import Settings, build
+from spheremouse.ball.warm import warm_up
 
 
 def compiled():

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse import watch as watching
+from spheremouse.ball import camera_watch as watching
+from spheremouse.ball.camera_watch import WatchSettings
 from spheremouse.ball.detect.rings import RingSettings
+from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.resect import predict_targets
-from spheremouse.rig import Rig
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.watch import WatchSettings
 
 S, RINGS = WatchSettings(), RingSettings()
 PUSH = (2.0, 1.0, -2.0, 0.1, -0.2, 0.1)  # mm and deg

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from daemon_world import DT, Film
 
+from spheremouse.ball.rig import Targets
+from spheremouse.ball.track import Phase, Settings
 from spheremouse.capture.newest import Arrival
 from spheremouse.daemon.worker import STAGES, Worker
 from spheremouse.errors import DamagedFrameError, PoseError
-from spheremouse.rig import Targets
-from spheremouse.track import Phase, Settings
 from spheremouse.tracker import Frame
 
 

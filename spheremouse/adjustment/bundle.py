@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from spheremouse.adjustment.device import Device
+from spheremouse.ball.device import Device
 from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,

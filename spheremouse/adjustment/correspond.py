@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.least_squares.sphere import through_four
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Ball, Rig, Targets, directions_at
 
 _TRIES = 3000  # samples of two points: with six false points of seven, 60 of them are clean
 _PROMISING = 60  # of those, the ones looked into

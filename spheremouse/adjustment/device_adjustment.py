@@ -22,15 +22,15 @@ from spheremouse.adjustment.bundle import (
     predicted,
     solve_block,
 )
-from spheremouse.adjustment.device import Device, DistanceError
 from spheremouse.adjustment.start import TargetViews
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.device import Device, DistanceError
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, with_interior
 from spheremouse.geometry.least_squares.adjust import redundancy, snooped, variance_factors
 from spheremouse.geometry.least_squares.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
-from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 
 DOUBTFUL_RMS = 0.5  # px RMS that sharp photos with a camera file of their own stay far below
 _FALSE = float(chi2.ppf(1.0 - 1e-4, 2))  # an image point further off than chance puts one of ten thousand

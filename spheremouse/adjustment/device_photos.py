@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from spheremouse.adjustment.bundle import Block, Problem, solve_block
 from spheremouse.adjustment.correspond import Spots, ball_rig, from_several_sides, near_sphere, numbered, on_ball
-from spheremouse.adjustment.device import Device, DistanceError
 from spheremouse.adjustment.device_adjustment import (
     Bundled,
     DeviceCalibration,
@@ -27,6 +26,7 @@ from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
+from spheremouse.ball.device import Device, DistanceError
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.sphere import FEWEST

@@ -13,8 +13,10 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from spheremouse.adjustment.device import Device
 from spheremouse.adjustment.rolling import Rolled, Rolling, lens_root
+from spheremouse.ball.device import Device
+from spheremouse.ball.pose import Sighting, predict_targets
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import (
     InteriorOrientation,
@@ -26,8 +28,6 @@ from spheremouse.geometry.camera import (
     with_interior,
 )
 from spheremouse.geometry.rotation import Array, align, exp, hat, left_jacobian, log
-from spheremouse.resect import Sighting, predict_targets
-from spheremouse.rig import Ball, Rig, Targets
 
 _SIZE = 0.005, 0.002  # part by which printed rings may be off in size: all of them alike, and each by itself
 _RIM = 0.05, 0.02  # px, of a ring's radius as seen: colours that run do so alike on all

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.adjustment.rolling import Rolling, Sightings
-from spheremouse.associate import identify
+from spheremouse.ball.associate import identify
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Phase, Settings, TrackState, begin, build, step
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig
-from spheremouse.track import Phase, Settings, TrackState, begin, build, step
 from spheremouse.tracker import Frame
 
 R_OBJ_CAM = np.diag([1.0, -1.0, -1.0])  # axes for the time being: those of the picture, Y up and Z to the camera

@@ -16,10 +16,10 @@ from scipy.optimize import minimize
 
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Ball, Rig, Targets, directions_at
 
 _SCALES = (9, 17, 33, 65)  # px, widths of the closing: discs up to two thirds of that are found
 _DARKER = 0.2  # least depth of a spot, of what surrounds it: print is 0.8, haze and gloss halve it

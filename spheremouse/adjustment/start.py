@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, distances, predicted, solve_block
-from spheremouse.adjustment.device import Device, DistanceError
 from spheremouse.ball.detect.rings import TargetDetections
+from spheremouse.ball.device import Device, DistanceError
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, align

@@ -6,8 +6,8 @@ import numpy as np
 
 from spheremouse.adjustment.rolling_advice import sigmas
 from spheremouse.adjustment.rolling_axes import Axes
+from spheremouse.ball.rig import Rig
 from spheremouse.calibrate.rolling_session import Solution
-from spheremouse.rig import Rig
 
 _SOURCES = {
     "targets": "targets whose positions are known",

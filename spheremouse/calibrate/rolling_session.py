@@ -16,12 +16,12 @@ from spheremouse.adjustment.rolling_sightings import Tracked, provisional_pose, 
 from spheremouse.adjustment.rolling_start import RollingStart, Spots, dark_spots, start, start_rig
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Settings
 from spheremouse.calibrate.footage import Footage
 from spheremouse.errors import CalibrationError, SourceError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig
-from spheremouse.track import Settings
 from spheremouse.tracker import Frame
 
 BLOCK = 15.0  # s of rolling that a start is sought in, then twice and four times as much

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
+from spheremouse.ball.rig import Rig
 from spheremouse.errors import SourceError
 from spheremouse.files.spec import resolve
-from spheremouse.rig import Rig
 from spheremouse.tracker import Frame
 
 

@@ -16,6 +16,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from spheremouse.ball.pose import describe
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Phase, Settings, Tracker, build
+from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 from spheremouse.evaluate.metrics import Reference, Run, report
@@ -24,12 +28,8 @@ from spheremouse.output import open_output
 from spheremouse.output.counts import rotation_between
 from spheremouse.overlay import Image, Overlay, OverlayFile, target_marks, write_picture
 from spheremouse.plot import plot_run
-from spheremouse.resect import describe
-from spheremouse.rig import Rig
 from spheremouse.session import Epoch, History, Start, initialise, track
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
-from spheremouse.simulate.truth import DiscTruth, Truth
-from spheremouse.track import Phase, Settings, Tracker, build
 from spheremouse.tracker import Frame
 
 FILES = ("overlay.png", "overlay.mp4", "plot.png", "motion.txt")

@@ -21,8 +21,8 @@ def show(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False
     Latitude and longitude are in degrees in `ball`: the pole is Y, longitude 0 is Z, 90 is X. Sigma is the standard
     deviation of the direction per axis.
     """
+    from spheremouse.ball.compare_maps import variances
     from spheremouse.files.disc_map import age, load_map
-    from spheremouse.map_compare import variances
 
     saved = load_map(file)
     sigma = np.rad2deg(np.sqrt(variances(saved.map)))
@@ -51,9 +51,9 @@ def compare_(
 
     The exit code is 0 for the same ball and 1 where they have too few discs in common to be one.
     """
+    from spheremouse.ball.compare_maps import compare, in_words
     from spheremouse.files.disc_map import BALL_DIFFERS, load_map
     from spheremouse.geometry.rotation import log
-    from spheremouse.map_compare import compare, in_words
 
     one, other = load_map(a), load_map(b)
     before, after = one.map, other.map

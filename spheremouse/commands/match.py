@@ -13,13 +13,13 @@ import typer
 from spheremouse.errors import ConfigurationError, DatasetError, PoseError, SourceError
 
 if TYPE_CHECKING:
+    from spheremouse.ball.rig import Rig
     from spheremouse.daemon.plan import Plan
     from spheremouse.evaluate.lag import Turning
     from spheremouse.evaluate.match import Match
     from spheremouse.evaluate.match_verdict import Verdict
     from spheremouse.evaluate.metrics import Run
     from spheremouse.output.counts import MotionSettings
-    from spheremouse.rig import Rig
     from spheremouse.simulate.ball.trackball import MouseLog
     from spheremouse.tracker import Frame
 
@@ -133,10 +133,10 @@ def _spec(recording: str) -> str:
 
 def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> tuple["Run", "Rig", int]:
     """The run, the device, and how many frames there were; a recording that is cut short gives what is there."""
+    from spheremouse.ball.track import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
     from spheremouse.session import History, initialise, track
-    from spheremouse.track import build
 
     history = History()
     with ExitStack() as stack:

@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Tracker
 from spheremouse.daemon.desk import Asked
 from spheremouse.daemon.protocol import Record, Snapshot, refused
 from spheremouse.daemon.recorder import Recorder
@@ -24,8 +26,6 @@ from spheremouse.daemon.worker import Step
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.camera import Pose
-from spheremouse.rig import Rig
-from spheremouse.track import Tracker
 
 RECORDING, SNAPSHOT = "recording", "snapshot"  # kinds of the crew's work
 _GONE = ControlError("given up: who asked has hung up")

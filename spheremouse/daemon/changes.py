@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.track import Settings
 from spheremouse.daemon.plan import Plan, Request
-from spheremouse.track import Settings
 
 AT_START = ("control", "metrics", "realtime")  # what is read at the start only
 

@@ -11,11 +11,11 @@ from typing import TypeVar
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
+from spheremouse.ball.pose import Resection, find_pose
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Moved, Settings, Tracker, seek_by_colour
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
-from spheremouse.resect import Resection, find_pose
-from spheremouse.rig import Rig
-from spheremouse.track import Moved, Settings, Tracker, seek_by_colour
 from spheremouse.tracker import Frame
 
 Elsewhere = Callable[[Callable[[], None]], object]  # has something done, one after the other

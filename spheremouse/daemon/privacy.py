@@ -18,12 +18,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from spheremouse import watch
+from spheremouse.ball import camera_watch as watch
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscDetector
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Settings, build
 from spheremouse.geometry.camera import Pose
-from spheremouse.rig import Rig
-from spheremouse.track import Settings, build
 
 _NOISE_LINES = 16  # by which detect.fit measures the noise
 _FIT = 4  # px of the reduced picture around a pixel of the ball: kernel of the fit, and a block cut by the outline

@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse import track
+from spheremouse.ball import track
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.rig import Rig
 from spheremouse.daemon.privacy import kept
 from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.daemon.recordings import disk_is_full, made_folder, marked, refuse_full_disk, release
@@ -25,7 +26,6 @@ from spheremouse.daemon.threads import begin
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
-from spheremouse.rig import Rig
 from spheremouse.tracker import Frame
 
 _BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz

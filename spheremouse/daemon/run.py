@@ -20,6 +20,9 @@ from typing import Any
 import numpy as np
 
 from spheremouse import __version__
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Tracker, TrackState
 from spheremouse.capture import Camera
 from spheremouse.capture.fetch import PATIENCE, Capture
 from spheremouse.capture.newest import Newest
@@ -41,17 +44,14 @@ from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.states import Facts, State, judge, news
 from spheremouse.daemon.threads import Crew, begin
 from spheremouse.daemon.worker import Step, Worker
-from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output import Output, open_output
 from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing, letters
-from spheremouse.rig import Rig
 from spheremouse.session import make_ready
 from spheremouse.session_map import MapKeeper
 from spheremouse.timing import FrameTimes
-from spheremouse.track import Tracker, TrackState
 
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes

@@ -3,12 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
+from spheremouse.ball.track import Tracker, current
 from spheremouse.daemon.privacy import kept, masked
 from spheremouse.daemon.recordings import FILE
 from spheremouse.errors import OutputError
 from spheremouse.overlay import Overlay, target_marks, write_picture
 from spheremouse.session import Epoch
-from spheremouse.track import Tracker, current
 
 
 def snapshot(

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from spheremouse.ball.track import Phase
 from spheremouse.output.sparing import letters
-from spheremouse.track import Phase
 
 
 class State(StrEnum):

@@ -12,19 +12,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from spheremouse.ball.detect.rings import detect_targets
-from spheremouse.capture.newest import Arrival
-from spheremouse.capture.owned import Owned
-from spheremouse.daemon.looking import Elsewhere, FirstPose, Seeker, at_once
-from spheremouse.daemon.threads import Work
-from spheremouse.disc_map import DiscMap
-from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
-from spheremouse.geometry.camera import Pose
-from spheremouse.output.counts import Motion
-from spheremouse.resect import Resection, describe, find_pose
-from spheremouse.rig import Rig
-from spheremouse.session import Epoch
-from spheremouse.timing import FrameTimes
-from spheremouse.track import (
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.pose import Resection, describe, find_pose
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import (
     Phase,
     Settings,
     Tracker,
@@ -39,6 +30,15 @@ from spheremouse.track import (
     step,
     wants_colour,
 )
+from spheremouse.capture.newest import Arrival
+from spheremouse.capture.owned import Owned
+from spheremouse.daemon.looking import Elsewhere, FirstPose, Seeker, at_once
+from spheremouse.daemon.threads import Work
+from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
+from spheremouse.geometry.camera import Pose
+from spheremouse.output.counts import Motion
+from spheremouse.session import Epoch
+from spheremouse.timing import FrameTimes
 from spheremouse.tracker import Frame
 
 _FAULTS, _FAULTS_WITHIN = 5, 60.0  # errors of our own in so many s that end the process: it is begun anew from outside

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.centres import Sight
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log, tangent_basis
-from spheremouse.rig import Rig
-from spheremouse.simulate.truth import Truth
 
 _UNKNOWN = 100.0  # rad/s, standard deviation of a rate of which nothing is known
 _FREE = 9  # unknowns that are not a disc's

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.associate import assign
+from spheremouse.ball.associate import assign
+from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth
 
 # px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a
 # strut cuts the disc, while the next thing dark is at least a disc's radius away (7 px, thesis' cameras).

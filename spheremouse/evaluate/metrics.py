@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.associate import assign
+from spheremouse.ball.associate import assign
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Phase
+from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import MATCH, distances, measured
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.rig import Rig
-from spheremouse.simulate.truth import HIDDEN, VISIBLE, DiscTruth, Truth
-from spheremouse.track import Phase
 
 MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across
 _RANK = 1e-9  # eigenvalues below this part of the largest are none

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse import layout
+from spheremouse.ball.truth import VISIBLE
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import MIN_AREA
 from spheremouse.experiments import kit, sights
@@ -23,7 +24,6 @@ from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball.film import HandVisit, Simulation, prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.scene import spread_directions
-from spheremouse.simulate.truth import VISIBLE
 
 TITLE = "Discs: their size, their places, hands on the ball (Wittich 2017, chapter 5)"
 

@@ -9,6 +9,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
+from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.lag import travel
 from spheremouse.evaluate.match import match, turning
 from spheremouse.evaluate.metrics import Run, surface_speeds
@@ -20,7 +21,6 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball import profile
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.ball.trackball import MouseLog
-from spheremouse.simulate.truth import Truth
 
 TITLE = "Filter models (Wittich 2017, table 19, figs. 35 to 37)"
 

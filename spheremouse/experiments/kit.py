@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Settings, build
+from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
@@ -14,12 +17,9 @@ from spheremouse.experiments.experiment import Result
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
-from spheremouse.rig import Rig
 from spheremouse.session import History, initialise, track
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, simulate
-from spheremouse.simulate.truth import DiscTruth, Truth
-from spheremouse.track import Settings, build
 from spheremouse.tracker import Frame
 
 TRACKERS = ("ekf1", "ekf2", "so3")

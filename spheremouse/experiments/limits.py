@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Phase, Tracker, TrackState, advance, begin, build, step
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import TRACKERS, settings_of
 from spheremouse.experiments.plot import BOUND, decades
@@ -20,11 +22,9 @@ from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
 from spheremouse.geometry.camera import project, unproject
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
-from spheremouse.rig import Rig
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
 from spheremouse.simulate.ball.profile import Profile, rest, still, thesis
 from spheremouse.simulate.shapes import Sphere, look
-from spheremouse.track import Phase, Tracker, TrackState, advance, begin, build, step
 from spheremouse.tracker import Frame
 
 TITLE = "Limits: rate, acceleration, covers, and finding the ball again"

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.truth import Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, surface_travel
 from spheremouse.experiments import kit, sights
@@ -34,8 +36,6 @@ from spheremouse.experiments.viewing import (
 )
 from spheremouse.geometry.camera import project_sphere
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.rig import Rig
-from spheremouse.simulate.truth import Truth
 
 TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"
 

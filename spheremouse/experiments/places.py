@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.associate import assign
+from spheremouse.ball.associate import assign
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
+from spheremouse.ball.truth import VISIBLE, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import posterior_bound
 from spheremouse.evaluate.centres import MATCH, Sight, distances
@@ -29,7 +30,6 @@ from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, defau
 from spheremouse.simulate.ball.profile import thesis
 from spheremouse.simulate.ball.stations import looking
 from spheremouse.simulate.shapes import Sphere, Viewpoint, look
-from spheremouse.simulate.truth import VISIBLE, Truth
 
 TITLE = "Where to put the camera"
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.track import Tracker, TrackState, advance, begin, build, step
 from spheremouse.evaluate.lag import Turning, search, travel
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import settings_of
@@ -34,7 +35,6 @@ from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
 from spheremouse.simulate.ball.trackball import MouseLog
-from spheremouse.track import Tracker, TrackState, advance, begin, build, step
 from spheremouse.tracker import Frame
 
 TITLE = "The pointer between frames: delay, distance, smoothness, overshoot"

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.lag import travel
 from spheremouse.evaluate.metrics import Run, pearson, surface_travel
 from spheremouse.experiments.kit import Film, made, options_of
@@ -17,7 +18,6 @@ from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.profile import Profile, play
 from spheremouse.simulate.ball.trackball import MouseLog, Trackball, simulate_log, trackball_matrix
-from spheremouse.simulate.truth import Truth
 
 PACE = 0.5  # of `play`: at its full pace the published filters lose the ball too often for what R1 shows (`filters`)
 SECONDS = 30.0  # s

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.associate import assign
+from spheremouse.ball.associate import assign
 from spheremouse.ball.detect.appearance import Appearance, appearance
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import disc_detector
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.truth import VISIBLE, DiscTruth, Truth
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.report import failures
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
-from spheremouse.simulate.truth import VISIBLE, DiscTruth, Truth
 
 TITLE = "The renderer against Blender"
 

@@ -8,6 +8,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Settings, advance, begin, build
+from spheremouse.ball.truth import VISIBLE
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import Sight
 from spheremouse.evaluate.metrics import (
@@ -25,10 +28,7 @@ from spheremouse.evaluate.metrics import (
 from spheremouse.experiments.experiment import Result
 from spheremouse.experiments.kit import Film
 from spheremouse.geometry.camera import Pose
-from spheremouse.rig import Rig
 from spheremouse.session import Epoch, History, initialise
-from spheremouse.simulate.truth import VISIBLE
-from spheremouse.track import Settings, advance, begin, build
 
 
 @dataclass(frozen=True, slots=True)

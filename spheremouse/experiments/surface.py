@@ -11,10 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.associate import assign
+from spheremouse.ball.associate import assign
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import disc_detector
+from spheremouse.ball.points import SpherePoints, intersect
+from spheremouse.ball.pose import PoseSettings, Sighting, predict_targets, resect
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.truth import VISIBLE
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import THESIS, plain_numbers
@@ -22,13 +26,9 @@ from spheremouse.experiments.poses import THESIS_TABLES, calibrated_rig
 from spheremouse.experiments.report import failures
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, tangent_basis, to_euler
-from spheremouse.intersect import SpherePoints, intersect
-from spheremouse.resect import PoseSettings, Sighting, predict_targets, resect
-from spheremouse.rig import Rig
 from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
 from spheremouse.simulate.ball.hands import draw_hand, place_hand
 from spheremouse.simulate.shapes import Sphere, look
-from spheremouse.simulate.truth import VISIBLE
 
 TITLE = "Points on the ball: covariances over the visible cap, visible area"
 

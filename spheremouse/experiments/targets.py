@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
+from spheremouse.ball.pose import PoseSettings, Sighting, gather, predict_targets, resect
+from spheremouse.ball.rig import CODES, Rig, Targets
 from spheremouse.errors import PoseError
 from spheremouse.experiments import kit
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
@@ -21,8 +23,6 @@ from spheremouse.experiments.plot import BOUND, THESIS, decades
 from spheremouse.experiments.report import failures
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
-from spheremouse.resect import PoseSettings, Sighting, gather, predict_targets, resect
-from spheremouse.rig import CODES, Rig, Targets
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.film import Scene, default_scene
 from spheremouse.simulate.ball.furniture import frame, room

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.rig import UNKNOWN_READOUT, Rig
+from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import PoseError
 from spheremouse.experiments import kit, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.plot import BOUND, label_ends, plain_numbers
 from spheremouse.experiments.report import failures
-from spheremouse.rig import UNKNOWN_READOUT, Rig
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures
-from spheremouse.simulate.truth import DiscTruth, Truth
 
 TITLE = "How the camera films: frame rate, resolution, blur, rolling shutter (Wittich 2017, chapter 5)"
 

@@ -17,13 +17,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from spheremouse import __version__
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import MOST_DISCS, Rig
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.migrate import converted
 from spheremouse.files.validate import validated
 from spheremouse.files.yaml import Document, Problem, read_document, shown, write_atomically
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import MOST_DISCS, Rig
 
 MAP_SCHEMA = 1
 _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination

@@ -16,11 +16,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from ruamel.yaml import YAML
 from scipy.linalg import block_diag
 
+from spheremouse.ball.rig import CODES, MOST_DISCS, UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.files.validate import read_checked
 from spheremouse.files.yaml import SCHEMA, Key, Problem, write_atomically
 from spheremouse.geometry.camera import MAX_SIDE, InteriorOrientation, Pose, pose_from_matrix, too_large
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import CODES, MOST_DISCS, UNKNOWN_READOUT, Ball, Rig, Targets
 
 Code = Literal["CMY", "CYM", "MCY", "MYC", "YCM", "YMC"]
 assert get_args(Code) == CODES

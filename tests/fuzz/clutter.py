@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.rings import MOST, RingSettings, detect_targets
-from spheremouse.resect import find_pose
-from spheremouse.rig import CODES
-from spheremouse.track import Settings
+from spheremouse.ball.pose import find_pose
+from spheremouse.ball.rig import CODES
+from spheremouse.ball.track import Settings
 from tests.fuzz.scene import small_rig
 from tests.fuzz.targets import refused, target
 

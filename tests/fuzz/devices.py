@@ -9,13 +9,13 @@ import numpy as np
 from hypothesis import strategies as st
 
 from spheremouse.ball.detect.rings import detect_targets
+from spheremouse.ball.rig import Rig, in_metres
+from spheremouse.ball.track import Settings, begin, build, step
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.rig import load_rig, rig_text
 from spheremouse.files.wand import load_wand, wand_text
 from spheremouse.files.yaml import parse_document
-from spheremouse.rig import Rig, in_metres
-from spheremouse.track import Settings, begin, build, step
 from spheremouse.tracker import Frame
 from spheremouse.wand import track as wand
 from spheremouse.wand.colour import DEFAULT_COLOURS

@@ -8,9 +8,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from spheremouse.ball.track import Settings
 from spheremouse.files import config
 from spheremouse.files.rig import rig_text
-from spheremouse.track import Settings
 from tests.fuzz.control import MESSAGES
 from tests.fuzz.scene import small_rig
 from tests.fuzz.targets import TARGETS

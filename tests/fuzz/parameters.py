@@ -16,19 +16,19 @@ import numpy as np
 from hypothesis import strategies as st
 
 from spheremouse.ball.detect.rings import detect_targets
+from spheremouse.ball.pose import gather, resect
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
+from spheremouse.ball.warm import warm_up
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.output.hand import Pointing, point, pointing_rate
-from spheremouse.resect import gather, resect
-from spheremouse.rig import Rig
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
-from spheremouse.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
 from spheremouse.tracker import Frame
 from spheremouse.wand import track as wand
 from spheremouse.wand.warm import warm_up as warm_up_wand
-from spheremouse.warm import warm_up
 from tests.fuzz.extremes import extremes, numbers
 from tests.fuzz.targets import refused, target
 

@@ -11,8 +11,8 @@ from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
-from spheremouse.resect import gather, resect
-from spheremouse.track import Settings, advance, begin, build
+from spheremouse.ball.pose import gather, resect
+from spheremouse.ball.track import Settings, advance, begin, build
 from tests.fuzz.scene import DT, known, pictures, small_rig, use
 from tests.fuzz.targets import refused, target
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
+from spheremouse.ball.track import Settings
 from spheremouse.capture import open_source
 from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.track import Settings
 from tests.fuzz.scene import use
 from tests.fuzz.strategies import mutated, mutated_bytes, mutated_json
 from tests.fuzz.targets import file, refused, target

@@ -8,10 +8,10 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from spheremouse.rig import Rig
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Settings, begin, build, step
 from spheremouse.session import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.track import Settings, begin, build, step
 from spheremouse.tracker import Frame
 
 DT = 1.0 / 30.0

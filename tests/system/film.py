@@ -18,16 +18,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from spheremouse.ball.track import LossSettings, Settings, begin, build, step
+from spheremouse.ball.warm import warm_up
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.rig import load_rig, rig_text, save_camera
-from spheremouse.track import LossSettings, Settings, begin, build, step
 from spheremouse.tracker import Frame
 from spheremouse.wand import warm as wand_warm
 from spheremouse.wand.track import begin as begin_wand
 from spheremouse.wand.track import build as build_wand
 from spheremouse.wand.track import step as step_wand
-from spheremouse.warm import warm_up
 
 REFERENCE = Path(os.environ.get("SPHEREMOUSE_DATASETS", Path(__file__).parents[3] / "shared" / "datasets")) / "far26"
 

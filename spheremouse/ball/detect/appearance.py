@@ -12,9 +12,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, distorted, sphere_outline
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig
 
 _CORNERS = 24  # of the polygon that stands for a distorted outline
 

@@ -19,10 +19,10 @@ from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings, noise_of, smoothing_kernel
 from spheremouse.ball.detect.search import Hunt, Lattice, hunt, lattice, went
 from spheremouse.ball.detect.windows import View, look_at, view_of
+from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import MAX_SIDE, Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig, directions_at
 from spheremouse.settings import AREA, PART, SHARE, SIGMA_PX, param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs

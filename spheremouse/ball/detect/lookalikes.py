@@ -14,9 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import seen_at
+from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig
 from spheremouse.settings import PIXELS, SECONDS, param
 
 

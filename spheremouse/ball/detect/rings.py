@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.rig import COLOURS
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import COLOURS
 from spheremouse.settings import SHARE, WIDTH, param
 
 MOST = 10  # copies of a target that are measured in a picture, the best: a device has one, a room a few

@@ -12,9 +12,9 @@ from numba import njit
 from spheremouse.ball.detect.appearance import appearance_into, seen_into
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings, measure_into
+from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, row_of
 from spheremouse.geometry.rotation import Array, exp_into
-from spheremouse.rig import Rig
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
-from spheremouse.intersect import SpherePoints
 
 
 class FilterState(Protocol):

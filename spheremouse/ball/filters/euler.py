@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, from_euler, hat, to_euler
-from spheremouse.intersect import SpherePoints
 from spheremouse.settings import param
 
 

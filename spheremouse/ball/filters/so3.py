@@ -14,13 +14,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.associate import assign
+from spheremouse.ball.associate import assign
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.ball.filters.so3_update import CONSIDER, CORE, FIRST, READOUT
+from spheremouse.ball.points import SpherePoints
+from spheremouse.ball.rig import MOST_DISCS
 from spheremouse.geometry.rotation import Array
-from spheremouse.intersect import SpherePoints
-from spheremouse.rig import MOST_DISCS
 from spheremouse.settings import FACTOR, FRAMES, HAND_TURN, SECONDS, SHARE, SIGMAS, param
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite

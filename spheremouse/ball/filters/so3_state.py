@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_update import CORE, FIRST, READOUT
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
-from spheremouse.intersect import SpherePoints
 
 _NO_PROCESS = np.zeros((CORE, CORE))
 

@@ -20,15 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Phase, Settings, Tracker, TrackState, begin, build, step
+from spheremouse.ball.warm import warm_up
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig
 from spheremouse.session import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.track import Phase, Settings, Tracker, TrackState, begin, build, step
 from spheremouse.tracker import Frame
-from spheremouse.warm import warm_up
 
 WARM_UP = 10  # frames: caches, the allocator and the processor's clock settle; said wherever figures are
 BLOCK = 30  # frames that each works through before the next one does: a second of video, with its own caches

@@ -15,11 +15,11 @@ from spheremouse.files.yaml import read_document, write_json
 
 if TYPE_CHECKING:
     from spheremouse.adjustment.advice import Advice
-    from spheremouse.adjustment.device import Device
     from spheremouse.adjustment.device_adjustment import DeviceCalibration
+    from spheremouse.ball.device import Device
+    from spheremouse.ball.track import Settings
     from spheremouse.calibrate.photos import Photo
     from spheremouse.geometry.camera import InteriorOrientation
-    from spheremouse.track import Settings
 
 EXAMPLE = "Example: spheremouse calibrate device device/ --device device.yaml --camera camera.yaml --out rig.yaml"
 
@@ -108,8 +108,8 @@ def device(
 def _calibrated(
     photos: "Sequence[Photo]", known: "Device", camera: "InteriorOrientation", device_file: Path, settings: "Settings"
 ) -> "DeviceCalibration":
-    from spheremouse.adjustment.device import DistanceError
     from spheremouse.adjustment.device_photos import calibrate_device
+    from spheremouse.ball.device import DistanceError
     from spheremouse.calibrate.photos import image
 
     with progress_bar() as bar:

@@ -111,6 +111,7 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 
 def _calibrate(given: _Given) -> None:
+    from spheremouse.ball.track import Settings
     from spheremouse.calibrate.rolling_axes_choice import AxesFrom
     from spheremouse.calibrate.rolling_session import solve
     from spheremouse.capture import open_source
@@ -118,7 +119,6 @@ def _calibrate(given: _Given) -> None:
     from spheremouse.files.disc_map import map_path
     from spheremouse.files.rig import load_camera, load_rig, with_camera
     from spheremouse.session import make_ready
-    from spheremouse.track import Settings
 
     maps = None if given.out is None else map_path(given.out)
     source = Path(given.source.partition(":")[2]) if given.source.partition(":")[2] else None
@@ -160,7 +160,7 @@ def _calibrate(given: _Given) -> None:
 
 
 def _unknown_readout() -> float:
-    from spheremouse.rig import UNKNOWN_READOUT
+    from spheremouse.ball.rig import UNKNOWN_READOUT
 
     return UNKNOWN_READOUT
 
@@ -277,12 +277,12 @@ def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any
         rescaled_targets,
         with_rolled,
     )
+    from spheremouse.ball.compare_maps import turned
+    from spheremouse.ball.disc_map import DiscMap
+    from spheremouse.ball.rig import Rig, Targets
     from spheremouse.calibrate.rolling_report import figures, text
-    from spheremouse.disc_map import DiscMap
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig
-    from spheremouse.map_compare import turned
-    from spheremouse.rig import Rig, Targets
 
     rolled = solution.rolled
     found, source = axes.find(rolled, solution.views)[:2]

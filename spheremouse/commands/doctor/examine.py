@@ -12,6 +12,7 @@ import numpy as np
 
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.fit import noise_of
+from spheremouse.ball.rig import Rig
 from spheremouse.commands.doctor import (
     computer,
     controls,
@@ -32,7 +33,6 @@ from spheremouse.daemon.cameras import node_of
 from spheremouse.daemon.plan import Plan, Request, without_map
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
-from spheremouse.rig import Rig
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_plan import open_given
 

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from spheremouse.ball.rig import Rig
 from spheremouse.commands.doctor.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.commands.service.systemd import Place
 from spheremouse.daemon.plan import Plan, Request, read_plan
@@ -15,7 +16,6 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.disc_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
-from spheremouse.rig import Rig
 
 _DAY = 86400.0  # s
 

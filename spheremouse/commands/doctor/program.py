@@ -26,7 +26,7 @@ def version() -> Finding:
 
 def compiled_code() -> Finding:
     """How many of the functions that numba compiles are on the disk already, and where."""
-    import spheremouse.track  # noqa: F401  with all that tracking calls
+    import spheremouse.ball.track  # noqa: F401  with all that tracking calls
 
     return compiled(_dispatchers())
 

@@ -10,13 +10,13 @@ from spheremouse.ball.detect.appearance import ball_outline, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.ball.detect.rings import detect_targets
+from spheremouse.ball.pose import find_pose, gather
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.track import Settings, build
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.resect import find_pose, gather
-from spheremouse.rig import Rig
-from spheremouse.track import Settings, build
 from spheremouse.tracker import Frame
 
 _PLACED = 1e-3  # m: as well as targets keep their place on a frame that is wood or steel

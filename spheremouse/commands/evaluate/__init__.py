@@ -10,11 +10,13 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Rig, in_metres
+from spheremouse.ball.track import Settings, build
 from spheremouse.commands.complaint import complain
 from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands, wand_table
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.daemon.settings import Configuration
-from spheremouse.disc_map import DiscMap
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
 from spheremouse.files import config
@@ -24,11 +26,9 @@ from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.plot import plot_run, require_matplotlib
-from spheremouse.rig import Rig, in_metres
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
 from spheremouse.simulate.ball.degrade import degraded
-from spheremouse.track import Settings, build
 
 
 def evaluate(

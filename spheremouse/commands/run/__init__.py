@@ -232,12 +232,12 @@ def _follow(
     frames: int | None,
 ) -> None:
     """A recording: every frame, one after the other."""
+    from spheremouse.ball.pose import describe
+    from spheremouse.ball.track import build
     from spheremouse.output import open_output
     from spheremouse.overlay import target_marks
-    from spheremouse.resect import describe
     from spheremouse.session import initialise, track
     from spheremouse.session_map import MapKeeper
-    from spheremouse.track import build
 
     device, settings = plan.device(given.rig), plan.configuration
     with ExitStack() as stack:

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import ConfigurationError, DatasetError
 from spheremouse.files.dataset.format import (
     BLOB_COLUMNS,
@@ -42,8 +44,6 @@ from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import UNKNOWN_READOUT, Ball, Rig, Targets
-from spheremouse.simulate.truth import DiscTruth, Truth
 from spheremouse.tracker import Frame
 
 __all__ = [

@@ -12,6 +12,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from spheremouse.ball.rig import Rig
+from spheremouse.ball.truth import DiscTruth
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS
 from spheremouse.files.dataset.pictures import FAST, PictureWriter
@@ -19,9 +21,7 @@ from spheremouse.files.folders import NewFolder
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.rig import Rig
 from spheremouse.simulate.ball.film import Change, Simulation, simulate
-from spheremouse.simulate.truth import DiscTruth
 from spheremouse.tracker import Frame
 
 CENTRE_COLUMNS = ("bx", "by", "bz")  # of truth.csv, where the ball leaves its place

@@ -12,10 +12,10 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
 from spheremouse.geometry.camera import project, project_sphere, reduced_to_pixel, unproject
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.scene import Scene
-from spheremouse.simulate.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
 
 AttitudeAt = Callable[[Array], Array]  # times (n,) s -> R_obj_ball (n, 3, 3)
 

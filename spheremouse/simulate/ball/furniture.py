@@ -7,8 +7,8 @@ discs, coloured rings in wrong nestings. No ring target of the room is a valid o
 
 import numpy as np
 
+from spheremouse.ball.rig import Targets
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Targets
 from spheremouse.simulate.light import Lamp, Strip
 from spheremouse.simulate.shapes import Colour, Face, Ring, Shape, Sphere, box, post
 

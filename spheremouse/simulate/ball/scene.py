@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, from_euler
-from spheremouse.rig import Ball, Rig, Targets
 from spheremouse.simulate.ball.furniture import BLACK, LAMPS, STRIPS, WHITE_BALL, frame, room
 from spheremouse.simulate.light import Lighting
 from spheremouse.simulate.shapes import Colour, Shape

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.rig import Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Targets
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.board import Board, render_board
 from spheremouse.simulate.ball.caps import Caps

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from spheremouse.ball.truth import Truth
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.truth import Truth
 
 _STEP = 1e-3  # s, of the integration
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
-from spheremouse.intersect import SpherePoints
 from spheremouse.settings import SECONDS, SHARE, SIGMAS, param
 
 _FARTHEST = 0.1  # radii, standard deviation of a shift before anything is seen: it keeps the equations solvable

@@ -12,11 +12,11 @@ import numpy as np
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask
 from spheremouse.ball.detect.detections import Image
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.track import Settings, Tracker, begin, build, disc_map, step
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, exp, log
-from spheremouse.rig import Ball, Rig, Targets
-from spheremouse.track import Settings, Tracker, begin, build, disc_map, step
 from spheremouse.tracker import Frame
 
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
+from spheremouse.ball.pose import predict_targets
+from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import Array, exp, hat, log
-from spheremouse.resect import predict_targets
-from spheremouse.rig import Rig
 from spheremouse.settings import PART, PIXELS, SECONDS, SIGMA_PX, param
 
 _FINE = 17  # px, half width of a patch that need not be finer: larger ones are reduced to about that

@@ -11,9 +11,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.rig import Rig, first_hit
 from spheremouse.geometry.camera import Pose, row_of, unprojected
 from spheremouse.geometry.rotation import Array
-from spheremouse.rig import Rig, first_hit
 
 
 @dataclass(frozen=True, slots=True)

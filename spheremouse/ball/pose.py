@@ -16,6 +16,7 @@ from scipy.linalg import block_diag
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import MOST, TargetDetections
+from spheremouse.ball.rig import Rig
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import (
     Pose,
@@ -27,7 +28,6 @@ from spheremouse.geometry.camera import (
     unproject,
 )
 from spheremouse.geometry.rotation import Array, exp, hat
-from spheremouse.rig import Rig
 from spheremouse.settings import SHARE, SIGMA_PX, param
 
 _CHOICES = 250  # of one copy of each target that are tried: each is a resection of its own and takes milliseconds

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import pdtrc
 
-from spheremouse import bearing
-from spheremouse import watch as watching
-from spheremouse.associate import common_rotation, identify
+from spheremouse.ball import bearings as bearing
+from spheremouse.ball import camera_watch as watching
+from spheremouse.ball.associate import common_rotation, identify
+from spheremouse.ball.bearings import BearingSettings, Shift
+from spheremouse.ball.camera_watch import Watch, WatchSettings
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
@@ -24,22 +26,20 @@ from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detec
 from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
 from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
 from spheremouse.ball.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
-from spheremouse.bearing import BearingSettings, Shift
-from spheremouse.disc_map import DiscMap
+from spheremouse.ball.points import SpherePoints, intersect
+from spheremouse.ball.pose import PoseSettings, find_pose, predict_targets
+from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array
-from spheremouse.intersect import SpherePoints, intersect
 from spheremouse.output.counts import Motion, MotionSettings, Remainder, rotation_between, to_counts
-from spheremouse.resect import PoseSettings, find_pose, predict_targets
-from spheremouse.rig import Rig, considered_covariance
 from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
 from spheremouse.tracker import Frame
-from spheremouse.watch import Watch, WatchSettings
 
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
 _READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
