@@ -7,9 +7,9 @@ from boards import CAMERA, PATTERN, picture, places, views
 from conftest import datasets_dir
 from scipy.stats import chi2
 
-from spheremouse.adjustment import board as adjustment
-from spheremouse.adjustment.board import View, calibrate_board, held_out, resected
-from spheremouse.detect.board import Pattern, dictionary_seen, find_board, rectified
+from spheremouse.calibrate.camera import adjust as adjustment
+from spheremouse.calibrate.camera.adjust import View, calibrate_board, held_out, resected
+from spheremouse.calibrate.camera.corners import Pattern, dictionary_seen, find_board, rectified
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp, log

@@ -10,9 +10,9 @@ import pytest
 from boards import CAMERA, PATTERN, picture, places
 from typer.testing import CliRunner
 
-from spheremouse.calibrate.live import Session
+from spheremouse.calibrate.camera.corners import Pattern, find_board
+from spheremouse.calibrate.camera.live import Session
 from spheremouse.commands import app
-from spheremouse.detect.board import Pattern, find_board
 from spheremouse.errors import CalibrationError, SpheremouseError
 from spheremouse.files.report import page
 from spheremouse.files.rig import load_camera
@@ -233,8 +233,7 @@ def test_a_live_session_keeps_views_that_add_something_and_can_be_continued(tmp_
 
 def test_a_live_session_ends_when_it_is_enough(tmp_path, poses, monkeypatch):
     """The source goes on; the session does not."""
-    from spheremouse.adjustment import coverage
-    from spheremouse.calibrate import live
+    from spheremouse.calibrate.camera import coverage, live
 
     monkeypatch.setattr(live, "enough", lambda found: found.views >= 3)
     R, t = poses
@@ -256,7 +255,7 @@ def test_a_moving_board_is_no_view(poses):
 
 
 def test_the_screen_shows_what_is_missing(poses):
-    from spheremouse.calibrate.live import _screen
+    from spheremouse.calibrate.camera.live import _screen
 
     R, t = poses
     session = Session(PATTERN, SIZE)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from boards import CAMERA, places, views
 
-from spheremouse.adjustment.coverage import (
+from spheremouse.calibrate.camera.coverage import (
     LEANS,
     VIEWS,
     bare,
@@ -100,7 +100,7 @@ def test_reach_is_the_way_to_the_corner():
 
 def test_what_is_said_to_be_missing_makes_the_focal_length_better():
     """Tilts are asked for because they tell the focal length: with them it is several times surer."""
-    from spheremouse.adjustment.board import calibrate_board
+    from spheremouse.calibrate.camera.adjust import calibrate_board
 
     rng = np.random.default_rng(1)
     size = CAMERA.width, CAMERA.height

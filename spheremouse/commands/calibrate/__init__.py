@@ -2,7 +2,7 @@
 
 import typer
 
-from spheremouse.calibrate import camera
+from spheremouse.calibrate.camera import calibrate as camera
 from spheremouse.commands.calibrate import device, init, next, practice, rolling
 from spheremouse.commands.calibrate import print as prints
 

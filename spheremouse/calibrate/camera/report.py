@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from spheremouse.adjustment.board import PARAMETERS
-from spheremouse.adjustment.coverage import LEANS, VIEWS, bare, listed, unleant
-from spheremouse.calibrate.camera import Calibrated, false_views, thumbnail
+from spheremouse.calibrate.camera.adjust import PARAMETERS
+from spheremouse.calibrate.camera.calibrate import Calibrated, false_views, thumbnail
+from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, bare, listed, unleant
 from spheremouse.calibrate.photos import image
 from spheremouse.files.report import page
 from spheremouse.files.yaml import write_atomically

@@ -19,10 +19,10 @@ from spheremouse.files.yaml import write_json
 from spheremouse.geometry.rotation import Array
 
 if TYPE_CHECKING:
-    from spheremouse.adjustment.board import BoardAdjustment, View
-    from spheremouse.adjustment.coverage import Coverage
+    from spheremouse.calibrate.camera.adjust import BoardAdjustment, View
+    from spheremouse.calibrate.camera.corners import Pattern, Sighting
+    from spheremouse.calibrate.camera.coverage import Coverage
     from spheremouse.calibrate.photos import Photo
-    from spheremouse.detect.board import Pattern, Sighting
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 
@@ -84,7 +84,7 @@ def camera(
     10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
     reaching into all corners of the picture. With --source it watches the camera and takes the views that are wanted.
     """
-    from spheremouse.calibrate.camera_report import camera_json, camera_text, write_camera_report
+    from spheremouse.calibrate.camera.report import camera_json, camera_text, write_camera_report
     from spheremouse.calibrate.photos import read_photos
     from spheremouse.files.rig import save_camera
 
@@ -98,7 +98,7 @@ def camera(
     page = _page(report, out)
     check_outputs([out, page, json_file], photos or [], force)
     if source is not None:
-        from spheremouse.calibrate.live import take_views
+        from spheremouse.calibrate.camera.live import take_views
 
         take_views(source, pattern, keep)
         photos = [keep]
@@ -121,8 +121,8 @@ def camera(
 
 
 def _pattern(board: str, square: str | None, marker: str | None, dictionary: str) -> "Pattern":
+    from spheremouse.calibrate.camera.corners import DICTIONARIES, Pattern, markers_in, markers_of
     from spheremouse.calibrate.lengths import parse_board, parse_length
-    from spheremouse.detect.board import DICTIONARIES, Pattern, markers_in, markers_of
 
     columns, rows = parse_board(board)
     if square is None:
@@ -163,10 +163,10 @@ def _page(report: Path | None, out: Path) -> Path | None:
 
 def calibrate(photos: "Sequence[Photo]", pattern: "Pattern", terms: int = 5) -> Calibrated:
     """The camera that took the photos of a board; CalibrationError where they do not tell it."""
-    from spheremouse.adjustment.board import MIN_VIEWS, calibrate_board, held_out
-    from spheremouse.adjustment.coverage import coverage
+    from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board, held_out
+    from spheremouse.calibrate.camera.corners import find_board, rectified
+    from spheremouse.calibrate.camera.coverage import coverage
     from spheremouse.calibrate.photos import image
-    from spheremouse.detect.board import find_board, rectified
 
     size = photos[0].size
     with progress_bar() as bar:
@@ -200,7 +200,7 @@ def calibrate(photos: "Sequence[Photo]", pattern: "Pattern", terms: int = 5) -> 
 
 
 def _view(pattern: "Pattern", seen: "Sighting") -> "View":
-    from spheremouse.adjustment.board import View
+    from spheremouse.calibrate.camera.adjust import View
 
     return View(pattern.corners()[seen.ids], seen.uv)
 
@@ -225,8 +225,8 @@ def _words(pattern: "Pattern") -> str:
 
 def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pattern") -> CalibrationError:
     """Why there are hardly any views, as far as the photos tell."""
+    from spheremouse.calibrate.camera.corners import dictionary_seen, find_board
     from spheremouse.calibrate.photos import image
-    from spheremouse.detect.board import dictionary_seen, find_board
 
     n = sum(1 for s in seen if len(s.ids))
     if pattern.marker is None:
@@ -299,7 +299,7 @@ def _check_markers(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", patter
 
 def _check_plausible(found: "BoardAdjustment", pattern: "Pattern") -> None:
     """Refuse what no adjustment can see wrong, and what it cannot determine."""
-    from spheremouse.adjustment.board import MIN_VIEWS
+    from spheremouse.calibrate.camera.adjust import MIN_VIEWS
 
     camera, sigma = found.camera, found.deviations
     loose = float(np.max(sigma[:2] / np.array([camera.fx, camera.fy])))

@@ -14,8 +14,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from spheremouse.adjustment.board import MIN_VIEWS, View, calibrate_board, resected
-from spheremouse.adjustment.coverage import (
+from spheremouse.calibrate.camera.adjust import MIN_VIEWS, View, calibrate_board, resected
+from spheremouse.calibrate.camera.corners import Pattern, Sighting, find_board
+from spheremouse.calibrate.camera.coverage import (
     LEANS,
     VIEWS,
     Coverage,
@@ -29,7 +30,6 @@ from spheremouse.adjustment.coverage import (
 from spheremouse.calibrate.photos import ENDINGS, image, read_photos
 from spheremouse.capture import open_source
 from spheremouse.capture.stopping import Stopping
-from spheremouse.detect.board import Pattern, Sighting, find_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
 from spheremouse.geometry.camera import InteriorOrientation
