@@ -10,12 +10,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from spheremouse.adjustment.advice import ENOUGH, WORTH, advise, coverage, photo_scatter
-from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted
-from spheremouse.adjustment.device_adjustment import DiscViews, adjust_device
-from spheremouse.adjustment.start import TargetViews
-from spheremouse.adjustment.what_if import network, sigmas, spread, targets_seen, with_distances, with_photos
 from spheremouse.ball.device import Axes, Device, Distance
+from spheremouse.calibrate.device.adjust import DiscViews, adjust_device
+from spheremouse.calibrate.device.advice import ENOUGH, WORTH, advise, coverage, photo_scatter
+from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
+from spheremouse.calibrate.device.start import TargetViews
+from spheremouse.calibrate.device.what_if import network, sigmas, spread, targets_seen, with_distances, with_photos
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
 CAMERA = InteriorOrientation(1920, 1080, 1404.0, 1404.0, 960.0, 540.0)

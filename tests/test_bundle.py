@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from spheremouse.adjustment import bundle
-from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted, solve_block
 from spheremouse.ball.device import Axes, Device, Distance
+from spheremouse.calibrate.device import bundle
+from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted, solve_block
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, exp, log
 

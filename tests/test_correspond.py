@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_bundle import CAMERA, stations
 
-from spheremouse.adjustment.correspond import Spots, near_sphere, numbered, on_ball
+from spheremouse.calibrate.device.correspond import Spots, near_sphere, numbered, on_ball
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
 

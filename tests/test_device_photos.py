@@ -9,10 +9,10 @@ import pytest
 from conftest import datasets_dir
 from scipy.stats import chi2
 
-from spheremouse.adjustment.correspond import ball_rig
-from spheremouse.adjustment.device_photos import calibrate_device
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.device import DistanceError
+from spheremouse.calibrate.device.calibrate import calibrate_device
+from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
 from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project

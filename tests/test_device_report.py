@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from spheremouse.adjustment.advice import advise
-from spheremouse.calibrate.device_pictures import magnification, photo_picture
-from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
+from spheremouse.calibrate.device.advice import advise
+from spheremouse.calibrate.device.figures import magnification, photo_picture
+from spheremouse.calibrate.device.report import device_json, device_text, write_device_report
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.report import page

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, predicted
-from spheremouse.adjustment.device_adjustment import DeviceCalibration, DiscViews, adjust_device
-from spheremouse.adjustment.start import TargetViews
 from spheremouse.ball.device import Axes, Device, Distance
+from spheremouse.calibrate.device.adjust import DeviceCalibration, DiscViews, adjust_device
+from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
+from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.ball.scene import spread_directions

@@ -14,10 +14,10 @@ from spheremouse.errors import CalibrationError
 from spheremouse.files.yaml import read_document, write_json
 
 if TYPE_CHECKING:
-    from spheremouse.adjustment.advice import Advice
-    from spheremouse.adjustment.device_adjustment import DeviceCalibration
     from spheremouse.ball.device import Device
     from spheremouse.ball.track import Settings
+    from spheremouse.calibrate.device.adjust import DeviceCalibration
+    from spheremouse.calibrate.device.advice import Advice
     from spheremouse.calibrate.photos import Photo
     from spheremouse.geometry.camera import InteriorOrientation
 
@@ -52,9 +52,9 @@ def device(
     Six to twelve photos from as many sides as targets allow; the ball must not turn between them. Tape distances in
     the device file give metres; without any the scale is free and counts are per radian.
     """
-    from spheremouse.adjustment.advice import advise
-    from spheremouse.adjustment.device_adjustment import DOUBTFUL_RMS
-    from spheremouse.calibrate.device_report import device_json, device_text, write_device_report
+    from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS
+    from spheremouse.calibrate.device.advice import advise
+    from spheremouse.calibrate.device.report import device_json, device_text, write_device_report
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
@@ -108,8 +108,8 @@ def device(
 def _calibrated(
     photos: "Sequence[Photo]", known: "Device", camera: "InteriorOrientation", device_file: Path, settings: "Settings"
 ) -> "DeviceCalibration":
-    from spheremouse.adjustment.device_photos import calibrate_device
     from spheremouse.ball.device import DistanceError
+    from spheremouse.calibrate.device.calibrate import calibrate_device
     from spheremouse.calibrate.photos import image
 
     with progress_bar() as bar:

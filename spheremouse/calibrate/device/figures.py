@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.adjustment.device_adjustment import DeviceCalibration
+from spheremouse.calibrate.device.adjust import DeviceCalibration
 from spheremouse.files.report.page import BLUE, GOLD, GREEN, GRID, INK, MUTED, PAPER, RED, drawn
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, tangent_basis

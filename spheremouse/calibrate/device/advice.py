@@ -12,8 +12,8 @@ import numpy as np
 from scipy import sparse
 from scipy.stats import chi2
 
-from spheremouse.adjustment.device_adjustment import DeviceCalibration, image_residuals
-from spheremouse.adjustment.what_if import (
+from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
+from spheremouse.calibrate.device.what_if import (
     Network,
     Sigmas,
     looking,

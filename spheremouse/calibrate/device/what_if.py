@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, design
-from spheremouse.adjustment.device_adjustment import DeviceCalibration
 from spheremouse.ball.device import Distance
+from spheremouse.calibrate.device.adjust import DeviceCalibration
+from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, design
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.least_squares.adjust import cofactors
 from spheremouse.geometry.least_squares.sphere import fit_sphere

@@ -14,9 +14,9 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.adjustment.advice import Advice, advise, coverage, distance_redundancy
-from spheremouse.adjustment.device_adjustment import DeviceCalibration
-from spheremouse.calibrate.device_pictures import certainty, magnification, overview, photo_picture, side_views
+from spheremouse.calibrate.device.adjust import DeviceCalibration
+from spheremouse.calibrate.device.advice import Advice, advise, coverage, distance_redundancy
+from spheremouse.calibrate.device.figures import certainty, magnification, overview, photo_picture, side_views
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.report import page

@@ -11,9 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.adjustment.bundle import Block, Problem, solve_block
-from spheremouse.adjustment.correspond import Spots, ball_rig, from_several_sides, near_sphere, numbered, on_ball
-from spheremouse.adjustment.device_adjustment import (
+from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
+from spheremouse.ball.device import Device, DistanceError
+from spheremouse.calibrate.device.adjust import (
     Bundled,
     DeviceCalibration,
     DiscViews,
@@ -21,12 +24,9 @@ from spheremouse.adjustment.device_adjustment import (
     check_distances,
     moved_to_ball,
 )
-from spheremouse.adjustment.start import TargetViews, first_block, target_views
-from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
-from spheremouse.ball.detect.detections import Detections, Image
-from spheremouse.ball.detect.discs import DiscSettings, disc_detector
-from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
-from spheremouse.ball.device import Device, DistanceError
+from spheremouse.calibrate.device.bundle import Block, Problem, solve_block
+from spheremouse.calibrate.device.correspond import Spots, ball_rig, from_several_sides, near_sphere, numbered, on_ball
+from spheremouse.calibrate.device.start import TargetViews, first_block, target_views
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.sphere import FEWEST

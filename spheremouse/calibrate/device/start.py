@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from spheremouse.adjustment.bundle import Block, ImagePoints, Problem, distances, predicted, solve_block
 from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.ball.device import Device, DistanceError
+from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, distances, predicted, solve_block
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, align

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.stats import chi2
 
-from spheremouse.adjustment.bundle import (
+from spheremouse.ball.device import Device, DistanceError
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.calibrate.device.bundle import (
     INTERIOR,
     Block,
     ImagePoints,
@@ -22,10 +25,7 @@ from spheremouse.adjustment.bundle import (
     predicted,
     solve_block,
 )
-from spheremouse.adjustment.start import TargetViews
-from spheremouse.ball.device import Device, DistanceError
-from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vector, with_interior
 from spheremouse.geometry.least_squares.adjust import redundancy, snooped, variance_factors
