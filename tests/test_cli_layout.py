@@ -10,12 +10,12 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from spheremouse.calibrate.layout.guide import on_the_tape, places
+from spheremouse.calibrate.layout.search import Trials, in_order, judge
 from spheremouse.commands import app
 from spheremouse.commands import layout as cli_layout
 from spheremouse.commands.layout import advice, read_layout
 from spheremouse.errors import ConfigurationError
-from spheremouse.layout import Trials, in_order, judge
-from spheremouse.placement_guide import on_the_tape, places
 
 VIEW = np.radians(70.0)
 

@@ -6,8 +6,8 @@ from conftest import directions
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from spheremouse.coincidence import nearest_doubles
-from spheremouse.layout import (
+from spheremouse.calibrate.layout.coincidence import nearest_doubles
+from spheremouse.calibrate.layout.search import (
     CLEAR,
     alike,
     evenly_spread,
@@ -19,7 +19,7 @@ from spheremouse.layout import (
     search,
     spacing,
 )
-from spheremouse.layout import _pairs as pairs_of
+from spheremouse.calibrate.layout.search import _pairs as pairs_of
 
 VIEW = np.radians(70.0)
 

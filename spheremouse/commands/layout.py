@@ -10,13 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from spheremouse.commands.terminal import progress_bar
-from spheremouse.errors import ConfigurationError
-from spheremouse.files import plain_json
-from spheremouse.files.bounded import read_text
-from spheremouse.files.yaml import MAX_BYTES, read_document, write_atomically, write_json
-from spheremouse.geometry.rotation import Array, log
-from spheremouse.layout import (
+from spheremouse.calibrate.layout.guide import Accuracy, Design, on_the_tape, places, write_guide
+from spheremouse.calibrate.layout.search import (
     CLEAR,
     ENOUGH,
     FEWEST,
@@ -31,7 +26,12 @@ from spheremouse.layout import (
     recognised,
     search,
 )
-from spheremouse.placement_guide import Accuracy, Design, on_the_tape, places, write_guide
+from spheremouse.commands.terminal import progress_bar
+from spheremouse.errors import ConfigurationError
+from spheremouse.files import plain_json
+from spheremouse.files.bounded import read_text
+from spheremouse.files.yaml import MAX_BYTES, read_document, write_atomically, write_json
+from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.scene import spread_directions
 
 _RADIUS, _DISC_RADIUS = 0.6, 0.02  # m

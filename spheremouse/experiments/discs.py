@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse import layout
 from spheremouse.ball.truth import VISIBLE
+from spheremouse.calibrate.layout import search as layout
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import MIN_AREA
 from spheremouse.experiments import kit, sights

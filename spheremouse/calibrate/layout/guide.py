@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from spheremouse.calibrate.layout.drawing import drawing, drawn_radius, sketch
+from spheremouse.calibrate.layout.search import CLEAR, ENOUGH, Judgement, Trials, alike
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
-from spheremouse.layout import CLEAR, ENOUGH, Judgement, Trials, alike
-from spheremouse.placement_drawing import drawing, drawn_radius, sketch
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.associate import identify
-from spheremouse.coincidence import nearest_doubles, turns_of_all, weights
+from spheremouse.calibrate.layout.coincidence import nearest_doubles, turns_of_all, weights
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 from spheremouse.simulate.ball.scene import spread_directions
 
