@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.rig import CODES
 from spheremouse.calibrate.lengths import Board
-from spheremouse.calibrate.prints_page import PAPERS, _figure, pdf
-from spheremouse.calibrate.prints_recipe import recipe
-from spheremouse.calibrate.prints_sheets import (
+from spheremouse.calibrate.prints.page import PAPERS, _figure, pdf
+from spheremouse.calibrate.prints.recipe import recipe
+from spheremouse.calibrate.prints.sheets import (
     board_pages,
     charuco,
     chessboard,
@@ -30,7 +30,7 @@ from spheremouse.calibrate.prints_sheets import (
     largest_square,
     target_pages,
 )
-from spheremouse.calibrate.prints_sketches import sketches
+from spheremouse.calibrate.prints.sketches import sketches
 from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
 

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from spheremouse.calibrate.lengths import parse_board, parse_length
-from spheremouse.calibrate.prints_page import pdf
-from spheremouse.calibrate.prints_recipe import recipe
-from spheremouse.calibrate.prints_sheets import (
+from spheremouse.calibrate.prints.page import pdf
+from spheremouse.calibrate.prints.recipe import recipe
+from spheremouse.calibrate.prints.sheets import (
     board_pages,
     charuco,
     chessboard,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.calibrate.lengths import Board
-from spheremouse.calibrate.prints_page import (
+from spheremouse.calibrate.prints.page import (
     BLACK,
     GREY,
     HAIR,

@@ -4,8 +4,8 @@ import re
 from importlib import resources
 
 from spheremouse.calibrate.lengths import Board
-from spheremouse.calibrate.prints_sheets import mm
-from spheremouse.calibrate.prints_sketches import sketches
+from spheremouse.calibrate.prints.sheets import mm
+from spheremouse.calibrate.prints.sketches import sketches
 
 
 def recipe(board: Board, square: float, paper_name: str) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from spheremouse.calibrate.prints_sheets import TARGETS
+from spheremouse.calibrate.prints.sheets import TARGETS
 from spheremouse.geometry.rotation import Array, exp
 
 _INK = {"C": "#00ffff", "M": "#ff00ff", "Y": "#ffff00"}
