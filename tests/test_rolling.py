@@ -9,10 +9,13 @@ from conftest import directions
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
-from spheremouse.adjustment.rolling import Rolling, Sightings, _cost, _equations, _moved, _rates, adjust_rolling
-from spheremouse.adjustment.rolling_advice import advise
-from spheremouse.adjustment.rolling_axes import Axes as RolledAxes
-from spheremouse.adjustment.rolling_axes import (
+from spheremouse.ball.device import Axes, Device, Distance
+from spheremouse.ball.pose import Sighting, predict_targets
+from spheremouse.ball.rig import CODES, Ball, Rig, Targets
+from spheremouse.calibrate.rolling.adjust import Rolling, Sightings, _cost, _equations, _moved, _rates, adjust_rolling
+from spheremouse.calibrate.rolling.advice import advise
+from spheremouse.calibrate.rolling.axes import Axes as RolledAxes
+from spheremouse.calibrate.rolling.axes import (
     axes_from_gestures,
     axes_from_rings,
     axes_from_targets,
@@ -21,10 +24,7 @@ from spheremouse.adjustment.rolling_axes import (
     rescaled_targets,
     with_rolled,
 )
-from spheremouse.adjustment.rolling_start import Spots, start
-from spheremouse.ball.device import Axes, Device, Distance
-from spheremouse.ball.pose import Sighting, predict_targets
-from spheremouse.ball.rig import CODES, Ball, Rig, Targets
+from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
 from spheremouse.errors import CalibrationError

@@ -112,8 +112,8 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 def _calibrate(given: _Given) -> None:
     from spheremouse.ball.track import Settings
-    from spheremouse.calibrate.rolling_axes_choice import AxesFrom
-    from spheremouse.calibrate.rolling_session import solve
+    from spheremouse.calibrate.rolling.axes_choice import AxesFrom
+    from spheremouse.calibrate.rolling.calibrate import solve
     from spheremouse.capture import open_source
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
@@ -196,7 +196,7 @@ def _disc_angle(given: _Given, axes: Any, rolled: Any, views: Any, told: list[fl
     """Radius of a disc over the ball's where lengths tell it, which `told` keeps."""
     radius = given.radius
     if axes.rig is not None and axes.device is None and axes.gestures is None:
-        from spheremouse.adjustment.rolling_axes import placed, with_rolled
+        from spheremouse.calibrate.rolling.axes import placed, with_rolled
 
         ball = placed(rolled, with_rolled(axes.find(rolled, views)[0], rolled))[1]
         if not axes.rig.scale_free:
@@ -227,7 +227,7 @@ def _check_radius(radius: float | None, ball: Any, rough: float) -> None:
 
 
 def _footage(given: _Given, live: bool, ask: bool) -> Any:
-    from spheremouse.calibrate.footage import Kept, Recorded
+    from spheremouse.calibrate.rolling.footage import Kept, Recorded
     from spheremouse.capture import open_source
     from spheremouse.capture.stopping import Stopping
 
@@ -269,18 +269,18 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
 def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any) -> None:
     import numpy as np
 
-    from spheremouse.adjustment.rolling_advice import advise
-    from spheremouse.adjustment.rolling_axes import (
+    from spheremouse.ball.compare_maps import turned
+    from spheremouse.ball.disc_map import DiscMap
+    from spheremouse.ball.rig import Rig, Targets
+    from spheremouse.calibrate.rolling.advice import advise
+    from spheremouse.calibrate.rolling.axes import (
         known_with_ball,
         placed,
         placed_targets,
         rescaled_targets,
         with_rolled,
     )
-    from spheremouse.ball.compare_maps import turned
-    from spheremouse.ball.disc_map import DiscMap
-    from spheremouse.ball.rig import Rig, Targets
-    from spheremouse.calibrate.rolling_report import figures, text
+    from spheremouse.calibrate.rolling.report import figures, text
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spheremouse.adjustment.rolling import Rolled
-from spheremouse.adjustment.rolling_axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Device
 from spheremouse.ball.pose import PoseSettings, gather
 from spheremouse.ball.rig import Rig
-from spheremouse.calibrate.rolling_session import Views
+from spheremouse.calibrate.rolling.adjust import Rolled
+from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_rings, axes_from_targets
+from spheremouse.calibrate.rolling.calibrate import Views
 from spheremouse.errors import CalibrationError, PoseError
 from spheremouse.geometry.camera import InteriorOrientation
 

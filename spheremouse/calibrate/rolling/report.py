@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.adjustment.rolling_advice import sigmas
-from spheremouse.adjustment.rolling_axes import Axes
 from spheremouse.ball.rig import Rig
-from spheremouse.calibrate.rolling_session import Solution
+from spheremouse.calibrate.rolling.advice import sigmas
+from spheremouse.calibrate.rolling.axes import Axes
+from spheremouse.calibrate.rolling.calibrate import Solution
 
 _SOURCES = {
     "targets": "targets whose positions are known",

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
-from spheremouse.adjustment.rolling import Rolled, adjust_rolling
-from spheremouse.adjustment.rolling_sightings import Tracked, provisional_pose, track_rolling
-from spheremouse.adjustment.rolling_start import RollingStart, Spots, dark_spots, start, start_rig
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.track import Settings
-from spheremouse.calibrate.footage import Footage
+from spheremouse.calibrate.rolling.adjust import Rolled, adjust_rolling
+from spheremouse.calibrate.rolling.footage import Footage
+from spheremouse.calibrate.rolling.sightings import Tracked, provisional_pose, track_rolling
+from spheremouse.calibrate.rolling.start import RollingStart, Spots, dark_spots, start, start_rig
 from spheremouse.errors import CalibrationError, SourceError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array

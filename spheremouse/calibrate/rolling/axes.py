@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from spheremouse.adjustment.rolling import Rolled, Rolling, lens_root
 from spheremouse.ball.device import Device
 from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.calibrate.rolling.adjust import Rolled, Rolling, lens_root
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import (
     InteriorOrientation,
