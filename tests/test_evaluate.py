@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import pearsonr
 from typer.testing import CliRunner
 
-from spheremouse import plot
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.track import Phase
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.commands import evaluate as cli_evaluate
 from spheremouse.errors import ConfigurationError
+from spheremouse.evaluate import plot
 from spheremouse.evaluate.bound import Bound, manoeuvre, posterior_bound
 from spheremouse.evaluate.centres import Sight
 from spheremouse.evaluate.metrics import (

@@ -12,11 +12,11 @@ from rich.table import Table as Shown
 
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
+from spheremouse.evaluate.plot import require_matplotlib
 from spheremouse.experiments import NAMES
 from spheremouse.experiments.experiment import Job, Request, Result, Section, Table
 from spheremouse.experiments.report import write_report
 from spheremouse.experiments.run import work_all
-from spheremouse.plot import require_matplotlib
 
 
 def experiments(

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.evaluate.plot import require_matplotlib
 from spheremouse.experiments.experiment import Figure
 from spheremouse.files.yaml import write_atomically
-from spheremouse.plot import require_matplotlib
 
 # ---- for a reader ----
 

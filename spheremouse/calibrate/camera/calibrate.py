@@ -147,7 +147,7 @@ def _pattern(board: str, square: str | None, marker: str | None, dictionary: str
 
 
 def _page(report: Path | None, out: Path) -> Path | None:
-    from spheremouse.plot import has_matplotlib, require_matplotlib
+    from spheremouse.evaluate.plot import has_matplotlib, require_matplotlib
 
     if report is not None:
         require_matplotlib()

@@ -57,11 +57,11 @@ def device(
     from spheremouse.calibrate.device.report import device_json, device_text, write_device_report
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.commands.config import root
+    from spheremouse.evaluate.plot import has_matplotlib
     from spheremouse.files.config import in_force
     from spheremouse.files.device import load_device, untouched
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import load_camera, save_rig
-    from spheremouse.plot import has_matplotlib
 
     page = report or out.with_suffix(".html")
     the_map = map_path(out)

@@ -19,13 +19,13 @@ from spheremouse.commands.terminal import progress_bar
 from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
+from spheremouse.evaluate.plot import plot_run, require_matplotlib
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset, read_frames
 from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.plot import plot_run, require_matplotlib
 from spheremouse.session import History, initialise, track
 from spheremouse.session_map import open_map
 from spheremouse.simulate.ball.degrade import degraded

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from spheremouse.evaluate.plot import require_matplotlib
 from spheremouse.geometry.rotation import Array
-from spheremouse.plot import require_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
