@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluate.lag import Turning, search, travel
-from spheremouse.evaluate.match import match, reproduced
-from spheremouse.evaluate.match_verdict import Kind, axes_of, judge, settings_of
+from spheremouse.evaluate.trackball.lag import Turning, search, travel
+from spheremouse.evaluate.trackball.match import match, reproduced
+from spheremouse.evaluate.trackball.match_verdict import Kind, axes_of, judge, settings_of
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.simulate.ball.profile import Gestures, play, stroke

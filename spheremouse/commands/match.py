@@ -15,10 +15,10 @@ from spheremouse.errors import ConfigurationError, DatasetError, PoseError, Sour
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
     from spheremouse.daemon.plan import Plan
-    from spheremouse.evaluate.lag import Turning
-    from spheremouse.evaluate.match import Match
-    from spheremouse.evaluate.match_verdict import Verdict
     from spheremouse.evaluate.metrics import Run
+    from spheremouse.evaluate.trackball.lag import Turning
+    from spheremouse.evaluate.trackball.match import Match
+    from spheremouse.evaluate.trackball.match_verdict import Verdict
     from spheremouse.output.counts import MotionSettings
     from spheremouse.simulate.ball.trackball import MouseLog
     from spheremouse.tracker import Frame
@@ -59,8 +59,8 @@ def match(
     """
     from spheremouse.capture.mouse import read_log
     from spheremouse.daemon.plan import Request, read_plan
-    from spheremouse.evaluate import match as core
-    from spheremouse.evaluate.match_verdict import judge, settings_of
+    from spheremouse.evaluate.trackball import match as core
+    from spheremouse.evaluate.trackball.match_verdict import judge, settings_of
 
     _check_outputs(out, force, json_file)
     trackball = read_log(log)
@@ -208,7 +208,7 @@ def _print(
     from rich.console import Console
     from rich.table import Table
 
-    from spheremouse.evaluate.match import reproduced
+    from spheremouse.evaluate.trackball.match import reproduced
 
     console = Console(soft_wrap=True)
     if not console.is_terminal:

@@ -10,9 +10,9 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from spheremouse.ball.truth import Truth
-from spheremouse.evaluate.lag import travel
-from spheremouse.evaluate.match import match, turning
 from spheremouse.evaluate.metrics import Run, surface_speeds
+from spheremouse.evaluate.trackball.lag import travel
+from spheremouse.evaluate.trackball.match import match, turning
 from spheremouse.experiments import r1, sights
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import TRACKERS, Film, made, options_of, settings_of, taken, tracked

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball.track import Tracker, TrackState, advance, begin, build, step
-from spheremouse.evaluate.lag import Turning, search, travel
+from spheremouse.evaluate.trackball.lag import Turning, search, travel
 from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit import settings_of
 from spheremouse.experiments.limits import (

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from spheremouse.evaluate.match import Match
+from spheremouse.evaluate.trackball.match import Match
 from spheremouse.output.counts import MotionSettings
 
 _CHANCE = 40.0  # logarithm of a likelihood ratio: logs of other simulated plays reached 14 at their best lag

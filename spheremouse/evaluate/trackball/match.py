@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky_banded, solve_banded
 
-from spheremouse.evaluate.lag import Peak, Travel, Turning, search, travel
 from spheremouse.evaluate.metrics import Run, pearson
+from spheremouse.evaluate.trackball.lag import Peak, Travel, Turning, search, travel
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.trackball import MouseLog
 
