@@ -16,9 +16,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from spheremouse.experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import log
-from spheremouse.simulate.observations import calibrated, normalised_errors, simulated_calibration
 
 PAGE = Path(__file__).with_name("calibration.md")
 MARKS = ("<!-- made by docs/calibration_figures.py --write -->", "<!-- end -->")

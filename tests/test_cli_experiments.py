@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 from spheremouse.commands import experiments as cli_experiments
 from spheremouse.errors import SpheremouseError
 from spheremouse.experiments import NAMES
-from spheremouse.experiments import run as run_module
-from spheremouse.experiments.experiment import Job, Request
-from spheremouse.experiments.report import value
-from spheremouse.experiments.run import work_all
+from spheremouse.experiments.kit import run as run_module
+from spheremouse.experiments.kit.job import Job, Request
+from spheremouse.experiments.kit.report import value
+from spheremouse.experiments.kit.run import work_all
 
 app = typer.Typer()
 app.command()(cli_experiments.experiments)
@@ -97,8 +97,8 @@ LONG = """
 import sys
 from pathlib import Path
 import tiny_experiment
-from spheremouse.experiments.experiment import Job
-from spheremouse.experiments.run import work_all
+from spheremouse.experiments.kit.job import Job
+from spheremouse.experiments.kit.run import work_all
 if __name__ == "__main__":
     import signal
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(3))

@@ -14,10 +14,10 @@ from spheremouse.ball.device import DistanceError
 from spheremouse.calibrate.device.calibrate import calibrate_device
 from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
+from spheremouse.experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
 from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.simulate.observations import calibrated, normalised_errors, simulated_calibration
 
 RUNS = 24
 

@@ -15,9 +15,9 @@ from spheremouse.calibrate.device.figures import magnification, photo_picture
 from spheremouse.calibrate.device.report import device_json, device_text, write_device_report
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.errors import ConfigurationError
+from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.files.report import page
 from spheremouse.geometry.camera import ellipse_to_pixel, project_sphere
-from spheremouse.simulate.observations import calibrated, simulated_calibration
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
 

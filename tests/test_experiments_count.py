@@ -4,8 +4,8 @@ import numpy as np
 
 from spheremouse.experiments import count
 from spheremouse.experiments.count import jobs, section, with_discs
-from spheremouse.experiments.experiment import Figure, Request, Table
-from spheremouse.experiments.plot import save
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.plot import save
 
 WHOLE = Request(False, None)
 

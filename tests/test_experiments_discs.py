@@ -7,8 +7,8 @@ import pytest
 
 from spheremouse.experiments import discs
 from spheremouse.experiments.discs import HANDS, LAYOUTS, SIZES, directions_of, in_rows, jobs, section
-from spheremouse.experiments.experiment import Figure, Request, Table
-from spheremouse.experiments.report import write_report
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.report import write_report
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.experiments.experiment import Figure, Request, Table
 from spheremouse.experiments.filters import _gapped, acceleration, jobs, play, section, simulated
-from spheremouse.experiments.plot import save
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.plot import save
 from spheremouse.simulate.ball.profile import thesis
 
 HERE = Request(False, Path("sets"))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from spheremouse.experiments.kit import bound, bound_rms, made, options_of, settings_of, tracked
+from spheremouse.experiments.kit.film import bound, bound_rms, made, options_of, settings_of, tracked
 from spheremouse.simulate.ball.film import prepare
 
 

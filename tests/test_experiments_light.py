@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.light import _decoded, _encoded, jobs, section, simulated
-from spheremouse.experiments.plot import save
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)

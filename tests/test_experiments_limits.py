@@ -7,7 +7,9 @@ import pytest
 
 from spheremouse.ball.associate import assign
 from spheremouse.experiments import limits
-from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.plot import save
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.limits import (
     ACCELERATIONS,
     COVERS,
@@ -22,8 +24,6 @@ from spheremouse.experiments.limits import (
     section,
     world,
 )
-from spheremouse.experiments.plot import save
-from spheremouse.experiments.report import write_report
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 

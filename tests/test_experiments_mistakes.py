@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.track import Phase
 from spheremouse.experiments import mistakes, viewing
-from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, section, wrong
-from spheremouse.experiments.report import write_report
 from spheremouse.geometry.camera import project
 from spheremouse.simulate.ball.film import default_scene
 

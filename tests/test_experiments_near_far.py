@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments import near_far
-from spheremouse.experiments.experiment import Request, Table
-from spheremouse.experiments.report import write_report
+from spheremouse.experiments.kit.job import Request, Table
+from spheremouse.experiments.kit.report import write_report
 
 QUICK = Request(True, None)
 

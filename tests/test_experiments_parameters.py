@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from spheremouse.experiments import parameters
-from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.parameters import apart, by_acceleration, by_ratio, jobs, section, simulated, spread
-from spheremouse.experiments.plot import save
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.truth import VISIBLE
-from spheremouse.experiments import kit, places
-from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments import places
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.places import Place, Size, expected, fitted, jobs, scene_from, section, targets_in_view
-from spheremouse.experiments.report import write_report
 from spheremouse.simulate.ball.film import Renderer
 from spheremouse.simulate.ball.profile import thesis
 

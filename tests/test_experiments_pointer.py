@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments import pointer
-from spheremouse.experiments.experiment import Figure, Request, Table
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.pointer import (
     DEFAULT,
     EXACT,
@@ -19,7 +20,6 @@ from spheremouse.experiments.pointer import (
     section,
     settings,
 )
-from spheremouse.experiments.report import write_report
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.simulate.ball.profile import Gestures, play, stroke

@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.experiments import poses
-from spheremouse.experiments.experiment import Request, Table
-from spheremouse.experiments.report import write_report
+from spheremouse.experiments.kit.job import Request, Table
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
 from spheremouse.simulate.ball.film import default_scene

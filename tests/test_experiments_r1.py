@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.truth import Truth
-from spheremouse.experiments.r1 import LAG, SCALE, TRACKBALL, Slowed, agreement, of_truth
+from spheremouse.experiments.kit.r1 import LAG, SCALE, TRACKBALL, Slowed, agreement, of_truth
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.profile import play
 from spheremouse.simulate.ball.trackball import MouseLog, simulate_log

@@ -9,8 +9,8 @@ from scipy.special import ndtr
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.experiments import renderer
-from spheremouse.experiments.experiment import Request, Table
-from spheremouse.experiments.report import write_report
+from spheremouse.experiments.kit.job import Request, Table
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.simulate.ball.film import default_scene
 
 FINE = 9  # parts of a pixel's side in painted ellipses

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.experiments import sights
-from spheremouse.experiments.kit import made, options_of, settings_of, tracked
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.film import made, options_of, settings_of, tracked
 from spheremouse.simulate.ball.film import prepare
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments import surface
-from spheremouse.experiments.experiment import Request, Table
-from spheremouse.experiments.report import write_report
+from spheremouse.experiments.kit.job import Request, Table
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.simulate.ball.film import default_scene
 
 QUICK = Request(True, None)

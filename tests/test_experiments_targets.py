@@ -9,8 +9,8 @@ from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import CODES
 from spheremouse.experiments import targets
-from spheremouse.experiments.experiment import Figure, Request, Table
-from spheremouse.experiments.report import write_report
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of, section
 from spheremouse.simulate.ball.film import default_scene
 

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.experiments import kit, sights, viewing
-from spheremouse.experiments.experiment import Figure, Request, Table
-from spheremouse.experiments.plot import apart, save
-from spheremouse.experiments.report import write_report
+from spheremouse.experiments import viewing
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.plot import apart, save
+from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.viewing import KINDS, jobs, points, section, thinned, tour
 from spheremouse.geometry.rotation import log
 

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 from spheremouse import wand_experiments
 from spheremouse.experiments import wand
-from spheremouse.experiments.experiment import Figure, Request, Table
-from spheremouse.experiments.plot import save
+from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.plot import save
 from spheremouse.files.dataset.wand import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball

@@ -28,12 +28,12 @@ from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
 from spheremouse.errors import CalibrationError
+from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map
 from spheremouse.files.rig import load_rig, save_camera, save_rig
 from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
 from spheremouse.geometry.rotation import align, exp, hat, log, tangent_basis
-from spheremouse.simulate.observations import calibrated, simulated_calibration
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 642.0, 322.0, 237.0, np.array([-0.2, 0.08, 1e-3, -5e-4, 0.0]))
 

@@ -4,8 +4,8 @@ import os
 import time
 from pathlib import Path
 
-from spheremouse.experiments.experiment import Figure, Job, Section, Table
-from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.kit.job import Figure, Job, Section, Table
+from spheremouse.experiments.kit.report import failures, value
 
 TITLE = "Squares | and more"
 

@@ -14,9 +14,9 @@ from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.plot import require_matplotlib
 from spheremouse.experiments import NAMES
-from spheremouse.experiments.experiment import Job, Request, Result, Section, Table
-from spheremouse.experiments.report import write_report
-from spheremouse.experiments.run import work_all
+from spheremouse.experiments.kit.job import Job, Request, Result, Section, Table
+from spheremouse.experiments.kit.report import write_report
+from spheremouse.experiments.kit.run import work_all
 
 
 def experiments(

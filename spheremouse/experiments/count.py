@@ -10,11 +10,11 @@ import numpy as np
 
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Run, run_bound
-from spheremouse.experiments import sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import TRACKERS, bound_rms, made, options_of, settings_of, tracked
-from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
-from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.film import TRACKERS, bound_rms, made, options_of, settings_of, tracked
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
+from spheremouse.experiments.kit.report import failures, value
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 
 TITLE = "Number of discs (Wittich 2017, table 20)"

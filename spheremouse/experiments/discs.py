@@ -15,10 +15,11 @@ from spheremouse.ball.truth import VISIBLE
 from spheremouse.calibrate.layout import search as layout
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import MIN_AREA
-from spheremouse.experiments import kit, sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND, decades
-from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, decades
+from spheremouse.experiments.kit.report import failures, value
 from spheremouse.experiments.viewing import FAR_OFF, FOLLOWED, brief, films_cell, is_lost
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball.film import HandVisit, Simulation, prepare

@@ -13,10 +13,10 @@ from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.metrics import Run, surface_speeds
 from spheremouse.evaluate.trackball.lag import travel
 from spheremouse.evaluate.trackball.match import match, turning
-from spheremouse.experiments import r1, sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import TRACKERS, Film, made, options_of, settings_of, taken, tracked
-from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.kit import r1, sights
+from spheremouse.experiments.kit.film import TRACKERS, Film, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.report import failures, value
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball import profile
 from spheremouse.simulate.ball.film import SimulationOptions, prepare

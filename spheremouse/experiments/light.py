@@ -14,11 +14,11 @@ import numpy as np
 
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, attitude_error, run_bound
-from spheremouse.experiments import sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import TRACKERS, Film, bound_rms, made, options_of, settings_of, taken, tracked
-from spheremouse.experiments.plot import BOUND, THESIS
-from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.film import TRACKERS, Film, bound_rms, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, THESIS
+from spheremouse.experiments.kit.report import failures, value
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import prepare

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.track import Phase, Tracker, TrackState, advance, begin, build, step
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import TRACKERS, settings_of
-from spheremouse.experiments.plot import BOUND, decades
-from spheremouse.experiments.report import failures
+from spheremouse.experiments.kit.film import TRACKERS, settings_of
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, decades
+from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.viewing import films_cell
 from spheremouse.geometry.camera import project, unproject
 from spheremouse.geometry.rotation import Array, exp, tangent_basis

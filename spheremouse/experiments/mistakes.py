@@ -15,10 +15,11 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, surface_travel
-from spheremouse.experiments import kit, sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND
-from spheremouse.experiments.report import failures
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND
+from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.viewing import (
     CLEARLY,
     COLOURS,

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.experiments import kit, sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND, plain_numbers
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, plain_numbers
+from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.poses import THESIS_TABLES
-from spheremouse.experiments.report import failures
 from spheremouse.geometry.rotation import exp
 from spheremouse.session import initialise
 from spheremouse.simulate.ball.film import View, prepare

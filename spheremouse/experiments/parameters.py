@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 from spheremouse.evaluate.metrics import Run
-from spheremouse.experiments import r1, sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import Film, bound, made, options_of, settings_of, taken, tracked
-from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
-from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.kit import r1, sights
+from spheremouse.experiments.kit.film import Film, bound, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
+from spheremouse.experiments.kit.report import failures, value
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 
 TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to 18)"

@@ -20,10 +20,10 @@ from spheremouse.ball.truth import VISIBLE, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import posterior_bound
 from spheremouse.evaluate.centres import MATCH, Sight, distances
-from spheremouse.experiments import kit
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND
-from spheremouse.experiments.report import failures, value
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND
+from spheremouse.experiments.kit.report import failures, value
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene, prepare

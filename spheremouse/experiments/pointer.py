@@ -12,8 +12,10 @@ import numpy as np
 
 from spheremouse.ball.track import Tracker, TrackState, advance, begin, build, step
 from spheremouse.evaluate.trackball.lag import Turning, search, travel
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit import settings_of
+from spheremouse.experiments.kit.film import settings_of
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND
+from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.limits import (
     DISCS,
     NOISE,
@@ -26,8 +28,6 @@ from spheremouse.experiments.limits import (
     those,
     world,
 )
-from spheremouse.experiments.plot import BOUND
-from spheremouse.experiments.report import failures
 from spheremouse.experiments.viewing import films_cell
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion, Remainder, to_counts

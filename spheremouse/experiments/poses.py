@@ -15,16 +15,16 @@ from scipy.special import gammaincinv
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.pose import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import Rig
-from spheremouse.experiments import kit
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import THESIS
-from spheremouse.experiments.report import failures
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
+from spheremouse.experiments.kit.plot import THESIS
+from spheremouse.experiments.kit.report import failures
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, View, default_scene
 from spheremouse.simulate.ball.profile import still
-from spheremouse.simulate.observations import calibrated, simulated_calibration
 from spheremouse.tracker import Frame
 
 TITLE = "The camera's pose from four targets"

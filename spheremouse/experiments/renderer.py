@@ -19,10 +19,10 @@ from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import VISIBLE, DiscTruth, Truth
-from spheremouse.experiments import kit
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND, THESIS, plain_numbers
-from spheremouse.experiments.report import failures
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
+from spheremouse.experiments.kit.report import failures
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
 

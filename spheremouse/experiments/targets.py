@@ -17,10 +17,10 @@ from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.pose import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Rig, Targets
 from spheremouse.errors import PoseError
-from spheremouse.experiments import kit
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND, THESIS, decades
-from spheremouse.experiments.report import failures
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, THESIS, decades
+from spheremouse.experiments.kit.report import failures
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.ball.backdrop import render_backdrop

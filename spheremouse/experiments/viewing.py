@@ -13,10 +13,11 @@ import numpy as np
 from spheremouse.ball.rig import UNKNOWN_READOUT, Rig
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import PoseError
-from spheremouse.experiments import kit, sights
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import BOUND, label_ends, plain_numbers
-from spheremouse.experiments.report import failures
+from spheremouse.experiments.kit import film as kit
+from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import BOUND, label_ends, plain_numbers
+from spheremouse.experiments.kit.report import failures
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 

@@ -8,9 +8,9 @@ import numpy as np
 from spheremouse import wand_experiments as wand
 from spheremouse.commands.evaluate.wand import axes, shown
 from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
-from spheremouse.experiments.experiment import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.plot import plain_numbers
-from spheremouse.experiments.report import failures
+from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.plot import plain_numbers
+from spheremouse.experiments.kit.report import failures
 from spheremouse.geometry.rotation import log
 
 TITLE = "The hand-held ball (Grzonka 2005, chapter 4)"

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from spheremouse import __version__
-from spheremouse.experiments.experiment import Figure, Result, Section, Table
-from spheremouse.experiments.plot import save
+from spheremouse.experiments.kit.job import Figure, Result, Section, Table
+from spheremouse.experiments.kit.plot import save
 from spheremouse.files.yaml import write_atomically, write_json
 
 # ---- for a reader ----

@@ -25,8 +25,8 @@ from spheremouse.evaluate.metrics import (
     per_axis,
     surface_speeds,
 )
-from spheremouse.experiments.experiment import Result
-from spheremouse.experiments.kit import Film
+from spheremouse.experiments.kit.film import Film
+from spheremouse.experiments.kit.job import Result
 from spheremouse.geometry.camera import Pose
 from spheremouse.session import Epoch, History, initialise
 

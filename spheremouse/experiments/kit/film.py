@@ -13,7 +13,7 @@ from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
-from spheremouse.experiments.experiment import Result
+from spheremouse.experiments.kit.job import Result
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.evaluate.plot import require_matplotlib
-from spheremouse.experiments.experiment import Figure
+from spheremouse.experiments.kit.job import Figure
 from spheremouse.files.yaml import write_atomically
 
 # ---- for a reader ----

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import spheremouse
-from spheremouse.experiments.experiment import Job, Result
+from spheremouse.experiments.kit.job import Job, Result
 from spheremouse.files import plain_json
 from spheremouse.files.bounded import read_text
 from spheremouse.files.yaml import write_atomically

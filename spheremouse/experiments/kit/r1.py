@@ -13,7 +13,7 @@ import numpy as np
 from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.metrics import Run, pearson, surface_travel
 from spheremouse.evaluate.trackball.lag import travel
-from spheremouse.experiments.kit import Film, made, options_of
+from spheremouse.experiments.kit.film import Film, made, options_of
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.profile import Profile, play
