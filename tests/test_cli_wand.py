@@ -9,18 +9,18 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from spheremouse import wand_experiments
 from spheremouse.commands import wand as cli_wand
 from spheremouse.commands.evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
+from spheremouse.experiments import wand_films as wand_experiments
+from spheremouse.experiments.wand_films import Film, Job, Variant, films, jobs, rows, verdicts
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
 from spheremouse.wand.track import WandSettings
 from spheremouse.wand_colours import Circle, disc_mask, find, judged, pick
-from spheremouse.wand_experiments import Film, Job, Variant, films, jobs, rows, verdicts
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse import wand_experiments as wand
 from spheremouse.commands.evaluate.wand import axes, shown
 from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
+from spheremouse.experiments import wand_films as wand
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import plain_numbers
 from spheremouse.experiments.kit.report import failures
