@@ -19,8 +19,8 @@ from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
+from spheremouse.wand.pick_colours import Circle, disc_mask, find, judged, pick
 from spheremouse.wand.track import WandSettings
-from spheremouse.wand_colours import Circle, disc_mask, find, judged, pick
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")

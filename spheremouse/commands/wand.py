@@ -162,7 +162,7 @@ def colours(
     """
     from spheremouse.wand.ball import grzonka_ball
     from spheremouse.wand.colour import DEFAULT_COLOURS
-    from spheremouse.wand_colours import Circle, find, judged, overlay, pick
+    from spheremouse.wand.pick_colours import Circle, find, judged, overlay, pick
 
     ball = grzonka_ball()
     given = WandFile(ball, {c: DEFAULT_COLOURS[c] for c in ball.colours}) if wand is None else load_wand(wand)
