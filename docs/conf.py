@@ -107,7 +107,7 @@ def modules_page() -> str:
 def settings_page() -> str:
     """The configuration file with every default, as `spheremouse config init` writes it."""
     config = importlib.import_module("spheremouse.files.config")
-    settings = importlib.import_module("spheremouse.daemon.settings")
+    settings = importlib.import_module("spheremouse.session.settings")
     return f"```yaml\n{config.dump_commented(settings.Configuration()).rstrip()}\n```\n"
 
 

@@ -15,7 +15,7 @@ from spheremouse.ball.track import Phase, Settings, build
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
-from spheremouse.session import initialise, track
+from spheremouse.session.offline import initialise, track
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
 PAGE = Path(__file__).with_name("pointer.md")

@@ -27,7 +27,7 @@ from spheremouse.files import config
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion
-from spheremouse.session import initialise
+from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulatedFrame, SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 

@@ -25,7 +25,7 @@ from spheremouse.files.atomic import replace
 from spheremouse.files.folders import NewFolder
 from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
-from spheremouse.session import Epoch
+from spheremouse.session.offline import Epoch
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red

@@ -4,7 +4,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from spheremouse.live import Screen, Tally
+from spheremouse.session.screen import Screen, Tally
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.track import WandPose
 

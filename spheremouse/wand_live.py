@@ -19,11 +19,11 @@ from spheremouse.capture.owned import Owned
 from spheremouse.capture.stopping import Stopping
 from spheremouse.daemon import realtime
 from spheremouse.daemon.notify import Notifier
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.output.counts import Motion
 from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing
+from spheremouse.session.settings import Configuration
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandState, WandTracker, begin, step
 from spheremouse.wand_plan import Outputs

@@ -14,7 +14,7 @@ from spheremouse.evaluate.wand import WandRun
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Motion
 from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate
-from spheremouse.session import told_why
+from spheremouse.session.offline import told_why
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandPhase, WandPose, WandState, WandTracker, begin, step
 from spheremouse.wand.warm import warm_up

@@ -22,7 +22,7 @@ from spheremouse.ball.track import Settings, begin, build, step
 from spheremouse.output.counts import Motion
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import Reporter
-from spheremouse.session import initialise
+from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 
 FPS = 60.0

@@ -33,7 +33,7 @@ from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.output.counts import Motion
-from spheremouse.session import initialise
+from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import HandVisit, Renderer, default_scene
 from spheremouse.simulate.ball.hands import PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Gesture, Gestures

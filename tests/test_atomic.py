@@ -13,7 +13,7 @@ from spheremouse.daemon.recordings import tidy
 from spheremouse.files import atomic
 from spheremouse.files.folders import clear_left_folders
 from spheremouse.files.yaml import write_atomically
-from spheremouse.session_map import MapKeeper
+from spheremouse.session.map_keeper import MapKeeper
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are others there")
 KILLED = """

@@ -29,7 +29,7 @@ from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.files.rig import save_camera, save_rig
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
-from spheremouse.timing import FrameTimes
+from spheremouse.session.timing import FrameTimes
 
 COMMANDS = ([], ["run"], ["demo"], ["simulate"], ["evaluate"], ["config"], ["map"], ["map", "show"], ["map", "compare"],
             ["match"], ["log-mouse"])  # fmt: skip

@@ -8,9 +8,9 @@ import pytest
 
 from spheremouse.capture.mouse import read_log, write_log
 from spheremouse.commands import match as cli_match
-from spheremouse.daemon.settings import Configuration
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, write_simulation
+from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.ball.profile import play
 from spheremouse.simulate.ball.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix

@@ -16,8 +16,8 @@ from spheremouse.ball.detect import rings
 from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
 from spheremouse.ball.pose import PoseSettings, Sighting, find_pose, predict_targets, resect
 from spheremouse.capture.newest import Arrival
-from spheremouse.daemon.worker import Worker
 from spheremouse.errors import PoseError
+from spheremouse.session.worker import Worker
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 
 PROPORTION = RADII / RADII[-1]

@@ -802,7 +802,7 @@ def test_members_may_set_parameters_but_not_what_the_daemon_opens(serve, path, m
 
 def test_every_parameter_that_is_text_is_among_what_members_may_not_set():
     """Text is what can be a path, a device or an address; a new one must be thought about here."""
-    settings_module = pytest.importorskip("spheremouse.daemon.settings")
+    settings_module = pytest.importorskip("spheremouse.session.settings")
 
     def texts(cls, prefix=""):
         hints = typing.get_type_hints(cls)

@@ -26,11 +26,11 @@ from daemon_world import DT, Film, World
 
 from spheremouse.capture import fetch as capture_module
 from spheremouse.daemon import realtime
-from spheremouse.daemon import run as run_module
 from spheremouse.daemon.client import Client
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.output import reporter as reporter_module
+from spheremouse.session import service as run_module
 
 PATIENCE = 60.0  # s
 OTHER = 54321  # a uid that nobody has
@@ -275,7 +275,7 @@ def test_a_frozen_stream_is_opened_again(world, monkeypatch):
 def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
     world = playing
     monkeypatch.setattr(run_module, "_USELESS", 0.2)
-    monkeypatch.setattr("spheremouse.daemon.worker._DAMAGED", 0.05)
+    monkeypatch.setattr("spheremouse.session.worker._DAMAGED", 0.05)
     opened = world.opened
     world.fault = fault
     world.reach("no-camera")
@@ -560,7 +560,7 @@ def test_an_error_of_ours_in_the_estimate_is_answered_and_does_not_stay(playing,
     def wrong(*_):
         raise ZeroDivisionError("as if")
 
-    monkeypatch.setattr("spheremouse.daemon.worker.find_pose", wrong)
+    monkeypatch.setattr("spheremouse.session.worker.find_pose", wrong)
     assert "internal error (ZeroDivisionError: as if)" in refused(playing, "reinit")
     monkeypatch.undo()
     playing.settle()
@@ -735,7 +735,7 @@ def test_a_disk_that_is_full_ends_a_recording_and_nothing_else(playing, monkeypa
     monkeypatch.setattr("spheremouse.files.dataset.write.FilmWriter.add", refuse)
     world.until(lambda: said(world, "No space left"), "said")
     assert ask(world, "status")["recording"] is None
-    monkeypatch.setattr("spheremouse.session_map.save_map", refuse)
+    monkeypatch.setattr("spheremouse.session.map_keeper.save_map", refuse)
     world.daemon._keeper._due = 0.0
     world.until(lambda: [line for line in world.said if "rig.map.yaml: not saved" in line], "the map too")
     world.turn()

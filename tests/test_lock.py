@@ -116,8 +116,8 @@ def test_a_camera_holds_its_node_while_it_is_open(tmp_path):
 
 def test_another_way_to_open_a_camera_that_is_open_is_no_second_daemon(tmp_path, monkeypatch):
     """A reload that changes its exposure must not meet our own lock."""
-    from spheremouse.daemon.cameras import opener, refuse_if_taken
-    from spheremouse.daemon.plan import Request, read_plan
+    from spheremouse.session.cameras import opener, refuse_if_taken
+    from spheremouse.session.plan import Request, read_plan
 
     node, log = tmp_path / "video0", []
     node.touch()

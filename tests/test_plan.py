@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.daemon.plan import Plan, Request, read_plan, without_map
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig import rig_text
+from spheremouse.session.plan import Plan, Request, read_plan, without_map
+from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import default_scene
 
 

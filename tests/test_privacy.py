@@ -17,7 +17,7 @@ from spheremouse.errors import PoseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.session import initialise, track
+from spheremouse.session.offline import initialise, track
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 
 FILMS = {

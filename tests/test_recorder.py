@@ -31,7 +31,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
-from spheremouse.session import track
+from spheremouse.session.offline import track
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 from spheremouse.tracker import Frame
 

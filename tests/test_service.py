@@ -375,7 +375,7 @@ def test_names_agree_with_the_code():
 def test_the_configuration_to_begin_with_is_one_that_the_program_reads(root):
     from spheremouse.files import config
 
-    settings = pytest.importorskip("spheremouse.daemon.settings")
+    settings = pytest.importorskip("spheremouse.session.settings")
     call("install", root=root)
     given = config.load(root / "etc/spheremouse/config.yaml", settings.Configuration)
     assert (given.source, given.output) == ("v4l2:/dev/video0", "auto")

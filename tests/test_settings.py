@@ -2,7 +2,6 @@
 
 import pytest
 
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.device import _DeviceFile
@@ -10,6 +9,7 @@ from spheremouse.files.disc_map import _MapFile
 from spheremouse.files.rig import _CameraFile, _RigFile
 from spheremouse.files.wand import _Wand
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
+from spheremouse.session.settings import Configuration
 from spheremouse.wand.colour import ColourSettings
 
 FREE = ("provenance",)  # sections for people, which nothing reads

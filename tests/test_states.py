@@ -5,7 +5,7 @@ import re
 import pytest
 
 from spheremouse.ball.track import Phase
-from spheremouse.daemon.states import Facts, State, judge, news
+from spheremouse.session.states import Facts, State, judge, news
 
 TRANSCRIPTS = {
     "an ordinary start": """

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.capture import fetch as capture_module
 from spheremouse.daemon import realtime
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.output import OutputClosed
 from spheremouse.output import reporter as reporter_module
 from spheremouse.output.axes import AxesOutput, AxesText
 from spheremouse.output.pointer import PointerSettings
+from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import build

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.files.dataset.ball import open_dataset, read_frames
-from spheremouse.session import initialise, track
+from spheremouse.session.offline import initialise, track
 from spheremouse.ball.track import Settings, build
 from spheremouse.ball.warm import warm_up
 

@@ -11,8 +11,8 @@ from daemon_world import DT, Film
 from spheremouse.ball.rig import Targets
 from spheremouse.ball.track import Phase, Settings
 from spheremouse.capture.newest import Arrival
-from spheremouse.daemon.worker import STAGES, Worker
 from spheremouse.errors import DamagedFrameError, PoseError
+from spheremouse.session.worker import STAGES, Worker
 from spheremouse.tracker import Frame
 
 

@@ -14,7 +14,7 @@ app = typer.Typer(no_args_is_help=True, help="Show, check or write a configurati
 
 def root() -> type[Any]:
     """The settings of the whole program; imported late, since it brings all of the core."""
-    from spheremouse.daemon.settings import Configuration
+    from spheremouse.session.settings import Configuration
 
     return Configuration
 

@@ -24,11 +24,11 @@ from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
-from spheremouse.live import Board, Tally
 from spheremouse.output import open_output
 from spheremouse.output.counts import rotation_between
 from spheremouse.overlay import Image, Overlay, OverlayFile, target_marks, write_picture
-from spheremouse.session import Epoch, History, Start, initialise, track
+from spheremouse.session.offline import Epoch, History, Start, initialise, track
+from spheremouse.session.screen import Board, Tally
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 

@@ -14,12 +14,12 @@ from spheremouse.errors import ConfigurationError, DatasetError, PoseError, Sour
 
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
-    from spheremouse.daemon.plan import Plan
     from spheremouse.evaluate.metrics import Run
     from spheremouse.evaluate.trackball.lag import Turning
     from spheremouse.evaluate.trackball.match import Match
     from spheremouse.evaluate.trackball.match_verdict import Verdict
     from spheremouse.output.counts import MotionSettings
+    from spheremouse.session.plan import Plan
     from spheremouse.simulate.ball.trackball import MouseLog
     from spheremouse.tracker import Frame
 
@@ -58,9 +58,9 @@ def match(
     Exit codes: 0 they agree, 1 they do not, or the ball was not moved enough; 2 unusable input.
     """
     from spheremouse.capture.mouse import read_log
-    from spheremouse.daemon.plan import Request, read_plan
     from spheremouse.evaluate.trackball import match as core
     from spheremouse.evaluate.trackball.match_verdict import judge, settings_of
+    from spheremouse.session.plan import Request, read_plan
 
     _check_outputs(out, force, json_file)
     trackball = read_log(log)
@@ -136,7 +136,7 @@ def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> tuple["Run", 
     from spheremouse.ball.track import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
-    from spheremouse.session import History, initialise, track
+    from spheremouse.session.offline import History, initialise, track
 
     history = History()
     with ExitStack() as stack:

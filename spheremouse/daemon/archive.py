@@ -19,13 +19,13 @@ from spheremouse.daemon.protocol import Record, Snapshot, refused
 from spheremouse.daemon.recorder import Recorder
 from spheremouse.daemon.recordings import made_folder, next_name, recordings_folder, refuse_full_disk
 from spheremouse.daemon.reply import Reply
-from spheremouse.daemon.settings import Configuration
 from spheremouse.daemon.snapshot import snapshot
 from spheremouse.daemon.threads import Crew
-from spheremouse.daemon.worker import Step
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.camera import Pose
+from spheremouse.session.settings import Configuration
+from spheremouse.session.worker import Step
 
 RECORDING, SNAPSHOT = "recording", "snapshot"  # kinds of the crew's work
 _GONE = ControlError("given up: who asked has hung up")

@@ -8,7 +8,7 @@ from spheremouse.daemon.privacy import kept, masked
 from spheremouse.daemon.recordings import FILE
 from spheremouse.errors import OutputError
 from spheremouse.overlay import Overlay, target_marks, write_picture
-from spheremouse.session import Epoch
+from spheremouse.session.offline import Epoch
 
 
 def snapshot(

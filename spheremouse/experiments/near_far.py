@@ -16,7 +16,7 @@ from spheremouse.experiments.kit.plot import BOUND, plain_numbers
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.poses import THESIS_TABLES
 from spheremouse.geometry.rotation import exp
-from spheremouse.session import initialise
+from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import View, prepare
 
 TITLE = "Near and far camera"

@@ -20,11 +20,11 @@ from spheremouse.ball.pose import gather, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
 from spheremouse.ball.warm import warm_up
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.output.hand import Pointing, point, pointing_rate
+from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand import track as wand

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.track import Settings, begin, build, step
-from spheremouse.session import initialise
+from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 

@@ -53,7 +53,7 @@ def check_whole_configuration(content: str | bytes) -> None:
 def whole() -> type[Any]:
     """The settings of the daemon's file; those of the control socket while there are no others."""
     try:
-        from spheremouse.daemon.settings import Configuration
+        from spheremouse.session.settings import Configuration
     except ImportError:
         return ControlSettings
     return Configuration

@@ -29,14 +29,14 @@ from numba.core.dispatcher import Dispatcher
 from spheremouse import commands as cli
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands import run as cli_run
-from spheremouse.daemon import run
 from spheremouse.daemon.client import Client
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.rotation import log
 from spheremouse.output import uinput
-from spheremouse.session import make_ready
+from spheremouse.session import service as run
+from spheremouse.session.offline import make_ready
+from spheremouse.session.settings import Configuration
 
 linuxpy = pytest.importorskip("linuxpy.video.device")
 

@@ -26,7 +26,7 @@ from spheremouse.ball.warm import warm_up
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
-from spheremouse.session import initialise
+from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 

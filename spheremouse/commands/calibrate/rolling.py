@@ -118,7 +118,7 @@ def _calibrate(given: _Given) -> None:
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
     from spheremouse.files.rig import load_camera, load_rig, with_camera
-    from spheremouse.session import make_ready
+    from spheremouse.session.offline import make_ready
 
     maps = None if given.out is None else map_path(given.out)
     source = Path(given.source.partition(":")[2]) if given.source.partition(":")[2] else None

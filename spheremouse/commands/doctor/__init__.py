@@ -47,8 +47,8 @@ def doctor(
     from spheremouse.commands.doctor.finding import Section, Verdict
     from spheremouse.commands.doctor.private import redactor
     from spheremouse.commands.doctor.report import data, show, summary
-    from spheremouse.daemon.plan import Request
     from spheremouse.errors import ConfigurationError
+    from spheremouse.session.plan import Request
 
     if balls and tracker != "wand":
         raise ConfigurationError("--ball: goes with --tracker wand; add that, or leave it out")

@@ -29,10 +29,10 @@ from spheremouse.commands.doctor import (
 from spheremouse.commands.doctor import sight as sights
 from spheremouse.commands.doctor.finding import Finding, Section, Verdict, ok, refused, unchecked, wrong
 from spheremouse.commands.doctor.footage import Footage, film
-from spheremouse.daemon.cameras import node_of
-from spheremouse.daemon.plan import Plan, Request, without_map
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
+from spheremouse.session.cameras import node_of
+from spheremouse.session.plan import Plan, Request, without_map
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_plan import open_given
 

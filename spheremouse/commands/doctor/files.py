@@ -10,12 +10,12 @@ from typing import Any
 from spheremouse.ball.rig import Rig
 from spheremouse.commands.doctor.finding import Finding, ok, refusals, unchecked, warning, wrong
 from spheremouse.commands.service.systemd import Place
-from spheremouse.daemon.plan import Plan, Request, read_plan
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.disc_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
+from spheremouse.session.plan import Plan, Request, read_plan
+from spheremouse.session.settings import Configuration
 
 _DAY = 86400.0  # s
 

@@ -14,9 +14,9 @@ from spheremouse.ball.rig import Rig
 from spheremouse.capture import Source, open_source
 from spheremouse.capture.lock import claimed
 from spheremouse.commands.doctor.controls import Controls, read
-from spheremouse.daemon.plan import Plan
 from spheremouse.errors import DamagedFrameError, SourceError, SpheremouseError
 from spheremouse.geometry.rotation import Array
+from spheremouse.session.plan import Plan
 from spheremouse.tracker import Frame
 
 GRID = (24, 16)  # rows and columns: fine enough for the bands of a rolling shutter, which are three or four

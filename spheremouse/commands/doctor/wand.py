@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
-from spheremouse.daemon.plan import Plan, Request
 from spheremouse.errors import ConfigurationError
+from spheremouse.session.plan import Plan, Request
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker, begin, step
 from spheremouse.wand_plan import Given, wand_tracker

@@ -16,7 +16,6 @@ from spheremouse.ball.track import Settings, build
 from spheremouse.commands.complaint import complain
 from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands, wand_table
 from spheremouse.commands.terminal import progress_bar
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
 from spheremouse.evaluate.plot import plot_run, require_matplotlib
@@ -26,8 +25,9 @@ from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.session import History, initialise, track
-from spheremouse.session_map import open_map
+from spheremouse.session.map_keeper import open_map
+from spheremouse.session.offline import History, initialise, track
+from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.degrade import degraded
 
 

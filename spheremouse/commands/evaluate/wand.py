@@ -13,13 +13,13 @@ from rich.table import Table
 
 from spheremouse.commands.complaint import complain
 from spheremouse.commands.terminal import progress_bar
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.wand import followed, wand_report
 from spheremouse.files import config
 from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_frames
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.settings import Configuration
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandSettings, build

@@ -14,10 +14,10 @@ from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 if TYPE_CHECKING:
     from spheremouse.capture import Source
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.daemon.plan import Plan, Request
-    from spheremouse.daemon.worker import Step
-    from spheremouse.live import Board, Tally
     from spheremouse.overlay import OverlayFile
+    from spheremouse.session.plan import Plan, Request
+    from spheremouse.session.screen import Board, Tally
+    from spheremouse.session.worker import Step
 
 
 def run(
@@ -119,11 +119,11 @@ def run(
     """
     from spheremouse.capture import open_source
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.daemon.cameras import is_camera
-    from spheremouse.daemon.plan import Request, check_kinds, read_plan, without_map
     from spheremouse.daemon.standard_error import unhurried
-    from spheremouse.live import Board, Tally
     from spheremouse.overlay import OverlayFile
+    from spheremouse.session.cameras import is_camera
+    from spheremouse.session.plan import Request, check_kinds, read_plan, without_map
+    from spheremouse.session.screen import Board, Tally
 
     if output is not None and len(output) > 1:
         raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")
@@ -199,9 +199,9 @@ def _serve(
     frames: int | None,
 ) -> None:
     """As a service: frames are taken when they come, and a device that fails is waited for."""
-    from spheremouse.daemon.cameras import opener, refuse_if_taken
-    from spheremouse.daemon.run import Daemon
     from spheremouse.overlay import target_marks
+    from spheremouse.session.cameras import opener, refuse_if_taken
+    from spheremouse.session.service import Daemon
 
     rig = None if given is None else given.rig
     device = plan.device(rig)
@@ -236,8 +236,8 @@ def _follow(
     from spheremouse.ball.track import build
     from spheremouse.output import open_output
     from spheremouse.overlay import target_marks
-    from spheremouse.session import initialise, track
-    from spheremouse.session_map import MapKeeper
+    from spheremouse.session.map_keeper import MapKeeper
+    from spheremouse.session.offline import initialise, track
 
     device, settings = plan.device(given.rig), plan.configuration
     with ExitStack() as stack:

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from spheremouse.capture import Source
 from spheremouse.capture.stopping import Stopping
-from spheremouse.daemon.cameras import is_camera, opener, refuse_if_taken
-from spheremouse.daemon.plan import Plan, Request
 from spheremouse.errors import SourceError, SpheremouseError
-from spheremouse.live import Tally
 from spheremouse.overlay import OverlayFile
+from spheremouse.session.cameras import is_camera, opener, refuse_if_taken
+from spheremouse.session.plan import Plan, Request
+from spheremouse.session.screen import Tally
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_board import WandBoard
 from spheremouse.wand_live import WandLive

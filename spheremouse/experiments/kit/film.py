@@ -17,7 +17,7 @@ from spheremouse.experiments.kit.job import Result
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
-from spheremouse.session import History, initialise, track
+from spheremouse.session.offline import History, initialise, track
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, simulate
 from spheremouse.tracker import Frame

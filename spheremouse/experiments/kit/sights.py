@@ -28,7 +28,7 @@ from spheremouse.evaluate.metrics import (
 from spheremouse.experiments.kit.film import Film
 from spheremouse.experiments.kit.job import Result
 from spheremouse.geometry.camera import Pose
-from spheremouse.session import Epoch, History, initialise
+from spheremouse.session.offline import Epoch, History, initialise
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball.track import Settings
-from spheremouse.daemon.plan import Plan, Request
+from spheremouse.session.plan import Plan, Request
 
 AT_START = ("control", "metrics", "realtime")  # what is read at the start only
 

@@ -20,8 +20,8 @@ from rich.text import Text
 
 from spheremouse.ball.track import Phase
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.session import Epoch
-from spheremouse.timing import FrameTimes
+from spheremouse.session.offline import Epoch
+from spheremouse.session.timing import FrameTimes
 
 _REFRESH = 0.1  # s between two pictures of the table
 _LINE_EVERY = 1.0  # s between two lines where there is no terminal

@@ -32,13 +32,13 @@ from spheremouse.ball.track import (
 )
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.owned import Owned
-from spheremouse.daemon.looking import Elsewhere, FirstPose, Seeker, at_once
 from spheremouse.daemon.threads import Work
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.output.counts import Motion
-from spheremouse.session import Epoch
-from spheremouse.timing import FrameTimes
+from spheremouse.session.looking import Elsewhere, FirstPose, Seeker, at_once
+from spheremouse.session.offline import Epoch
+from spheremouse.session.timing import FrameTimes
 from spheremouse.tracker import Frame
 
 _FAULTS, _FAULTS_WITHIN = 5, 60.0  # errors of our own in so many s that end the process: it is begun anew from outside

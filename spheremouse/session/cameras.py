@@ -8,7 +8,7 @@ from pathlib import Path
 from spheremouse.capture import Camera, Source, open_source
 from spheremouse.capture.fetch import Streamed
 from spheremouse.capture.lock import Claimed, claimed
-from spheremouse.daemon.plan import Plan
+from spheremouse.session.plan import Plan
 
 
 def is_camera(spec: str) -> bool:

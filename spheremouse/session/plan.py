@@ -10,13 +10,13 @@ from pathlib import Path
 from spheremouse import capture as sources
 from spheremouse import output as outputs
 from spheremouse.ball.rig import Rig
-from spheremouse.daemon.settings import Configuration
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
 from spheremouse.files.disc_map import map_path
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.spec import resolve
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.settings import Configuration
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,29 +29,29 @@ from spheremouse.capture.newest import Newest
 from spheremouse.capture.stopping import Stopping, on_hang_up
 from spheremouse.daemon import realtime
 from spheremouse.daemon.archive import RECORDING, SNAPSHOT, Archive
-from spheremouse.daemon.cameras import held, is_camera
-from spheremouse.daemon.changes import AT_START, differences, latest, stages_of, stamps_of
 from spheremouse.daemon.control import ControlServer
 from spheremouse.daemon.desk import Asked, Desk
 from spheremouse.daemon.metrics import serve as serve_metrics
 from spheremouse.daemon.notify import Notifier
 from spheremouse.daemon.places import socket_path
-from spheremouse.daemon.plan import Plan, check_kinds, read_plan, without_map
-from spheremouse.daemon.plan import Request as PlanRequest
 from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.daemon.recordings import recordings_folder, tidy
 from spheremouse.daemon.reply import Reply
-from spheremouse.daemon.states import Facts, State, judge, news
 from spheremouse.daemon.threads import Crew, begin
-from spheremouse.daemon.worker import Step, Worker
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output import Output, open_output
 from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing, letters
-from spheremouse.session import make_ready
-from spheremouse.session_map import MapKeeper
-from spheremouse.timing import FrameTimes
+from spheremouse.session.cameras import held, is_camera
+from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
+from spheremouse.session.map_keeper import MapKeeper
+from spheremouse.session.offline import make_ready
+from spheremouse.session.plan import Plan, check_kinds, read_plan, without_map
+from spheremouse.session.plan import Request as PlanRequest
+from spheremouse.session.states import Facts, State, judge, news
+from spheremouse.session.timing import FrameTimes
+from spheremouse.session.worker import Step, Worker
 
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
