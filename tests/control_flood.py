@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.daemon.control import ControlServer
-from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.settings import ControlSettings
 
 PERIOD = 1 / 250  # s
 WAYS = {

@@ -18,9 +18,9 @@ import threading
 import time
 from pathlib import Path
 
-from spheremouse.daemon.client import Client
 from spheremouse.errors import ControlError
 from spheremouse.session import service as run
+from spheremouse.session.control.client import Client
 from tests.daemon_world import Film, Shot, World
 from tests.soak import resident
 

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.capture import open_source
-from spheremouse.daemon.client import Client
 from spheremouse.errors import ControlError
+from spheremouse.session.control.client import Client
 
 HEAD = (
     "recording", "frames/s", "latency", "detect", "filter", "of the interval", "of a core", "with the film", "MB",

@@ -24,13 +24,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from spheremouse.capture import fetch as capture
-from spheremouse.daemon.client import Client
 from spheremouse.errors import ControlError, OutputError, SourceError
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import reporter
 from spheremouse.output.reporter import ReporterStatus
 from spheremouse.session import service as run
 from spheremouse.session import worker
+from spheremouse.session.control.client import Client
 from tests.daemon_world import DT, Film, Shot, World, left_over, matrix
 from tests.soak import resident
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Rig
-from spheremouse.daemon.client import Client
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import MotionSettings
+from spheremouse.session.control.client import Client
 from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.service import Daemon
 from spheremouse.simulate.ball.film import Renderer, default_scene

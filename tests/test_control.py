@@ -22,13 +22,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from spheremouse.daemon import control, control_socket, places, protocol
-from spheremouse.daemon.client import Client, NoDaemonError, RefusedError
-from spheremouse.daemon.control import ControlServer, Limits
-from spheremouse.daemon.control_settings import ControlSettings
-from spheremouse.daemon.control_socket import Peer
-from spheremouse.daemon.protocol import MAX_LINE, BadRequestError, Request, StatusReport, encode, parse
 from spheremouse.errors import ControlError
+from spheremouse.session.control import places, protocol
+from spheremouse.session.control import server as control
+from spheremouse.session.control import socket as control_socket
+from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
+from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, Request, StatusReport, encode, parse
+from spheremouse.session.control.server import ControlServer, Limits
+from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.control.socket import Peer
 
 PAGE = Path(__file__).parents[1] / "docs" / "control.md"
 GENEROUS = 20.0  # s, for what takes milliseconds
@@ -950,8 +952,8 @@ def test_what_a_daemon_that_was_killed_left_is_replaced(path):
     code = f"""
 import os
 from pathlib import Path
-from spheremouse.daemon.control import ControlServer
-from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.settings import ControlSettings
 ControlServer(Path({str(path)!r}), ControlSettings(), lambda request, reply: None)
 os.kill(os.getpid(), 9)
 """

@@ -15,9 +15,9 @@ from test_control import Daemon, conversations
 from typer.testing import CliRunner
 
 from spheremouse.commands import ctl as cli_ctl
-from spheremouse.daemon import protocol
-from spheremouse.daemon.control import ControlServer
-from spheremouse.daemon.control_settings import ControlSettings
+from spheremouse.session.control import protocol
+from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.settings import ControlSettings
 
 
 class Recorder(Daemon):

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spheremouse.daemon.desk import CALM, MOST, SHARE, Asked, Desk
-from spheremouse.daemon.protocol import Record, Request, Set, Snapshot
-from spheremouse.daemon.reply import Reply
+from spheremouse.session.control.desk import CALM, MOST, SHARE, Asked, Desk
+from spheremouse.session.control.protocol import Record, Request, Set, Snapshot
+from spheremouse.session.control.reply import Reply
 
 RELOAD, REINIT, PAUSE = (Request(command=c) for c in ("reload", "reinit", "pause"))
 SET = Set(command="set", assignments=("motion.scale_x=2",))

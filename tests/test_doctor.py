@@ -723,8 +723,8 @@ def test_a_status_without_keys_is_no_trouble():
 
 def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     pytest.importorskip("fcntl")
-    from spheremouse.daemon.control import ControlServer
-    from spheremouse.daemon.control_settings import ControlSettings
+    from spheremouse.session.control.server import ControlServer
+    from spheremouse.session.control.settings import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     monkeypatch.setattr(doctor.nodes, "present", lambda *_: [])
@@ -739,8 +739,8 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
 
 def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
     pytest.importorskip("fcntl")
-    from spheremouse.daemon.control import ControlServer
-    from spheremouse.daemon.control_settings import ControlSettings
+    from spheremouse.session.control.server import ControlServer
+    from spheremouse.session.control.settings import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     with ControlServer(path, ControlSettings(), lambda _, reply: reply({**STATUS, "version": "0.0.1"})):

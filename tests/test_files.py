@@ -19,13 +19,13 @@ from spheremouse.capture import open_source
 from spheremouse.capture.mouse import read_log
 from spheremouse.commands.options import parse_size
 from spheremouse.commands.wand import _image
-from spheremouse.daemon import protocol
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.files import bounded, pictures, plain_json, tables, validate
 from spheremouse.files import yaml as yaml_file
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.rig import load_camera
+from spheremouse.session.control import protocol
 
 CLIP = Path(__file__).parent / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB

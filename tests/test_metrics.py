@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 from test_control import Daemon
 
-from spheremouse.daemon import metrics
-from spheremouse.daemon.control_settings import MetricsSettings
-from spheremouse.daemon.protocol import STATES
 from spheremouse.errors import ControlError
+from spheremouse.session.control import metrics
+from spheremouse.session.control.protocol import STATES
+from spheremouse.session.control.settings import MetricsSettings
 
 pytest.importorskip("prometheus_client")
 from prometheus_client.parser import text_string_to_metric_families

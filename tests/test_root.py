@@ -20,7 +20,6 @@ from typer.testing import CliRunner
 
 from spheremouse.commands.service import app
 from spheremouse.commands.service import systemd as service
-from spheremouse.daemon import control_socket
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
 from spheremouse.files import atomic, migrate
 from spheremouse.files.as_owner import as_owner
@@ -31,6 +30,7 @@ from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
 from spheremouse.overlay import OverlayFile
+from spheremouse.session.control import socket as control_socket
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 
 pytestmark = pytest.mark.skipif(

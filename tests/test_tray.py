@@ -16,9 +16,9 @@ from spheremouse.commands.tray import icon as tray_live
 from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.icon import Link, TrayError
 from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
-from spheremouse.daemon.control import ControlServer
-from spheremouse.daemon.control_settings import ControlSettings
-from spheremouse.daemon.protocol import refused
+from spheremouse.session.control.protocol import refused
+from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.settings import ControlSettings
 
 GROUNDS = {"dark": 40, "light": 240}
 ACTIONS = {"reinit", "pause", "resume", "record", "end-record", "page", "quit", None}

@@ -17,8 +17,8 @@ from rich.table import Table
 from rich.text import Text
 
 from spheremouse.commands.complaint import complain
-from spheremouse.daemon.client import Client, NoDaemonError
 from spheremouse.errors import ControlError
+from spheremouse.session.control.client import Client, NoDaemonError
 
 app = typer.Typer(no_args_is_help=True, help="Ask the running daemon how it is, and tell it what to do.")
 

@@ -29,14 +29,8 @@ from spheremouse.capture.newest import Newest
 from spheremouse.capture.stopping import Stopping, on_hang_up
 from spheremouse.daemon import realtime
 from spheremouse.daemon.archive import RECORDING, SNAPSHOT, Archive
-from spheremouse.daemon.control import ControlServer
-from spheremouse.daemon.desk import Asked, Desk
-from spheremouse.daemon.metrics import serve as serve_metrics
 from spheremouse.daemon.notify import Notifier
-from spheremouse.daemon.places import socket_path
-from spheremouse.daemon.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.daemon.recordings import recordings_folder, tidy
-from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.threads import Crew, begin
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output import Output, open_output
@@ -45,6 +39,12 @@ from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing, letters
 from spheremouse.session.cameras import held, is_camera
 from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
+from spheremouse.session.control.desk import Asked, Desk
+from spheremouse.session.control.metrics import serve as serve_metrics
+from spheremouse.session.control.places import socket_path
+from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
+from spheremouse.session.control.reply import Reply
+from spheremouse.session.control.server import ControlServer
 from spheremouse.session.map_keeper import MapKeeper
 from spheremouse.session.offline import make_ready
 from spheremouse.session.plan import Plan, check_kinds, read_plan, without_map

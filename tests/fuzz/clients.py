@@ -16,13 +16,13 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from spheremouse.daemon.client import Client
-from spheremouse.daemon.control import ControlServer, Limits
-from spheremouse.daemon.control_settings import ControlSettings
-from spheremouse.daemon.desk import MOST, Asked, Desk
-from spheremouse.daemon.protocol import Request
-from spheremouse.daemon.reply import Reply
 from spheremouse.daemon.threads import Crew
+from spheremouse.session.control.client import Client
+from spheremouse.session.control.desk import MOST, Asked, Desk
+from spheremouse.session.control.protocol import Request
+from spheremouse.session.control.reply import Reply
+from spheremouse.session.control.server import ControlServer, Limits
+from spheremouse.session.control.settings import ControlSettings
 from tests.fuzz.targets import target
 
 CLIENTS = 6

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from spheremouse.daemon.client import Client
-from spheremouse.daemon.control import ControlServer, Limits
-from spheremouse.daemon.control_settings import ControlSettings
-from spheremouse.daemon.protocol import COMMANDS, BadRequestError, encode
-from spheremouse.daemon.protocol import parse as parse_request
-from spheremouse.daemon.protocol import refused as refused_reply
+from spheremouse.session.control.client import Client
+from spheremouse.session.control.protocol import COMMANDS, BadRequestError, encode
+from spheremouse.session.control.protocol import parse as parse_request
+from spheremouse.session.control.protocol import refused as refused_reply
+from spheremouse.session.control.server import ControlServer, Limits
+from spheremouse.session.control.settings import ControlSettings
 from tests.fuzz.strategies import mutated, mutated_json, words
 from tests.fuzz.targets import target
 

@@ -29,12 +29,12 @@ from numba.core.dispatcher import Dispatcher
 from spheremouse import commands as cli
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands import run as cli_run
-from spheremouse.daemon.client import Client
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.rotation import log
 from spheremouse.output import uinput
 from spheremouse.session import service as run
+from spheremouse.session.control.client import Client
 from spheremouse.session.offline import make_ready
 from spheremouse.session.settings import Configuration
 

@@ -19,12 +19,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from desk import Desk, end, gtk, missing, process, until
 
 from spheremouse.capture import open_source
-from spheremouse.daemon.client import Client
-from spheremouse.daemon.control import ControlServer
-from spheremouse.daemon.control_settings import ControlSettings
-from spheremouse.daemon.protocol import STATES
 from spheremouse.errors import ControlError
 from spheremouse.files.rig import save_rig
+from spheremouse.session.control.client import Client
+from spheremouse.session.control.protocol import STATES
+from spheremouse.session.control.server import ControlServer
+from spheremouse.session.control.settings import ControlSettings
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 

@@ -5,8 +5,8 @@ from typing import Any
 
 from spheremouse import __version__
 from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
-from spheremouse.daemon.client import Client, NoDaemonError
 from spheremouse.errors import ControlError
+from spheremouse.session.control.client import Client, NoDaemonError
 
 _LOST = 0.01  # of the frames; fewer a filter bridges unseen
 _INTERVALS = 2.0  # from mid-exposure to the event: one to read the frame out and carry it here, one to work on it

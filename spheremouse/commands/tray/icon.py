@@ -27,8 +27,8 @@ from PIL import Image
 
 from spheremouse.commands.tray import view as tray
 from spheremouse.commands.tray.view import View
-from spheremouse.daemon.client import Client
 from spheremouse.errors import SpheremouseError
+from spheremouse.session.control.client import Client
 
 _EVERY = 1.0  # s between two questions
 _REMEMBERED = 20.0  # s for which the menu says what became of a click

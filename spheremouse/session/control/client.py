@@ -10,10 +10,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from spheremouse.daemon import places
-from spheremouse.daemon.protocol import MAX_LINE, misfit
 from spheremouse.errors import ControlError
 from spheremouse.files import plain_json
+from spheremouse.session.control import places
+from spheremouse.session.control.protocol import MAX_LINE, misfit
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
 _PATIENCE = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while

@@ -18,9 +18,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from spheremouse.daemon import control_socket
-from spheremouse.daemon.control_settings import ControlSettings
-from spheremouse.daemon.protocol import (
+from spheremouse.daemon.threads import begin
+from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.files.yaml import one_line
+from spheremouse.output.sparing import Sparing
+from spheremouse.session.control import socket as control_socket
+from spheremouse.session.control.protocol import (
     MAX_LINE,
     BadRequestError,
     Id,
@@ -32,11 +35,8 @@ from spheremouse.daemon.protocol import (
     parse,
     refused,
 )
-from spheremouse.daemon.reply import Reply
-from spheremouse.daemon.threads import begin
-from spheremouse.errors import ControlError, SpheremouseError
-from spheremouse.files.yaml import one_line
-from spheremouse.output.sparing import Sparing
+from spheremouse.session.control.reply import Reply
+from spheremouse.session.control.settings import ControlSettings
 
 Handle = Callable[[Request, Reply], None]
 

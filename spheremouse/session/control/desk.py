@@ -10,8 +10,8 @@ from collections.abc import Callable
 from math import ceil
 from typing import Any
 
-from spheremouse.daemon.protocol import Record, Request, refused
-from spheremouse.daemon.reply import Reply
+from spheremouse.session.control.protocol import Record, Request, refused
+from spheremouse.session.control.reply import Reply
 
 MOST = 8  # that wait, of members, and as many of the owner's: clients wait one each
 SHARE = 0.1  # of the time that a kind of work may go on for members: a reading of files costs the worker turns
