@@ -14,8 +14,8 @@ from spheremouse.ball.track import Phase, Settings, begin, build, step
 from spheremouse.errors import OutputError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import tangent_basis
-from spheremouse.overlay import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks
 from spheremouse.session.offline import Epoch
+from spheremouse.session.overlay.ball import GREEN, OUTLINE, RED, WHITE, Overlay, OverlayFile, target_marks
 from spheremouse.simulate.ball.film import default_scene
 from spheremouse.tracker import Frame
 

@@ -29,8 +29,8 @@ from spheremouse.files.folders import NewFolder
 from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
-from spheremouse.overlay import OverlayFile
 from spheremouse.session.control import socket as control_socket
+from spheremouse.session.overlay.ball import OverlayFile
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 
 pytestmark = pytest.mark.skipif(

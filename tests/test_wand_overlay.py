@@ -13,12 +13,12 @@ from spheremouse.files.dataset.wand import write_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.geometry.rotation import exp
-from spheremouse.overlay import GREEN, WHITE
+from spheremouse.session.overlay.ball import GREEN, WHITE
+from spheremouse.session.overlay.wand import WandOverlay, pin, rims
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build
-from spheremouse.wand_overlay import WandOverlay, pin, rims
 from spheremouse.wand_session import WandEpoch
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 505.0, 322.0, 238.0, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))

@@ -26,8 +26,8 @@ from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.output import open_output
 from spheremouse.output.counts import rotation_between
-from spheremouse.overlay import Image, Overlay, OverlayFile, target_marks, write_picture
 from spheremouse.session.offline import Epoch, History, Start, initialise, track
+from spheremouse.session.overlay.ball import Image, Overlay, OverlayFile, target_marks, write_picture
 from spheremouse.session.screen import Board, Tally
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame

@@ -7,8 +7,8 @@ from spheremouse.ball.track import Tracker, current
 from spheremouse.daemon.privacy import kept, masked
 from spheremouse.daemon.recordings import FILE
 from spheremouse.errors import OutputError
-from spheremouse.overlay import Overlay, target_marks, write_picture
 from spheremouse.session.offline import Epoch
+from spheremouse.session.overlay.ball import Overlay, target_marks, write_picture
 
 
 def snapshot(

@@ -14,7 +14,7 @@ from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 if TYPE_CHECKING:
     from spheremouse.capture import Source
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.overlay import OverlayFile
+    from spheremouse.session.overlay.ball import OverlayFile
     from spheremouse.session.plan import Plan, Request
     from spheremouse.session.screen import Board, Tally
     from spheremouse.session.worker import Step
@@ -120,8 +120,8 @@ def run(
     from spheremouse.capture import open_source
     from spheremouse.capture.stopping import Stopping
     from spheremouse.daemon.standard_error import unhurried
-    from spheremouse.overlay import OverlayFile
     from spheremouse.session.cameras import is_camera
+    from spheremouse.session.overlay.ball import OverlayFile
     from spheremouse.session.plan import Request, check_kinds, read_plan, without_map
     from spheremouse.session.screen import Board, Tally
 
@@ -199,8 +199,8 @@ def _serve(
     frames: int | None,
 ) -> None:
     """As a service: frames are taken when they come, and a device that fails is waited for."""
-    from spheremouse.overlay import target_marks
     from spheremouse.session.cameras import opener, refuse_if_taken
+    from spheremouse.session.overlay.ball import target_marks
     from spheremouse.session.service import Daemon
 
     rig = None if given is None else given.rig
@@ -235,9 +235,9 @@ def _follow(
     from spheremouse.ball.pose import describe
     from spheremouse.ball.track import build
     from spheremouse.output import open_output
-    from spheremouse.overlay import target_marks
     from spheremouse.session.map_keeper import MapKeeper
     from spheremouse.session.offline import initialise, track
+    from spheremouse.session.overlay.ball import target_marks
 
     device, settings = plan.device(given.rig), plan.configuration
     with ExitStack() as stack:

@@ -14,14 +14,14 @@ from pathlib import Path
 from spheremouse.capture import Source
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import SourceError, SpheremouseError
-from spheremouse.overlay import OverlayFile
 from spheremouse.session.cameras import is_camera, opener, refuse_if_taken
+from spheremouse.session.overlay.ball import OverlayFile
+from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.plan import Plan, Request
 from spheremouse.session.screen import Tally
 from spheremouse.wand.track import WandTracker
 from spheremouse.wand_board import WandBoard
 from spheremouse.wand_live import WandLive
-from spheremouse.wand_overlay import WandOverlay
 from spheremouse.wand_plan import Outputs, open_given, wand_outputs, wand_tracker
 from spheremouse.wand_session import Hand, Moved, WandEpoch, track_wand
 from spheremouse.wand_told import Told

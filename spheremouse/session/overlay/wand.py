@@ -10,7 +10,7 @@ import numpy as np
 
 from spheremouse.geometry.camera import InteriorOrientation, project, sphere_outline
 from spheremouse.geometry.rotation import Array, tangent_basis
-from spheremouse.overlay import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
+from spheremouse.session.overlay.ball import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker
