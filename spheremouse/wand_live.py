@@ -17,12 +17,12 @@ from spheremouse.capture.fetch import PATIENCE, Capture
 from spheremouse.capture.newest import Arrival, Newest
 from spheremouse.capture.owned import Owned
 from spheremouse.capture.stopping import Stopping
-from spheremouse.daemon import realtime
-from spheremouse.daemon.notify import Notifier
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.output.counts import Motion
 from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing
+from spheremouse.session.process import realtime
+from spheremouse.session.process.notify import Notifier
 from spheremouse.session.settings import Configuration
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandState, WandTracker, begin, step

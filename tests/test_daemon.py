@@ -25,12 +25,12 @@ import pytest
 from daemon_world import DT, Film, World
 
 from spheremouse.capture import fetch as capture_module
-from spheremouse.daemon import realtime
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.output import reporter as reporter_module
 from spheremouse.session import service as run_module
 from spheremouse.session.control.client import Client
+from spheremouse.session.process import realtime
 
 PATIENCE = 60.0  # s
 OTHER = 54321  # a uid that nobody has

@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from spheremouse.daemon.notify import Notifier
+from spheremouse.session.process.notify import Notifier
 
 
 class Manager:

@@ -9,7 +9,7 @@ import weakref
 import numpy as np
 import pytest
 
-from spheremouse.daemon import realtime
+from spheremouse.session.process import realtime
 
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="scheduling classes of Linux")
 
@@ -25,7 +25,7 @@ def alone(code):
 def test_what_is_said_is_what_is():
     said, scheduler, inherited, locked = alone("""
 import os, threading
-from spheremouse.daemon import realtime
+from spheremouse.session.process import realtime
 print(realtime.prepare())
 print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR, os.getpriority(os.PRIO_PROCESS, 0) < 0)
 other = []
@@ -46,7 +46,7 @@ print([line for line in open("/proc/self/status") if line.startswith("VmLck")][0
 def test_off_asks_for_nothing():
     said, scheduler, nice, locked = alone("""
 import os
-from spheremouse.daemon import realtime
+from spheremouse.session.process import realtime
 print(realtime.prepare(False))
 print(os.sched_getscheduler(0) == os.SCHED_OTHER)
 print(os.getpriority(os.PRIO_PROCESS, 0))
@@ -79,7 +79,7 @@ def test_folded_code_is_called_and_linked_as_before():
     folded, again, called, linked = alone("""
 import numpy as np
 from numba import njit
-from spheremouse.daemon import realtime
+from spheremouse.session.process import realtime
 from spheremouse.geometry.rotation import log_into
 v, R = np.zeros(3), np.eye(3)
 log_into(R, v)
@@ -107,7 +107,7 @@ def test_what_only_the_start_has_needed_is_given_back_and_comes_again():
 import numpy as np
 import numba
 from spheremouse.commands.bench.measure import resident_bytes
-from spheremouse.daemon import realtime
+from spheremouse.session.process import realtime
 def work():
     return numba.njit(lambda x: x + 1.0)(2.0)
 work()

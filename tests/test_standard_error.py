@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.daemon.standard_error import _MOST, unhurried
+from spheremouse.session.process.standard_error import _MOST, unhurried
 
 fcntl = pytest.importorskip("fcntl")
 

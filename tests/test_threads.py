@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from spheremouse.daemon.threads import Crew, begin
 from spheremouse.errors import ControlError
+from spheremouse.session.process.threads import Crew, begin
 
 
 @pytest.fixture

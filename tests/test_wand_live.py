@@ -13,12 +13,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from spheremouse.capture import fetch as capture_module
-from spheremouse.daemon import realtime
 from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.output import OutputClosed
 from spheremouse.output import reporter as reporter_module
 from spheremouse.output.axes import AxesOutput, AxesText
 from spheremouse.output.pointer import PointerSettings
+from spheremouse.session.process import realtime
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame

@@ -2,7 +2,7 @@
 
 import sys
 
-from spheremouse.daemon.standard_error import unhurried
+from spheremouse.session.process.standard_error import unhurried
 
 
 def complain(message: str) -> None:

@@ -17,13 +17,13 @@ from spheremouse.ball.track import Tracker
 from spheremouse.daemon.recorder import Recorder
 from spheremouse.daemon.recordings import made_folder, next_name, recordings_folder, refuse_full_disk
 from spheremouse.daemon.snapshot import snapshot
-from spheremouse.daemon.threads import Crew
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.protocol import Record, Snapshot, refused
 from spheremouse.session.control.reply import Reply
+from spheremouse.session.process.threads import Crew
 from spheremouse.session.settings import Configuration
 from spheremouse.session.worker import Step
 

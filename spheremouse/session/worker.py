@@ -32,12 +32,12 @@ from spheremouse.ball.track import (
 )
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.owned import Owned
-from spheremouse.daemon.threads import Work
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.output.counts import Motion
 from spheremouse.session.looking import Elsewhere, FirstPose, Seeker, at_once
 from spheremouse.session.offline import Epoch
+from spheremouse.session.process.threads import Work
 from spheremouse.session.timing import FrameTimes
 from spheremouse.tracker import Frame
 

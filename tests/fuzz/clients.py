@@ -16,13 +16,13 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from spheremouse.daemon.threads import Crew
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.desk import MOST, Asked, Desk
 from spheremouse.session.control.protocol import Request
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.control.server import ControlServer, Limits
 from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.process.threads import Crew
 from tests.fuzz.targets import target
 
 CLIENTS = 6

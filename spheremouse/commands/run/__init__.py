@@ -119,10 +119,10 @@ def run(
     """
     from spheremouse.capture import open_source
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.daemon.standard_error import unhurried
     from spheremouse.session.cameras import is_camera
     from spheremouse.session.overlay.ball import OverlayFile
     from spheremouse.session.plan import Request, check_kinds, read_plan, without_map
+    from spheremouse.session.process.standard_error import unhurried
     from spheremouse.session.screen import Board, Tally
 
     if output is not None and len(output) > 1:

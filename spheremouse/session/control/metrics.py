@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any, Self
 
-from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError
 from spheremouse.files.yaml import one_line
 from spheremouse.session.control.protocol import STATES
 from spheremouse.session.control.settings import MetricsSettings
+from spheremouse.session.process.threads import begin
 
 _AT_ONCE = 4  # requests; who comes when there are more is hung up on
 _LONGEST = 5.0  # s that one may take

@@ -18,7 +18,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files.yaml import one_line
 from spheremouse.output.sparing import Sparing
@@ -37,6 +36,7 @@ from spheremouse.session.control.protocol import (
 )
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.process.threads import begin
 
 Handle = Callable[[Request, Reply], None]
 

@@ -14,8 +14,8 @@ from collections import deque
 from collections.abc import Iterator
 from typing import TextIO
 
-from spheremouse.daemon.threads import begin
 from spheremouse.errors import ControlError
+from spheremouse.session.process.threads import begin
 
 _MOST = 256_000  # characters that wait: some minutes of a busy log, a second of pictures of the table
 _LAST = 0.5  # s that the end waits for what is not written yet
