@@ -13,8 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recorder import Recorder
+from spheremouse.session.record.recorder import Recorder
+from spheremouse.session.record.settings import RecordSettings
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 

@@ -9,11 +9,11 @@ import time
 import pytest
 
 from spheremouse.ball.warm import _RIG
-from spheremouse.daemon.recordings import tidy
 from spheremouse.files import atomic
 from spheremouse.files.folders import clear_left_folders
 from spheremouse.files.yaml import write_atomically
 from spheremouse.session.map_keeper import MapKeeper
+from spheremouse.session.record.places import tidy
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are others there")
 KILLED = """

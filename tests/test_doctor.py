@@ -37,7 +37,6 @@ from spheremouse.commands.doctor.footage import GRID, Footage, film
 from spheremouse.commands.doctor.private import redactor
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
-from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.errors import SourceError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.rig import load_rig, save_rig
@@ -46,6 +45,7 @@ from spheremouse.geometry.rotation import exp
 from spheremouse.output import text
 from spheremouse.output.counts import Motion
 from spheremouse.session.plan import Request, read_plan
+from spheremouse.session.record.settings import RecordSettings
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"

@@ -12,12 +12,12 @@ from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Targets
 from spheremouse.ball.track import Settings, build
-from spheremouse.daemon.privacy import kept, masked
 from spheremouse.errors import PoseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import initialise, track
+from spheremouse.session.record.privacy import kept, masked
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 
 FILMS = {

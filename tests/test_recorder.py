@@ -20,18 +20,18 @@ from typer.testing import CliRunner
 from spheremouse.ball.track import Phase, Settings, build, current
 from spheremouse.capture import open_source
 from spheremouse.commands import app
-from spheremouse.daemon import recorder as module
-from spheremouse.daemon.privacy import kept, masked
-from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recorder import Recorder
-from spheremouse.daemon.recordings import next_name, recordings_folder, tidy
-from spheremouse.daemon.snapshot import snapshot
 from spheremouse.errors import DatasetError, OutputError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import track
+from spheremouse.session.record import recorder as module
+from spheremouse.session.record.places import next_name, recordings_folder, tidy
+from spheremouse.session.record.privacy import kept, masked
+from spheremouse.session.record.recorder import Recorder
+from spheremouse.session.record.settings import RecordSettings
+from spheremouse.session.record.snapshot import snapshot
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
 from spheremouse.tracker import Frame
 

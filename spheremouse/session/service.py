@@ -27,8 +27,6 @@ from spheremouse.capture import Camera
 from spheremouse.capture.fetch import PATIENCE, Capture
 from spheremouse.capture.newest import Newest
 from spheremouse.capture.stopping import Stopping, on_hang_up
-from spheremouse.daemon.archive import RECORDING, SNAPSHOT, Archive
-from spheremouse.daemon.recordings import recordings_folder, tidy
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output import Output, open_output
 from spheremouse.output.pointer import Counts, minus, plus
@@ -49,6 +47,8 @@ from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.process.threads import Crew, begin
+from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
+from spheremouse.session.record.places import recordings_folder, tidy
 from spheremouse.session.states import Facts, State, judge, news
 from spheremouse.session.timing import FrameTimes
 from spheremouse.session.worker import Step, Worker

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning
-from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recordings import recordings_folder
 from spheremouse.session.process.realtime import PRIORITY
+from spheremouse.session.record.places import recordings_folder
+from spheremouse.session.record.settings import RecordSettings
 
 _MEMORY = 400.0  # MB: the daemon's 200, and as much for the compiler at its first start
 _SYS_NICE = 23  # CAP_SYS_NICE

@@ -197,7 +197,7 @@ def _is_theirs(plan: Plan, status: dict[str, Any] | None) -> bool:
 
 def _computer(plan: Plan | None, state: Path | None, say: Say) -> list[Finding]:
     from spheremouse.commands.service.systemd import Place
-    from spheremouse.daemon.record_settings import RecordSettings
+    from spheremouse.session.record.settings import RecordSettings
 
     say("looking at the computer")
     settings = RecordSettings() if plan is None else plan.configuration.record

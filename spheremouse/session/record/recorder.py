@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from spheremouse.ball import track
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
-from spheremouse.daemon.privacy import kept
-from spheremouse.daemon.record_settings import RecordSettings
-from spheremouse.daemon.recordings import disk_is_full, made_folder, marked, refuse_full_disk, release
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.write import FilmWriter
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.process.threads import begin
+from spheremouse.session.record.places import disk_is_full, made_folder, marked, refuse_full_disk, release
+from spheremouse.session.record.privacy import kept
+from spheremouse.session.record.settings import RecordSettings
 from spheremouse.tracker import Frame
 
 _BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz

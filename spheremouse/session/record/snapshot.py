@@ -4,11 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from spheremouse.ball.track import Tracker, current
-from spheremouse.daemon.privacy import kept, masked
-from spheremouse.daemon.recordings import FILE
 from spheremouse.errors import OutputError
 from spheremouse.session.offline import Epoch
 from spheremouse.session.overlay.ball import Overlay, target_marks, write_picture
+from spheremouse.session.record.places import FILE
+from spheremouse.session.record.privacy import kept, masked
 
 
 def snapshot(

@@ -14,9 +14,6 @@ from typing import Any
 
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.track import Tracker
-from spheremouse.daemon.recorder import Recorder
-from spheremouse.daemon.recordings import made_folder, next_name, recordings_folder, refuse_full_disk
-from spheremouse.daemon.snapshot import snapshot
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.camera import Pose
@@ -24,6 +21,9 @@ from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.protocol import Record, Snapshot, refused
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.process.threads import Crew
+from spheremouse.session.record.places import made_folder, next_name, recordings_folder, refuse_full_disk
+from spheremouse.session.record.recorder import Recorder
+from spheremouse.session.record.snapshot import snapshot
 from spheremouse.session.settings import Configuration
 from spheremouse.session.worker import Step
 

@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 from typing import IO, Any
 
-from spheremouse.daemon.record_settings import RecordSettings
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.atomic import clear_left
 from spheremouse.files.folders import clear_left_folders
+from spheremouse.session.record.settings import RecordSettings
 
 try:
     import fcntl
