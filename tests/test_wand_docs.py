@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from spheremouse.session.wand.plan import read_balls
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.track import WandPhase, begin, build, step
-from spheremouse.wand_plan import read_balls
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "wand.md").read_text(encoding="utf-8")

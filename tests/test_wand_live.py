@@ -20,13 +20,13 @@ from spheremouse.output.axes import AxesOutput, AxesText
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.session.process import realtime
 from spheremouse.session.settings import Configuration
+from spheremouse.session.wand.messages import Told
+from spheremouse.session.wand.plan import Outputs
+from spheremouse.session.wand.service import WandLive
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import build
 from spheremouse.wand.warm import warm_up
-from spheremouse.wand_live import WandLive
-from spheremouse.wand_plan import Outputs
-from spheremouse.wand_told import Told
 
 DT = 1.0 / 30.0
 PATIENCE = 30.0  # s
@@ -226,7 +226,7 @@ def film():
 
 @pytest.fixture
 def world(film, monkeypatch):
-    monkeypatch.setattr("spheremouse.wand_live._TICK", 0.02)
+    monkeypatch.setattr("spheremouse.session.wand.service._TICK", 0.02)
     monkeypatch.setattr(capture_module, "BACK_OFF", (0.01, 0.02))
     monkeypatch.setattr(reporter_module, "BACK_OFF", (0.01, 0.02))
     monkeypatch.setattr(reporter_module, "LATE", PATIENCE)
@@ -302,8 +302,8 @@ def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
     [("size", "frames are 320x240"), ("grey", "the frames are grey"), ("damaged", "nothing but damaged frames")],
 )
 def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
-    monkeypatch.setattr("spheremouse.wand_live._USELESS", 0.1)
-    monkeypatch.setattr("spheremouse.wand_live._DAMAGED", 0.05)
+    monkeypatch.setattr("spheremouse.session.wand.service._USELESS", 0.1)
+    monkeypatch.setattr("spheremouse.session.wand.service._DAMAGED", 0.05)
     playing.fault = fault
     playing.heard(f"no-camera: {reason}")
     playing.until(lambda: playing.opened > 1, "opened anew")

@@ -15,11 +15,11 @@ from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unp
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.overlay.ball import GREEN, WHITE
 from spheremouse.session.overlay.wand import WandOverlay, pin, rims
+from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandPhase, WandPose, begin, build
-from spheremouse.wand_session import WandEpoch
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 505.0, 322.0, 238.0, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
 BALL = grzonka_ball()

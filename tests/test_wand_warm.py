@@ -13,7 +13,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand.track import WandSettings, build
 from spheremouse.output.hand import PointingSettings
 from spheremouse.wand.warm import warm_up
-from spheremouse.wand_session import Hand, track_wand
+from spheremouse.session.wand.offline import Hand, track_wand
 
 
 def compiled():

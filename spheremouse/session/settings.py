@@ -5,10 +5,10 @@ from typing import Literal
 
 from spheremouse.ball.track import Settings
 from spheremouse.capture.settings import CameraSettings
-from spheremouse.daemon.wand_settings import WandRunSettings
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.session.control.settings import ControlSettings, MetricsSettings
 from spheremouse.session.record.settings import RecordSettings
+from spheremouse.session.wand.settings import WandRunSettings
 from spheremouse.settings import param
 
 

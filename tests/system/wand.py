@@ -15,10 +15,10 @@ import pytest
 from daemon import FILMS, INTERVAL, LONGEST, H, Program, Reader, W, Writer, remove, told_at_the_end, until
 from modules import insert
 
-from spheremouse import wand_live
 from spheremouse.commands.run import wand as wand_run
 from spheremouse.geometry.rotation import log
 from spheremouse.output.hand import PointingSettings
+from spheremouse.session.wand import service as wand_live
 from spheremouse.wand import warm
 
 IMPORTED = (wand_live, wand_run)  # once, before the forks

@@ -8,9 +8,9 @@ import numpy as np
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
 from spheremouse.session.plan import Plan, Request
+from spheremouse.session.wand.plan import Given, wand_tracker
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker, begin, step
-from spheremouse.wand_plan import Given, wand_tracker
 
 _SURE = 0.5  # of the pictures: a ball that somebody holds before the camera is in view in most
 

@@ -20,11 +20,11 @@ from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_f
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.settings import Configuration
+from spheremouse.session.wand.offline import Known, WandHistory, track_wand
+from spheremouse.session.wand.plan import read_balls, told_apart
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandSettings, build
-from spheremouse.wand_plan import read_balls, told_apart
-from spheremouse.wand_session import Known, WandHistory, track_wand
 
 _NO_TRUTH = "no truth.csv to compare with: no errors are known; frames tracked and times say what can be said without"
 

@@ -19,12 +19,12 @@ from spheremouse.session.overlay.ball import OverlayFile
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.plan import Plan, Request
 from spheremouse.session.screen import Tally
+from spheremouse.session.wand.messages import Told
+from spheremouse.session.wand.offline import Hand, Moved, WandEpoch, track_wand
+from spheremouse.session.wand.plan import Outputs, open_given, wand_outputs, wand_tracker
+from spheremouse.session.wand.screen import WandBoard
+from spheremouse.session.wand.service import WandLive
 from spheremouse.wand.track import WandTracker
-from spheremouse.wand_board import WandBoard
-from spheremouse.wand_live import WandLive
-from spheremouse.wand_plan import Outputs, open_given, wand_outputs, wand_tracker
-from spheremouse.wand_session import Hand, Moved, WandEpoch, track_wand
-from spheremouse.wand_told import Told
 
 
 @dataclass(frozen=True, slots=True)

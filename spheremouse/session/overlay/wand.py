@@ -11,10 +11,10 @@ import numpy as np
 from spheremouse.geometry.camera import InteriorOrientation, project, sphere_outline
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.session.overlay.ball import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
+from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.track import WandPhase, WandPose, WandTracker
-from spheremouse.wand_session import WandEpoch
 
 _STEPS = 96  # points along a rim
 _TRACE = 0.5  # s

@@ -24,11 +24,11 @@ from spheremouse.output.sparing import Sparing
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.settings import Configuration
+from spheremouse.session.wand.messages import Told
+from spheremouse.session.wand.offline import Hand, Moved, WandEpoch, check_wand_frame, make_wand_ready
+from spheremouse.session.wand.plan import Outputs
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandState, WandTracker, begin, step
-from spheremouse.wand_plan import Outputs
-from spheremouse.wand_session import Hand, Moved, WandEpoch, check_wand_frame, make_wand_ready
-from spheremouse.wand_told import Told
 
 _TICK = 0.25  # s; the longest wait for a shot
 _COMPILING = 900.0  # s that a small computer may take for it

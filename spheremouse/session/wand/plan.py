@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 from spheremouse.capture import Source, Stream, open_source, paced
-from spheremouse.daemon.wand_settings import WandRunSettings
 from spheremouse.errors import ConfigurationError, SourceError
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.wand import load_wand
@@ -14,6 +13,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.output import Output, open_output
 from spheremouse.output.axes import AxesOutput
 from spheremouse.session.plan import Plan, Request, beside
+from spheremouse.session.wand.settings import WandRunSettings
 from spheremouse.wand.ball import WandBall, grzonka_ball
 from spheremouse.wand.colour import ColourSettings
 from spheremouse.wand.track import WandTracker, build
