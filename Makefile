@@ -11,8 +11,8 @@ STAMP := $(VENV)/.installed
 SLOW_TESTS := tests/system tests/soak tests/fuzz
 # A short form, for packages other than the locked: something of each that is used, and the whole pipeline.
 SHORT_TESTS := $(patsubst %,tests/test_%.py,imports config camera solve pixels metrics tray v4l2) \
-    tests/test_doctor.py::test_a_source_that_gives_no_frame_is_an_error_that_says_so \
-    tests/test_cli.py::test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones
+    tests/commands/doctor/test_doctor.py::test_a_source_that_gives_no_frame_is_an_error_that_says_so \
+    tests/commands/test_run.py::test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones
 # What there are no wheels of.
 SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=

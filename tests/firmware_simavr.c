@@ -1,5 +1,5 @@
 /* A computer's USB port with an ATmega32U4 in it: runs the firmware's ELF file in simavr and speaks USB with it.
- * For tests/test_firmware_avr_build.py, over standard input and output:
+ * For tests/output/serial/test_firmware_avr_build.py, over standard input and output:
  *     'C' setup[8] n[2] data[n]   control transfer  -> n[2] data[n]; n = 0xFFFF: stalled
  *     'T' ms[2] n[2] data[n]      let time pass; data goes to the serial port (endpoint 2)
  *                                 -> n[2] what the serial port sent (endpoint 3), n[2] reports (endpoint 4), 10 bytes each

@@ -1,7 +1,7 @@
 """Image rays meet the ball: disc centres in pixels in, points on the sphere with covariances out.
 
 Wittich 2017, section 3.8 (eq. 110-120), by implicit differentiation in closed form instead of a Gauss-Helmert
-adjustment per disc; both give the same covariance (tests/test_intersect.py).
+adjustment per disc; both give the same covariance (tests/ball/test_points.py).
 """
 
 from dataclasses import dataclass

@@ -128,7 +128,7 @@ def test_nothing_goes_on_after_a_run_that_was_ended(number, tmp_path):
     script, made = tmp_path / "long.py", tmp_path / "made"
     made.mkdir()
     script.write_text(LONG, encoding="utf-8")
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
     run = subprocess.Popen([sys.executable, script, made], env=environment, stderr=subprocess.DEVNULL)
     workers = []
     try:

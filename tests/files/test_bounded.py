@@ -27,7 +27,7 @@ from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.rig import load_camera
 from spheremouse.session.control import protocol
 
-CLIP = Path(__file__).parent / "data" / "far26_clip"
+CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
 
 

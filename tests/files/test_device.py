@@ -147,7 +147,7 @@ def test_the_template_loads_and_its_examples_do_too(tmp_path):
 
 
 def test_the_example_to_look_at_is_the_template():
-    example = Path(__file__).parents[1] / "calibration" / "device.yaml"
+    example = Path(__file__).parents[2] / "calibration" / "device.yaml"
     assert example.read_text(encoding="utf-8") == device_template()
 
 

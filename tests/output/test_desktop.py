@@ -17,7 +17,7 @@ from spheremouse.output import desktop, open_output
 from spheremouse.output.counts import Motion
 from spheremouse.output.desktop import Desktop
 
-REPOSITORY = Path(__file__).parents[1]
+REPOSITORY = Path(__file__).parents[2]
 
 
 def motion(x=0, y=0, z=0):

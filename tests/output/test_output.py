@@ -14,7 +14,7 @@ from spheremouse.errors import OutputError
 from spheremouse.output import open_output, text, uinput
 from spheremouse.output.counts import Motion
 
-REPOSITORY = Path(__file__).parents[1]
+REPOSITORY = Path(__file__).parents[2]
 
 
 def motion(x=0, y=0, z=0, stamp=1.5):

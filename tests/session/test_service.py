@@ -860,7 +860,7 @@ class Process:
 
     def __init__(self, folder, stderr=subprocess.PIPE, uid=""):
         code = "import sys; sys.path.insert(0, sys.argv[1]); import daemon_process; daemon_process.main(*sys.argv[2:])"
-        here = str(Path(__file__).parent)
+        here = str(Path(__file__).parents[1])
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(run_module.__file__).parents[2])}
         self.process = subprocess.Popen(
             [sys.executable, "-c", code, here, str(folder), uid], stderr=stderr, text=True, env=environment

@@ -36,7 +36,7 @@ from spheremouse.errors import SpheremouseError
 
 pytest.importorskip("matplotlib")
 
-COMMITTED = Path(__file__).parents[1] / "calibration" / "print"
+COMMITTED = Path(__file__).parents[3] / "calibration" / "print"
 MM = 25.4 / 72.0  # of a point
 BOARD = Board(11, 8)
 YELLOW, MAGENTA, CYAN, BLACK = (1, 1, 0), (1, 0, 1), (0, 1, 1), (0, 0, 0)

@@ -33,7 +33,7 @@ from spheremouse.commands.bench.measure import (
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 
-CLIP = Path(__file__).parent / "data" / "far26_clip"
+CLIP = Path(__file__).parents[2] / "data" / "far26_clip"
 
 
 def clip(frames):

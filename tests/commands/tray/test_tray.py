@@ -369,7 +369,7 @@ def test_without_a_tray_it_says_what_to_install(backend, desktop, wayland, words
 
 
 def test_the_autostart_entry_starts_this_command():
-    entry = Path(__file__).parents[1] / "service" / "desktop" / "spheremouse-tray.desktop"
+    entry = Path(__file__).parents[3] / "service" / "desktop" / "spheremouse-tray.desktop"
     lines = entry.read_text(encoding="utf-8").splitlines()
     assert lines[0] == "[Desktop Entry]"
     assert "Exec=@EXECUTABLE@ tray" in lines

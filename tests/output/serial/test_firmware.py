@@ -21,7 +21,7 @@ from spheremouse.output.serial import firmware
 from spheremouse.output.serial import link as host
 from spheremouse.output.serial.firmware import words
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[2]
 PICO = firmware.folder()
 MICROPYTHON = "@micropython/micropython-webassembly-pyscript@1.27.0"
 

@@ -15,7 +15,7 @@ from serial_world import Board, Wire, World, exchange
 from spheremouse.output.serial import link as host
 from spheremouse.output.serial.link import Flags, Link, Splitter, parse, signed
 
-PAGE = (Path(__file__).parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text(encoding="utf-8")
 u16, u32 = st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
 bodies = st.sampled_from(sorted(host._BODY.items())).flatmap(
     lambda item: st.tuples(st.just(item[0]), st.binary(min_size=item[1], max_size=item[1]))

@@ -21,7 +21,7 @@ from spheremouse.session.control.settings import MetricsSettings
 pytest.importorskip("prometheus_client")
 from prometheus_client.parser import text_string_to_metric_families
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
 BOARD = json.loads((ROOT / "service" / "grafana" / "spheremouse.json").read_text(encoding="utf-8"))
 GENEROUS = 20.0  # s

@@ -32,7 +32,7 @@ from spheremouse.session.control.server import ControlServer, Limits
 from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.control.socket import Peer
 
-PAGE = Path(__file__).parents[1] / "docs" / "control.md"
+PAGE = Path(__file__).parents[3] / "docs" / "control.md"
 GENEROUS = 20.0  # s, for what takes milliseconds
 OTHER = 54321  # a uid that nobody has
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="no peer credentials on this system")
@@ -185,7 +185,7 @@ def test_the_status_of_the_description_is_as_promised():
 
 
 def test_every_test_that_the_security_page_names_is_there():
-    here = Path(__file__).parent
+    here = Path(__file__).parents[2]
     names = set(re.findall(r"`(test_\w+)`", (here.parent / "docs" / "security.md").read_text(encoding="utf-8")))
     tests = "".join(p.read_text(encoding="utf-8") for p in here.glob("test_*.py"))
     assert len(names) > 20
