@@ -1,6 +1,7 @@
 """A host and a board with a bad line between them and a clock that is turned by hand; `python -m tests.serial_world`.
 
-The board is the firmware's own protocol.py, here under CPython; tests/output/serial/test_firmware.py puts MicroPython in its place.
+The board is the firmware's own protocol.py, here under CPython; tests/output/serial/test_firmware.py puts
+MicroPython in its place.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Sources: where frames come from. `KIND:ARGUMENT` in, a context manager that yields Frames out.
 
-A source is a module here with `open(argument: str, realtime: bool) -> Source`; its name is its kind.
+A source is a module here with `open(argument: str, realtime: bool) -> Source`; its name, one of `KINDS`, is its kind.
 """
 
 import sys
@@ -14,6 +14,8 @@ from spheremouse.ball.rig import Rig
 from spheremouse.errors import SourceError
 from spheremouse.files.spec import resolve
 from spheremouse.tracker import Frame
+
+KINDS = ("dataset", "opencv", "synthetic", "v4l2", "video")
 
 
 class Source(Protocol):
@@ -117,7 +119,7 @@ class Stream:
 
 def open_source(spec: str, *, realtime: bool = False) -> Source:
     """The source that `KIND:ARGUMENT` names; `realtime` gives recorded frames no sooner than their stamps say."""
-    module, argument = resolve(sys.modules[__name__], spec, SourceError)
+    module, argument = resolve(sys.modules[__name__], "source", spec, SourceError)
     return module.open(argument, realtime)
 
 

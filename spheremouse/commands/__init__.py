@@ -19,28 +19,28 @@ _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 _COMMANDS = {
     # name: module, function or group in it, what its help ends with
-    "run": ("cli_run", "run", "Example: spheremouse run --source dataset:demo/roll --output text:-"),
+    "run": ("run", "run", "Example: spheremouse run --source dataset:demo/roll --output text:-"),
     "demo": ("demo", "demo", "Example: spheremouse demo --seconds 20 --seed 2"),
     "simulate": (
-        "cli_simulate", "simulate", "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",
+        "simulate", "simulate", "Example: spheremouse simulate demo/roll --motion roll --turns 1 --noise 3",
     ),
     "evaluate": (
-        "cli_evaluate", "evaluate", "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
+        "evaluate", "evaluate", "Example: spheremouse evaluate demo/roll --tracker so3 --json figures.json",
     ),
-    "match": ("cli_match", "match", "Example: spheremouse match recording trackball.csv --out trackball.yaml"),
-    "log-mouse": ("cli_log_mouse", "log_mouse", "Example: spheremouse log-mouse --device Logitech --out trackball.csv"),
-    "bench": ("cli_bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),
-    "layout": ("cli_layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
-    "doctor": ("cli_doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
-    "tray": ("cli_tray", "tray", "Example: spheremouse tray"),
-    "ctl": ("cli_ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
-    "service": ("cli_service", "app", "Example: sudo spheremouse service install"),
-    "wand": ("cli_wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
-    "experiments": ("cli_experiments", "experiments", "Example: spheremouse experiments wand --quick --out out"),
-    "config": ("cli_config", "app", "Example: spheremouse config init spheremouse.yaml"),
-    "calibrate": ("calibrate.cli", "app", "Begin with: spheremouse calibrate next"),
-    "firmware": ("cli_firmware", "app", "Example: spheremouse firmware check"),
-    "map": ("cli_map", "app", "Example: spheremouse map show rig.map.yaml"),
+    "match": ("match", "match", "Example: spheremouse match recording trackball.csv --out trackball.yaml"),
+    "log-mouse": ("log_mouse", "log_mouse", "Example: spheremouse log-mouse --device Logitech --out trackball.csv"),
+    "bench": ("bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),
+    "layout": ("layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
+    "doctor": ("doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
+    "tray": ("tray", "tray", "Example: spheremouse tray"),
+    "ctl": ("ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
+    "service": ("service", "app", "Example: sudo spheremouse service install"),
+    "wand": ("wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
+    "experiments": ("experiments", "experiments", "Example: spheremouse experiments wand --quick --out out"),
+    "config": ("config", "app", "Example: spheremouse config init spheremouse.yaml"),
+    "calibrate": ("calibrate", "app", "Begin with: spheremouse calibrate next"),
+    "firmware": ("firmware", "app", "Example: spheremouse firmware check"),
+    "map": ("map", "app", "Example: spheremouse map show rig.map.yaml"),
 }  # fmt: skip
 
 
@@ -75,7 +75,7 @@ class _Group(TyperGroup):
 
 
 def _command(name: str, module: str, attribute: str, epilog: str) -> Any:
-    found = getattr(import_module(f"spheremouse.{module}"), attribute)
+    found = getattr(import_module(f"spheremouse.commands.{module}"), attribute)
     one = _typer()
     if isinstance(found, typer.Typer):
         one.add_typer(found, name=name, epilog=epilog)

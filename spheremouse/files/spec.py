@@ -1,27 +1,20 @@
-"""`KIND:ARGUMENT`, as the command line names a source or an output; a kind is a module of a package, found by name.
+"""`KIND:ARGUMENT`, as the command line names a source or an output; a kind is a module of a package.
 
-Adding one is a new file: a module `spheremouse.<package>.<kind>` with a function `open`. Modules whose names begin
-with an underscore are not kinds. Only the module asked for is imported.
+Adding one is a new file with a function `open`, and its name in the package's `KINDS`. Only the module asked for is
+imported.
 """
 
 import importlib
-import pkgutil
 from types import ModuleType
 
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.validate import nearest
 
 
-def kinds(package: ModuleType) -> list[str]:
-    """Names of the modules in a package that are kinds."""
-    return sorted(m.name for m in pkgutil.iter_modules(package.__path__) if not m.name.startswith("_"))
-
-
-def resolve(package: ModuleType, spec: str, error: type[SpheremouseError]) -> tuple[ModuleType, str]:
-    """Module and argument of `KIND:ARGUMENT`; `error` lists the kinds where there is none of that name."""
+def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> tuple[ModuleType, str]:
+    """Module and argument of `KIND:ARGUMENT`, a `what`; `error` lists the kinds where there is none of that name."""
     kind, _, argument = spec.partition(":")
-    what = package.__name__.rpartition(".")[2]
-    known = kinds(package)
+    known = package.KINDS
     if kind not in known:
         raise error(f"unknown {what} {spec!r}; {nearest(kind, known)} ({what}s are {', '.join(known)})")
     return importlib.import_module(f"{package.__name__}.{kind}"), argument

@@ -1,6 +1,6 @@
 """Outputs: where motion goes. `KIND:ARGUMENT` in, a context manager that takes Motions out.
 
-An output is a module here with `open(argument: str) -> Output`; its name is its kind.
+An output is a module here with `open(argument: str) -> Output`; its name, one of `KINDS`, is its kind.
 """
 
 import sys
@@ -11,6 +11,8 @@ from typing import Protocol, Self, runtime_checkable
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import resolve
 from spheremouse.output.counts import Motion
+
+KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error
@@ -59,5 +61,5 @@ class Acknowledged(Protocol):
 
 def open_output(spec: str) -> Output:
     """The output that `KIND:ARGUMENT` names."""
-    module, argument = resolve(sys.modules[__name__], spec, OutputError)
+    module, argument = resolve(sys.modules[__name__], "output", spec, OutputError)
     return module.open(argument)

@@ -97,9 +97,9 @@ def check_kinds(plan: Plan, before: Plan | None = None) -> None:
     if before is not None and "wand" in (plan.configuration.tracker, before.configuration.tracker):
         raise ConfigurationError("tracker: wand is another program than the others: stop this run and start again")
     if before is None or plan.source != before.source:
-        resolve(sources, plan.source, SourceError)
+        resolve(sources, "source", plan.source, SourceError)
     if before is None or plan.output != before.output:
-        resolve(outputs, plan.output, OutputError)
+        resolve(outputs, "output", plan.output, OutputError)
 
 
 def without_map(plan: Plan) -> Plan:

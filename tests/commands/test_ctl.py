@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 import typer
 from rich.console import Console
-from test_control import Daemon, conversations
 from typer.testing import CliRunner
 
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.session.control import protocol
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.settings import ControlSettings
+from tests.session.control.test_server import Daemon, conversations
 
 
 class Recorder(Daemon):

@@ -147,12 +147,12 @@ def test_words_are_no_part_of_the_program_and_all_else_is(tmp_path, monkeypatch)
     """What stands below the line for readers changes no result."""
     code, seen = tmp_path / "experiments" / "some.py", []
     code.parent.mkdir()
-    (tmp_path / "daemon").mkdir()
+    (tmp_path / "session" / "control").mkdir(parents=True)
     monkeypatch.setattr(run_module.spheremouse, "__file__", str(tmp_path / "__init__.py"))
     for text, shell in (("a = 1", "x"), ("a = 2", "x"), ("a = 2", "y")):
         for words in ("one", "another"):
             code.write_text(f"{text}\n\n\n# ---- for a reader ----\n\n{words} = 1\n", encoding="utf-8")
-            (tmp_path / "daemon" / "run.py").write_text(shell, encoding="utf-8")
+            (tmp_path / "session" / "control" / "server.py").write_text(shell, encoding="utf-8")
             run_module.program.cache_clear()
             seen.append(run_module.program())
     (tmp_path / "wand").mkdir()

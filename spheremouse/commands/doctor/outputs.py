@@ -27,9 +27,8 @@ def check(spec: str) -> list[Finding]:
     if kind == "null":
         return [warning("output", "null: motion goes nowhere", "name one: uinput, serial:auto, desktop")]
     from spheremouse import output
-    from spheremouse.files.spec import kinds
 
-    return [wrong("output", f"{kind} is none", f"outputs are {', '.join(kinds(output))}")]
+    return [wrong("output", f"{kind} is none", f"outputs are {', '.join(output.KINDS)}")]
 
 
 def uinput(node: Path = UINPUT) -> Finding:

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import spheremouse
 from spheremouse.errors import ConfigurationError, ServiceError
 from spheremouse.files.atomic import open_to_read, remove_tree, replace
 
@@ -125,8 +126,8 @@ def shown(thing: object) -> str:
 
 def folder() -> Path:
     """Where the service's files are: in the repository, or within the installed package."""
-    here = Path(__file__).parent
-    for path in (here.parent / "service", here / "_service"):
+    package = Path(spheremouse.__file__).parent
+    for path in (package.parent / "service", package / "_service"):
         if (path / "systemd").is_dir():
             return path
     raise ServiceError("the service's files are not here; install spheremouse again")

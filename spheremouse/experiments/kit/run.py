@@ -25,7 +25,8 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _MOST_BYTES = 100_000_000  # of a job's result
 _WAND = "wand/"  # how keys of its jobs begin
 _FOR_A_READER = b"\n# ---- for a reader ----\n"  # what stands below only says and draws what jobs gave
-_SHELL = ("daemon", "calibrate", "doctor", "output", "source")  # folders that no experiment's figure depends on
+# Folders that no experiment's figure depends on.
+_SHELL = ("capture", "commands", "output/serial", "session/control", "session/process", "session/record")
 
 
 @cache
@@ -35,8 +36,8 @@ def program(wand: bool = False) -> str:
     That of the hand-held ball, which nothing else knows of, belongs to its own experiment alone.
     """
     root = Path(spheremouse.__file__).parent
-    files = [p for p in sorted(root.rglob("*.py")) if p.relative_to(root).parts[0] not in _SHELL]
-    kept = [p for p in files if not p.name.startswith("cli") and (wand or "wand" not in str(p.relative_to(root)))]
+    files = [p for p in sorted(root.rglob("*.py")) if not p.relative_to(root).as_posix().startswith(_SHELL)]
+    kept = [p for p in files if wand or "wand" not in str(p.relative_to(root))]
     return hashlib.sha256(b"".join(p.read_bytes().partition(_FOR_A_READER)[0] for p in kept)).hexdigest()[:16]
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+import spheremouse
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 
@@ -41,8 +42,8 @@ class Drive:
 
 def folder(kind: str = "pico") -> Path:
     """Where the firmware's files are: in the repository, or within the installed package."""
-    here = Path(__file__).parent
-    for path in (here.parent / "service" / "firmware" / kind, here / "_firmware" / kind):
+    package = Path(spheremouse.__file__).parent
+    for path in (package.parent / "service" / "firmware" / kind, package / "_firmware" / kind):
         if path.is_dir():
             return path
     raise OutputError("the firmware's files are not here; install spheremouse again")

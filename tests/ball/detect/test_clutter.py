@@ -8,9 +8,6 @@ from itertools import product
 import cv2
 import numpy as np
 import pytest
-from test_rings import INK, RADII, SETTINGS, blank, photo, target
-from test_worker import SETTINGS as TWO_VIEWS
-from test_worker import Shot
 
 from spheremouse.ball.detect import rings
 from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
@@ -19,6 +16,9 @@ from spheremouse.capture.newest import Arrival
 from spheremouse.errors import PoseError
 from spheremouse.session.worker import Worker
 from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
+from tests.ball.detect.test_rings import INK, RADII, SETTINGS, blank, photo, target
+from tests.session.test_worker import SETTINGS as TWO_VIEWS
+from tests.session.test_worker import Shot
 
 PROPORTION = RADII / RADII[-1]
 PATIENCE = 30.0  # s, for what takes a fraction of one

@@ -5,11 +5,11 @@ import pytest
 from conftest import directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_bundle import CAMERA, stations
 
 from spheremouse.calibrate.device.correspond import Spots, near_sphere, numbered, on_ball
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
+from tests.calibrate.device.test_bundle import CAMERA, stations
 
 CENTRE, RADIUS, DISC = np.array([0.32, 0.6, -0.56]), 0.6, 0.02
 

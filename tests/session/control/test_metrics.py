@@ -11,12 +11,12 @@ from itertools import combinations, pairwise
 from pathlib import Path
 
 import pytest
-from test_control import Daemon
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import metrics
 from spheremouse.session.control.protocol import STATES
 from spheremouse.session.control.settings import MetricsSettings
+from tests.session.control.test_server import Daemon
 
 pytest.importorskip("prometheus_client")
 from prometheus_client.parser import text_string_to_metric_families
