@@ -24,7 +24,6 @@ from spheremouse.errors import ConfigurationError, ControlError, DatasetError, O
 from spheremouse.files import atomic, migrate
 from spheremouse.files.as_owner import as_owner
 from spheremouse.files.dataset.ball import open_dataset
-from spheremouse.files.dataset.write import write_simulation
 from spheremouse.files.folders import NewFolder
 from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
@@ -32,6 +31,7 @@ from spheremouse.output.serial import firmware
 from spheremouse.session.control import socket as control_socket
 from spheremouse.session.overlay.ball import OverlayFile
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
+from spheremouse.simulate.to_dataset import write_simulation
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux") or os.geteuid() != 0, reason="only root can be lured, and give folders away"

@@ -36,8 +36,8 @@ from spheremouse.ball.pose import PoseSettings, find_pose, predict_targets
 from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose, project
-from spheremouse.geometry.rotation import Array
-from spheremouse.output.counts import Motion, MotionSettings, Remainder, rotation_between, to_counts
+from spheremouse.geometry.rotation import Array, rotation_between
+from spheremouse.output.counts import Motion, MotionSettings, Remainder, to_counts
 from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
 from spheremouse.tracker import Frame
 

@@ -6,18 +6,9 @@ import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from spheremouse.errors import CalibrationError
 from spheremouse.files.bounded import opened
-
-Report = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE.html", help="Report with pictures.  [default: beside --out]")
-]
-Json = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures; - prints them.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], force: bool) -> None:

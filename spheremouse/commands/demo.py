@@ -24,8 +24,8 @@ from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
+from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import open_output
-from spheremouse.output.counts import rotation_between
 from spheremouse.session.offline import Epoch, History, Start, initialise, track
 from spheremouse.session.overlay.ball import Image, Overlay, OverlayFile, target_marks, write_picture
 from spheremouse.session.screen import Board, Tally

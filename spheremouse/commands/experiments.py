@@ -12,11 +12,11 @@ from rich.table import Table as Shown
 
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
-from spheremouse.evaluate.plot import require_matplotlib
 from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit.job import Job, Request, Result, Section, Table
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.kit.run import work_all
+from spheremouse.files.report.style import require_matplotlib
 
 
 def experiments(

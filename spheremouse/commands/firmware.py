@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from spheremouse.calibrate.outputs import Force, Json, check_outputs
+from spheremouse.calibrate.outputs import check_outputs
+from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import ConfigurationError, OutputError
 from spheremouse.files.yaml import write_json
 from spheremouse.output.serial import firmware

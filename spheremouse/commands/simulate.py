@@ -9,8 +9,8 @@ import typer
 from spheremouse.commands.options import parse_distortion, parse_size
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.ball import write_simulation
 from spheremouse.simulate.ball.film import Motion, SimulationOptions, View, prepare
+from spheremouse.simulate.to_dataset import write_simulation
 
 _DEFAULT = SimulationOptions()
 

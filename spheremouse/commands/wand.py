@@ -92,7 +92,7 @@ def simulate(
     Ray-cast and anti-aliased: discs as true spherical caps, shading, highlights, robot or hand, a room that changes
     with the seed. Nothing is written unless all of it is.
     """
-    from spheremouse.files.dataset.wand import write_wand
+    from spheremouse.simulate.to_dataset import write_wand
 
     if motion == "drive" and distance is not None:
         raise ConfigurationError("--distance: belongs to a hand; on a drive the robot's way decides")

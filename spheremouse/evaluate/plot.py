@@ -3,7 +3,6 @@
 Needs matplotlib, which is loaded when something is drawn.
 """
 
-import importlib
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ import numpy as np
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.metrics import attitude_error
 from spheremouse.files.atomic import write
+from spheremouse.files.report.style import require_matplotlib
 from spheremouse.geometry.rotation import Array, log
 
 if TYPE_CHECKING:
@@ -41,21 +41,6 @@ _STYLE: dict[str, Any] = {
     "ytick.major.width": 0.6,
     "figure.facecolor": "white",
 }
-
-
-def has_matplotlib() -> bool:
-    """Whether it is there, and can be imported."""
-    try:
-        importlib.import_module("matplotlib")
-    except Exception:  # an installation may be broken in any way
-        return False
-    return True
-
-
-def require_matplotlib() -> None:
-    """Raise ConfigurationError where matplotlib is not installed."""
-    if not has_matplotlib():
-        raise ConfigurationError("plots need matplotlib: pip install 'spheremouse[plot]'")
 
 
 def plot_run(

@@ -15,8 +15,8 @@ from scipy.stats import chi2
 
 from spheremouse.evaluate.metrics import mean_nees
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.simulate.wand.film import WandTruth
 from spheremouse.wand.ball import WandBall
+from spheremouse.wand.truth import WandTruth
 
 # Beside the ball, or another side of it taken for this one (the pattern repeats after 90 degrees, but for its colours)
 OFF_ANGLE = np.radians(45.0)

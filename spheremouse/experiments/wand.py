@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.commands.evaluate.wand import axes, shown
+from spheremouse.evaluate.table import axes, shown
 from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
 from spheremouse.experiments import wand_films as wand
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table

@@ -16,9 +16,10 @@ from spheremouse.evaluate.wand import RECOVERED, WandRun, errors, followed, foun
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.wand.offline import WandHistory, track_wand
-from spheremouse.simulate.wand.film import WandFilm, WandOptions, WandTruth, prepare_wand, simulate_wand
+from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.track import WandSettings, begin, build, step
+from spheremouse.wand.truth import WandTruth
 
 BALLS = {"grzonka": grzonka_ball, "contrast": contrast_ball, "led": led_ball}
 RECORDING = "wand_drive"  # of the shared datasets

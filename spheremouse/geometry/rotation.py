@@ -214,3 +214,15 @@ def align(a: Array, b: Array, weights: Array | None = None) -> Array:
     u, _, vt = np.linalg.svd((b * w[:, None]).T @ a)
     d = np.sign(np.linalg.det(u @ vt))
     return u @ np.diag([1.0, 1.0, d]) @ vt
+
+
+def rotation_between(before: Array, after: Array) -> Array:
+    """Rotation vector in `obj`, (3,) rad, that turns attitude `before` into `after` (both R_obj_ball, (3, 3))."""
+    v = np.empty(3)
+    _between(before, after, v)
+    return v
+
+
+@njit(cache=True, error_model="numpy")
+def _between(before, after, v):
+    log_into(after @ before.T, v)

@@ -7,9 +7,8 @@ of its chord (eq. 172-174), which loses 1 % at 30 Hz and 5 % at 5 Hz.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from spheremouse.geometry.rotation import Array, log_into
+from spheremouse.geometry.rotation import Array
 from spheremouse.settings import FACTOR, PER_RADIAN, param
 
 _DUE = 1.0 - 1e-9  # counts; less than one by rounding alone
@@ -75,18 +74,6 @@ class Remainder:
     """Fractions of counts not sent yet, each in (-1, 1), and in [-1/2, 1/2] after a report on that axis."""
 
     value: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-def rotation_between(before: Array, after: Array) -> Array:
-    """Rotation vector in `obj`, (3,) rad, that turns attitude `before` into `after` (both R_obj_ball, (3, 3))."""
-    v = np.empty(3)
-    _between(before, after, v)
-    return v
-
-
-@njit(cache=True, error_model="numpy")
-def _between(before, after, v):
-    log_into(after @ before.T, v)
 
 
 def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tuple[int, int, int], Remainder]:

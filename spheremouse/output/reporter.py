@@ -24,7 +24,6 @@ from spheremouse.output.counts import Motion
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import Counts, PointerSettings, Resampler, minus, plus
 from spheremouse.output.text import Text
-from spheremouse.session.process.threads import begin
 
 BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 LATE = 0.25  # s in the queue after which a frame's counts are not wanted any more: an output hung
@@ -82,8 +81,12 @@ class Reporter:
         settings: PointerSettings,
         say: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
+        begin: Callable[[threading.Thread], None] = threading.Thread.start,
     ) -> None:
-        """`open_output` and `say` are called in the thread; `clock` (s) runs as time does."""
+        """`open_output` and `say` are called in the thread; `clock` (s) runs as time does.
+
+        What `begin` raises where no thread is to be had comes out here.
+        """
         self._open, self._settings, self._say, self._clock = open_output, settings, say, clock
         # A lock as a bell: it is rung by releasing it. Unlike a condition it never makes the one who rings wait.
         self._bell = threading.Lock()

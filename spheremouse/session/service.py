@@ -119,7 +119,7 @@ class Daemon:
         self._cured = self._began
         self._past: tuple[int, Counts] = (0, (0, 0, 0))  # reports and unsent counts of outputs before this one
         self._given_out: Counts = (0, 0, 0)  # sum of the counts that the reporter was given
-        self._reporter = Reporter(lambda: open_output(plan.output), plan.configuration.pointer, self.say)
+        self._reporter = Reporter(lambda: open_output(plan.output), plan.configuration.pointer, self.say, begin=begin)
 
     def run(self, stopping: Stopping) -> None:
         """Until it is asked to stop, or a recording ends."""
@@ -561,7 +561,7 @@ class Daemon:
             old.close()
             self._ask(lambda: self._count_past(old, given))
 
-        self._reporter = Reporter(open_next, plan.configuration.pointer, self.say)
+        self._reporter = Reporter(open_next, plan.configuration.pointer, self.say, begin=begin)
         self._given_out = (0, 0, 0)
         self._claim(self._reporter.native_id)
         self._reporter.pause(bool(self._paused))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array, exp
-from spheremouse.output.hand import Pointing, PointingSettings, point
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball
 from spheremouse.wand.track import WandSettings, begin, build, step
@@ -27,7 +26,7 @@ _DT = 1.0 / 30.0
 
 @cache
 def warm_up() -> None:
-    """Call what tracking and pointing call; once a process."""
+    """Call what tracking calls; once a process."""
     for ball, depth, settings in (
         (grzonka_ball(), 0.8, WandSettings()),
         (grzonka_ball(), 0.25, WandSettings()),
@@ -41,13 +40,12 @@ def warm_up() -> None:
 
 def _watch(ball: WandBall, depth: float, settings: WandSettings) -> None:
     tracker = build(_CAMERA, (ball,), settings)
-    state, pointing, pointed = begin(tracker), Pointing(), PointingSettings()
+    state = begin(tracker)
     shown = [_picture(ball, depth, 0.1 * k) for k in range(4)]
     empty = _picture(None, depth, 0.0)
     for k, image in enumerate((empty, *shown, shown[-1], empty, empty, shown[0], shown[0])):
         stamp = k * (_DT if k < 7 else 0.3)  # hidden, and then lost
-        state, (pose,) = step(state, Frame(image, stamp, k), tracker)
-        pointing, _ = point(pointing, pose, state.tracks[0].velocity, stamp, pointed)
+        state, _ = step(state, Frame(image, stamp, k), tracker)
 
 
 def _picture(ball: WandBall | None, depth: float, turned: float) -> NDArray[np.uint8]:

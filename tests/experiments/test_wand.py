@@ -11,7 +11,7 @@ from spheremouse.experiments import wand_films as wand_experiments
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.wand_films import Film, Variant
-from spheremouse.files.dataset.wand import write_wand
+from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.track import WandSettings

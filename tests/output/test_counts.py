@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.geometry.rotation import exp
-from spheremouse.output.counts import MotionSettings, Remainder, rotation_between, to_counts
+from spheremouse.geometry.rotation import exp, rotation_between
+from spheremouse.output.counts import MotionSettings, Remainder, to_counts
 
 RADIUS = 0.6
 steps = st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array), max_size=60)

@@ -2,8 +2,7 @@
 
 import typer
 
-from spheremouse.calibrate.camera import calibrate as camera
-from spheremouse.commands.calibrate import device, init, next, practice, rolling
+from spheremouse.commands.calibrate import camera, device, init, next, practice, rolling
 from spheremouse.commands.calibrate import print as prints
 
 app = typer.Typer(

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse import __version__
-from spheremouse.calibrate.outputs import Force, Json, Report, check_outputs, copyable, note, sha256
+from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
+from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.yaml import read_document, write_json
@@ -57,10 +58,10 @@ def device(
     from spheremouse.calibrate.device.report import device_json, device_text, write_device_report
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.commands.config import root
-    from spheremouse.evaluate.plot import has_matplotlib
     from spheremouse.files.config import in_force
     from spheremouse.files.device import load_device, untouched
     from spheremouse.files.disc_map import map_path, save_map, saved_now
+    from spheremouse.files.report.style import has_matplotlib
     from spheremouse.files.rig import load_camera, save_rig
 
     page = report or out.with_suffix(".html")

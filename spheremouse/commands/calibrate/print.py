@@ -20,9 +20,9 @@ from spheremouse.calibrate.prints.sheets import (
     target_pages,
 )
 from spheremouse.errors import CalibrationError
-from spheremouse.evaluate.plot import require_matplotlib
 from spheremouse.files.atomic import replace
 from spheremouse.files.bounded import read_bytes
+from spheremouse.files.report.style import require_matplotlib
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
 

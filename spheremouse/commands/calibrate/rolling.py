@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from spheremouse.calibrate.outputs import Force, Json, check_outputs
+from spheremouse.calibrate.outputs import check_outputs
+from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.yaml import write_json
 

@@ -14,14 +14,16 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.track import Settings, build
 from spheremouse.commands.complaint import complain
-from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands, wand_table
+from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
-from spheremouse.evaluate.plot import plot_run, require_matplotlib
+from spheremouse.evaluate.plot import plot_run
+from spheremouse.evaluate.table import wand_table
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import Recording, open_dataset, read_frames
 from spheremouse.files.dataset.wand import is_wand
+from spheremouse.files.report.style import require_matplotlib
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose

@@ -39,7 +39,7 @@ from spheremouse.files.dataset.format import (
     read_picture,
     recorded_images,
 )
-from spheremouse.files.dataset.write import DatasetWriter, write_simulation
+from spheremouse.files.dataset.write import DatasetWriter
 from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
@@ -54,7 +54,6 @@ __all__ = [
     "Truth",
     "open_dataset",
     "read_frames",
-    "write_simulation",
 ]
 
 

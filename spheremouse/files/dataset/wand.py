@@ -5,7 +5,6 @@ docs/datasets; where several balls are in view, `wands` describes them all, the 
 columns x_1, y_1, ... of the second, and so on.
 """
 
-import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,15 +29,11 @@ from spheremouse.files.dataset.format import (
     read_json,
     recorded_images,
 )
-from spheremouse.files.dataset.pictures import PictureWriter
-from spheremouse.files.dataset.write import finish_pictures, refuse_to_overwrite, write_scene
-from spheremouse.files.folders import NewFolder
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.wand.film import WandFilm, WandTruth, simulate_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
+from spheremouse.wand.truth import WandTruth
 
 WAND_COLUMNS = ("frame", "t", "x", "y", "z", *MATRIX_COLUMNS)  # centre (m) and R_cam_ball by rows, in cam
 _FRAME = (
@@ -208,66 +203,3 @@ def wand_description(ball: WandBall) -> dict[str, Any]:
             }
         )
     return {"name": ball.name, "radius": float(ball.radius), "body": ball.body, "frame": _FRAME, "discs": discs}
-
-
-def wand_scene_description(film: WandFilm, name: str) -> dict[str, Any]:
-    """The content of scene.json, but for `frames`."""
-    camera, balls = film.scene.camera, [wand_description(b.ball) for b in film.scene.balls]
-    description: dict[str, Any] = {
-        "name": name,
-        "made_by": "spheremouse wand simulate",
-        "width": int(camera.width),
-        "height": int(camera.height),
-        "fps": float(film.fps),
-        "exposure_s": float(film.scene.exposure_s),
-        "camera": {
-            **dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True)),
-            "dist": camera.distortion.tolist(),
-        },
-        "wand": balls[0],
-        "camera_frame": "OpenCV: x right, y down, z forward; truth.csv x,y,z = ball centre in it (m); r11..r33 "
-        "row-major, P_cam = R P_ball + (x,y,z)",
-    }
-    if len(balls) > 1:
-        description["wands"] = balls
-    return description
-
-
-def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> Iterator[int]:
-    """Film into a dataset folder, giving the number of frames done after each; complete at the end.
-
-    Raises DatasetError where `path` is there and not empty (unless `replace`, and it holds a dataset), or cannot be
-    written. An iterator that is closed early writes nothing.
-    """
-    path = Path(path).absolute()
-    refuse_to_overwrite(path, replace)
-    new = NewFolder(path, DatasetError)
-    folder = new.path
-    camera = film.scene.camera
-    pictures: PictureWriter | None = None
-    try:
-        folder.chmod(0o755)
-        pictures = PictureWriter(folder, (camera.width, camera.height), film.fps)
-        with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file, lineterminator="\n")
-            columns = [name for k in range(len(film.scene.balls)) for name in _columns(k)]
-            rows.writerow([*WAND_COLUMNS[:2], *columns])
-            for shot in simulate_wand(film):
-                pictures.add(shot.frame.image)
-                numbers = [shot.frame.stamp, *_poses(shot.position, shot.rotation)]
-                rows.writerow([shot.frame.sequence, *(repr(float(x)) for x in numbers)])
-                yield shot.frame.sequence + 1
-        finish_pictures(pictures, path)
-        write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
-        refuse_to_overwrite(path, replace)  # once more: somebody may have come first
-        new.finish()
-    except OSError as e:
-        raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None
-    finally:
-        if pictures is not None:
-            pictures.release()
-        new.discard()
-
-
-def _poses(position: Array, rotation: Array) -> list[float]:
-    return [float(x) for p, R in zip(position, rotation, strict=True) for x in (*p, *R.ravel())]

@@ -3,7 +3,7 @@
 import csv
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,6 @@ from spheremouse.files.folders import NewFolder
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.simulate.ball.film import Change, Simulation, simulate
 from spheremouse.tracker import Frame
 
 CENTRE_COLUMNS = ("bx", "by", "bz")  # of truth.csv, where the ball leaves its place
@@ -230,25 +229,6 @@ def _sync(path: Path) -> None:
             os.close(handle)
 
 
-def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
-    """The content of scene.json, but for `frames`; the truth under keys that begin with `truth_`."""
-    scene = simulation.scene
-    description: dict[str, Any] = {
-        "name": name,
-        "made_by": "spheremouse simulate",
-        "fps": simulation.fps,
-        **device_description(scene.rig()),
-        "truth_T_obj_cam": scene.pose.matrix().tolist(),
-        "truth_disc_directions": scene.disc_directions.tolist(),
-    }
-    if simulation.changes:
-        description["truth_changes"] = [_change(change) for change in simulation.changes]
-        bumps = [change for change in simulation.changes if change.what == "bump"]
-        if bumps:
-            description["truth_bump"] = {"t": bumps[0].time, "T_obj_cam": bumps[0].scene.pose.matrix().tolist()}
-    return description
-
-
 def device_description(rig: Rig) -> dict[str, Any]:
     """What scene.json says of a device, without its covariances."""
     camera, targets = rig.camera, rig.targets
@@ -272,24 +252,3 @@ def device_description(rig: Rig) -> dict[str, Any]:
     if rig.readout_sigma_s == 0.0:
         description["readout_s"] = float(rig.readout_s)
     return description
-
-
-def _change(change: Change) -> dict[str, Any]:
-    said: dict[str, Any] = {"t": change.time, "what": change.what}
-    if change.disc is not None:
-        said["disc"] = change.disc
-    if change.what == "disc moved":
-        said["direction"] = change.scene.disc_directions[change.disc].tolist()
-    return said
-
-
-def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool = False) -> Iterator[int]:
-    """Film a simulation into a dataset folder, giving the number of frames done after each; complete at the end.
-
-    Raises DatasetError as DatasetWriter does. An iterator that is closed early writes nothing.
-    """
-    description, centres = scene_description(simulation, Path(path).absolute().name), simulation.options.reach > 0.0
-    with DatasetWriter(path, description, replace=replace, centres=centres) as writer:
-        for done, filmed in enumerate(simulate(simulation), start=1):
-            writer.add(filmed.frame, filmed.attitude, filmed.rate, filmed.discs, filmed.centre)
-            yield done

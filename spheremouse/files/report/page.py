@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from spheremouse.evaluate.plot import require_matplotlib
+from spheremouse.files.report.style import require_matplotlib
 from spheremouse.geometry.rotation import Array
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.output.counts import Motion
 from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing
-from spheremouse.session.process import realtime
+from spheremouse.session.process import realtime, threads
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import Told
@@ -85,7 +85,9 @@ class WandLive:
             realtime.prepare(first)
             quiet = stack.enter_context(contextlib.closing(realtime.Quiet()))
             for open_output in filter(None, (self._outputs.open_pointer, self._outputs.open_axes)):
-                self._reporters.append(Reporter(open_output, self._configuration.pointer, self._say))
+                self._reporters.append(
+                    Reporter(open_output, self._configuration.pointer, self._say, begin=threads.begin)
+                )
                 stack.callback(self._reporters[-1].close)
             self._capture.start()
             stack.callback(self._capture.close)

@@ -19,6 +19,7 @@ from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, i
 from spheremouse.simulate.wand.things import Passing
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, grzonka_ball
+from spheremouse.wand.truth import WandTruth
 
 Motion = Literal["drive", "hand"]
 Light = Literal["indoor", "outdoor"]
@@ -54,18 +55,6 @@ class WandOptions:
     card: float | None = None  # s, when a card in the ball's colours passes before the ball
     clutter: bool = True  # a red mug and a blue book
     vary: float = 0.1  # share by which paints differ from one seed to the next
-
-
-@dataclass(frozen=True, slots=True)
-class WandTruth:
-    """The motion of a ball, one row per frame."""
-
-    stamp: Array  # (n,) s
-    position: Array  # (n, 3) m, centre in cam
-    rotation: Array  # (n, 3, 3) R_cam_ball
-
-    def __len__(self) -> int:
-        return len(self.stamp)
 
 
 @dataclass(frozen=True, slots=True)

@@ -469,7 +469,7 @@ def test_files_that_differ_are_left_alone_without_force(tmp_path):
 
 
 def test_without_matplotlib_it_says_what_to_install_and_the_recipe_is_made_all_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr("spheremouse.evaluate.plot.has_matplotlib", lambda: False)
+    monkeypatch.setattr("spheremouse.files.report.style.has_matplotlib", lambda: False)
     with pytest.raises(SpheremouseError, match=r"matplotlib: pip install 'spheremouse\[plot\]'"):
         run("--out", tmp_path)
     run("--out", tmp_path, "--only", "recipe")

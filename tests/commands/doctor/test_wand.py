@@ -12,9 +12,10 @@ from spheremouse.commands.doctor.finding import Verdict
 from spheremouse.commands.doctor.wand import sight
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
-from spheremouse.files.dataset.wand import open_wand, read_wand_frames, write_wand
+from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.files.wand import save_wand
 from spheremouse.session.plan import Request
+from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball

@@ -42,13 +42,15 @@ from spheremouse.evaluate.metrics import (
     report,
     surface_speeds,
 )
-from spheremouse.files.dataset.ball import open_dataset, write_simulation
+from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.disc_map import save_map, saved_now
+from spheremouse.files.report import style
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.geometry.rotation import tangent_basis
-from spheremouse.output.counts import MotionSettings, rotation_between
+from spheremouse.geometry.rotation import rotation_between, tangent_basis
+from spheremouse.output.counts import MotionSettings
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
+from spheremouse.simulate.to_dataset import write_simulation
 from spheremouse.tracker import Frame
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 620.0, 318.0, 243.0)
@@ -646,7 +648,7 @@ def test_plot_breaks_its_curves_where_nothing_was_tracked_and_where_a_rotation_v
 
 
 def test_without_matplotlib_it_says_what_to_install(filmed, monkeypatch):
-    monkeypatch.setattr(plot, "has_matplotlib", lambda: False)
+    monkeypatch.setattr(style, "has_matplotlib", lambda: False)
     done = run_command(filmed, "--plot", "out.png")
     assert done.exit_code == 2
     assert "pip install 'spheremouse[plot]'" in done.stderr

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from spheremouse.files.dataset.wand import write_wand
 from spheremouse.files.wand import save_wand
+from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import ColourSettings

@@ -11,11 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.wand import open_wand, write_wand
+from spheremouse.files.dataset.wand import open_wand
 from spheremouse.files.rig import save_camera
 from spheremouse.files.wand import save_wand
 from spheremouse.output.axes import HEADER, NAMES
 from spheremouse.session.plan import Request, check_kinds, read_plan
+from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.axes import UPRIGHT
 from spheremouse.wand.ball import contrast_ball, grzonka_ball

@@ -7,7 +7,8 @@ import pytest
 from conftest import datasets_dir
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand, read_wand_frames, write_wand
+from spheremouse.files.dataset.wand import WandRecording, is_wand, open_wand, read_wand_frames
+from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 

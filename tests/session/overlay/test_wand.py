@@ -9,13 +9,13 @@ from typer.testing import CliRunner
 
 from spheremouse.commands import app
 from spheremouse.errors import SpheremouseError
-from spheremouse.files.dataset.wand import write_wand
 from spheremouse.files.wand import save_wand
 from spheremouse.geometry.camera import InteriorOrientation, sphere_outline, unproject
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.overlay.ball import GREEN, WHITE
 from spheremouse.session.overlay.wand import WandOverlay, pin, rims
 from spheremouse.session.wand.offline import WandEpoch
+from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball

@@ -11,7 +11,7 @@ import pytest
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE
 from spheremouse.commands.simulate import simulate as film
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.dataset.ball import open_dataset, read_frames, write_simulation
+from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose, project_circle, project_sphere, reduced_to_pixel
 from spheremouse.geometry.rotation import hat, to_euler
 from spheremouse.simulate.ball.backdrop import render_backdrop
@@ -34,6 +34,7 @@ from spheremouse.simulate.ball.layers import render_layers
 from spheremouse.simulate.ball.profile import creep, flick, play, rest, roll, still, thesis
 from spheremouse.simulate.ball.scene import spread_directions
 from spheremouse.simulate.light import develop, reflectance
+from spheremouse.simulate.to_dataset import write_simulation
 
 LENS = np.array([-0.2, 0.06, 0.001, -0.0015, -0.01])
 

@@ -1,0 +1,124 @@
+"""Simulated films as datasets on a disk."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from spheremouse.errors import DatasetError
+from spheremouse.files.dataset.pictures import PictureWriter
+from spheremouse.files.dataset.wand import WAND_COLUMNS, _columns, wand_description
+from spheremouse.files.dataset.write import (
+    DatasetWriter,
+    device_description,
+    finish_pictures,
+    refuse_to_overwrite,
+    write_scene,
+)
+from spheremouse.files.folders import NewFolder
+from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.ball.film import Change, Simulation, simulate
+from spheremouse.simulate.wand.film import WandFilm, simulate_wand
+
+
+def scene_description(simulation: Simulation, name: str) -> dict[str, Any]:
+    """The content of scene.json, but for `frames`; the truth under keys that begin with `truth_`."""
+    scene = simulation.scene
+    description: dict[str, Any] = {
+        "name": name,
+        "made_by": "spheremouse simulate",
+        "fps": simulation.fps,
+        **device_description(scene.rig()),
+        "truth_T_obj_cam": scene.pose.matrix().tolist(),
+        "truth_disc_directions": scene.disc_directions.tolist(),
+    }
+    if simulation.changes:
+        description["truth_changes"] = [_change(change) for change in simulation.changes]
+        bumps = [change for change in simulation.changes if change.what == "bump"]
+        if bumps:
+            description["truth_bump"] = {"t": bumps[0].time, "T_obj_cam": bumps[0].scene.pose.matrix().tolist()}
+    return description
+
+
+def _change(change: Change) -> dict[str, Any]:
+    said: dict[str, Any] = {"t": change.time, "what": change.what}
+    if change.disc is not None:
+        said["disc"] = change.disc
+    if change.what == "disc moved":
+        said["direction"] = change.scene.disc_directions[change.disc].tolist()
+    return said
+
+
+def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool = False) -> Iterator[int]:
+    """Film a simulation into a dataset folder, giving the number of frames done after each; complete at the end.
+
+    Raises DatasetError as DatasetWriter does. An iterator that is closed early writes nothing.
+    """
+    description, centres = scene_description(simulation, Path(path).absolute().name), simulation.options.reach > 0.0
+    with DatasetWriter(path, description, replace=replace, centres=centres) as writer:
+        for done, filmed in enumerate(simulate(simulation), start=1):
+            writer.add(filmed.frame, filmed.attitude, filmed.rate, filmed.discs, filmed.centre)
+            yield done
+
+
+def wand_scene_description(film: WandFilm, name: str) -> dict[str, Any]:
+    """The content of scene.json, but for `frames`."""
+    camera, balls = film.scene.camera, [wand_description(b.ball) for b in film.scene.balls]
+    description: dict[str, Any] = {
+        "name": name,
+        "made_by": "spheremouse wand simulate",
+        "width": int(camera.width),
+        "height": int(camera.height),
+        "fps": float(film.fps),
+        "exposure_s": float(film.scene.exposure_s),
+        "camera": {
+            **dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True)),
+            "dist": camera.distortion.tolist(),
+        },
+        "wand": balls[0],
+        "camera_frame": "OpenCV: x right, y down, z forward; truth.csv x,y,z = ball centre in it (m); r11..r33 "
+        "row-major, P_cam = R P_ball + (x,y,z)",
+    }
+    if len(balls) > 1:
+        description["wands"] = balls
+    return description
+
+
+def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> Iterator[int]:
+    """Film into a dataset folder, giving the number of frames done after each; complete at the end.
+
+    Raises DatasetError where `path` is there and not empty (unless `replace`, and it holds a dataset), or cannot be
+    written. An iterator that is closed early writes nothing.
+    """
+    path = Path(path).absolute()
+    refuse_to_overwrite(path, replace)
+    new = NewFolder(path, DatasetError)
+    folder = new.path
+    camera = film.scene.camera
+    pictures: PictureWriter | None = None
+    try:
+        folder.chmod(0o755)
+        pictures = PictureWriter(folder, (camera.width, camera.height), film.fps)
+        with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file, lineterminator="\n")
+            columns = [name for k in range(len(film.scene.balls)) for name in _columns(k)]
+            rows.writerow([*WAND_COLUMNS[:2], *columns])
+            for shot in simulate_wand(film):
+                pictures.add(shot.frame.image)
+                numbers = [shot.frame.stamp, *_poses(shot.position, shot.rotation)]
+                rows.writerow([shot.frame.sequence, *(repr(float(x)) for x in numbers)])
+                yield shot.frame.sequence + 1
+        finish_pictures(pictures, path)
+        write_scene(folder, {**wand_scene_description(film, path.name), "frames": film.frames})
+        refuse_to_overwrite(path, replace)  # once more: somebody may have come first
+        new.finish()
+    except OSError as e:
+        raise DatasetError(f"{path}: cannot be written ({e.strerror})") from None
+    finally:
+        if pictures is not None:
+            pictures.release()
+        new.discard()
+
+
+def _poses(position: Array, rotation: Array) -> list[float]:
+    return [float(x) for p, R in zip(position, rotation, strict=True) for x in (*p, *R.ravel())]
