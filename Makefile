@@ -35,7 +35,7 @@ help:
 	@echo "make test-oldest  a short form of them with the oldest of each package that pyproject.toml allows"
 	@echo "make test-newest  the same with the newest; make test takes the locked ones"
 	@echo "make lock         the lock files anew, with the newest of each package; LOCK_ARGS= keeps what is locked"
-	@echo "make lint         format, lint rules and types"
+	@echo "make lint         format, lint rules, types and which rooms import which"
 	@echo "make format       bring the code into the format that make lint asks for"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
 	@echo "make picture      the picture of the README, made anew from the demo"
@@ -86,6 +86,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check
 	$(BIN)/ruff check
 	$(BIN)/pyright
+	$(BIN)/lint-imports --no-cache
 
 format: $(STAMP)
 	$(BIN)/ruff format

@@ -13,6 +13,7 @@ import os
 import pkgutil
 import re
 import textwrap
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -42,36 +43,16 @@ from scipy.spatial.transform import Rotation
 np.set_printoptions(precision=6, suppress=True)
 """
 
-# The core in the order of its layers (docs/design.md). What is not named is the shell, and not in the reference, which
-# is for those who call the core.
-CORE: list[str] = [
-    "errors",
-    "settings",
-    "rotation",
-    "camera",
-    "disc_map",
-    "rig",
-    "frame",
-    "detect",
-    "resect",
-    "intersect",
-    "constellation_kernel",
-    "constellation",
-    "associate",
-    "filters",
-    "motion",
-    "wand",
-    "pointer",
-    "watch",
-    "bearing",
-    "track",
-    "warm",
-    "adjustment",
-    "simulate",
-    "coincidence",
-    "layout",
-    "evaluate",
-]
+# The rooms from the ground up, as import-linter holds them. Those named here are the shell, and not in the reference,
+# which is for those who call the core.
+SHELL = {"__main__", "commands", "experiments", "session", "capture", "files"}
+
+
+def core() -> list[str]:
+    """Names of the core's rooms."""
+    tools = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    layers = next(c["layers"] for c in tools["importlinter"]["contracts"] if c["id"] == "layers")
+    return [room for layer in reversed(layers) for room in re.findall(r"\w+", layer) if room not in SHELL]
 
 
 def page(name: str, text: str) -> None:
@@ -92,8 +73,8 @@ def core_modules() -> list[str]:
     import spheremouse
 
     names = [m.name for m in pkgutil.walk_packages(spheremouse.__path__, "spheremouse.")]
-    core = [n for n in names if n.split(".")[1] in CORE]
-    return sorted(core, key=lambda n: (CORE.index(n.split(".")[1]), n))
+    rooms = core()
+    return sorted((n for n in names if n.split(".")[1] in rooms), key=lambda n: (rooms.index(n.split(".")[1]), n))
 
 
 def modules_page() -> str:

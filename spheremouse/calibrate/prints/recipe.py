@@ -12,7 +12,7 @@ def recipe(board: Board, square: float, paper_name: str) -> str:
     """The page as HTML, its commands for a board of squares of so many mm. It needs no other file."""
     from markdown_it import MarkdownIt
 
-    text = resources.files(__package__).joinpath("recipe.md").read_text(encoding="utf-8")
+    text = resources.files("spheremouse.calibrate.prints").joinpath("recipe.md").read_text(encoding="utf-8")
     here = f"--board {board.columns}x{board.rows} --square {mm(square)}mm"
     text = text.replace("--board 11x8 --square 20mm", here)
     drawings = sketches()
