@@ -656,6 +656,7 @@ def test_who_asks_and_hangs_up_before_there_is_a_frame_has_asked_for_nothing(hea
     world = hearing
     threads = threading.active_count()
     world.silent = True
+    world.until(lambda: _still(world), "no frame left")
     for _ in range(20):
         hit_and_run(world, command)
         assert threading.active_count() <= threads + 2  # a recording's writer, and a test's
@@ -670,6 +671,13 @@ def test_who_asks_and_hangs_up_before_there_is_a_frame_has_asked_for_nothing(hea
     assert len(left) == (command != "reinit")
     world.until(lambda: threading.active_count() <= threads, "threads end")
     assert not said(world, "internal error")
+
+
+def _still(world):
+    """Do no frames come any more?"""
+    before = ask(world, "status")["frames"]
+    time.sleep(0.3)
+    return ask(world, "status")["frames"] == before
 
 
 def _try(world, command):

@@ -387,7 +387,7 @@ def test_a_simulation_broken_off_leaves_nothing_behind(tmp_path):
 def test_a_writer_that_is_killed_leaves_no_dataset(tmp_path):
     code = (
         "import os, sys; sys.path.insert(0, os.path.dirname(sys.argv[1]))\n"
-        "from test_recording import *\n"
+        "from test_ball import *\n"
         "writer = DatasetWriter(sys.argv[2], scene_of()).__enter__()\n"
         "writer.add(Frame(picture(0), 0.0, 0), *motion(0), discs_of(0))\n"
         "os.kill(os.getpid(), 9)\n"

@@ -187,7 +187,7 @@ def test_the_status_of_the_description_is_as_promised():
 def test_every_test_that_the_security_page_names_is_there():
     here = Path(__file__).parents[2]
     names = set(re.findall(r"`(test_\w+)`", (here.parent / "docs" / "security.md").read_text(encoding="utf-8")))
-    tests = "".join(p.read_text(encoding="utf-8") for p in here.glob("test_*.py"))
+    tests = "".join(p.read_text(encoding="utf-8") for p in here.rglob("test_*.py"))
     assert len(names) > 20
     assert not {name for name in names if f"def {name}(" not in tests}
 
