@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from spheremouse.ball.track import Phase, Settings, build
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import Phase, build
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.track import Phase, Settings, Tracker, begin, build, step
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import Phase, Tracker, begin, build, step
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config

@@ -18,7 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spheremouse.ball.track import Settings, begin, build, step
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import begin, build, step
 from spheremouse.output.counts import Motion
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import Reporter

@@ -5,9 +5,9 @@ Everything is a pure function of the state before and the frame; nothing here wa
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,29 +16,29 @@ from scipy.special import pdtrc
 from spheremouse.ball import bearings as bearing
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.associate import common_rotation, identify
-from spheremouse.ball.bearings import BearingSettings, Shift
-from spheremouse.ball.camera_watch import Watch, WatchSettings
+from spheremouse.ball.bearings import Shift
+from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import ball_mask
-from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
+from spheremouse.ball.detect.blobs import BlobDetector
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
-from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.ball.detect.discs import DiscDetector, disc_detector
 from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
-from spheremouse.ball.detect.rings import RingSettings, detect_targets
+from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter, FilterState
-from spheremouse.ball.filters.euler import ConstantDiscsFilter, EulerSettings, StateDiscsFilter
-from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
+from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
 from spheremouse.ball.points import SpherePoints, intersect
-from spheremouse.ball.pose import PoseSettings, find_pose, predict_targets
+from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.rig import Rig, considered_covariance
+from spheremouse.ball.settings import Settings
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, rotation_between
-from spheremouse.output.counts import Motion, MotionSettings, Remainder, to_counts
-from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
+from spheremouse.output.counts import Motion, Remainder, to_counts
 from spheremouse.tracker import Frame
 
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
@@ -54,56 +54,6 @@ _RESTS = 0.05  # rad/s, below which a ball brings nothing new
 _FRAME = 0.1  # s, the longest that one frame counts for
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
-
-
-@dataclass(frozen=True, slots=True)
-class LossSettings:
-    """When the ball is lost, and how it is found again."""
-
-    lost_after: float = param(
-        0.3, "s", "unconfirmed for so long the prediction is a guess: hand passes are shorter, rolls change", **SECONDS
-    )
-    known_sigma: float = param(
-        0.02,
-        "rad",
-        "one disc alone holds the attitude while none of its axes is less certain: half a disc's width",
-        **ANGLE,
-    )
-    reset_after: float = param(
-        1.0, "s", "discs in view, yet not recognised for so long: a new map is begun at the last attitude", **SECONDS
-    )
-    fastest: float = param(
-        20.0,
-        "rad/s",
-        "no hand turns the ball faster (1150 °/s): what says so is a wrong pairing, or a bumped camera",
-        **HAND_TURN,
-    )
-    identify_sigma: float = param(
-        0.003,
-        "rad",
-        "standard deviation of a direction when the map is searched; at a tenth any disc may be any other",
-        ge=1e-4,
-        le=0.1,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """All parameters of initialisation and use."""
-
-    detector: Literal["default", "blobs"] = param("default", "-", "disc detector; `blobs` is the published one")
-    tracker: Literal["so3", "ekf1", "ekf2"] = param("so3", "-", "filter; `ekf1` and `ekf2` are the published ones")
-    rings: RingSettings = field(default_factory=RingSettings)
-    pose: PoseSettings = field(default_factory=PoseSettings)
-    discs: DiscSettings = field(default_factory=DiscSettings)
-    blobs: BlobSettings = field(default_factory=BlobSettings)
-    static: StaticSettings = field(default_factory=StaticSettings)
-    so3: So3Settings = field(default_factory=So3Settings)
-    euler: EulerSettings = field(default_factory=EulerSettings)
-    loss: LossSettings = field(default_factory=LossSettings)
-    watch: WatchSettings = field(default_factory=WatchSettings)
-    bearing: BearingSettings = field(default_factory=BearingSettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)
 
 
 class Detector(Protocol):

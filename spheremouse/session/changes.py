@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from spheremouse.session.plan import Plan, Request
 
 AT_START = ("control", "metrics", "realtime")  # what is read at the start only

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.session.control.settings import ControlSettings, MetricsSettings

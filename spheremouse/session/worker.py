@@ -15,9 +15,9 @@ from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import Resection, describe, find_pose
 from spheremouse.ball.rig import Rig
+from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import (
     Phase,
-    Settings,
     Tracker,
     TrackState,
     begin,

@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import (
     Phase,
-    Settings,
     TrackState,
     advance,
     begin,

@@ -145,7 +145,7 @@ def test_rigs_maps_devices_and_configurations_are_told_apart(tmp_path):
     from datetime import UTC, datetime
 
     from spheremouse.ball.disc_map import DiscMap
-    from spheremouse.ball.track import Settings
+    from spheremouse.ball.settings import Settings
     from spheremouse.ball.warm import _RIG
     from spheremouse.files.config import dump_commented
     from spheremouse.files.device import _TEMPLATE

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.rings import MOST, RingSettings, detect_targets
 from spheremouse.ball.pose import find_pose
 from spheremouse.ball.rig import CODES
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from tests.fuzz.scene import small_rig
 from tests.fuzz.targets import refused, target
 

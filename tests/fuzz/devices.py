@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.rig import Rig, in_metres
-from spheremouse.ball.track import Settings, begin, build, step
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import begin, build, step
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.rig import load_rig, rig_text

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from spheremouse.files import config
 from spheremouse.files.rig import rig_text
 from tests.fuzz.control import MESSAGES

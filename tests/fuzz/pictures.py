@@ -12,7 +12,8 @@ from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.pose import gather, resect
-from spheremouse.ball.track import Settings, advance, begin, build
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import advance, begin, build
 from tests.fuzz.scene import DT, known, pictures, small_rig, use
 from tests.fuzz.targets import refused, target
 

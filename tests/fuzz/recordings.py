@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from spheremouse.capture import open_source
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from tests.fuzz.scene import use

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.capture import open_source
 from spheremouse.capture.mouse import read_log

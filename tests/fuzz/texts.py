@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from spheremouse.ball.detect.rings import detect_targets
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from spheremouse.capture import open_source
 from spheremouse.files import config
 from spheremouse.files.rig import load_camera, load_rig, rig_text

@@ -9,7 +9,8 @@ import pytest
 from daemon_world import DT, Film
 
 from spheremouse.ball.rig import Targets
-from spheremouse.ball.track import Phase, Settings
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import Phase
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, PoseError
 from spheremouse.session.worker import STAGES, Worker

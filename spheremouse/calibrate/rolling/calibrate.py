@@ -14,7 +14,7 @@ import numpy as np
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Settings
+from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.rolling.adjust import Rolled, adjust_rolling
 from spheremouse.calibrate.rolling.footage import Footage
 from spheremouse.calibrate.rolling.sightings import Tracked, provisional_pose, track_rolling

@@ -14,7 +14,8 @@ from spheremouse.ball.associate import identify
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Phase, Settings, TrackState, begin, build, step
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import Phase, TrackState, begin, build, step
 from spheremouse.calibrate.rolling.adjust import Rolling, Sightings
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Phase, Settings, Tracker, TrackState, begin, build, step
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import Phase, Tracker, TrackState, begin, build, step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames

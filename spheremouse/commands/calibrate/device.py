@@ -16,7 +16,7 @@ from spheremouse.files.yaml import read_document, write_json
 
 if TYPE_CHECKING:
     from spheremouse.ball.device import Device
-    from spheremouse.ball.track import Settings
+    from spheremouse.ball.settings import Settings
     from spheremouse.calibrate.device.adjust import DeviceCalibration
     from spheremouse.calibrate.device.advice import Advice
     from spheremouse.calibrate.photos import Photo

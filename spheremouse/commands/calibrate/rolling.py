@@ -112,7 +112,7 @@ def _span(text: str, name: str) -> tuple[float, float]:
 
 
 def _calibrate(given: _Given) -> None:
-    from spheremouse.ball.track import Settings
+    from spheremouse.ball.settings import Settings
     from spheremouse.calibrate.rolling.axes_choice import AxesFrom
     from spheremouse.calibrate.rolling.calibrate import solve
     from spheremouse.capture import open_source

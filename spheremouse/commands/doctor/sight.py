@@ -12,7 +12,8 @@ from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detec
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import find_pose, gather
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Settings, build
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import build
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import Pose

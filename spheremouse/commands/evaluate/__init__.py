@@ -12,7 +12,8 @@ from rich.table import Table
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig, in_metres
-from spheremouse.ball.track import Settings, build
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import build
 from spheremouse.commands.complaint import complain
 from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands
 from spheremouse.commands.terminal import progress_bar

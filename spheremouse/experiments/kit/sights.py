@@ -9,7 +9,8 @@ import numpy as np
 
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Settings, advance, begin, build
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import advance, begin, build
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import Sight

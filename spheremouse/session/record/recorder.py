@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball import track
+from spheremouse.ball import settings as settings_module
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import DatasetError, SpheremouseError
@@ -59,14 +59,14 @@ class Recorder:
         settings: RecordSettings,
         camera_line: str = "",
         *,
-        tracker: track.Settings | None = None,
+        tracker: settings_module.Settings | None = None,
         configuration: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`folder` must not be there, or be empty. `rig` and `pose` are those in use, `tracker` the settings in use;
         `configuration` is kept beside them as config.yaml. DatasetError where it cannot be begun."""
         self._rig, self._pose, self._settings, self._clock = rig, pose, settings, clock
-        self._tracker = track.Settings() if tracker is None else tracker
+        self._tracker = settings_module.Settings() if tracker is None else tracker
         self._folder = folder.absolute()
         scene = {
             "made_by": "spheremouse record",

@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from spheremouse.ball.track import Phase, Settings, build, current
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import Phase, build, current
 from spheremouse.capture import open_source
 from spheremouse.commands import app
 from spheremouse.errors import DatasetError, OutputError
