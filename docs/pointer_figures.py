@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import Phase, build
+from spheremouse.ball.state import Phase
+from spheremouse.ball.track import build
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import Phase, Tracker, begin, build, step
+from spheremouse.ball.state import Phase, Tracker
+from spheremouse.ball.track import begin, build, step
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config

@@ -5,9 +5,8 @@ Everything is a pure function of the state before and the frame; nothing here wa
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.blobs import BlobDetector
-from spheremouse.ball.detect.detections import Detections, Image, no_detections
+from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.discs import DiscDetector, disc_detector
 from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
 from spheremouse.ball.detect.rings import detect_targets
@@ -30,11 +29,24 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, to_map, with_map
+from spheremouse.ball.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, with_map
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import (
+    Detector,
+    Phase,
+    Sight,
+    Tracker,
+    TrackState,
+    _forget,
+    _no_motion,
+    _no_points,
+    _tracking,
+    _unused,
+    current,
+)
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, rotation_between
@@ -44,7 +56,6 @@ from spheremouse.tracker import Frame
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
 _READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
-_SURE = 10  # sightings from which a disc is worth keeping
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _PUSHED = 16.0  # level from which the filter may take for a turn what is none
@@ -54,79 +65,6 @@ _RESTS = 0.05  # rad/s, below which a ball brings nothing new
 _FRAME = 0.1  # s, the longest that one frame counts for
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
-
-
-class Detector(Protocol):
-    """What finds discs."""
-
-    def detect(self, image: Image) -> Detections:
-        """Disc candidates in an image (h, w, 3) BGR or (h, w)."""
-        ...
-
-
-class Phase(StrEnum):
-    """What the tracker knows."""
-
-    SEARCHING = "searching"  # no disc seen yet
-    TRACKING = "tracking"
-    LOST = "lost"
-
-
-@dataclass(frozen=True, slots=True)
-class Tracker:
-    """What stays the same from frame to frame: device, camera pose, stages with their settings."""
-
-    settings: Settings
-    rig: Rig
-    pose: Pose
-    detector: Detector
-    filter: Filter[Any]
-    counts: Array  # (3, 3) counts per radian
-
-
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """What one frame showed, and the attitude it was taken for."""
-
-    stamp: float  # s
-    detections: Detections
-    points: SpherePoints
-    attitude: Array  # (3, 3) R_obj_ball
-
-    @property
-    def centre(self) -> Array:
-        """(n, 2) px of the points."""
-        return self.detections.centre[self.points.index]
-
-
-@dataclass(frozen=True, slots=True)
-class TrackState:
-    """What one frame hands to the next."""
-
-    phase: Phase
-    event: str  # what changed with this frame, in words; empty where nothing did
-    filter: FilterState
-    lookalikes: Lookalikes
-    remainder: Remainder
-    sent: Array  # (3, 3) attitude at the last motion
-    held: float  # s, stamp of the last frame whose discs held the attitude
-    found: float | None  # s, since when discs are in view again while lost
-    moved: bool  # the ball has been seen to turn: look-alikes are told from discs
-    recent: tuple[Sight, ...]  # frames since the ball was seen, while not `moved`
-    hunt: Hunt  # for discs that are not on the map yet
-    holds: bool  # the last frame's discs hold the attitude
-    saved: bool  # a map made earlier is to be recognised first
-    absolute: bool  # the attitude is that of a map made earlier
-    detections: Detections  # all of the last frame
-    points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
-    watch: Watch | None = None  # on the targets: does the camera stand?
-    rebuilt: Tracker | None = None  # for the pose found after the camera was moved; None: it never was
-    off: int = 0  # frames in a row that show the ball's centre off its place
-    lifted: float | None = None  # s, since when the ball is lost for that
-    misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
-    out_of_round: bool = False  # that was too much, and is said
-    fitted: float = 0.0  # rad the ball has turned about its centre, since it last did not
-    readout_told: bool = False  # play has shown what the rolling shutter takes, and it is said
 
 
 def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
@@ -200,11 +138,6 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         _no_points(tracker),
         watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
     )
-
-
-def current(state: TrackState, tracker: Tracker) -> Tracker:
-    """The tracker in use: the one given, or the one rebuilt since, when the camera was moved."""
-    return tracker if state.rebuilt is None else state.rebuilt
 
 
 Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
@@ -471,11 +404,6 @@ def _swings(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackSta
     return state, _no_motion(stamp)
 
 
-def disc_map(state: TrackState) -> DiscMap | None:
-    """What is worth keeping of the discs on the ball; None while fewer than four are sure, or for another tracker."""
-    return to_map(state.filter, _SURE) if isinstance(state.filter, So3State) and not state.saved else None
-
-
 def check_size(frame: Frame, rig: Rig) -> None:
     """Raise SourceError when a frame has another size than the camera was calibrated for."""
     h, w = frame.image.shape[:2]
@@ -551,10 +479,6 @@ def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackSt
         filter=_unused(state.filter),
         event=f"lost: no frame for {gap:.1f} s",
     )
-
-
-def _unused(filter_state: Any) -> Any:
-    return replace(filter_state, used=np.zeros(0, dtype=np.intp))
 
 
 def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
@@ -823,11 +747,6 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     )
 
 
-def _tracking(state: TrackState, filtered: FilterState, sent: Array, stamp: float) -> TrackState:
-    """Tracking from this frame on, by a filter just found or begun; motion counts from the attitude `sent`."""
-    return replace(state, filter=filtered, phase=Phase.TRACKING, sent=sent, held=stamp, holds=True, found=None)
-
-
 def _anew(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """With a new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
     attitude = state.filter.attitude
@@ -893,11 +812,6 @@ def _recognised(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Filt
     return tracker.filter.update(placed, points, np.zeros(len(points), dtype=bool)), len(known.pairs)
 
 
-def _forget(lookalikes: Lookalikes) -> Lookalikes:
-    """Masks stay; candidates followed under another attitude go."""
-    return Lookalikes(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
-
-
 def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """Is the ball tracked, lost, or still looked for?"""
     if state.holds and state.phase is Phase.TRACKING:
@@ -932,11 +846,3 @@ def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackSta
     counts, remainder = to_counts(rotation, tracker.counts, state.remainder)
     state = replace(state, sent=attitude, remainder=remainder, held=stamp)
     return state, Motion(stamp, counts, rotation, state.filter.rate)
-
-
-def _no_motion(stamp: float) -> Motion:
-    return Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
-
-
-def _no_points(tracker: Tracker) -> SpherePoints:
-    return intersect(no_detections(), tracker.rig, tracker.pose)

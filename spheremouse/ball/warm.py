@@ -15,7 +15,8 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import Tracker, begin, build, disc_map, step
+from spheremouse.ball.state import Tracker, disc_map
+from spheremouse.ball.track import begin, build, step
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.tracker import Frame

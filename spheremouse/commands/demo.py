@@ -19,7 +19,8 @@ from rich.table import Table
 from spheremouse.ball.pose import describe
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import Phase, Tracker, build
+from spheremouse.ball.state import Phase, Tracker
+from spheremouse.ball.track import build
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError

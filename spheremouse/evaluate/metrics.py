@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.associate import assign
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Phase
+from spheremouse.ball.state import Phase
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import MATCH, distances, measured

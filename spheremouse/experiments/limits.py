@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Phase, Tracker, TrackState, advance, begin, build, step
+from spheremouse.ball.state import Phase, Tracker, TrackState
+from spheremouse.ball.track import advance, begin, build, step
 from spheremouse.experiments.kit.film import TRACKERS, settings_of
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, decades

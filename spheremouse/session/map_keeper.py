@@ -18,7 +18,7 @@ import numpy as np
 from spheremouse.ball.compare_maps import compare, compare_at, in_words, turned, variances
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import TrackState, disc_map
+from spheremouse.ball.state import TrackState, disc_map
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files.atomic import clear_left, open_to_read, replace
 from spheremouse.files.disc_map import SavedMap, age, check_fits, load_map, old_path, save_map, saved_now

@@ -20,7 +20,8 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import Tracker, TrackState, begin, check_size, step
+from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.ball.track import begin, check_size, step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run

@@ -18,7 +18,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.ball.track import Phase
+from spheremouse.ball.state import Phase
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.session.offline import Epoch
 from spheremouse.session.timing import FrameTimes

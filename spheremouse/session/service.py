@@ -22,7 +22,7 @@ import numpy as np
 from spheremouse import __version__
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Tracker, TrackState
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.capture import Camera
 from spheremouse.capture.fetch import PATIENCE, Capture
 from spheremouse.capture.newest import Newest

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from spheremouse.ball.track import Phase
+from spheremouse.ball.state import Phase
 from spheremouse.output.sparing import letters
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.ball.track import Phase
+from spheremouse.ball.state import Phase
 from spheremouse.experiments import mistakes, viewing
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.report import write_report

@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import gather, resect
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Motion, Phase, Tracker, TrackState, begin, build, retuned, step
+from spheremouse.ball.state import Phase, Tracker, TrackState
+from spheremouse.ball.track import Motion, begin, build, retuned, step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from spheremouse.ball.track import Phase
+from spheremouse.ball.state import Phase
 from spheremouse.session.states import Facts, State, judge, news
 
 TRANSCRIPTS = {

@@ -10,7 +10,7 @@ from daemon_world import DT, Film
 
 from spheremouse.ball.rig import Targets
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import Phase
+from spheremouse.ball.state import Phase
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, PoseError
 from spheremouse.session.worker import STAGES, Worker

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import appearance, ball_outline
 from spheremouse.ball.pose import Resection, predict_targets
 from spheremouse.ball.rig import Rig, directions_at
-from spheremouse.ball.track import Phase, Tracker, TrackState, current
+from spheremouse.ball.state import Phase, Tracker, TrackState, current
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 from spheremouse.files.folders import NewFolder

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.track import Tracker
+from spheremouse.ball.state import Tracker
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.files import config
 from spheremouse.geometry.camera import Pose

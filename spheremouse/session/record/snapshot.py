@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from spheremouse.ball.track import Tracker, current
+from spheremouse.ball.state import Tracker, current
 from spheremouse.errors import OutputError
 from spheremouse.session.offline import Epoch
 from spheremouse.session.overlay.ball import Overlay, target_marks, write_picture

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.ball.track import Phase
+from spheremouse.ball.state import Phase
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.commands import evaluate as cli_evaluate
 from spheremouse.errors import ConfigurationError

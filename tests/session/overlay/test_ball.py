@@ -11,7 +11,8 @@ import pytest
 from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.ball.filters.so3 import So3State
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import Phase, begin, build, step
+from spheremouse.ball.state import Phase
+from spheremouse.ball.track import begin, build, step
 from spheremouse.errors import OutputError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import tangent_basis
