@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase
-from spheremouse.ball.track import build
 from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take

@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, Tracker
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config

@@ -18,8 +18,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.output.counts import Motion
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import Reporter

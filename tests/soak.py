@@ -25,12 +25,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.filters.so3 import So3State
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, Tracker, TrackState
-from spheremouse.ball.track import advance, begin, build, step
+from spheremouse.ball.track import advance, step
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log

@@ -16,26 +16,21 @@ from spheremouse.ball import bearings as bearing
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.associate import common_rotation, identify
 from spheremouse.ball.bearings import Shift
+from spheremouse.ball.build import begin, build, check_size
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect import lookalikes as static
-from spheremouse.ball.detect.appearance import ball_mask
-from spheremouse.ball.detect.blobs import BlobDetector
 from spheremouse.ball.detect.detections import Detections, no_detections
-from spheremouse.ball.detect.discs import DiscDetector, disc_detector
+from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import Hunt
-from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters import Filter, FilterState
-from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
+from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays, with_map
+from spheremouse.ball.filters.so3_state import CORE, FIRST, So3State, augment, consider, delays
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.pose import find_pose, predict_targets
-from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
-    Detector,
     Phase,
     Sight,
     Tracker,
@@ -47,16 +42,15 @@ from spheremouse.ball.state import (
     _unused,
     current,
 )
-from spheremouse.errors import PoseError, SourceError
+from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, rotation_between
-from spheremouse.output.counts import Motion, Remainder, to_counts
+from spheremouse.output.counts import Motion, to_counts
 from spheremouse.tracker import Frame
 
 _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
 _READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
-_REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _PUSHED = 16.0  # level from which the filter may take for a turn what is none
 _PROVEN = 0.5  # rad: a quarter of what is seen of a ball has come or gone: a wrong centre or radius would have shown
@@ -65,79 +59,6 @@ _RESTS = 0.05  # rad/s, below which a ball brings nothing new
 _FRAME = 0.1  # s, the longest that one frame counts for
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
-
-
-def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
-    """Put the stages together for a device and a camera that stands still.
-
-    Raises PoseError where the camera cannot see the ball: from within, from in front, or out of its picture.
-    """
-    towards = pose.position - rig.ball.centre
-    distance = float(np.linalg.norm(towards))
-    if (
-        distance <= rig.ball.radius
-        or pose.to_cam(rig.ball.centre)[2] <= rig.ball.radius
-        or not ball_mask(rig, pose).any()
-    ):
-        unit = "" if rig.scale_free else " m"
-        raise PoseError(
-            f"from the camera, {distance:.2f}{unit} from the ball's centre, the ball (radius {rig.ball.radius:g}{unit})"
-            " is not in the picture: turn the camera towards it, or check the rig's positions and lengths"
-        )
-    stage: Filter[Any]
-    if settings.tracker == "so3":
-        stage = So3Filter(
-            settings.so3,
-            towards / distance,
-            rig.ball.radius / distance,
-            rig.disc_radius / rig.ball.radius,
-            rig.ball.radius,
-            considered_covariance(pose, rig.ball),
-            rig.readout_sigma_s,
-        )
-    elif settings.tracker == "ekf2":
-        stage = StateDiscsFilter(settings.euler)
-    else:
-        stage = ConstantDiscsFilter(settings.euler)
-    detector: Detector
-    if settings.detector == "default":
-        detector = disc_detector(settings.discs, rig, pose)
-    else:
-        detector = BlobDetector(settings.blobs)
-    metric = None if rig.scale_free else rig.ball.radius
-    return Tracker(settings, rig, pose, detector, stage, settings.motion.matrix(metric))
-
-
-def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:
-    """State before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`.
-
-    With the map of an earlier run (`so3` alone can use it) the discs are recognised first, and the attitude is that of
-    the map: absolute.
-    """
-    R = np.eye(3) if attitude is None else attitude
-    start: Any = tracker.filter.initial(stamp, R)
-    saved = known is not None and len(known) >= 3 and isinstance(start, So3State)
-    if saved and known is not None:
-        start = with_map(start, known, _REMEMBERED)
-    return TrackState(
-        Phase.SEARCHING,
-        "",
-        start,
-        Lookalikes(),
-        Remainder(),
-        R,
-        stamp,
-        None,
-        False,
-        (),
-        Hunt(),
-        False,
-        saved,
-        False,
-        no_detections(),
-        _no_points(tracker),
-        watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
-    )
 
 
 Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
@@ -402,16 +323,6 @@ def _swings(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackSta
         text = "lost: the camera was moved, and its pose is not found: uncover the targets, or initialise again"
         state = replace(state, phase=Phase.LOST, found=None, event=text)
     return state, _no_motion(stamp)
-
-
-def check_size(frame: Frame, rig: Rig) -> None:
-    """Raise SourceError when a frame has another size than the camera was calibrated for."""
-    h, w = frame.image.shape[:2]
-    if (w, h) != (rig.camera.width, rig.camera.height):
-        raise SourceError(
-            f"frame {frame.sequence} is {w}x{h}, the camera was calibrated at {rig.camera.width}x{rig.camera.height}: "
-            "set the camera to that mode, or give the calibration of this one (--camera)"
-        )
 
 
 def advance(

@@ -10,13 +10,14 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import appearance, ball_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, disc_map
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.tracker import Frame

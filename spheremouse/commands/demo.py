@@ -16,11 +16,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from spheremouse.ball.build import build
 from spheremouse.ball.pose import describe
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, Tracker
-from spheremouse.ball.track import build
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError

@@ -133,7 +133,7 @@ def _spec(recording: str) -> str:
 
 def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> tuple["Run", "Rig", int]:
     """The run, the device, and how many frames there were; a recording that is cut short gives what is there."""
-    from spheremouse.ball.track import build
+    from spheremouse.ball.build import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
     from spheremouse.session.offline import History, initialise, track

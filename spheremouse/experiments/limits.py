@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Phase, Tracker, TrackState
-from spheremouse.ball.track import advance, begin, build, step
+from spheremouse.ball.track import advance, step
 from spheremouse.experiments.kit.film import TRACKERS, settings_of
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, decades

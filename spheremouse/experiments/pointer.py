@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.ball.track import advance, begin, build, step
+from spheremouse.ball.track import advance, step
 from spheremouse.evaluate.trackball.lag import Turning, search, travel
 from spheremouse.experiments.kit.film import settings_of
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table

@@ -14,6 +14,7 @@ from threading import Timer
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.build import begin, check_size
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3_state import So3State
@@ -21,7 +22,7 @@ from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.ball.track import begin, check_size, step
+from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.evaluate.metrics import Run

@@ -11,13 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from spheremouse.ball.build import begin, build, check_size
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import Resection, describe, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, Tracker, TrackState, current
-from spheremouse.ball.track import begin, build, check_size, posed_anew, retuned, shows_targets, step, wants_colour
+from spheremouse.ball.track import posed_anew, retuned, shows_targets, step, wants_colour
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.owned import Owned
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError

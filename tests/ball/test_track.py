@@ -9,11 +9,12 @@ import pytest
 from conftest import directions
 from numpy.testing import assert_allclose
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, TrackState, current
-from spheremouse.ball.track import advance, begin, build, posed_anew, retuned, step, wants_colour
+from spheremouse.ball.track import advance, posed_anew, retuned, step, wants_colour
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.rig import load_rig, rig_text

@@ -15,11 +15,12 @@ from typing import Any, TypeVar
 import numpy as np
 from hypothesis import strategies as st
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import gather, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Phase, Tracker, TrackState
-from spheremouse.ball.track import Motion, begin, build, retuned, step
+from spheremouse.ball.track import Motion, retuned, step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config

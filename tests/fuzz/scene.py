@@ -8,9 +8,10 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame

@@ -18,8 +18,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import LossSettings, Settings
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.associate import identify
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, TrackState
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.calibrate.rolling.adjust import Rolling, Sightings
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose

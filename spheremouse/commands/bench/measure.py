@@ -19,11 +19,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, Tracker, TrackState
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames

@@ -6,6 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from spheremouse.ball.build import build
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
@@ -13,7 +14,6 @@ from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import build
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import Pose

@@ -10,10 +10,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from spheremouse.ball.build import build
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import build
 from spheremouse.commands.complaint import complain
 from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands
 from spheremouse.commands.terminal import progress_bar

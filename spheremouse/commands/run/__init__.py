@@ -232,8 +232,8 @@ def _follow(
     frames: int | None,
 ) -> None:
     """A recording: every frame, one after the other."""
+    from spheremouse.ball.build import build
     from spheremouse.ball.pose import describe
-    from spheremouse.ball.track import build
     from spheremouse.output import open_output
     from spheremouse.session.map_keeper import MapKeeper
     from spheremouse.session.offline import initialise, track

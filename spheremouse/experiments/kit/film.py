@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.ball.build import build
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import build
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import Bound

@@ -7,10 +7,11 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import advance, begin, build
+from spheremouse.ball.track import advance
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import Sight

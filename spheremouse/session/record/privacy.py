@@ -19,11 +19,11 @@ import cv2
 import numpy as np
 
 from spheremouse.ball import camera_watch as watch
+from spheremouse.ball.build import build
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import build
 from spheremouse.geometry.camera import Pose
 
 _NOISE_LINES = 16  # by which detect.fit measures the noise

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.ball.filters.so3 import So3State
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase
-from spheremouse.ball.track import begin, build, step
+from spheremouse.ball.track import step
 from spheremouse.errors import OutputError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import tangent_basis

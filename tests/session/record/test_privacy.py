@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
+from spheremouse.ball.build import build
 from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Targets
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import build
 from spheremouse.errors import PoseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose

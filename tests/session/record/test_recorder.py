@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, current
-from spheremouse.ball.track import build
 from spheremouse.capture import open_source
 from spheremouse.commands import app
 from spheremouse.errors import DatasetError, OutputError

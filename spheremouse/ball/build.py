@@ -1,0 +1,117 @@
+"""A tracker put together from a device, a pose and settings, and its state before the first frame."""
+
+from typing import Any
+
+import numpy as np
+
+from spheremouse.ball import camera_watch as watching
+from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.detect.blobs import BlobDetector
+from spheremouse.ball.detect.detections import no_detections
+from spheremouse.ball.detect.discs import disc_detector
+from spheremouse.ball.detect.lookalikes import Lookalikes
+from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.filters import Filter
+from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
+from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_state import So3State, with_map
+from spheremouse.ball.rig import Rig, considered_covariance
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import (
+    Detector,
+    Phase,
+    Tracker,
+    TrackState,
+    _no_points,
+)
+from spheremouse.errors import PoseError, SourceError
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.rotation import Array
+from spheremouse.output.counts import Remainder
+from spheremouse.tracker import Frame
+
+_REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
+
+
+def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
+    """Put the stages together for a device and a camera that stands still.
+
+    Raises PoseError where the camera cannot see the ball: from within, from in front, or out of its picture.
+    """
+    towards = pose.position - rig.ball.centre
+    distance = float(np.linalg.norm(towards))
+    if (
+        distance <= rig.ball.radius
+        or pose.to_cam(rig.ball.centre)[2] <= rig.ball.radius
+        or not ball_mask(rig, pose).any()
+    ):
+        unit = "" if rig.scale_free else " m"
+        raise PoseError(
+            f"from the camera, {distance:.2f}{unit} from the ball's centre, the ball (radius {rig.ball.radius:g}{unit})"
+            " is not in the picture: turn the camera towards it, or check the rig's positions and lengths"
+        )
+    stage: Filter[Any]
+    if settings.tracker == "so3":
+        stage = So3Filter(
+            settings.so3,
+            towards / distance,
+            rig.ball.radius / distance,
+            rig.disc_radius / rig.ball.radius,
+            rig.ball.radius,
+            considered_covariance(pose, rig.ball),
+            rig.readout_sigma_s,
+        )
+    elif settings.tracker == "ekf2":
+        stage = StateDiscsFilter(settings.euler)
+    else:
+        stage = ConstantDiscsFilter(settings.euler)
+    detector: Detector
+    if settings.detector == "default":
+        detector = disc_detector(settings.discs, rig, pose)
+    else:
+        detector = BlobDetector(settings.blobs)
+    metric = None if rig.scale_free else rig.ball.radius
+    return Tracker(settings, rig, pose, detector, stage, settings.motion.matrix(metric))
+
+
+def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:
+    """State before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`.
+
+    With the map of an earlier run (`so3` alone can use it) the discs are recognised first, and the attitude is that of
+    the map: absolute.
+    """
+    R = np.eye(3) if attitude is None else attitude
+    start: Any = tracker.filter.initial(stamp, R)
+    saved = known is not None and len(known) >= 3 and isinstance(start, So3State)
+    if saved and known is not None:
+        start = with_map(start, known, _REMEMBERED)
+    return TrackState(
+        Phase.SEARCHING,
+        "",
+        start,
+        Lookalikes(),
+        Remainder(),
+        R,
+        stamp,
+        None,
+        False,
+        (),
+        Hunt(),
+        False,
+        saved,
+        False,
+        no_detections(),
+        _no_points(tracker),
+        watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
+    )
+
+
+def check_size(frame: Frame, rig: Rig) -> None:
+    """Raise SourceError when a frame has another size than the camera was calibrated for."""
+    h, w = frame.image.shape[:2]
+    if (w, h) != (rig.camera.width, rig.camera.height):
+        raise SourceError(
+            f"frame {frame.sequence} is {w}x{h}, the camera was calibrated at {rig.camera.width}x{rig.camera.height}: "
+            "set the camera to that mode, or give the calibration of this one (--camera)"
+        )
