@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.constellation import evidence
 from spheremouse.ball.constellation import hypotheses as kernel
 from spheremouse.geometry.rotation import Array
 
@@ -71,7 +72,7 @@ def attitude(
         model.false_mean,
         area,
     )
-    gain = kernel.most_worth(sigma * sigma, law)
+    gain = evidence.most_worth(sigma * sigma, law)
     if gain <= 0.0:  # so coarse that a false direction explains as much as any disc
         return None
     pairs = kernel.pairs_of(points, max(1, n // model.group))
@@ -83,13 +84,13 @@ def attitude(
         points @ towards, 0.3, 1.0
     )  # nearer the limb a disc is a line, and its noise is not that of pixels
     variance = sigma * sigma * (1.0 + 0.5 * model.foreshortened * (1.0 / cosine**2 - 1.0))
-    R, columns, information, value = kernel.attitudes(starts, points, known, variance, law, model.first)
+    R, columns, information, value = evidence.attitudes(starts, points, known, variance, law, model.first)
     discs_in_sight = 0.5 * len(known) * (1.0 - horizon)  # another ball is as dotted as this
-    other = kernel.false_count(n, discs_in_sight, area) + math.log(model.other / (1.0 - model.other))
-    two = kernel.only_two(H, origin, points, known, variance, law, model.sample) + math.log(
+    other = evidence.false_count(n, discs_in_sight, area) + math.log(model.other / (1.0 - model.other))
+    two = evidence.only_two(H, origin, points, known, variance, law, model.sample) + math.log(
         n * (n - 1) / 2 / len(pairs)
     )
-    best, wrong = kernel.share(R, information, value, np.logaddexp(other, two), model.same)
+    best, wrong = evidence.share(R, information, value, np.logaddexp(other, two), model.same)
     rows = np.flatnonzero(columns[best] >= 0)
     if len(rows) < 3 or not math.isfinite(value[best]):
         return None

@@ -10,6 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
+from spheremouse.ball.constellation import evidence
 from spheremouse.ball.constellation import hypotheses as kernel
 from spheremouse.ball.constellation.identify import Model, attitude
 from spheremouse.geometry.rotation import align, exp, log, tangent_basis
@@ -83,7 +84,7 @@ def test_adjustment_is_wahbas_solution(seed):
     seen = scattered(p[p[:, 2] > 0.45], 0.01, rng)
     variance = 1e-4 * rng.uniform(0.5, 2.0, size=len(seen))
     start = exp(0.01 * rng.normal(size=3)) @ R
-    rotation, column, information, det = kernel.refine(start, seen, known, variance, law(), 2.5)
+    rotation, column, information, det = evidence.refine(start, seen, known, variance, law(), 2.5)
     assert_allclose(p[column], seen, atol=0.06)
     assert_allclose(rotation, align(known[column], seen, 1.0 / variance), atol=1e-9)
     q = known[column] @ rotation.T
@@ -100,9 +101,9 @@ def test_evidence_is_the_integral_over_attitudes():
     p = known @ R.T
     seen = np.vstack([scattered(p[p[:, 2] > 0.5][:4], sigma, rng), [[0.6, 0.0, 0.8], [0.0, -0.28, 0.96]]])
     variance, rules = np.full(6, sigma**2), law((hidden,), (1.0,))
-    best, column, _, det = kernel.refine(R, seen, known, variance, rules, 2.5)
+    best, column, _, det = evidence.refine(R, seen, known, variance, rules, 2.5)
     assert np.sum(column >= 0) == 4
-    value = kernel.evidence(best, column, det, seen, known, variance, rules)
+    value = evidence.evidence(best, column, det, seen, known, variance, rules)
 
     half = 0.05  # of the cube of rotation vectors that is summed over: ten standard deviations
     turns = rng.uniform(-half, half, size=(40_000, 3))
@@ -130,8 +131,8 @@ def test_equal_alternatives_are_averaged():
 
     def value(hidden, scales):
         rules = law(hidden, scales)
-        rotation, column, _, det = kernel.refine(R, seen, known, variance, rules, 2.5)
-        return kernel.evidence(rotation, column, det, seen, known, variance, rules)
+        rotation, column, _, det = evidence.refine(R, seen, known, variance, rules, 2.5)
+        return evidence.evidence(rotation, column, det, seen, known, variance, rules)
 
     single = [value((h,), (s,)) for h in (0.1, 0.5) for s in (0.8, 1.3)]
     assert_allclose(value((0.1, 0.5), (0.8, 1.3)), np.log(np.mean(np.exp(single))), rtol=1e-9)
@@ -140,10 +141,10 @@ def test_equal_alternatives_are_averaged():
 def test_attitudes_share_the_probability():
     R = np.stack([np.eye(3), exp(np.array([0.0, 0.0, 0.02])), exp(np.array([0.0, np.pi, 0.0]))])
     A = np.broadcast_to(np.eye(3) / 0.01**2, (3, 3, 3)).copy()
-    best, wrong = kernel.share(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 25.0)  # the second is as good as the first
+    best, wrong = evidence.share(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 25.0)  # the second is as good as the first
     assert best == 0
     assert_allclose(wrong, 0.2)
-    assert_allclose(kernel.share(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
+    assert_allclose(evidence.share(R, A, np.log([6.0, 2.0, 1.0]), np.log(1.0), 1.0)[1], 0.4)
 
 
 def test_the_probability_of_being_wrong_is_how_often_it_is_wrong():
