@@ -16,7 +16,8 @@ from numba import njit
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
-from spheremouse.ball.detect.fit import FitSettings, noise_of, smoothing_kernel
+from spheremouse.ball.detect.fit import FitSettings
+from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
 from spheremouse.ball.detect.search import Hunt, Lattice, hunt, lattice, went
 from spheremouse.ball.detect.windows import View, look_at, view_of
 from spheremouse.ball.rig import Rig, directions_at

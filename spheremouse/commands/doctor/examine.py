@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball.detect.appearance import ball_mask
-from spheremouse.ball.detect.fit import noise_of
+from spheremouse.ball.detect.fit_model import noise_of
 from spheremouse.ball.rig import Rig
 from spheremouse.commands.doctor import (
     computer,

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.ball.detect.fit import Fits, FitSettings, _ellipse, measure, noise_of, smoothing_kernel
+from spheremouse.ball.detect.fit import Fits, FitSettings, measure
+from spheremouse.ball.detect.fit_model import _ellipse, noise_of, smoothing_kernel
 
 LENS = 0.4  # px of the whole picture, the blur of an ordinary lens
 BALL, PRINT = 150.0, 40.0  # grey values

@@ -1,0 +1,292 @@
+"""The image of a disc that the fit expects: a sloped background less a blurred ellipse, and its normal equations."""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+_CLEAR = 0.02  # part of a disc's darkness below which a pixel lies beside it
+_BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
+_SLOPE = 0.02  # 1/px: slope of the ball's shade, cos falls so fast 60 degrees off the light at 100 px radius
+_UNKNOWNS = 9
+_EDGE = 3  # px around a patch that the smoothing needs
+
+
+def smoothing_kernel(sigma: float) -> NDArray[np.float32]:
+    """Gaussian, (7,) float32, of up to one pixel of standard deviation."""
+    x = np.arange(-_EDGE, _EDGE + 1)
+    g = np.exp(-0.5 * (x / max(sigma, 1e-3)) ** 2)
+    return (g / g.sum()).astype(np.float32)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def noise_of(image, top, bottom, left, right):
+    """Standard deviation of one pixel's grey value, from second differences along sixteen rows of a window.
+
+    Their median: half of the pixels may be edges. Colour takes its green, which weighs most in grey.
+    """
+    channel = 1 if image.shape[2] == 3 else 0
+    count = np.zeros(1024, dtype=np.int64)
+    total = 0
+    step = max((bottom - top) // 16, 1)
+    for i in range(top + step // 2, bottom, step):
+        for j in range(left + 1, right - 1):
+            d = 2 * int(image[i, j, channel]) - int(image[i, j - 1, channel]) - int(image[i, j + 1, channel])
+            count[abs(d)] += 1
+            total += 1
+    below = 0
+    for d in range(1024):
+        if 2 * (below + count[d]) >= total:
+            # of whole numbers the median lies within the step: interpolated
+            return max((d - 0.5 + (0.5 * total - below) / max(count[d], 1)) * 1.4826 / np.sqrt(6.0), 0.29)
+        below += count[d]
+    return 0.29
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _patch(image, light, f, top, left, h, w, kernel, raw, across, out):
+    """Smoothed grey of a window of h x w px from row `top` and column `left` of the reduced picture: into `out`.
+
+    Beyond the picture's edge its last row and column are repeated.
+    """
+    height, width, channels = image.shape
+    rows, columns = h + 2 * _EDGE, w + 2 * _EDGE
+    y0, x0 = (top - _EDGE) * f, (left - _EDGE) * f
+    scale, base = np.float32(1.0 / (f * f)), np.float32(0.0)
+    if light:
+        scale, base = -scale, np.float32(255.0)
+    if f == 1 and channels == 3 and y0 >= 0 and x0 >= 0 and y0 + rows <= height and x0 + columns <= width:
+        for i in range(rows):
+            line, to = image[np.uint64(y0 + i)], raw[i]
+            for j in range(columns):
+                at = np.uint64(x0 + j)
+                value = (
+                    np.float32(0.114) * np.float32(line[at, 0])
+                    + np.float32(0.587) * np.float32(line[at, 1])
+                    + np.float32(0.299) * np.float32(line[at, 2])
+                )
+                to[np.uint64(j)] = base + scale * value
+    else:
+        for i in range(rows):
+            for j in range(columns):
+                value = np.float32(0.0)
+                for di in range(f):
+                    y = min(max(y0 + i * f + di, 0), height - 1)
+                    for dj in range(f):
+                        x = min(max(x0 + j * f + dj, 0), width - 1)
+                        if channels == 3:
+                            value += (
+                                np.float32(0.114) * np.float32(image[y, x, 0])
+                                + np.float32(0.587) * np.float32(image[y, x, 1])
+                                + np.float32(0.299) * np.float32(image[y, x, 2])
+                            )
+                        else:
+                            value += np.float32(image[y, x, 0])
+                raw[i, j] = base + scale * value
+    k0, k1, k2, k3 = kernel[3], kernel[4], kernel[5], kernel[6]
+    for i in range(rows):
+        r, a = raw[i], across[i]
+        for j in range(w):
+            a[j] = k0 * r[j + 3] + k1 * (r[j + 2] + r[j + 4]) + k2 * (r[j + 1] + r[j + 5]) + k3 * (r[j] + r[j + 6])
+    for i in range(h):
+        a0, a1, a2, a3 = across[i], across[i + 1], across[i + 2], across[i + 3]
+        a4, a5, a6, o = across[i + 4], across[i + 5], across[i + 6], out[i]
+        for j in range(w):
+            o[j] = k0 * a3[j] + k1 * (a2[j] + a4[j]) + k2 * (a1[j] + a5[j]) + k3 * (a0[j] + a6[j])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _phi(x):
+    """Gaussian distribution function of sqrt(2) x, x >= 0, less a half; and its derivative by x.
+
+    Abramowitz and Stegun 1964, 7.1.27: within 3e-4, the derivative that of the approximation.
+    """
+    one = np.float32(1.0)
+    p = one + x * (
+        np.float32(0.278393) + x * (np.float32(0.230389) + x * (np.float32(0.000972) + x * np.float32(0.078108)))
+    )
+    dp = np.float32(0.278393) + x * (np.float32(0.460778) + x * (np.float32(0.002916) + x * np.float32(0.312432)))
+    inverse = one / p
+    square = inverse * inverse
+    tail = np.float32(0.5) * square * square
+    return np.float32(0.5) - tail, np.float32(4.0) * tail * inverse * dp
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _ellipse(n, px, py, xx, xy, yy, cx, cy, size, blur, smear, e, d):
+    """e of n pixels, and its derivatives by centre and size: rows of d, (3, n).
+
+    With rho² = (x - c)' S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
+    a strip of that width, blurred, is e = Phi(ahead) + Phi(behind) - 1. A disc that travels by `smear`, (2,) px, while
+    the shutter is open is blurred by that too, across its rim: the variance of a box is a twelfth of its square.
+    """
+    square = blur * blur
+    lx, ly = np.float32(0.28867513) * np.float32(smear[0]), np.float32(0.28867513) * np.float32(smear[1])
+    by_x, by_y, by_size = d[0], d[1], d[2]
+    for i in range(n):
+        dx, dy = px[i] - cx, py[i] - cy
+        gx, gy = xx * dx + xy * dy, xy * dx + yy * dy
+        rho = np.sqrt(gx * dx + gy * dy + np.float32(1e-6))
+        along = gx * lx + gy * ly
+        steep = np.float32(0.70710678) * rho / np.sqrt((gx * gx + gy * gy) * square + along * along + np.float32(1e-12))
+        z = (size - rho) * steep
+        ahead, bell_ahead = _phi(abs(z))
+        behind, bell_behind = _phi((size + rho) * steep)
+        by_rho = (bell_ahead - bell_behind) * steep / rho  # minus de/drho; rho falls by g / rho along dc
+        e[i] = math.copysign(ahead, z) + behind
+        by_x[i] = by_rho * gx
+        by_y[i] = by_rho * gy
+        by_size[i] = (bell_ahead + bell_behind) * steep
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
+    """Of n pixels: columns of the Jacobian into A, (9, n), weighted into Aw; N, (9, 9), and gradient g, (9,)."""
+    b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
+    a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
+    for i in range(n):
+        contrast = a0 + a1 * px[i] + a2 * py[i]
+        A[0, i] = 1.0
+        A[1, i] = px[i]
+        A[2, i] = py[i]
+        A[3, i] = -e[i]
+        A[4, i] = -e[i] * px[i]
+        A[5, i] = -e[i] * py[i]
+        A[6, i] = -contrast * d[0, i]
+        A[7, i] = -contrast * d[1, i]
+        A[8, i] = -contrast * d[2, i]
+        A[9, i] = grey[i] - (b0 + b1 * px[i] + b2 * py[i] - contrast * e[i])
+    for j in range(_UNKNOWNS):
+        for i in range(n):
+            Aw[i] = A[j, i] * weight[i]
+        for k in range(j, _UNKNOWNS + 1):
+            total = np.float32(0.0)
+            for i in range(n):
+                total += Aw[i] * A[k, i]
+            if k < _UNKNOWNS:
+                N[j, k] = total
+                N[k, j] = total
+            else:
+                g[j] = total
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _biweight(n, px, py, grey, e, x, limit, scale, weight):
+    """Tukey's weights of n residuals: beyond `limit` of the contrast none, beside the disc sooner."""
+    b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
+    a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
+    floor = np.float32(4.685) * scale
+    bound = max(limit * a0, floor)
+    beside = min(max(np.float32(_BESIDE) * a0, floor), bound)
+    # beside the disc no rim has to settle: what differs there is foreign
+    near, far = np.float32(1.0) / (bound * bound), np.float32(1.0) / (beside * beside)
+    for i in range(n):
+        r = grey[i] - (b0 + b1 * px[i] + b2 * py[i] - (a0 + a1 * px[i] + a2 * py[i]) * e[i])
+        u = max(np.float32(1.0) - r * r * (far if e[i] < np.float32(_CLEAR) else near), np.float32(0.0))
+        weight[i] = u * u
+
+
+@njit(cache=True, error_model="numpy")
+def _cholesky(N, n):
+    """Lower factor of N, in place."""
+    for j in range(n):
+        for k in range(j):
+            N[j, j] -= N[j, k] * N[j, k]
+        N[j, j] = np.sqrt(max(N[j, j], 1e-12))
+        for i in range(j + 1, n):
+            for k in range(j):
+                N[i, j] -= N[i, k] * N[j, k]
+            N[i, j] /= N[j, j]
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(L, b, n):
+    """b of L L' x = b becomes x."""
+    for i in range(n):
+        for k in range(i):
+            b[i] -= L[i, k] * b[k]
+        b[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            b[i] -= L[k, i] * b[k]
+        b[i] /= L[i, i]
+
+
+@njit(cache=True, error_model="numpy")
+def _step(N, g, x, scale, gloss, size, size_sigma, damping):
+    """One Gauss-Newton step of x, (9,), times `damping` (weights that come and go let a full step swing).
+
+    N becomes its factor. Returns the length of the centre's full step, px.
+
+    What is expected of the slopes and the size comes in as observations: a ball's shade slopes little, and what does
+    more is a strut; gloss slopes the contrast; a sliver cannot tell size from contrast, there the known size decides.
+    """
+    shade = (scale / (_SLOPE * max(x[0], 1.0))) ** 2
+    gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
+    hold = (scale / size_sigma) ** 2
+    for k in range(1, 3):
+        N[k, k] += shade
+        g[k] -= shade * x[k]
+        N[k + 3, k + 3] += gleam
+        g[k + 3] -= gleam * x[k + 3]
+    N[8, 8] += hold
+    g[8] -= hold * (x[8] - size)
+    for k in range(_UNKNOWNS):
+        N[k, k] += 1e-6
+    _cholesky(N, _UNKNOWNS)
+    _solve(N, g, _UNKNOWNS)
+    g[6] = min(max(g[6], -1.0), 1.0)
+    g[7] = min(max(g[7], -1.0), 1.0)
+    g[8] = min(max(g[8], -0.2), 0.2)
+    for k in range(_UNKNOWNS):
+        x[k] += damping * g[k]
+    x[8] = min(max(x[8], 0.3), 2.5)
+    return max(abs(g[6]), abs(g[7]))
+
+
+@njit(cache=True, error_model="numpy")
+def _semi_axes(sxx, sxy, syy):
+    """Minor and major semi-axis of an ellipse."""
+    mean, half = 0.5 * (sxx + syy), np.hypot(0.5 * (sxx - syy), sxy)
+    return np.sqrt(max(mean - half, 1e-6)), np.sqrt(max(mean + half, 1e-6))
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _plane(n, px, py, grey, weight, x):
+    """Level and slopes of weighted grey values: into x[:3]."""
+    sw, sx, sy, sg, sxx, sxy, syy, sxg, syg = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        w = weight[i]
+        sw += w
+        sx += w * px[i]
+        sy += w * py[i]
+        sg += w * grey[i]
+        sxx += w * px[i] * px[i]
+        sxy += w * px[i] * py[i]
+        syy += w * py[i] * py[i]
+        sxg += w * px[i] * grey[i]
+        syg += w * py[i] * grey[i]
+    if sw < 3.0:
+        return
+    mx, my, mg = sx / sw, sy / sw, sg / sw
+    cxx, cxy, cyy = sxx - sw * mx * mx + 1e-3, sxy - sw * mx * my, syy - sw * my * my + 1e-3
+    cxg, cyg = sxg - sw * mx * mg, syg - sw * my * mg
+    det = cxx * cyy - cxy * cxy
+    x[1] = (cyy * cxg - cxy * cyg) / det
+    x[2] = (cxx * cyg - cxy * cxg) / det
+    x[0] = mg - x[1] * mx - x[2] * my
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _keep_near(n, px, py, grey, e, x, noise, weight):
+    """Weight 1 for what is beside the disc and within 1.5 mean deviations of the plane x[:3], else 0."""
+    b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
+    total, count = np.float32(0.0), np.float32(1e-3)
+    for i in range(n):
+        total += weight[i] * abs(grey[i] - b0 - b1 * px[i] - b2 * py[i])
+        count += weight[i]
+    off = max(np.float32(1.5) * total / count, np.float32(2.0) * noise)
+    for i in range(n):
+        near = abs(grey[i] - b0 - b1 * px[i] - b2 * py[i]) < off and e[i] < np.float32(_CLEAR)
+        weight[i] = np.float32(1.0) if near else np.float32(0.0)
