@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.associate import assign
+from spheremouse.ball.filters import so3_predict
 from spheremouse.ball.filters import so3_update as kernel
+from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
-from spheremouse.ball.filters.so3_update import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.rig import MOST_DISCS
 from spheremouse.geometry.rotation import Array
@@ -129,7 +130,7 @@ class So3Filter:
         dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
         s = self.settings
         usual = _usual(s.levels)
-        attitude, rate, acceleration, joint, weights, process = kernel.predict(
+        attitude, rate, acceleration, joint, weights, process = so3_predict.predict(
             state.attitude,
             state.rate,
             state.acceleration,

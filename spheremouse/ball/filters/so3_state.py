@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import so3_update as kernel
-from spheremouse.ball.filters.so3_update import CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 

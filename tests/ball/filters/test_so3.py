@@ -13,8 +13,8 @@ from scipy.stats import chi2
 
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.ball.filters.so3_state import augment, inject
-from spheremouse.ball.filters.so3_update import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project

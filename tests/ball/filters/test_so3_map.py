@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT
 from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
-from spheremouse.ball.filters.so3_update import CORE, FIRST, READOUT
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import exp, log, tangent_basis
 

@@ -1,0 +1,110 @@
+"""The so3 filter from one frame to the next: attitude, rate and their covariance carried forward."""
+
+import numpy as np
+from numba import njit
+
+from spheremouse.geometry.rotation import exp_into, left_jacobian_into
+
+CORE = 9  # rotation, rate, acceleration
+CONSIDER = 10  # pose and ball
+READOUT = CORE + CONSIDER  # of the rolling shutter
+FIRST = READOUT + 1  # of the discs' errors
+
+
+@njit(cache=True, error_model="numpy")
+def carry(P, F, Q):
+    """P = F P F' + Q, where F and Q, (9, 9), concern the core alone."""
+    n = len(P)
+    top = np.zeros((CORE, n))
+    for i in range(CORE):
+        for k in range(CORE):
+            f = F[i, k]
+            if f != 0.0:
+                for j in range(n):
+                    top[i, j] += f * P[k, j]
+    for i in range(CORE):
+        for j in range(i + 1):
+            value = Q[i, j]
+            for k in range(CORE):
+                value += top[i, k] * F[j, k]
+            P[i, j] = value
+            P[j, i] = value
+        for j in range(CORE, n):
+            P[i, j] = top[i, j]
+            P[j, i] = top[i, j]
+
+
+@njit(cache=True, error_model="numpy")
+def predict(attitude, rate, acceleration, joint, weights, usual, dt, tau, q, dwell):
+    """All of a prediction: attitude, rate, acceleration, joint covariance, probabilities of the levels, and Q."""
+    F, Q, turn = np.empty((CORE, CORE)), np.empty((CORE, CORE)), np.empty(3)
+    transition(rate, acceleration, dt, tau, q, F, Q, turn)
+    P = joint.copy()
+    carry(P, F, Q)
+    now = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                now[i, j] += F[i, k] * attitude[k, j]
+    fade = np.exp(-dt / tau)
+    stay = np.exp(-dt / dwell)
+    return (
+        now,
+        rate + tau * (1.0 - fade) * acceleration,
+        fade * acceleration,
+        P,
+        stay * weights + (1.0 - stay) * usual,
+        Q,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def transition(rate, acceleration, dt, tau, q, F, Q, turn):
+    """Of a step dt under an acceleration that fades with `tau`: F and Q, (9, 9), and the turn, (3,) rad.
+
+    Q is what white jerk of density q adds (three nodes of Gauss-Legendre): jerk s before the end has faded to g_a by
+    then, made a rate g_w of it, and turned the ball by Jl(turn s/dt) g_t.
+    """
+    fade = np.exp(-dt / tau)
+    gain = tau * (1.0 - fade)
+    reach = tau * (dt - gain)
+    R, J = np.empty((3, 3)), np.empty((3, 3))
+    part = np.empty(3)
+    for i in range(3):
+        turn[i] = rate[i] * dt + reach * acceleration[i]
+    exp_into(turn, R)
+    left_jacobian_into(turn, J)
+    F[:] = 0.0
+    Q[:] = 0.0
+    for i in range(3):
+        for j in range(3):
+            F[i, j] = R[i, j]
+            F[i, 3 + j] = J[i, j] * dt
+            F[i, 6 + j] = J[i, j] * reach
+        F[3 + i, 3 + i] = 1.0
+        F[3 + i, 6 + i] = gain
+        F[6 + i, 6 + i] = fade
+    for node in range(3):
+        at = 0.5 + np.sqrt(0.15) * (node - 1)
+        weight = q * dt * (8.0 if node == 1 else 5.0) / 18.0
+        s = at * dt
+        g_a = np.exp(-s / tau)
+        g_w = tau * (1.0 - g_a)
+        g_t = tau * (s - g_w)
+        for i in range(3):
+            part[i] = at * turn[i]
+        left_jacobian_into(part, J)
+        for i in range(3):
+            for j in range(3):
+                tt = 0.0
+                for k in range(3):
+                    tt += J[i, k] * J[j, k]
+                Q[i, j] += weight * g_t * g_t * tt
+                Q[i, 3 + j] += weight * g_t * g_w * J[i, j]
+                Q[i, 6 + j] += weight * g_t * g_a * J[i, j]
+            Q[3 + i, 3 + i] += weight * g_w * g_w
+            Q[3 + i, 6 + i] += weight * g_w * g_a
+            Q[6 + i, 6 + i] += weight * g_a * g_a
+    for i in range(CORE):
+        for j in range(i):
+            Q[i, j] = Q[j, i]
