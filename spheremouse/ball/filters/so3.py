@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.associate import assign
-from spheremouse.ball.filters import so3_predict
+from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
@@ -166,7 +166,7 @@ class So3Filter:
         """Standard deviation, (k,) rad, along its worse axis, of where each of the discs `which` is predicted."""
         sigma = np.empty(len(which))
         more = (self._expected(state) - 1.0) * state.process[:3, :3]
-        kernel.places(state.attitude, state.discs, state.basis, state.joint, which, more, sigma)
+        so3_match.places(state.attitude, state.discs, state.basis, state.joint, which, more, sigma)
         return sigma
 
     def update(self, state: So3State, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> So3State:
@@ -224,7 +224,7 @@ class So3Filter:
         more = (square - 1.0) * state.process
         distance = np.empty((len(points), len(visible)))
         distance[0, 0] = self.settings.gate
-        plain = kernel.distances(
+        plain = so3_match.distances(
             state.attitude,
             state.rate,
             state.acceleration,
@@ -251,7 +251,7 @@ class So3Filter:
         if len(rows):
             innovation = self._innovation(state, points, rows, visible[columns], more)
             H, _, z, S = innovation
-            keep = kernel.agreeing(z, S + H @ more @ H.T, 1.5 * self.settings.gate)
+            keep = so3_match.agreeing(z, S + H @ more @ H.T, 1.5 * self.settings.gate)
             if not keep.all():
                 rows, columns, innovation = rows[keep], columns[keep], None
         fits = float(distance[rows, columns].sum()) < 4.0 * max(len(rows), 1) + 10.0
