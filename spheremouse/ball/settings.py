@@ -10,7 +10,7 @@ from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.ball.filters.euler import EulerSettings
-from spheremouse.ball.filters.so3 import So3Settings
+from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.pose import PoseSettings
 from spheremouse.output.counts import MotionSettings
 from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.filters.so3_state import augment, inject
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.rig import Ball, Rig, Targets

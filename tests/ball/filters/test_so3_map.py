@@ -9,8 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3 import So3Filter, So3Settings, relocate
+from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import exp, log, tangent_basis

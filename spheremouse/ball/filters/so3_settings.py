@@ -1,0 +1,88 @@
+"""Parameters of the so3 filter, with the acceleration that they mean."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from spheremouse.ball.rig import MOST_DISCS
+from spheremouse.geometry.rotation import Array
+from spheremouse.settings import FACTOR, FRAMES, HAND_TURN, SECONDS, SHARE, SIGMAS, param
+
+
+@dataclass(frozen=True, slots=True)
+class So3Settings:
+    """Motion model, gates and map."""
+
+    acceleration_sigma: float = param(
+        0.1,
+        "rad/s²",
+        "standard deviation of the angular acceleration per axis at the quiet level: a ball left to roll",
+        ge=1e-3,  # slower than the friction of any bearing
+        le=100,  # a stop by hand
+    )
+    persistence: float = param(
+        0.2,
+        "s",
+        "time over which an acceleration lasts: a hand's push takes a tenth to a few tenths of a second",
+        ge=0.01,
+        le=10,
+    )
+    start_rate_sigma: float = param(
+        2.0,
+        "rad/s",
+        "standard deviation of the rate at the start, about zero: the ball may be rolling by then",
+        **HAND_TURN,
+    )
+    gate: float = param(
+        13.8, "-", "squared Mahalanobis distance of a pair: 99.9 % of chi-square with 2 degrees", **SIGMAS
+    )
+    levels: tuple[float, ...] = param(
+        (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0),
+        "-",
+        "factors on that acceleration that the player may be at, each as rare as it is large: roll, turn, push, flick, "
+        "and a stop by hand (100 rad/s²)",
+        ge=1,
+        le=1e4,  # of the quietest ball, a stop by hand
+        most=12,  # a factor of two apart; each takes its time
+    )
+    dwell: float = param(
+        0.3, "s", "mean time the player stays at a level: a push takes a few tenths of a second", **SECONDS
+    )
+    keep_share: float = param(0.6, "-", "part of the discs that must fit before the next level is not tried", **SHARE)
+    trial: int = param(3, "frames", "sightings until a disc is kept for good", **FRAMES)
+    misses: int = param(3, "frames", "a disc on trial is dropped when it is not seen where it should be", **FRAMES)
+    patience: float = param(
+        5.0,
+        "-",
+        "a kept disc is dropped when missed in a row so many times as often as seen: no disc after all",
+        **FACTOR,
+    )
+    most_discs: int = param(
+        120,
+        "discs",
+        "the map grows no larger: the time per frame, which grows with the square, stays bounded",
+        ge=4,
+        le=MOST_DISCS,
+    )
+
+    def __post_init__(self) -> None:
+        if not self.levels or list(self.levels) != sorted(self.levels):
+            raise ValueError("levels: factors from 1 to 10000 in rising order")
+
+
+@cache
+def _squares(levels: tuple[float, ...]) -> Array:
+    return np.square(np.array(levels))
+
+
+@cache
+def _usual(levels: tuple[float, ...]) -> Array:
+    """Probabilities of the levels before anything is seen: the livelier the rarer."""
+    usual = 1.0 / np.array(levels)
+    return usual / usual.sum()
+
+
+def usual_acceleration(settings: So3Settings) -> float:
+    """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
+    return settings.acceleration_sigma * float(np.sqrt(_squares(settings.levels) @ _usual(settings.levels)))
