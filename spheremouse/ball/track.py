@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import pdtrc
 
 from spheremouse.ball import camera_watch as watching
-from spheremouse.ball.associate import common_rotation, identify
+from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.build import begin, build, check_size
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect import lookalikes as static
@@ -23,9 +23,10 @@ from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.filters import FilterState
-from spheremouse.ball.filters.so3 import So3Filter, relocate
+from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, augment, consider
 from spheremouse.ball.phases.lifted import _back_on_bearings, _on_its_bearings
+from spheremouse.ball.phases.recognise import _recognised
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
@@ -608,32 +609,6 @@ def _recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> Track
         saved=False,
         event="the saved map does not fit: another ball, or its discs were moved; a new map is begun",
     )
-
-
-def _recognised(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, int] | None:
-    """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
-
-    After a short gap the rate is that from the last attitude held; after a long one it is unknown.
-    """
-    points, s = state.points, tracker.settings.loss
-    if not isinstance(state.filter, So3State) or not isinstance(tracker.filter, So3Filter):
-        return None
-    known = identify(
-        points.direction,
-        state.filter.discs,
-        sigma=s.identify_sigma,
-        view_axis=tracker.filter.towards_camera,
-        horizon=tracker.filter.horizon,
-        risk=1e-3,
-    )
-    if known is None or 2 * len(known.pairs) < len(points):
-        return None
-    gap = stamp - state.held
-    rate = None
-    if state.phase is Phase.TRACKING and 0.0 < gap <= s.lost_after:
-        rate = rotation_between(state.sent, known.rotation) / gap
-    placed = relocate(state.filter, known.rotation, s.identify_sigma, tracker.settings.so3, stamp, rate)
-    return tracker.filter.update(placed, points, np.zeros(len(points), dtype=bool)), len(known.pairs)
 
 
 def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:

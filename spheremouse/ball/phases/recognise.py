@@ -1,0 +1,40 @@
+"""The attitude from a saved map of discs."""
+
+import numpy as np
+
+from spheremouse.ball.associate import identify
+from spheremouse.ball.filters import FilterState
+from spheremouse.ball.filters.so3 import So3Filter, relocate
+from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.state import (
+    Phase,
+    Tracker,
+    TrackState,
+)
+from spheremouse.geometry.rotation import rotation_between
+
+
+def _recognised(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, int] | None:
+    """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
+
+    After a short gap the rate is that from the last attitude held; after a long one it is unknown.
+    """
+    points, s = state.points, tracker.settings.loss
+    if not isinstance(state.filter, So3State) or not isinstance(tracker.filter, So3Filter):
+        return None
+    known = identify(
+        points.direction,
+        state.filter.discs,
+        sigma=s.identify_sigma,
+        view_axis=tracker.filter.towards_camera,
+        horizon=tracker.filter.horizon,
+        risk=1e-3,
+    )
+    if known is None or 2 * len(known.pairs) < len(points):
+        return None
+    gap = stamp - state.held
+    rate = None
+    if state.phase is Phase.TRACKING and 0.0 < gap <= s.lost_after:
+        rate = rotation_between(state.sent, known.rotation) / gap
+    placed = relocate(state.filter, known.rotation, s.identify_sigma, tracker.settings.so3, stamp, rate)
+    return tracker.filter.update(placed, points, np.zeros(len(points), dtype=bool)), len(known.pairs)
