@@ -26,6 +26,7 @@ from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, augment, consider
 from spheremouse.ball.phases.lifted import _back_on_bearings, _on_its_bearings
+from spheremouse.ball.phases.readout import _tell_readout
 from spheremouse.ball.phases.recognise import _recognised
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.pose import find_pose, predict_targets
@@ -48,8 +49,6 @@ from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.output.counts import Motion, to_counts
 from spheremouse.tracker import Frame
 
-_READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
-_READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
@@ -359,17 +358,6 @@ def advance(
     if tracker.rig.readout_sigma_s > 0.0 and not state.readout_told:
         state = _tell_readout(state, tracker)
     return _motion(state, stamp, tracker)
-
-
-def _tell_readout(state: TrackState, tracker: Tracker) -> TrackState:
-    """Once play has shown how long a rolling shutter takes, say so, if it is one."""
-    if not isinstance(state.filter, So3State) or state.filter.readout_sigma > _READOUT_SURE:
-        return state
-    readout = tracker.rig.readout_s + state.filter.readout
-    if abs(readout) < _READOUT_LEAST:
-        return replace(state, readout_told=True)
-    event = f"rolling shutter: {1e3 * readout:.1f} ms for all rows (say readout_s: {readout:.4f} in the rig file)"
-    return replace(state, readout_told=True, event=f"{state.event}; {event}" if state.event else event)
 
 
 def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
