@@ -5,7 +5,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from spheremouse.calibrate.camera.adjust import View
+from spheremouse.calibrate.camera.bundle import View
 from spheremouse.calibrate.camera.corners import Pattern
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import exp

@@ -5,97 +5,49 @@ view. Each view has a variance of its own, estimated with the rest; false corner
 views contradict each other by more than their corners say, the covariance is widened until it covers that.
 """
 
-import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.stats import chi2
 
+from spheremouse.calibrate.camera.bundle import (
+    _KNEE,
+    _OPEN,
+    FLOOR,
+    BoardAdjustment,
+    View,
+    _all_unknowns,
+    _Bundle,
+    _camera,
+    _columns,
+    _kept,
+    _poses,
+    _rms,
+    _robust_sigma,
+    _sigma_of,
+    _spread,
+    resected,
+)
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
-from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors, huber, redundancy, snooped, variance_factors
-from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
+from spheremouse.geometry.camera import InteriorOrientation, interior_vector
+from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors, redundancy, snooped, variance_factors
+from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 
-PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 MIN_VIEWS = 3
-FLOOR = 0.01  # px: 8 bits tell an edge 20 px long and 100 grey values high no better
 FALSE_VIEW = 4.0  # times the usual residual; sharpness and light alone make a factor of two
 
 _OBVIOUS = 20.0  # times the usual residual: a view that no start, however coarse, would leave so far off
 _COARSE = 1.0  # px: corners are never that bad
 _PARALLEL = float(np.radians(6.0))  # between boards: squares are then shortened by half a per cent
-_OPEN = (
-    "the views leave the focal length open: the board faces the camera the same way in all of them; tilt it by 20 to "
-    "45 degrees, to the left, right, up and down in turn"
-)
-_KNEE = 2.5  # standard deviations, of Huber's function
 _FALSE_ALARM = 1e-3  # chance that a calibration without false corners loses one
 _SIGNIFICANT = 0.01  # chance that views which agree are said to contradict each other
 _DRAWS = 1000
 _FOLDS = 10
-_MOST = 200  # steps
 _ROUNDS = 6  # of taking out false corners and estimating variances
 _TRIES, _FEW = 12, 5  # calibrations from so many views, to begin with those that agree
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """Corners seen in one image."""
-
-    points: Array  # (n, 3) m, in the board's frame
-    uv: Array  # (n, 2) px
-
-
-@dataclass(frozen=True, slots=True)
-class BoardAdjustment:
-    """The camera and its views, in the order in which they were given."""
-
-    camera: InteriorOrientation  # with the covariance of the nine, widened by `contradiction`
-    rotations: Array  # (v, 3, 3) R_cam_board
-    translations: Array  # (v, 3) m, the board's origin in cam
-    residuals: tuple[Array, ...]  # (n, 2) px each, seen minus computed, also of what is not used
-    used: NDArray[np.bool_]  # (v,) views that took part
-    kept: tuple[NDArray[np.bool_], ...]  # (n,) each, corners that took part in a used view
-    sigma: Array  # (v,) px, standard deviation of a corner's coordinate in each view
-    covariance: Array  # (9 + 6 u, 9 + 6 u) of the nine, then rotation (rad, in cam) and translation of each used view
-    contradiction: float  # factor on the variances for views that contradict each other; 1: they do not
-    redundancy: int
-    free: NDArray[np.bool_]  # (9,) unknowns that were estimated
-
-    @property
-    def rms(self) -> float:
-        """Root mean square distance in px of all corners that took part from where they were computed."""
-        took_part = [r[k] for r, k, u in zip(self.residuals, self.kept, self.used, strict=True) if u]
-        return _rms(np.concatenate(took_part))
-
-    def view_rms(self) -> Array:
-        """The same of each view, (v,) px; of views not used, of all their corners."""
-        return np.array([_rms(r[k] if u else r) for r, k, u in zip(self.residuals, self.kept, self.used, strict=True)])
-
-    @property
-    def deviations(self) -> Array:
-        """Standard deviations of the nine, (9,)."""
-        return np.sqrt(np.diag(self.camera.covariance))
-
-    def correlation(self) -> Array:
-        """Correlations of all unknowns as `covariance` has them; of what was not estimated, 0 with all else."""
-        s = np.sqrt(np.diag(self.covariance))
-        s = np.where(s > 0.0, s, 1.0)
-        C = self.covariance / np.outer(s, s)
-        np.fill_diagonal(C, 1.0)
-        return C
-
-    def camera_positions(self) -> Array:
-        """Projection centres, (v, 3) m, in the board's frame."""
-        return -np.einsum("vji,vj->vi", self.rotations, self.translations)
-
-    def tilts(self) -> Array:
-        """Angle between the board's normal and the line of sight to its middle corner, (v,) rad."""
-        return np.arccos(np.clip(np.abs(self.rotations[:, 2, 2]), 0.0, 1.0))
 
 
 def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5) -> BoardAdjustment:
@@ -136,19 +88,6 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
     return _finished(bundle, x, used, sigma)
 
 
-def resected(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
-    """Poses of a known camera: R_cam_board (v, 3, 3), translation (v, 3) m, and residuals (n, 2) px of each view."""
-    bundle = _Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
-    x = np.concatenate([interior_vector(camera), _poses(views, camera).ravel()])
-    for v, view in enumerate(views):  # each for itself: quick, and none disturbs the others
-        own = np.arange(len(views)) == v
-        columns = _columns(own)
-        with contextlib.suppress(CalibrationError):  # then it stays where it began, far off
-            x[columns] = _Bundle([view], bundle.size, bundle.free).solve(x[columns], np.ones(1))
-    r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
-    return exp(r), t, bundle.residuals(x)
-
-
 def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
     """Residual RMS of each view, (v,) px, where the camera was calibrated without it; nan of views not used.
 
@@ -179,149 +118,7 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
     return result
 
 
-def _rms(residual: Array) -> float:
-    """Of distances, from residuals (n, 2)."""
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
-
-
 # ---- unknowns and observations ----
-
-
-class _Bundle:
-    """Residuals and Jacobian of some views. Unknowns: the nine, then rotation vector and translation of each view."""
-
-    def __init__(self, views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_]) -> None:
-        self.views, self.size, self.free = views, size, free
-        self.points = np.concatenate([v.points for v in views])
-        self.uv = np.concatenate([v.uv for v in views])
-        self.counts = np.array([len(v.uv) for v in views])
-        self.of = np.repeat(np.arange(len(views)), self.counts)
-        nine = np.broadcast_to(np.arange(9), (len(self.uv), 9))
-        six = 9 + 6 * self.of[:, None] + np.arange(6)
-        where = np.hstack([nine, six])
-        self._indices = np.repeat(where, 2, axis=0).ravel()
-        self._indptr = np.arange(2 * len(self.uv) + 1) * 15
-        self._open = np.concatenate([free, np.ones(6 * len(views), bool)])
-
-    @property
-    def groups(self) -> list[slice]:
-        """Rows of each view."""
-        ends = 2 * np.cumsum(self.counts)
-        return [slice(int(e - 2 * n), int(e)) for e, n in zip(ends, self.counts, strict=True)]
-
-    def only(self, used: NDArray[np.bool_]) -> "_Bundle":
-        """The adjustment of some views."""
-        return _Bundle([v for v, u in zip(self.views, used, strict=True) if u], self.size, self.free)
-
-    def linear(self, x: Array) -> tuple[Array, Array]:
-        """Computed minus seen, (n, 2) px, and its Jacobian (n, 2, 15) by the nine and by the view's own six."""
-        camera = _camera(x, self.size)
-        r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
-        turned = np.einsum("nij,nj->ni", exp(r)[self.of], self.points)
-        cam = turned + t[self.of]
-        uv, duv = project(cam, camera)
-        if not np.all(np.isfinite(uv)):  # behind the camera: worse than anything
-            uv, duv = np.nan_to_num(uv, nan=1e7), np.nan_to_num(duv)
-        J = np.empty((len(uv), 2, 15))
-        z = np.where(cam[:, 2] > 0.0, cam[:, 2], 1.0)
-        J[:, :, :9] = interior_jacobian(cam[:, :2] / z[:, None], camera) * self.free
-        J[:, :, 9:12] = duv @ (-hat(turned) @ left_jacobian(r)[self.of])
-        J[:, :, 12:] = duv
-        return uv - self.uv, J
-
-    def evaluate(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Residuals computed minus seen over the views' `sigma` (v,), (2n,), and their Jacobian (2n, 9 + 6v)."""
-        residual, J = self.linear(x)
-        weight = 1.0 / sigma[self.of]
-        data = (J * weight[:, None, None]).reshape(-1)
-        jacobian = sparse.csr_array((data, self._indices, self._indptr), shape=(residual.size, len(x)))
-        return (residual * weight[:, None]).ravel(), jacobian
-
-    def solve(self, x: Array, sigma: Array, robust: float | None = None) -> Array:
-        """The unknowns at the minimum of squares, or of Huber's function; what is not free keeps its value.
-
-        Levenberg and Marquardt's method; each view's six are eliminated, so that a hundred views cost little more than
-        ten. CalibrationError where it does not come to rest.
-        """
-        weight, damping = 1.0 / sigma[self.of], 1e-4
-        residual, J = self.linear(x)
-        cost = _cost(residual * weight[:, None], robust)
-        for _ in range(_MOST):
-            w = weight[:, None] * (1.0 if robust is None else huber(residual * weight[:, None], robust))
-            step, promised = self._step(residual * w, J * w[:, :, None], damping)
-            if promised < 1e-9 * (cost + 1.0):
-                return x
-            tried = x + step
-            after, J_after = self.linear(tried)
-            lower = _cost(after * weight[:, None], robust)
-            if lower < cost:
-                x, residual, J, cost, damping = tried, after, J_after, lower, max(0.1 * damping, 1e-12)
-            elif damping > 1e8:
-                return x
-            else:
-                damping *= 10.0
-        raise CalibrationError("the adjustment does not come to rest: is a photo of another zoom or board among them?")
-
-    def _step(self, residual: Array, J: Array, damping: float) -> tuple[Array, float]:
-        """Damped step of all unknowns, and by how much the linear model says that it lowers the cost."""
-        starts = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
-        N = np.add.reduceat(np.einsum("nki,nkj->nij", J, J), starts)
-        g = np.add.reduceat(np.einsum("nki,nk->ni", J, residual), starts)
-        nine = N[:, :9, :9].sum(axis=0)
-        nine += np.diag(damping * np.diag(nine) + ~self.free)
-        own = N[:, 9:, 9:] * (1.0 + damping * np.eye(6)) + 1e-30 * np.eye(6)
-        right = np.linalg.solve(own, np.concatenate([N[:, 9:, :9], g[:, 9:, None]], axis=2))
-        reduced = nine - np.einsum("vij,vik->jk", N[:, 9:, :9], right[:, :, :9])
-        scale = 1.0 / np.sqrt(np.diag(nine))
-        gradient = g[:, :9].sum(axis=0) - np.einsum("vij,vi->j", N[:, 9:, :9], right[:, :, 9])
-        try:
-            camera = -scale * np.linalg.solve(reduced * np.outer(scale, scale), scale * gradient)
-        except np.linalg.LinAlgError:
-            camera = np.zeros(9)
-        camera *= self.free
-        poses = -right[:, :, 9] - right[:, :, :9] @ camera
-        step = np.concatenate([camera, poses.ravel()])
-        downhill = -float(camera @ g[:, :9].sum(axis=0) + np.sum(poses * g[:, 9:]))
-        return step, downhill
-
-    def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
-        """Residuals and the columns of the Jacobian that are estimated."""
-        residual, jacobian = self.evaluate(x, sigma)
-        return residual, _of_columns(jacobian, self._open)
-
-    def residuals(self, x: Array) -> tuple[Array, ...]:
-        """Seen minus computed in px, (n, 2) of each view."""
-        residual, _ = self.evaluate(x, np.ones(len(self.views)))
-        return tuple(-residual[g].reshape(-1, 2) for g in self.groups)
-
-
-def _cost(residual: Array, robust: float | None) -> float:
-    size = np.abs(residual)
-    if robust is None:
-        return 0.5 * float(np.sum(size**2))
-    return float(np.sum(np.where(size < robust, 0.5 * size**2, robust * (size - 0.5 * robust))))
-
-
-def _of_columns(jacobian: Jacobian, columns: NDArray[np.bool_]) -> Jacobian:
-    return jacobian if columns.all() else sparse.csr_array(jacobian.tocsc()[:, np.flatnonzero(columns)])
-
-
-def _columns(used: NDArray[np.bool_]) -> NDArray[np.intp]:
-    views = np.flatnonzero(used)
-    return np.concatenate([np.arange(9), (9 + 6 * views[:, None] + np.arange(6)).ravel()])
-
-
-def _camera(x: Array, size: tuple[int, int]) -> InteriorOrientation:
-    return with_interior(InteriorOrientation(*size, 1.0, 1.0, 0.0, 0.0), x[:9])
-
-
-def _kept(view: View, mask: NDArray[np.bool_]) -> View:
-    return View(view.points[mask], view.uv[mask])
-
-
-def _all_unknowns(found: BoardAdjustment) -> Array:
-    poses = np.stack([np.array([log(R) for R in found.rotations]), found.translations], axis=1)
-    return np.concatenate([interior_vector(found.camera), poses.ravel()])
 
 
 # ---- start ----
@@ -388,28 +185,6 @@ def _begun(bundle: _Bundle, x: Array) -> Array:
     return found
 
 
-def _sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArray[np.bool_], some: Array) -> Array:
-    """Standard deviation of a corner's coordinate in each view, (v,) px; x gets the poses of views not used."""
-    sigma = np.empty(len(views))
-    sigma[used] = some
-    out = np.flatnonzero(~used)
-    if len(out):
-        R, t, residuals = resected([views[v] for v in out.tolist()], _camera(x, size))
-        for k, v in enumerate(out.tolist()):
-            x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
-        sigma[out] = [_robust_sigma(r) for r in residuals]
-    return sigma
-
-
-def _robust_sigma(residual: Array) -> float:
-    return max(1.4826 * float(np.median(np.abs(residual))), FLOOR)
-
-
-def _spread(bundle: _Bundle, x: Array) -> Array:
-    """Usual residual of each view, (v,) px."""
-    return np.array([np.median(np.abs(r)) for r in bundle.residuals(x)])
-
-
 def _focals(views: Sequence[View], size: tuple[int, int]) -> Array:
     """Focal lengths to begin with: what homographies say (Zhang 2000), and those of usual lenses."""
     usual = max(size) * np.array([0.5, 0.7, 1.0, 1.4, 2.0, 3.0])
@@ -420,20 +195,6 @@ def _focals(views: Sequence[View], size: tuple[int, int]) -> Array:
     except cv2.error:
         return usual
     return np.append(usual, said) if 0.2 * max(size) < said < 20.0 * max(size) else usual
-
-
-def _poses(views: Sequence[View], camera: InteriorOrientation) -> Array:
-    """Rotation vector and translation of each view, (v, 2, 3)."""
-    found = np.empty((len(views), 2, 3))
-    for i, view in enumerate(views):
-        try:
-            good, r, t = cv2.solvePnP(view.points, view.uv, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE)
-        except cv2.error:
-            good, r, t = False, np.zeros(3), np.array([0.0, 0.0, 1.0])
-        if not good or not np.all(np.isfinite(r)) or not np.all(np.isfinite(t)):
-            r, t = np.zeros(3), np.array([0.0, 0.0, 10.0 * np.ptp(view.points)])
-        found[i] = np.ravel(r), np.ravel(t)
-    return found
 
 
 # ---- variances, false observations ----

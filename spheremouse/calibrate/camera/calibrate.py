@@ -14,7 +14,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.geometry.rotation import Array
 
 if TYPE_CHECKING:
-    from spheremouse.calibrate.camera.adjust import BoardAdjustment, View
+    from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
     from spheremouse.calibrate.camera.corners import Pattern, Sighting
     from spheremouse.calibrate.camera.coverage import Coverage
     from spheremouse.calibrate.photos import Photo
@@ -88,7 +88,7 @@ def calibrate(
 
 
 def _view(pattern: "Pattern", seen: "Sighting") -> "View":
-    from spheremouse.calibrate.camera.adjust import View
+    from spheremouse.calibrate.camera.bundle import View
 
     return View(pattern.corners()[seen.ids], seen.uv)
 

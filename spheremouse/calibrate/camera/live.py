@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from spheremouse.calibrate.camera.adjust import MIN_VIEWS, View, calibrate_board, resected
+from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board
+from spheremouse.calibrate.camera.bundle import View, resected
 from spheremouse.calibrate.camera.corners import Pattern, Sighting, find_board
 from spheremouse.calibrate.camera.coverage import (
     LEANS,

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from spheremouse.calibrate.camera.adjust import PARAMETERS
+from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import Calibrated, false_views, thumbnail
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, bare, listed, unleant
 from spheremouse.calibrate.photos import image

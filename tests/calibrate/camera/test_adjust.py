@@ -8,7 +8,9 @@ from conftest import datasets_dir
 from scipy.stats import chi2
 
 from spheremouse.calibrate.camera import adjust as adjustment
-from spheremouse.calibrate.camera.adjust import View, calibrate_board, held_out, resected
+from spheremouse.calibrate.camera import bundle as bundle_module
+from spheremouse.calibrate.camera.adjust import calibrate_board, held_out
+from spheremouse.calibrate.camera.bundle import View, resected
 from spheremouse.calibrate.camera.corners import Pattern, dictionary_seen, find_board, rectified
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import project
@@ -135,7 +137,7 @@ def test_a_charuco_board_tells_when_it_is_another():
 def test_jacobian_is_the_finite_difference():
     rng = np.random.default_rng(8)
     R, t = places(3, rng)
-    bundle = adjustment._Bundle(views(R, t, rng, 0.5), SIZE, np.ones(9, bool))
+    bundle = bundle_module._Bundle(views(R, t, rng, 0.5), SIZE, np.ones(9, bool))
     x = np.concatenate([TRUTH, np.stack([[log(r) for r in R], t], axis=1).ravel()])
     _, J = bundle.evaluate(x, np.array([0.1, 0.2, 0.3]))
     steps = np.concatenate([np.full(4, 1e-3), np.full(5, 1e-6), np.full(18, 1e-6)])
@@ -157,7 +159,7 @@ def test_values_and_deviations_are_opencvs():
     )
     matrix, dist, deviations = theirs[1], np.ravel(theirs[2]), np.ravel(theirs[5])
     values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *dist[:5]])
-    bundle = adjustment._Bundle(given, SIZE, np.ones(9, bool))
+    bundle = bundle_module._Bundle(given, SIZE, np.ones(9, bool))
     equal = bundle.solve(adjustment._start(given, SIZE), np.ones(12))
     assert np.all(np.abs(equal[:9] - values) < 0.01 * found.deviations)
     assert np.all(np.abs(nine(found.camera) - values) < 0.4 * found.deviations)
