@@ -55,7 +55,8 @@ def device(
     """
     from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS
     from spheremouse.calibrate.device.advice import advise
-    from spheremouse.calibrate.device.report import device_json, device_text, write_device_report
+    from spheremouse.calibrate.device.report import device_text, write_device_report
+    from spheremouse.calibrate.device.results import device_json
     from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
