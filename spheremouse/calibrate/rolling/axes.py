@@ -21,9 +21,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,
-    ellipse_to_pixel,
     interior_vector,
-    project_circle,
     unproject,
     with_interior,
 )
@@ -199,111 +197,6 @@ def _by_lens(f: Callable[[InteriorOrientation], Array], camera: InteriorOrientat
 
     columns = [(f(off(h * u)) - f(off(-h * u))) / (2.0 * h) if u.any() else 0.0 * f(camera) for u in L.T]
     return np.asarray(np.stack(columns, axis=1), dtype=float)
-
-
-def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Device, camera: InteriorOrientation) -> Axes:
-    """From targets of known size at unknown places: how large each is seen tells how far it is.
-
-    `sightings` are code, centre (2,) px and radius px of the outer ring of each. Distances measured with a tape help.
-    The lens' covariance is counted.
-    CalibrationError where one of the three targets that define the axes is not seen.
-    """
-    code_of = dict(zip(device.ids, device.codes, strict=True))
-    seen = {code: (centre, radius) for code, centre, radius in sightings}
-    a = device.axes
-    missing = [f"{i} ({code_of[i]})" for i in (a.origin, a.up, a.plane) if code_of[i] not in seen]
-    if missing:
-        raise CalibrationError(
-            f"the axes are defined by target {', '.join(missing)}, not seen by the camera: uncover and light it, "
-            "name others under `axes` in the device file, or roll two gestures (--forward, --right)"
-        )
-    ids = [i for i in device.ids if code_of[i] in seen]
-    at = {i: k for k, i in enumerate(ids)}
-    uv = np.array([seen[code_of[i]][0] for i in ids])
-    size = np.array([seen[code_of[i]][1] for i in ids])
-    alike = np.stack([np.full(len(ids), _SIZE[0]), _RIM[0] / size], axis=1)
-    alone = np.hypot(_SIZE[1], _RIM[1] / size)
-    n = len(ids)
-
-    def moved(x: Array, lens: InteriorOrientation = camera) -> Array:
-        """Places, (n, 3), if observations were off by: two of the size of all, one of each size, two of each centre."""
-        sizes = size * np.exp(-(alike @ x[:2]) - alone * x[2 : 2 + n])
-        return _by_size(uv + _PLACE * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
-
-    taped = [d for d in device.distances if d.start in at and d.end in at]
-
-    def residuals(x: Array) -> Array:
-        p = moved(x)
-        tape = [(np.linalg.norm(p[at[d.start]] - p[at[d.end]]) - d.metres) / d.sigma for d in taped]
-        return np.asarray(np.concatenate([x, tape]), dtype=float)
-
-    x = np.zeros(2 + 3 * n)
-    if taped:
-        x = np.asarray(least_squares(residuals, x, x_scale="jac").x)
-    places = moved(x)
-    R = _axes_of(places, at, device)
-
-    def told(y: Array, lens: InteriorOrientation = camera) -> Array:
-        there = moved(y, lens)
-        return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
-
-    by_x, seen_through = _jacobian(told, x), _by_lens(lambda c: told(x, c), camera)
-    pull = np.zeros((len(x), 9))  # of the lens on what tape distances correct
-    J, r = np.eye(len(x)), residuals(x)
-    for d in taped:
-        i, j = at[d.start], at[d.end]
-        along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
-        row = along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])
-        J = np.vstack([J, row])
-        pull += np.outer(row, along @ (seen_through[3 * i : 3 * i + 3] - seen_through[3 * j : 3 * j + 3]))
-    factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
-    Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
-    by_lens = seen_through - by_x @ Q @ pull
-    own = by_x @ (factor * Q) @ by_x.T
-    joint = own + by_lens @ by_lens.T
-    four = np.eye(4)[:, :3]  # no distance of the ball comes with rings
-    return Axes(
-        R,
-        joint[-3:, -3:],
-        targets_cam=places,
-        targets_cam_covariance=joint,
-        targets_cam_by_lens=by_lens,
-        codes=tuple(code_of[i] for i in ids),
-        parts=Parts(four @ own[-3:, -3:] @ four.T, np.zeros((4, 3)), four @ by_lens[-3:], np.zeros((3 * n, 4))),
-    )
-
-
-def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera: InteriorOrientation) -> Array:
-    """Places, (n, 3) m in cam, of targets seen at `uv`, (n, 2) px, as large as `size`, (n,) px, facing along Z."""
-    outer = float(device.target_radii[2])
-    xy, by_uv = unproject(uv, camera)
-    depth = outer * np.sqrt(camera.fx * camera.fy) / size
-    R = np.diag([1.0, -1.0, -1.0])
-    places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
-    for _ in range(50):  # foreshortening shows once the axes are known, and they once the places are
-        normal = np.broadcast_to(R[2], places.shape)
-        centre, shape = ellipse_to_pixel(*project_circle(places, normal, outer), camera)
-        seen = np.linalg.det(shape) ** 0.25
-        xy = xy + np.einsum("nij,nj->ni", by_uv, uv - centre)
-        depth = depth * seen / size
-        places = depth[:, None] * np.column_stack([xy, np.ones(len(xy))])
-        R = _axes_of(places, at, device)
-        if np.abs(seen / size - 1.0).max() < 1e-10:
-            break
-    return places
-
-
-def _axes_of(places: Array, at: dict[int, int], device: Device) -> Array:
-    """R_obj_cam of the three targets that define the axes, (n, 3) in cam; Z towards the camera."""
-    origin, up, plane = (places[at[i]] for i in (device.axes.origin, device.axes.up, device.axes.plane))
-    y = up - origin
-    y = y / np.linalg.norm(y)
-    z = np.cross(y, plane - origin)
-    if np.linalg.norm(z) < 1e-3 * np.linalg.norm(plane - origin):
-        raise CalibrationError("the three targets of `axes` lie in a line: name another for `plane` in the device file")
-    z = z / np.linalg.norm(z)
-    z = -z if z @ origin > 0.0 else z
-    return np.array([np.cross(y, z), y, z])
 
 
 def axes_from_gestures(rolling: Rolling, forward: tuple[float, float], right: tuple[float, float]) -> Axes:

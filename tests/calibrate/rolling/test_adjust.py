@@ -17,13 +17,13 @@ from spheremouse.calibrate.rolling.advice import advise
 from spheremouse.calibrate.rolling.axes import Axes as RolledAxes
 from spheremouse.calibrate.rolling.axes import (
     axes_from_gestures,
-    axes_from_rings,
     axes_from_targets,
     known_with_ball,
     placed,
     rescaled_targets,
     with_rolled,
 )
+from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
