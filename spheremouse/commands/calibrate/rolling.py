@@ -197,7 +197,7 @@ def _disc_angle(given: _Given, axes: Any, rolled: Any, views: Any, told: list[fl
     """Radius of a disc over the ball's where lengths tell it, which `told` keeps."""
     radius = given.radius
     if axes.rig is not None and axes.device is None and axes.gestures is None:
-        from spheremouse.calibrate.rolling.axes import placed, with_rolled
+        from spheremouse.calibrate.rolling.placed import placed, with_rolled
 
         ball = placed(rolled, with_rolled(axes.find(rolled, views)[0], rolled))[1]
         if not axes.rig.scale_free:
@@ -274,7 +274,7 @@ def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any
     from spheremouse.ball.disc_map import DiscMap
     from spheremouse.ball.rig import Rig, Targets
     from spheremouse.calibrate.rolling.advice import advise
-    from spheremouse.calibrate.rolling.axes import (
+    from spheremouse.calibrate.rolling.placed import (
         known_with_ball,
         placed,
         placed_targets,
