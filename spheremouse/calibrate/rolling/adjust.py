@@ -7,90 +7,39 @@ which is taken out (free network). Each frame's attitude is eliminated (Schur co
 section 15.2), so that a minute of video costs no more than its discs.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from spheremouse.calibrate.rolling.problem import (
+    _GLOBAL,
+    _RATES,
+    _READOUT,
+    Rolled,
+    Rolling,
+    Sightings,
+    _Equations,
+    _equations,
+    _whitening,
+)
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.adjust import snooped, variance_factors
-from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
+from spheremouse.geometry.rotation import Array, exp, hat, tangent_basis
 
 _OUTLIER = 18.4  # squared normalised residual: of points with normal errors one in ten thousand goes beyond
-_RATES = 0.005  # part by which rates taken from attitudes a frame apart are off when a hand pushes
 _WORST = 0.25  # of the largest: what is set aside at a time
 _KNEE = 2.0  # standard deviations beyond which a residual weighs less while outliers are still in
 _MEDIAN = 1.386  # of chi-square with 2 degrees of freedom
-_GLOBAL, _READOUT = 4, 3  # unknowns before the discs: direction 2, log ratio, readout
 _MOST = 40  # iterations
 _STILL = 1e-9  # rad: a step so short is the last
 _FIRM = 1e-7  # s: a readout known for sure is held so firmly
 _LEAST_SEEN = 5  # frames that must show a disc
 _LEAST_DISCS = 5
 _CELLS = 12  # the ball's image is parted into so many rows and columns, for errors that depend on the place
-
-
-@dataclass(frozen=True, slots=True)
-class Sightings:
-    """Discs seen, each with the frame and the disc it belongs to."""
-
-    frame: NDArray[np.intp]  # (n,) 0 .. f - 1
-    disc: NDArray[np.intp]  # (n,) 0 .. m - 1
-    centre: Array  # (n, 2) px
-    covariance: Array  # (n, 2, 2) px²
-
-    def __len__(self) -> int:
-        return len(self.frame)
-
-    def take(self, keep: NDArray[np.bool_]) -> "Sightings":
-        """Those of a mask, with the numbers they have."""
-        return Sightings(self.frame[keep], self.disc[keep], self.centre[keep], self.covariance[keep])
-
-
-@dataclass(frozen=True, slots=True)
-class Rolling:
-    """Where ball, camera and discs are, in units of the ball's radius."""
-
-    direction: Array  # (3,) unit vector in cam, to the ball's centre
-    ratio: float  # distance of the centre over the radius
-    discs: Array  # (m, 3) unit vectors in ball
-    stamp: Array  # (f,) s
-    attitude: Array  # (f, 3, 3) R_cam_ball at the stamps
-    readout: float = 0.0  # s, time a rolling shutter takes over all rows
-
-
-@dataclass(frozen=True, slots=True)
-class Rolled:
-    """An adjusted `Rolling` with what is known of its errors; the sightings are those that were used."""
-
-    rolling: Rolling
-    covariance: Array  # (4, 4) of direction (3 along its tangent plane, rad) and ratio
-    disc_covariance: Array  # (2m, 2m) rad², of errors along rotation.tangent_basis(discs), free network
-    readout_sigma: float  # s
-    sightings: Sightings
-    residual: Array  # (n, 2) px
-    rejected: int  # sightings that contradict the others
-    variance_factor: float  # of the sightings, over what was assumed
-    correlation: float  # by how much the variances of the result grow because errors last, or belong to a place
-    by_lens: Array  # (4, 9) part of the errors of direction and ratio: per standard deviation along `lens_root`
-
-    @property
-    def rms(self) -> float:
-        """px per axis."""
-        return float(np.sqrt(np.mean(self.residual**2)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Equations:
-    """Residuals and Jacobians of unit variance; shared unknowns: direction 2, log ratio, readout, discs 2 each."""
-
-    residual: Array  # (n, 2)
-    shared: sparse.csr_array  # (2n, 4 + 2m)
-    turn: Array  # (n, 2, 3) by the frame's attitude, left error in cam
-    camera: Array  # (n, 2, 9) by the interior orientation
 
 
 def adjust_rolling(
@@ -148,68 +97,6 @@ def _in_largest(at: Rolling, s: Sightings) -> NDArray[np.bool_]:
     _, label = connected_components(links, directed=False)
     mine = label[s.frame]
     return mine == np.bincount(mine).argmax() if len(s) else np.zeros(0, dtype=bool)
-
-
-def _equations(at: Rolling, s: Sightings, camera: InteriorOrientation) -> _Equations:
-    """Of a point p = ratio c + R d, that a rolling shutter sees late: R = exp(readout row w) R_cam_ball."""
-    n, m = len(s), len(at.discs)
-    row = row_of(s.centre[:, 1], camera.height)
-    rate = _rates(at)[s.frame]
-    late = exp(rate * (at.readout * row)[:, None])
-    d = np.einsum("nij,njk,nk->ni", late, at.attitude[s.frame], at.discs[s.disc])
-    points = at.ratio * at.direction + d
-    uv, by_point = project(points, camera)
-    W = _whitening(s.covariance)
-    residual = np.einsum("nij,nj->ni", W, s.centre - uv)
-    A = W @ by_point
-    basis = tangent_basis(at.discs)[s.disc]
-    by_disc = A @ late @ at.attitude[s.frame] @ basis
-    turned = np.einsum("nij,nj->ni", late.transpose(0, 2, 1), d)  # at the frame's own time
-    by_turn = A @ late @ -hat(turned)
-    by_global = np.concatenate(
-        [
-            at.ratio * A @ tangent_basis(at.direction),
-            at.ratio * (A @ at.direction)[:, :, None],
-            np.einsum("nij,nj->ni", A, np.cross(rate, d) * row[:, None])[:, :, None],
-        ],
-        axis=2,
-    )
-    rows = np.arange(2 * n).reshape(n, 2, 1)
-    columns = np.broadcast_to(_GLOBAL + 2 * s.disc[:, None, None] + np.arange(2), (n, 2, 2))
-    places = np.concatenate([np.broadcast_to(np.arange(_GLOBAL), (n, 2, _GLOBAL)), columns], axis=2)
-    values = np.concatenate([by_global, by_disc], axis=2)
-    shared = sparse.csr_array(
-        (values.ravel(), (np.broadcast_to(rows, places.shape).ravel(), places.ravel())), shape=(2 * n, _GLOBAL + 2 * m)
-    )
-    return _Equations(residual, shared, by_turn, W @ interior_jacobian(points[:, :2] / points[:, 2:], camera))
-
-
-def _rates(at: Rolling) -> Array:
-    """Angular velocities in cam, (f, 3) rad/s, from the attitudes around each frame; 0 beside a gap.
-
-    Differences over four frames, of fourth order; over two where one of the four is missing.
-    """
-    f = len(at.stamp)
-    rate = np.zeros((f, 3))
-    if f < 3:
-        return rate
-    usual = float(np.median(np.diff(at.stamp)))
-    mean, fine = np.zeros((f, 2, 3)), np.zeros((f, 2), dtype=bool)
-    for k in (1, 2):
-        span = at.stamp[2 * k :] - at.stamp[: -2 * k]
-        turn = log(at.attitude[2 * k :] @ at.attitude[: -2 * k].transpose(0, 2, 1))
-        mean[k:-k, k - 1] = turn / np.maximum(span, 1e-9)[:, None]
-        fine[k:-k, k - 1] = (span > 0.0) & (span < (2.0 * k + 1.0) * usual)
-    rate[fine[:, 0]] = mean[fine[:, 0], 0]
-    both = fine.all(axis=1)
-    rate[both] = (4.0 * mean[both, 0] - mean[both, 1]) / 3.0
-    rate[0], rate[-1] = rate[1], rate[-2]
-    return rate
-
-
-def _whitening(covariance: Array) -> Array:
-    """W with W' W the inverse, (n, 2, 2)."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=float)
 
 
 class _Normal:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spheremouse.calibrate.rolling.adjust import Rolled, Rolling
+from spheremouse.calibrate.rolling.problem import Rolled, Rolling
 from spheremouse.geometry.rotation import Array, log
 
 GOOD_RATIO, GOOD_DIRECTION = 1e-3, float(np.deg2rad(0.02))  # beyond these tracking suffers

@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 
 from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.ball.rig import Rig
-from spheremouse.calibrate.rolling.adjust import Rolling, lens_root
+from spheremouse.calibrate.rolling.adjust import lens_root
+from spheremouse.calibrate.rolling.problem import Rolling
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import (
     InteriorOrientation,

@@ -8,10 +8,10 @@ from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect
 from spheremouse.ball.device import Device
 from spheremouse.ball.pose import PoseSettings, gather
 from spheremouse.ball.rig import Rig
-from spheremouse.calibrate.rolling.adjust import Rolled
 from spheremouse.calibrate.rolling.axes import Axes, axes_from_gestures, axes_from_targets
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.calibrate import Views
+from spheremouse.calibrate.rolling.problem import Rolled
 from spheremouse.errors import CalibrationError, PoseError
 from spheremouse.geometry.camera import InteriorOrientation
 

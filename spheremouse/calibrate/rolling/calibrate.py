@@ -15,8 +15,9 @@ from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.calibrate.rolling.adjust import Rolled, adjust_rolling
+from spheremouse.calibrate.rolling.adjust import adjust_rolling
 from spheremouse.calibrate.rolling.footage import Footage
+from spheremouse.calibrate.rolling.problem import Rolled
 from spheremouse.calibrate.rolling.sightings import Tracked, provisional_pose, track_rolling
 from spheremouse.calibrate.rolling.start import RollingStart, Spots, dark_spots, start, start_rig
 from spheremouse.errors import CalibrationError, SourceError

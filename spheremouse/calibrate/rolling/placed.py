@@ -6,8 +6,8 @@ import numpy as np
 
 from spheremouse.ball.device import Device
 from spheremouse.ball.rig import Ball, Targets
-from spheremouse.calibrate.rolling.adjust import Rolled
 from spheremouse.calibrate.rolling.axes import Axes
+from spheremouse.calibrate.rolling.problem import Rolled
 from spheremouse.geometry.camera import (
     Pose,
 )

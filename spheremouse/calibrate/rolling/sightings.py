@@ -18,7 +18,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, TrackState
 from spheremouse.ball.track import step
-from spheremouse.calibrate.rolling.adjust import Rolling, Sightings
+from spheremouse.calibrate.rolling.problem import Rolling, Sightings
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
