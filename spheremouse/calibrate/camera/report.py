@@ -5,9 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import Calibrated, false_views
@@ -141,34 +138,6 @@ def camera_json(done: Calibrated) -> dict[str, Any]:
         "board_views": [views[i] for i in sorted(views)],
         "advice": [text for _, text in advice(done)],
     }
-
-
-def camera_text(done: Calibrated) -> None:
-    """The same on the terminal."""
-    console = Console(soft_wrap=True, highlight=False)
-    if not console.is_terminal:
-        console.width = 1000
-    table = Table(box=None, title_justify="left", title_style="")
-    held = _held_out(done)
-    table.title = (
-        f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
-        f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
-        + ("" if held is None else f", {held:.3f} px in views held out")
-    )
-    for name in ("", "value", "std. dev."):
-        table.add_column(name, justify="left" if not name else "right")
-    for row in _parameter_rows(done):
-        table.add_row(*row[:3])
-    console.print(table)
-    views = Table(box=None)
-    for name in ("view", "rms, px", "held out, px", "tilt, °", "distance, m", ""):
-        views.add_column(name, justify="left" if name in ("view", "") else "right")
-    for row, used in _view_rows(done):
-        views.add_row(*map(escape, row), style=None if used else "red")
-    console.print(views)
-    for kind, text in advice(done):
-        mark = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/]"}[kind]
-        console.print(f"{mark} {escape(text.replace('`', ''))}")
 
 
 def write_camera_report(path: Path, done: Calibrated, provenance: Mapping[str, Any]) -> None:

@@ -14,6 +14,18 @@ from spheremouse.files.yaml import write_json
 
 if TYPE_CHECKING:
     from spheremouse.calibrate.camera.corners import Pattern
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from spheremouse.calibrate.camera.calibrate import Calibrated
+
+if TYPE_CHECKING:
+    pass
+from spheremouse.calibrate.camera.report import _held_out, _parameter_rows, _view_rows, advice
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
@@ -52,7 +64,7 @@ def camera(
     10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
     reaching into all corners of the picture. With --source it watches the camera and takes the views that are wanted.
     """
-    from spheremouse.calibrate.camera.report import camera_json, camera_text, write_camera_report
+    from spheremouse.calibrate.camera.report import camera_json, write_camera_report
     from spheremouse.calibrate.photos import read_photos
     from spheremouse.files.rig import save_camera
 
@@ -124,3 +136,31 @@ def _page(report: Path | None, out: Path) -> Path | None:
         note("no report with pictures without matplotlib: pip install 'spheremouse[plot]'")
         return None
     return out.with_suffix(".html")
+
+
+def camera_text(done: Calibrated) -> None:
+    """The same on the terminal."""
+    console = Console(soft_wrap=True, highlight=False)
+    if not console.is_terminal:
+        console.width = 1000
+    table = Table(box=None, title_justify="left", title_style="")
+    held = _held_out(done)
+    table.title = (
+        f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
+        f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
+        + ("" if held is None else f", {held:.3f} px in views held out")
+    )
+    for name in ("", "value", "std. dev."):
+        table.add_column(name, justify="left" if not name else "right")
+    for row in _parameter_rows(done):
+        table.add_row(*row[:3])
+    console.print(table)
+    views = Table(box=None)
+    for name in ("view", "rms, px", "held out, px", "tilt, °", "distance, m", ""):
+        views.add_column(name, justify="left" if name in ("view", "") else "right")
+    for row, used in _view_rows(done):
+        views.add_row(*map(escape, row), style=None if used else "red")
+    console.print(views)
+    for kind, text in advice(done):
+        mark = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/]"}[kind]
+        console.print(f"{mark} {escape(text.replace('`', ''))}")
