@@ -12,9 +12,10 @@ from rich.console import Console
 
 from spheremouse.calibrate.device.advice import advise
 from spheremouse.calibrate.device.figures import magnification, photo_picture
-from spheremouse.calibrate.device.report import device_text, write_device_report
+from spheremouse.calibrate.device.report import write_device_report
 from spheremouse.calibrate.device.results import device_json
 from spheremouse.calibrate.photos import read_photos
+from spheremouse.commands.calibrate.device import device_text
 from spheremouse.errors import ConfigurationError
 from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.files.report import page
