@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from spheremouse.commands.tray import icon as tray_live
 from spheremouse.commands.tray import view as tray
-from spheremouse.commands.tray.icon import Link, TrayError
+from spheremouse.commands.tray.icon import TrayError
+from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
 from spheremouse.session.control.protocol import refused
 from spheremouse.session.control.server import ControlServer
