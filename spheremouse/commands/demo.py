@@ -24,11 +24,12 @@ from spheremouse.ball.state import Phase, Tracker
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
+from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import open_output
-from spheremouse.session.offline import Epoch, History, Start, initialise, track
+from spheremouse.session.offline import Epoch, Start, initialise, track
 from spheremouse.session.overlay.ball import Image, Overlay, OverlayFile, target_marks, write_picture
 from spheremouse.session.screen import Board, Tally
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate

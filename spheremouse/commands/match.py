@@ -136,7 +136,8 @@ def _tracked(recording: str, plan: "Plan", stamps: Path | None) -> tuple["Run", 
     from spheremouse.ball.build import build
     from spheremouse.capture import open_source
     from spheremouse.commands.terminal import progress_bar
-    from spheremouse.session.offline import History, initialise, track
+    from spheremouse.evaluate.history import History
+    from spheremouse.session.offline import initialise, track
 
     history = History()
     with ExitStack() as stack:

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from itertools import chain, islice
 from threading import Timer
 
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from spheremouse.ball.build import begin, check_size
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -25,7 +24,6 @@ from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import PoseError, SourceError
-from spheremouse.evaluate.metrics import Run
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Motion
@@ -56,42 +54,6 @@ class Epoch:
     def used(self) -> Array:
         """(k, 2) px, centres of the discs that took part in the filter's update."""
         return self.state.detections.centre[self.state.points.index[self.state.filter.used]]
-
-
-@dataclass(slots=True)
-class History:
-    """What a run said, frame by frame, without the pictures: what `evaluate` looks at."""
-
-    epochs: list[Epoch] = field(default_factory=list)
-
-    def add(self, epoch: Epoch) -> None:
-        """One more."""
-        self.epochs.append(replace(epoch, frame=replace(epoch.frame, image=np.zeros((0, 0), np.uint8))))
-
-    def run(self) -> Run:
-        """As the metrics take it."""
-        epochs, n = self.epochs, len(self.epochs)
-        states = [e.state for e in epochs]
-        return Run(
-            frame=np.array([e.frame.sequence for e in epochs], dtype=np.intp),
-            stamp=np.array([e.frame.stamp for e in epochs], dtype=float),
-            phase=tuple(s.phase for s in states),
-            attitude=np.array([s.filter.attitude for s in states]).reshape(n, 3, 3),
-            rate=np.array([s.filter.rate for s in states]).reshape(n, 3),
-            rotation=np.array([e.motion.rotation for e in epochs]).reshape(n, 3),
-            covariance=np.array([s.filter.covariance for s in states]).reshape(n, 6, 6),
-            absolute=np.array([s.absolute for s in states], dtype=bool),
-            detected=tuple(s.detections.centre for s in states),
-            used=tuple(e.used for e in epochs),
-            seconds={stage: np.array([e.seconds[stage] for e in epochs]) for stage in (epochs[0].seconds if n else ())},
-            nis=_innovations(states),
-        )
-
-
-def _innovations(states: list[TrackState]) -> Array | None:
-    """Normalised innovation squared of every frame's update, (n,); None for a filter that does not give it."""
-    values = [s.filter.nis for s in states if isinstance(s.filter, So3State)]
-    return np.array(values, dtype=float) if len(values) == len(states) else None
 
 
 def initialise(

@@ -18,6 +18,7 @@ from spheremouse.commands.complaint import complain
 from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
+from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.evaluate.table import wand_table
@@ -29,7 +30,7 @@ from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.session.map_keeper import open_map
-from spheremouse.session.offline import History, initialise, track
+from spheremouse.session.offline import initialise, track
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.degrade import degraded
 

@@ -13,12 +13,13 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import Bound
+from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
 from spheremouse.experiments.kit.job import Result
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose
-from spheremouse.session.offline import History, initialise, track
+from spheremouse.session.offline import initialise, track
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, simulate
 from spheremouse.tracker import Frame

@@ -15,6 +15,7 @@ from spheremouse.ball.track import advance
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import Sight
+from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import (
     Reference,
     Run,
@@ -30,7 +31,7 @@ from spheremouse.evaluate.metrics import (
 from spheremouse.experiments.kit.film import Film
 from spheremouse.experiments.kit.job import Result
 from spheremouse.geometry.camera import Pose
-from spheremouse.session.offline import Epoch, History, initialise
+from spheremouse.session.offline import Epoch, initialise
 
 
 @dataclass(frozen=True, slots=True)
