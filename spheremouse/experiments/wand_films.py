@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.evaluate.history import WandHistory
 from spheremouse.evaluate.wand import RECOVERED, WandRun, errors, followed, found_from, is_lost
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.wand.offline import WandHistory, track_wand
+from spheremouse.session.wand.offline import track_wand
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.track import WandSettings, begin, build, step

@@ -13,13 +13,14 @@ from rich.console import Console
 from spheremouse.commands.complaint import complain
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
+from spheremouse.evaluate.history import WandHistory
 from spheremouse.evaluate.wand import followed, wand_report
 from spheremouse.files import config
 from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_frames
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.settings import Configuration
-from spheremouse.session.wand.offline import Known, WandHistory, track_wand
+from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.session.wand.plan import read_balls, told_apart
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import ColourSettings

@@ -5,12 +5,9 @@ The shell's part of the wand's use phase, as `session` is for the ball in its fr
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-
-import numpy as np
+from dataclasses import dataclass
 
 from spheremouse.errors import SourceError
-from spheremouse.evaluate.wand import WandRun
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Motion
 from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate
@@ -61,40 +58,6 @@ class Hand:
     def interrupted(self) -> None:
         """No frames came for a while: nothing moves to where the ball is next seen."""
         self._pointing = begun_anew(self._pointing)
-
-
-@dataclass(slots=True)
-class WandHistory:
-    """What a run said, without the pictures."""
-
-    stamps: list[float] = field(default_factory=list)
-    poses: list[tuple[WandPose, ...]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-
-    def add(self, epoch: WandEpoch) -> None:
-        """One more."""
-        self.stamps.append(epoch.frame.stamp)
-        self.poses.append(epoch.poses)
-        self.seconds.append(epoch.seconds)
-
-    def run(self, ball: int = 0) -> WandRun:
-        """Of one ball, as the metrics take it."""
-        n = len(self.stamps)
-        position, rotation = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-        covariance = np.full((n, 6, 6), np.nan)
-        for i, poses in enumerate(self.poses):
-            pose = poses[ball]
-            if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
-                position[i], rotation[i], covariance[i] = pose.position, pose.rotation, pose.covariance
-        return WandRun(np.array(self.stamps), position, rotation, covariance, np.array(self.seconds))
-
-    def events(self) -> list[tuple[int, str]]:
-        """What the tracker told, each once in a row, with the frame it began in."""
-        found: list[tuple[int, str]] = []
-        for i, poses in enumerate(self.poses):
-            before = {p.event for p in self.poses[i - 1]} if i else set()
-            found += [(i, p.event) for p in poses if p.event and p.event not in before]
-        return found
 
 
 def make_wand_ready() -> None:
