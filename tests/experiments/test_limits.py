@@ -7,23 +7,12 @@ import pytest
 
 from spheremouse.ball.associate import assign
 from spheremouse.experiments import limits
+from spheremouse.experiments.kit import world as world_module
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.kit.report import write_report
-from spheremouse.experiments.limits import (
-    ACCELERATIONS,
-    COVERS,
-    FASTEST,
-    NEW,
-    RATES,
-    TRACKERS,
-    WHO,
-    SpedUp,
-    Trial,
-    jobs,
-    section,
-    world,
-)
+from spheremouse.experiments.kit.world import NEW, RATES, WHO, SpedUp, world
+from spheremouse.experiments.limits import ACCELERATIONS, COVERS, FASTEST, TRACKERS, Trial, jobs, section
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 
@@ -32,23 +21,23 @@ QUICK, WHOLE = Request(True, None), Request(False, None)
 
 @pytest.fixture(scope="module")
 def there():
-    return world(limits.DISCS, 0)
+    return world(world_module.DISCS, 0)
 
 
 @pytest.fixture(scope="module")
 def trial(there):
     """`ekf2` at 30 Hz."""
-    tracker = limits._tracker("ekf2", there)
-    return Trial(tracker, there, limits._started("ekf2", tracker, there), limits._axis(0), 30.0, 0)
+    tracker = world_module._tracker("ekf2", there)
+    return Trial(tracker, there, world_module._started("ekf2", tracker, there), world_module._axis(0), 30.0, 0)
 
 
 # ---- what is seen ----
 
 
 def test_the_same_discs_are_seen_as_in_pictures_and_as_well(there):
-    renderer, rng = Renderer(there.scene, RenderOptions(noise=limits.NOISE)), np.random.default_rng(0)
-    detector = limits._tracker("so3", there).detector
-    motion = SpedUp(limits._axis(1), 1.0, 1.0)
+    renderer, rng = Renderer(there.scene, RenderOptions(noise=world_module.NOISE)), np.random.default_rng(0)
+    detector = world_module._tracker("so3", there).detector
+    motion = SpedUp(world_module._axis(1), 1.0, 1.0)
     matched, seen, found, claims = 0, 0, 0, []
     for t in np.arange(1.0, 13.0):
         here = there.see(motion.attitude(np.array([t]))[0], rng)
@@ -122,16 +111,16 @@ def test_what_is_reached_is_followed_and_more_is_not(trial):
     assert 0.5 < rate < FASTEST
 
     def followed(most):
-        t = trial.times(most / ACCELERATIONS[0] + limits.HOLD)
+        t = trial.times(most / ACCELERATIONS[0] + world_module.HOLD)
         motion = SpedUp(trial.axis, ACCELERATIONS[0], most)
-        return len(trial.course(limits._begun(trial.start), motion, t)) == len(t)
+        return len(trial.course(world_module._begun(trial.start), motion, t)) == len(t)
 
     assert followed(0.7 * rate)
     assert not followed(1.5 * rate)
 
 
 def test_a_course_ends_where_what_was_turned_is_wrong_or_the_ball_is_lost(trial):
-    begun = limits._begun(trial.start)
+    begun = world_module._begun(trial.start)
     small, large = (SpedUp(trial.axis, 1e9, a).attitude(np.array([1.0]))[0] for a in np.radians((2.0, 4.0)))
     assert begun.then(trial.start, small.T) is not None
     assert begun.then(trial.start, large.T) is None
@@ -139,8 +128,8 @@ def test_a_course_ends_where_what_was_turned_is_wrong_or_the_ball_is_lost(trial)
 
 def test_so3_follows_what_ekf2_loses(there, trial):
     """A ball new to it: what it knows of it before would be of use."""
-    tracker = limits._tracker(NEW, there)
-    ours = replace(trial, tracker=tracker, start=limits._started(NEW, tracker, there))
+    tracker = world_module._tracker(NEW, there)
+    ours = replace(trial, tracker=tracker, start=world_module._started(NEW, tracker, there))
     hard = trial.hardest(limits.PUSH)
     assert 1.0 < hard < limits.HARDEST
     assert ours.hardest(limits.PUSH) > 1.5 * hard
