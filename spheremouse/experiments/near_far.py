@@ -14,7 +14,7 @@ from spheremouse.experiments.kit import sights
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, plain_numbers
 from spheremouse.experiments.kit.report import failures
-from spheremouse.experiments.poses import THESIS_TABLES
+from spheremouse.experiments.kit.thesis import THESIS_TABLES
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import View, prepare

@@ -17,10 +17,10 @@ from spheremouse.ball.pose import PoseSettings, Sighting, gather, predict_target
 from spheremouse.ball.rig import Rig
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.experiments.kit.plot import THESIS
 from spheremouse.experiments.kit.report import failures
-from spheremouse.geometry.camera import InteriorOrientation, Pose
+from spheremouse.experiments.kit.thesis import THESIS_TABLES, calibrated_rig
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, View, default_scene
@@ -36,42 +36,6 @@ _NOISE, _STRONG = 3.0, 15.0  # grey values: of the tables; of the figure, the st
 _NAMES = ("X0", "Y0", "Z0", "ω0", "φ0", "κ0")
 _STRAY = (0.01, np.radians(0.5))  # m, rad: by which cameras differ from the thesis'
 _BLANK = "–"
-
-# Correlations row by row below the diagonal, standard deviations and errors (mm, deg), as printed.
-THESIS_TABLES: dict[str, dict[str, Any]] = {
-    "12": {
-        "correlation": (
-            (0.060,),
-            (-0.093, -0.806),
-            (-0.083, -0.972, 0.899),
-            (-0.994, -0.060, 0.090, 0.083),
-            (-0.300, -0.002, 0.012, 0.032, 0.339),
-        ),
-        "sigma": (1.9, 1.3, 1.1, 0.07, 0.09, 0.02),
-    },
-    "21": {
-        "correlation": (
-            (0.000,),
-            (0.002, -0.751),
-            (0.000, -0.998, 0.770),
-            (-0.998, 0.000, -0.001, 0.000),
-            (0.451, 0.001, 0.000, 0.000, -0.428),
-        ),
-        "sigma": (2.81, 2.72, 0.75, 0.081, 0.081, 0.016),
-        "error": (0.61, 2.93, 0.03, 0.049, 0.018, 0.021),
-    },
-    "22": {
-        "correlation": (
-            (0.000,),
-            (-0.005, 0.453),
-            (0.001, -0.968, -0.457),
-            (-0.976, 0.001, 0.006, -0.001),
-            (0.281, -0.002, -0.003, 0.002, -0.272),
-        ),
-        "sigma": (0.35, 0.30, 0.11, 0.017, 0.019, 0.007),
-        "error": (1.11, 0.72, 0.76, 0.019, 0.008, 0.001),
-    },
-}
 
 
 def jobs(request: Request) -> list[Job]:
@@ -142,12 +106,6 @@ def drawn(view: View, seeds: int) -> Result:
 def _films(counts: Sequence[int]) -> tuple[tuple[str, float, Sequence[int]], ...]:
     """Name, noise and numbers of views: for the tables, and for the figure."""
     return ("table", _NOISE, (_VIEWS_USED,)), ("figure", _STRONG, counts)
-
-
-def calibrated_rig(seed: int, camera: InteriorOrientation) -> Rig:
-    """The simulated device as a calibration knows it: six photos, a tape; off by what its covariance says."""
-    found = calibrated(simulated_calibration(np.random.default_rng([seed, 4])))
-    return replace(found.rig(), camera=camera)
 
 
 def _strayed(scene: Scene, rng: np.random.Generator) -> Pose:

@@ -23,7 +23,7 @@ from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import THESIS, plain_numbers
 from spheremouse.experiments.kit.report import failures
-from spheremouse.experiments.poses import THESIS_TABLES, calibrated_rig
+from spheremouse.experiments.kit.thesis import THESIS_TABLES, calibrated_rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, tangent_basis, to_euler
 from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, Scene, View, default_scene

@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.experiments import poses
+from spheremouse.experiments.kit import thesis
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.geometry.camera import Pose
@@ -58,7 +59,7 @@ def test_the_far_camera_has_the_correlations_of_table_21():
     scene = default_scene(1, "far")
     rig = scene.rig()
     found = poses._found(sightings(rig, predict_targets(scene.pose, rig)), rig, scene.pose)
-    for i, row in enumerate(poses.THESIS_TABLES["21"]["correlation"], start=1):
+    for i, row in enumerate(thesis.THESIS_TABLES["21"]["correlation"], start=1):
         assert found["correlation"][i][:i] == pytest.approx(row, abs=0.12)
 
 
