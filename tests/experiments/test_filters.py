@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.experiments.filters import _gapped, acceleration, jobs, play, section, simulated
+from spheremouse.experiments.filters import jobs, play, simulated
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
+from spheremouse.experiments.report.filters import _gapped, acceleration, section
 from spheremouse.simulate.ball.profile import thesis
 
 HERE = Request(False, Path("sets"))
