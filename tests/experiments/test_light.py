@@ -7,7 +7,8 @@ import pytest
 
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
-from spheremouse.experiments.light import _decoded, _encoded, jobs, section, simulated
+from spheremouse.experiments.light import _decoded, _encoded, jobs, simulated
+from spheremouse.experiments.report.light import section
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)
