@@ -17,7 +17,7 @@ from spheremouse.ball.state import Phase, Tracker, TrackState
 from spheremouse.ball.track import advance, step
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, decades
+from spheremouse.experiments.kit.plot import BOUND
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.world import (
     DISCS,
@@ -37,7 +37,18 @@ from spheremouse.experiments.kit.world import (
     _tracker,
     world,
 )
-from spheremouse.experiments.viewing import films_cell
+from spheremouse.experiments.report.cells import (
+    _BESIDE,
+    _LOOK,
+    Grouped,
+    _legend,
+    _span,
+    _with_broken,
+    label_lines,
+    plain,
+    rate_axis,
+    those,
+)
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, default_scene
@@ -395,8 +406,6 @@ def _waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Res
 
 # ---- for a reader ----
 
-_LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "D", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "v", "--")}
-_BESIDE = {who: 1.0 + 0.015 * k for k, who in enumerate(WHO)}  # lines that would hide each other: a little to the right
 _SOFTEST = 1.0  # rad/s², the least that is tried
 _FLICK = float(np.radians(400.0))  # rad/s, about the fastest that hands turn the ball
 _STOP = 100.0  # rad/s², of a stop by hand (`so3.levels`)
@@ -427,15 +436,6 @@ def section(request: Request, results: Results) -> Section:
     if failed:
         parts.append("Failed:\n\n" + "\n".join(failed))
     return Section(tuple(p for p in parts if p), dict(results))
-
-
-Grouped = dict[tuple[float, ...], list[Result]]
-
-
-def _with_broken(good: Grouped, bad: Grouped) -> list[tuple[tuple[float, ...], list[Result], str]]:
-    """What there is to say of each group: its results, and how many of its jobs failed."""
-    groups = sorted({*good, *bad})
-    return [(k, good.get(k, []), films_cell(len(good.get(k, [])), len(bad.get(k, [])))) for k in groups]
 
 
 def _grouped(good: Results, name: str) -> dict[tuple[float, ...], list[Result]]:
@@ -645,12 +645,6 @@ def _width(exposure: float) -> float:
     """rad/s, at which a disc in the middle of the ball moves by its own width while it is exposed."""
     scene = default_scene(1)
     return 2.0 * scene.disc_angle / exposure
-
-
-def _span(values: Sequence[float], digits: int = 0, nothing: str = "none") -> str:
-    low, high = (f"{v:.{digits}f}" for v in (min(values), max(values)))
-    low, high = (nothing if float(v) == 0.0 else v for v in (low, high))
-    return low if low == high else f"{low} – {high}"
 
 
 def _film_figure(films: dict[tuple[float, ...], list[Result]]) -> Figure:
@@ -935,45 +929,4 @@ def _advice(
     return " ".join(said)
 
 
-def those(values: Sequence[float], tried: Sequence[float]) -> str:
-    """Frame rates, of those that were tried."""
-    if not values:
-        return "at no frame rate"
-    if len(values) == len(tried) > 1:
-        return f"at all, {min(values):g} to {max(values):g} Hz"
-    return f"at {', '.join(f'{v:g}' for v in values)} Hz"
-
-
 # ---- figures of this kind ----
-
-
-def plain(axis: Any) -> None:
-    """Numbers as they are on a logarithmic axis."""
-    decades(axis, (1.0, 2.0, 5.0), 15)
-
-
-def rate_axis(ax: Any, rates: Sequence[float]) -> None:
-    """Frame rates."""
-    ax.set(xscale="log", xlabel="frame rate, Hz")
-    ax.set_xticks(list(rates), [f"{r:g}" for r in rates])
-    ax.xaxis.minorticks_off()
-
-
-def label_lines(ax: Any, x: float, ends: Sequence[tuple[float, str, str]], apart: float = 0.075) -> None:
-    """Names beside where lines end at `x`: value, name, colour; moved apart where they would meet."""
-    to_axes = ax.transData + ax.transAxes.inverted()
-    placed = sorted((float(to_axes.transform((x, y))[1]), name, colour) for y, name, colour in ends)
-    heights: list[float] = []
-    for y, _, _ in placed:
-        heights.append(max(y, heights[-1] + apart) if heights else y)
-    over = max(0.0, heights[-1] - 1.0) if heights else 0.0
-    for (_, name, colour), y in zip(placed, heights, strict=True):
-        ax.text(1.03, y - over, name, transform=ax.transAxes, color=colour, fontsize=8.0, va="center", clip_on=False)
-
-
-def _legend(canvas: Any, who: Sequence[str]) -> None:
-    from matplotlib.lines import Line2D
-
-    looks: list[Any] = [dict(zip(("color", "marker", "linestyle"), _LOOK[w], strict=True)) for w in who]
-    handles = [Line2D([], [], label=w, **how) for w, how in zip(who, looks, strict=True)]
-    canvas.legend(handles=handles, loc="outside lower center", ncols=5)

@@ -19,7 +19,7 @@ from spheremouse.experiments.kit.job import Figure, Job, Request, Result, Result
 from spheremouse.experiments.kit.plot import BOUND
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
-from spheremouse.experiments.limits import label_lines, plain, rate_axis, those
+from spheremouse.experiments.report.cells import label_lines, plain, rate_axis, those
 from spheremouse.experiments.viewing import films_cell
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion, Remainder, to_counts
