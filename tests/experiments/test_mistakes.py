@@ -11,7 +11,9 @@ from spheremouse.ball.state import Phase
 from spheremouse.experiments import mistakes, viewing
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.report import write_report
-from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, section, wrong
+from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, wrong
+from spheremouse.experiments.report import mistakes as mistakes_module
+from spheremouse.experiments.report.mistakes import section
 from spheremouse.geometry.camera import project
 from spheremouse.simulate.ball.film import default_scene
 
@@ -179,26 +181,26 @@ def test_a_film_gives_what_json_holds_and_a_missing_pose_is_said():
 
 
 def test_rigs_of_all_films_come_together_and_failed_ones_count():
-    found = mistakes.points(results(), KINDS["evening"])
+    found = mistakes_module.points(results(), KINDS["evening"])
     assert len(found[1.0]) == 4
-    assert mistakes.lost(found[1.0], FREE) == 3  # no pose; 1.5° and 9° are far off
-    assert mistakes.median(found[1.0], FREE, "attitude") == pytest.approx(1.5)
-    assert mistakes.median(found[1.0], FREE, "scale") == pytest.approx(7.5)  # without its sign
-    assert mistakes.held(found[1.0], FREE) == pytest.approx(0.95)
-    assert list(mistakes.points(results(), KINDS["radius"])) == [-0.01, 0.01]
-    assert mistakes.points(results(), KINDS["centre"]) == {}
+    assert mistakes_module.lost(found[1.0], FREE) == 3  # no pose; 1.5° and 9° are far off
+    assert mistakes_module.median(found[1.0], FREE, "attitude") == pytest.approx(1.5)
+    assert mistakes_module.median(found[1.0], FREE, "scale") == pytest.approx(7.5)  # without its sign
+    assert mistakes_module.held(found[1.0], FREE) == pytest.approx(0.95)
+    assert list(mistakes_module.points(results(), KINDS["radius"])) == [-0.01, 0.01]
+    assert mistakes_module.points(results(), KINDS["centre"]) == {}
 
 
 def test_what_may_be_off_is_the_largest_size_with_all_smaller_ones_well():
-    focal = mistakes.points(results(), KINDS["focal"])
-    assert mistakes.limit_of(focal, FREE) == 0.05
-    assert mistakes.limit_of(focal, "so3") == 0.01  # too long by 5 %: lost
-    assert mistakes.limit_of(mistakes.points(results(), KINDS["radius"]), FREE) is None
-    assert not mistakes.bears([{"rows": {FREE: {**row(0.1), "direction": None}}}], FREE)
-    assert not mistakes.bears([{"rows": {FREE: row(0.1, wobble=5.5)}}], FREE)
-    assert not mistakes.bears([{"rows": {FREE: row(0.1, tracked=80)}}], FREE)
-    assert mistakes.lost([{"rows": {FREE: row(0.1, tracked=80)}}], FREE) == 1
-    assert not mistakes.bears([{"rows": {}}], FREE)
+    focal = mistakes_module.points(results(), KINDS["focal"])
+    assert mistakes_module.limit_of(focal, FREE) == 0.05
+    assert mistakes_module.limit_of(focal, "so3") == 0.01  # too long by 5 %: lost
+    assert mistakes_module.limit_of(mistakes_module.points(results(), KINDS["radius"]), FREE) is None
+    assert not mistakes_module.bears([{"rows": {FREE: {**row(0.1), "direction": None}}}], FREE)
+    assert not mistakes_module.bears([{"rows": {FREE: row(0.1, wobble=5.5)}}], FREE)
+    assert not mistakes_module.bears([{"rows": {FREE: row(0.1, tracked=80)}}], FREE)
+    assert mistakes_module.lost([{"rows": {FREE: row(0.1, tracked=80)}}], FREE) == 1
+    assert not mistakes_module.bears([{"rows": {}}], FREE)
 
 
 def test_the_page_says_all_that(tmp_path):
@@ -255,7 +257,7 @@ def test_wrong_rigs_are_not_judged_where_the_right_one_misses():
 
 def test_one_film_in_several_jobs_is_counted_once():
     given = {"camera-1": film_of(focal={"0.01": [cell(0.2)]}), "places-1": film_of(centre={"0.01": [cell(0.2)]})}
-    assert len(mistakes._distinct(given)) == 1
+    assert len(mistakes_module._distinct(given)) == 1
     assert "medians of 1 films" in words(section(WHOLE, given))
 
 
@@ -263,7 +265,7 @@ def test_what_so3_bears_worse_than_ekf2_is_told_from_the_rest():
     found = {"focal": {0.01: [cell(0.2)], 0.05: [cell(0.5)]}, "targets": {0.001: [cell(0.2)]}}
     for error, here in ((9.0, found["focal"][0.05]), (1.5, found["focal"][0.01])):
         here[0]["rows"]["so3"] = row(error)
-    text = mistakes._said_of_wobble(found)
+    text = mistakes_module._said_of_wobble(found)
     assert "more with a focal length off by 5 % (9.0 % against 0.5 %; at 2 of 2 sizes)" in text
     assert "less with targets off by 1 mm in each coordinate (0.2 % against 0.2 %; at 1 of 1 sizes)" in text
 
