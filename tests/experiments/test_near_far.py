@@ -8,6 +8,7 @@ import pytest
 from spheremouse.experiments import near_far
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.kit.report import write_report
+from spheremouse.experiments.report import near_far as near_far_module
 
 QUICK = Request(True, None)
 
@@ -47,18 +48,18 @@ def test_a_film_is_tracked_by_all_and_bounded(film):
 
 def test_films_are_summed_as_squares():
     results = {"near-0": made(6.0, (3.0, 0.0, 1.0)), "near-1": made(8.0, (4.0, 0.0, 1.0)), "near-2": {"error": "x"}}
-    found = near_far._of_view(results, "near")
+    found = near_far_module._of_view(results, "near")
     assert found["so3"]["discs"] == pytest.approx(7.0)
     assert found["so3"]["rate"] == pytest.approx([np.sqrt(12.5), 0.0, 1.0])
     assert found["bound"]["rate"] == pytest.approx([0.1, 0.1, 0.1])
-    assert near_far._of_view(results, "far") == {}
+    assert near_far_module._of_view(results, "far") == {}
 
 
 def test_frames_that_were_not_tracked_are_counted():
     film = made(6.0, (1.0, 1.0, 1.0))
     film["trackers"]["ekf1"]["tracked"] = 4
     film["trackers"]["ekf2"]["tracked"] = 0
-    found = near_far._of_view({"far-0": film}, "far")
+    found = near_far_module._of_view({"far-0": film}, "far")
     assert found["ekf1"]["untracked"] == 6
     assert "ekf2" not in found
 
@@ -67,7 +68,7 @@ def test_a_section_has_the_table_and_says_what_failed(tmp_path):
     near = made(6.0, (0.2, 0.2, 0.2))
     near["trackers"]["ekf1"] = {"error": "no target found"}
     results = {"near-0": near, "far-0": made(9.0, (0.1, 0.1, 0.1))}
-    section = near_far.section(QUICK, results)
+    section = near_far_module.section(QUICK, results)
     page = write_report(tmp_path, {"near_far": (near_far.TITLE, section)}, "x")[0].read_text()
     assert "has 50 % more discs in use than the near one (thesis: 20 % more)" in page
     assert "is 2.00 (`ekf2, blobs`), 2.00 (`ekf2`), 2.00 (`so3`), 1.00 (the bound); in the thesis 2.65" in page
@@ -82,7 +83,7 @@ def test_a_section_has_the_table_and_says_what_failed(tmp_path):
 
 def test_what_is_not_found_is_said_and_failed_films_are_counted():
     results = {"near-0": made(6.0, (0.1, 0.1, 0.1)), "far-0": made(5.0, (0.1, 0.1, 0.1)), "far-1": {"error": "x"}}
-    text = str(near_far.section(QUICK, results).parts)
+    text = str(near_far_module.section(QUICK, results).parts)
     assert "has 17 % fewer discs in use" in text
     assert "Neither the thesis' filter nor its detector" in text
     assert "With a pose off" not in text
@@ -101,7 +102,7 @@ def test_what_is_not_found_is_said_and_failed_films_are_counted():
 def test_what_a_wrong_pose_explains_is_said(off, lost, said):
     posed = {"posed-near": {"attitude": off, "lost": lost}, "posed-far": {"error": "no memory"}}
     films = {"near-0": made(6.0, (0.1, 0.1, 0.1)), "far-0": made(5.0, (0.1, 0.1, 0.1))}
-    text = str(near_far.section(QUICK, {**films, **posed}).parts)
+    text = str(near_far_module.section(QUICK, {**films, **posed}).parts)
     assert said in text
     assert "- posed-far: no memory" in text
 
@@ -118,7 +119,7 @@ def test_a_wrong_pose_makes_the_attitude_wrong():
 def test_a_section_without_results_has_rows_that_say_so():
     failed = {j.key: {"error": "too little memory"} for j in near_far.jobs(QUICK)}
     for given in ({}, failed):
-        section = near_far.section(QUICK, given)
+        section = near_far_module.section(QUICK, given)
         (table,) = [p for p in section.parts if isinstance(p, Table)]
         assert all("failed" in row for row in table.rows)
         assert ("too little memory" in str(section.parts)) == bool(given)
