@@ -7,7 +7,8 @@ import pytest
 from spheremouse.experiments import parameters
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
-from spheremouse.experiments.parameters import apart, by_acceleration, by_ratio, jobs, section, simulated, spread
+from spheremouse.experiments.parameters import jobs, simulated
+from spheremouse.experiments.report.parameters import apart, by_acceleration, by_ratio, section, spread
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)
