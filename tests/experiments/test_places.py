@@ -10,7 +10,9 @@ from spheremouse.experiments import places
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.report import write_report
-from spheremouse.experiments.places import Place, Size, expected, fitted, jobs, scene_from, section, targets_in_view
+from spheremouse.experiments.places import Place, Size, expected, fitted, jobs, scene_from, targets_in_view
+from spheremouse.experiments.report import places as places_module
+from spheremouse.experiments.report.places import section
 from spheremouse.simulate.ball.film import Renderer
 from spheremouse.simulate.ball.profile import thesis
 
@@ -108,7 +110,7 @@ def test_the_advice_is_the_best_place_that_sees_the_targets(tmp_path):
     assert "|  |  |  | `so3`, true pose | 0.0300 | 0.030 | 0 |" in page
     assert (tmp_path / "experiments" / "places-directions-dark.svg").stat().st_size > 5000
     assert (tmp_path / "experiments" / "places-distances-light.svg").stat().st_size > 5000
-    assert "lost" not in places._lost_by_pose(places._films(results()))
+    assert "lost" not in places_module._lost_by_pose(places_module._films(results()))
 
 
 def test_what_holds_everywhere_is_no_limit_and_no_missing_pose():
@@ -132,7 +134,7 @@ def test_a_film_that_failed_is_a_row():
 def test_a_ball_that_is_lost_for_its_pose_is_told():
     one = film(FRONT, 0.02)
     one["own pose"] = {**one["own pose"], "tracked": 6}
-    text = places._lost_by_pose([(FRONT, one)])
+    text = places_module._lost_by_pose([(FRONT, one)])
     assert "off by 5 mm (standard deviation 10 mm), 4 frames" in text
 
 
@@ -145,7 +147,7 @@ def test_a_section_of_nothing_and_of_failures_says_so():
 
 @pytest.mark.parametrize("bounds", [(0.004, 0.0055), (0.134, 0.164), (0.1, 90.0)])
 def test_ticks_of_a_scale_are_few_and_within(bounds):
-    ticks = places._ticks(*bounds)
+    ticks = places_module._ticks(*bounds)
     assert 2 <= len(ticks) <= 6
     assert bounds[0] <= ticks[0] < ticks[-1] <= bounds[1] * (1.0 + 1e-9)
 
