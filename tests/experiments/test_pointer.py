@@ -17,9 +17,9 @@ from spheremouse.experiments.pointer import (
     Path,
     jobs,
     latency,
-    section,
     settings,
 )
+from spheremouse.experiments.report.pointer import section
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.simulate.ball.profile import Gestures, play, stroke
