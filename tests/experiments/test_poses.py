@@ -11,6 +11,7 @@ from spheremouse.experiments import poses
 from spheremouse.experiments.kit import thesis
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.kit.report import write_report
+from spheremouse.experiments.report import poses as poses_module
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
 from spheremouse.simulate.ball.film import default_scene
@@ -70,7 +71,7 @@ def test_draws_are_honest_with_calibrated_targets():
 
 
 def test_the_band_is_that_of_chi_square():
-    assert poses._band(84) == pytest.approx(chi2.ppf([0.025, 0.975], 84) / 84)
+    assert poses_module._band(84) == pytest.approx(chi2.ppf([0.025, 0.975], 84) / 84)
 
 
 def test_cameras_of_seeds_differ_and_see_all_targets():
@@ -94,7 +95,7 @@ def test_films_give_poses_from_all_counts(results):
 
 
 def test_the_thesis_is_off_by_nearly_seven_of_its_sigmas():
-    assert poses._worst("22") == pytest.approx(6.9, abs=0.02)
+    assert poses_module._worst("22") == pytest.approx(6.9, abs=0.02)
 
 
 def test_jobs_have_keys_of_their_own_and_need_no_dataset(tmp_path):
@@ -107,7 +108,7 @@ def test_jobs_have_keys_of_their_own_and_need_no_dataset(tmp_path):
 
 
 def test_a_section_says_what_was_measured(results, tmp_path):
-    section = poses.section(QUICK, results)
+    section = poses_module.section(QUICK, results)
     page = write_report(tmp_path, {"poses": (poses.TITLE, section)}, "x")[0].read_text()
     found = section.figures["table 21"]
     assert f"{found['sigma'][0]:.3f} (2.81) mm" in page
@@ -120,7 +121,7 @@ def test_a_section_says_what_was_measured(results, tmp_path):
 
 def test_the_thesis_own_camera_is_not_replaced_by_another(results):
     given = {"far-0": {"error": "no target"}, "far-1": results["far-0"], "near-0": results["near-0"]}
-    section = poses.section(QUICK, given)
+    section = poses_module.section(QUICK, given)
     table = [p for p in section.parts if isinstance(p, Table)][1]
     assert table.rows[0] == ("where the thesis' camera stands", *["failed"] * 6)
     assert table.rows[1][0] == "error, 1 cameras, 1 failed"
@@ -129,7 +130,7 @@ def test_the_thesis_own_camera_is_not_replaced_by_another(results):
 
 
 def test_numbers_that_round_to_nothing_have_no_sign(results):
-    tables = [p for p in poses.section(QUICK, results).parts if isinstance(p, Table)]
+    tables = [p for p in poses_module.section(QUICK, results).parts if isinstance(p, Table)]
     cells = " ".join(c.split(" (")[0] + " " for t in tables[:3] for row in t.rows for c in row[1:])
     assert "-0.000 " not in cells
     assert "-0.00 " not in cells
@@ -138,25 +139,25 @@ def test_numbers_that_round_to_nothing_have_no_sign(results):
 def test_signs_that_differ_from_the_thesis_are_said():
     ours = {"correlation": [[0.0] * 6 for _ in range(6)]}
     ours["correlation"][5] = [0.26, -0.11, 0.02, 0.1, -0.25, 1.0]
-    text = poses._other_signs(ours)
+    text = poses_module._other_signs(ours)
     assert "X0 (+0.26 against -0.30; table 21: +0.45) and φ0 (-0.25 against +0.34; table 21: -0.43)" in text
     assert "Y0" not in text
     assert "the thesis' own S2" in text
     ours["correlation"][5] = [-0.26, 0.0, 0.0, 0.0, 0.25, 1.0]
-    assert poses._other_signs(ours) == ""
+    assert poses_module._other_signs(ours) == ""
 
 
 def test_drawn_centres_are_said_to_give_less_than_one_where_they_do():
     key = "far, centres drawn, targets calibrated"
-    assert "keeps the mean below 1" in poses._of_drawn({key: {"chi_square": 0.9}})
-    assert "keeps the mean" not in poses._of_drawn({key: {"chi_square": 1.1}})
-    assert poses._of_drawn({}) == ""
+    assert "keeps the mean below 1" in poses_module._of_drawn({key: {"chi_square": 0.9}})
+    assert "keeps the mean" not in poses_module._of_drawn({key: {"chi_square": 1.1}})
+    assert poses_module._of_drawn({}) == ""
 
 
 def test_a_section_without_results_has_rows_that_say_so():
     failed = {j.key: {"error": "no target was seen"} for j in poses.jobs(Request(True, None))}
     for given in ({}, failed, {**failed, "far26": {"error": "no target was seen"}}):
-        section = poses.section(QUICK, given)
+        section = poses_module.section(QUICK, given)
         tables = [p for p in section.parts if isinstance(p, Table)]
         assert len(tables) >= 4
         assert all("failed" in str(t.rows) for t in tables)
