@@ -11,6 +11,7 @@ from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.experiments import renderer
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.kit.report import write_report
+from spheremouse.experiments.report import renderer as renderer_module
 from spheremouse.simulate.ball.film import default_scene
 
 FINE = 9  # parts of a pixel's side in painted ellipses
@@ -52,13 +53,13 @@ def results_of(offset, area=80.0, n=40):
 def test_blur_and_middle_of_an_edge(sigma, shift):
     at = np.arange(-2.45, 2.5, 0.1)
     share = ndtr((at - shift) / sigma)
-    assert renderer.blur_of(at, share) == pytest.approx(sigma, rel=0.02)
-    assert renderer.middle_of(at, share) == pytest.approx(shift, abs=0.01)
+    assert renderer_module.blur_of(at, share) == pytest.approx(sigma, rel=0.02)
+    assert renderer_module.middle_of(at, share) == pytest.approx(shift, abs=0.01)
 
 
 def test_edges_that_are_none_have_no_blur():
-    assert renderer.blur_of([0.0, 1.0], [0.0, 1.0]) is None
-    assert renderer.middle_of([0.0, 1.0], [0.1, 0.2]) is None
+    assert renderer_module.blur_of([0.0, 1.0], [0.0, 1.0]) is None
+    assert renderer_module.middle_of([0.0, 1.0], [0.1, 0.2]) is None
 
 
 def test_the_edge_of_painted_ellipses_is_a_pixel_wide_and_in_its_place():
@@ -68,9 +69,9 @@ def test_the_edge_of_painted_ellipses_is_a_pixel_wide_and_in_its_place():
     look = appearance(directions, scene.rig(), scene.pose)
     sums = np.zeros((2, 50))
     renderer._add_edges(sums, painted(look, (640, 480), 30.0, 200.0), look)
-    edge = renderer._profile(sums)
-    assert renderer.middle_of(*edge) == pytest.approx(0.0, abs=0.02)
-    assert renderer.blur_of(*edge) == pytest.approx(1 / np.sqrt(12), abs=0.03)
+    edge = renderer_module._profile(sums)
+    assert renderer_module.middle_of(*edge) == pytest.approx(0.0, abs=0.02)
+    assert renderer_module.blur_of(*edge) == pytest.approx(1 / np.sqrt(12), abs=0.03)
     levels = np.array(renderer._levels([painted(look, (640, 480), g, 200.0) for g in (30.0, 45.0)], look))
     assert levels == pytest.approx(np.tile([30.0, 45.0, 200.0, 200.0], (12, 1)), abs=1.0)
 
@@ -99,7 +100,7 @@ def test_a_disc_without_a_detection_is_nan():
 
 @pytest.mark.parametrize(("offset", "word"), [(0.03, "It is reached."), (0.2, "It is missed")])
 def test_a_section_says_whether_what_is_asked_is_reached(offset, word, tmp_path):
-    section = renderer.section(Request(True, tmp_path), results_of(offset))
+    section = renderer_module.section(Request(True, tmp_path), results_of(offset))
     page = write_report(tmp_path, {"renderer": (renderer.TITLE, section)}, "x")[0].read_text()
     assert word in page
     assert f"differ by {offset:.3f} px RMS" in page
@@ -113,7 +114,7 @@ def test_of_the_missed_it_is_counted_who_makes_the_difference():
     rows[:, 4] = 0.1  # ours off by that in u
     rows[:3, 4] = 1.0
     rows[12, :2] = 0.2, 80.0  # large, near the middle: reached
-    said = renderer._of_missed(rows, [{"low": 10.0, "high": 30.0}])
+    said = renderer_module._of_missed(rows, [{"low": 10.0, "high": 30.0}])
     assert "The 12 discs of the missed classes lie at 0.90" in said
     assert f"the 3 worst of them make {100 * 3.0 / 3.09:.0f} %" in said
     assert f"off the truth by 0.000 px there, ours by {np.sqrt(3.09 / 24):.3f} px" in said
@@ -122,16 +123,16 @@ def test_of_the_missed_it_is_counted_who_makes_the_difference():
 def test_where_no_disc_is_found_in_both_nothing_is_said_of_classes(tmp_path):
     given = results_of(0.03)
     given["far26-0"]["rows"] = [[0.5, 80.0, 100.0, 100.0, *[None] * 6]]
-    text = str(renderer.section(Request(True, tmp_path), given).parts)
+    text = str(renderer_module.section(Request(True, tmp_path), given).parts)
     assert "No disc was found in both." in text
     assert "missed" not in text
 
 
 def test_without_the_recording_nothing_is_done_and_that_is_said(tmp_path):
     assert renderer.jobs(Request(False, None)) == []
-    assert "not at hand" in str(renderer.section(Request(False, None), {}).parts)
+    assert "not at hand" in str(renderer_module.section(Request(False, None), {}).parts)
     failed = {j.key: {"error": "no such folder"} for j in renderer.jobs(Request(True, tmp_path))}
-    parts = renderer.section(Request(True, tmp_path), failed).parts
+    parts = renderer_module.section(Request(True, tmp_path), failed).parts
     assert "no such folder" in str(parts)
     assert not any(isinstance(p, Table) for p in parts)
 
