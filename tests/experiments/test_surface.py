@@ -9,6 +9,7 @@ import pytest
 from spheremouse.experiments import surface
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.kit.report import write_report
+from spheremouse.experiments.report import surface as surface_module
 from spheremouse.simulate.ball.film import default_scene
 
 QUICK = Request(True, None)
@@ -108,7 +109,7 @@ def test_fed_with_the_thesis_covariances_table_13_comes_out(results):
 
 
 def test_a_section_says_what_was_measured(results, tmp_path):
-    section = surface.section(QUICK, results)
+    section = surface_module.section(QUICK, results)
     page = write_report(tmp_path, {"surface": (surface.TITLE, section)}, "x")[0].read_text()
     assert f"| far | {results['cap-far']['sights']} |" in page
     assert "| near | failed |" in page  # its job is missing
@@ -120,22 +121,22 @@ def test_a_section_says_what_was_measured(results, tmp_path):
 def test_what_the_image_makes_of_the_variance_is_counted(results):
     bins = [{"angle": a, "total sigma": [t, 1.0], "image sigma": [i, 1.0]} for a, t, i in ((9, 2.0, 1.0), (69, 10, 9))]
     cap = {"bins": bins, "chi_square_image": 0.3}
-    text = surface._about_scatter({"far": cap})
+    text = surface_module._about_scatter({"far": cap})
     assert "2.00 mm at 9° from the middle, the image alone 1.00 mm: 25 % of the variance" in text
     assert "9.00 mm: 81 % of the variance" in text
     assert "claimed larger than it is (chi-square / 2: 0.30 (far)" in text
-    assert "claimed smaller" in surface._about_scatter({"far": {**cap, "chi_square_image": 1.4}})
+    assert "claimed smaller" in surface_module._about_scatter({"far": {**cap, "chi_square_image": 1.4}})
 
 
 def test_frames_are_compared_with_the_thesis_where_they_can_be():
-    assert "ours hides more from the near one" in surface._of_thesis_frame(1.35, 1.74)
-    assert surface._of_thesis_frame(1.35, 1.3) == "The thesis has 20 % more discs before its far camera."
+    assert "ours hides more from the near one" in surface_module._of_thesis_frame(1.35, 1.74)
+    assert surface_module._of_thesis_frame(1.35, 1.3) == "The thesis has 20 % more discs before its far camera."
 
 
 def test_a_section_without_results_has_rows_that_say_so():
     failed = {j.key: {"error": "the ball is gone"} for j in surface.jobs(QUICK)}
     for given in ({}, failed):
-        section = surface.section(QUICK, given)
+        section = surface_module.section(QUICK, given)
         tables = [p for p in section.parts if isinstance(p, Table)]
         assert len(tables) == 3
         assert all("failed" in str(t.rows) for t in tables)
