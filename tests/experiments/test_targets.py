@@ -11,7 +11,9 @@ from spheremouse.ball.rig import CODES
 from spheremouse.experiments import targets
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.report import write_report
-from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of, section
+from spheremouse.experiments.report import targets as targets_module
+from spheremouse.experiments.report.targets import section
+from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of
 from spheremouse.simulate.ball.film import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
@@ -115,9 +117,9 @@ def test_a_section_says_what_is_found_from_which_size_on(tmp_path):
 
 def test_the_bound_is_the_claim_of_centres_as_good_as_they_were():
     good, bad = posed(1.0, 10.0), {**posed(1.0, 10.0), "point_px": 0.3}
-    assert targets._bound([{**good, "point_px": 0.01}]) == pytest.approx(2.0)  # 0.05 px are allowed for
-    assert targets._bound([bad]) == pytest.approx(10.0)  # the claim has followed the residuals
-    assert targets._bound([{"found": 0.0, "point_px": None, "error": "none"}]) is None
+    assert targets_module._bound([{**good, "point_px": 0.01}]) == pytest.approx(2.0)  # 0.05 px are allowed for
+    assert targets_module._bound([bad]) == pytest.approx(10.0)  # the claim has followed the residuals
+    assert targets_module._bound([{"found": 0.0, "point_px": None, "error": "none"}]) is None
 
 
 def test_one_condition_is_not_all():
@@ -132,8 +134,8 @@ def test_one_condition_is_not_all():
 def test_sizes_must_be_found_from_the_advised_one_on():
     camera = given()
     camera["sizes"][key("aruco", 4, 24, "plain")]["found"] = 0.5  # a gap: what is smaller does not count
-    assert targets._least([camera], "aruco", "plain", [14, 24, 36]) == 36
-    assert targets._least([camera], "rings", "plain", [14, 24, 36]) == 24
+    assert targets_module._least([camera], "aruco", "plain", [14, 24, 36]) == 36
+    assert targets_module._least([camera], "rings", "plain", [14, 24, 36]) == 24
 
 
 def test_a_section_of_nothing_and_of_failures():
