@@ -13,7 +13,9 @@ from spheremouse.experiments.kit import sights
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import apart, save
 from spheremouse.experiments.kit.report import write_report
-from spheremouse.experiments.viewing import KINDS, jobs, points, section, thinned, tour
+from spheremouse.experiments.report import viewing as viewing_module
+from spheremouse.experiments.report.viewing import points, section
+from spheremouse.experiments.viewing import KINDS, jobs, thinned, tour
 from spheremouse.geometry.rotation import log
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
@@ -173,8 +175,8 @@ def test_the_advice_is_the_range_in_which_all_is_well():
 def test_a_range_ends_where_a_film_is_lost_and_the_longest_counts():
     rates = {r: point(0.01, KINDS["rate"].shown, lost=int(r in ("30", "240"))) for r in KINDS["rate"].whole}
     found = points({"rate-1": {"points": rates}}, KINDS["rate"])
-    assert viewing.good_range(found, "so3") == ("40", "120")
-    assert viewing.good_range({"15": [point(0.5)]}, "so3") is None
+    assert viewing_module.good_range(found, "so3") == ("40", "120")
+    assert viewing_module.good_range({"15": [point(0.5)]}, "so3") is None
 
 
 def test_where_the_rate_is_best_is_said():
