@@ -242,19 +242,4 @@ def is_lost(row: Result) -> bool:
 # ---- for a reader ----
 
 
-def films_cell(made: int, broken: int) -> str:
-    """Films behind a row of a table, and how many more failed."""
-    return f"{broken} of {made + broken} failed" if broken and made else "failed" if broken else str(made)
-
-
-CLEARLY = 1.05  # times another error
-
-
 # ---- figures ----
-
-COLOURS = {"ekf1": "C0", "ekf2": "C1", PUBLISHED: "C5", KNOWN: "C2", ESTIMATED: "C3", IGNORED: "C5", "bound": "0.5"}
-MARKS = {"ekf1": "s", "ekf2": "D", PUBLISHED: "d", KNOWN: "o", ESTIMATED: "v", IGNORED: "^"}
-DASHES = {
-    "ekf1": "-", "ekf2": (0, (5, 1.5)), PUBLISHED: (0, (1.5, 1)), KNOWN: "-", ESTIMATED: (0, (5, 1.5)),
-    IGNORED: (0, (1.5, 1)),
-}  # fmt: skip

@@ -9,7 +9,16 @@ from spheremouse.experiments.kit.world import (
     NEW,
     WHO,
 )
-from spheremouse.experiments.viewing import films_cell
+from spheremouse.experiments.viewing import ESTIMATED, IGNORED, KNOWN, PUBLISHED
+
+CLEARLY = 1.05  # times another error
+COLOURS = {"ekf1": "C0", "ekf2": "C1", PUBLISHED: "C5", KNOWN: "C2", ESTIMATED: "C3", IGNORED: "C5", "bound": "0.5"}
+MARKS = {"ekf1": "s", "ekf2": "D", PUBLISHED: "d", KNOWN: "o", ESTIMATED: "v", IGNORED: "^"}
+DASHES = {
+    "ekf1": "-", "ekf2": (0, (5, 1.5)), PUBLISHED: (0, (1.5, 1)), KNOWN: "-", ESTIMATED: (0, (5, 1.5)),
+    IGNORED: (0, (1.5, 1)),
+}  # fmt: skip
+
 
 _LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "D", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "v", "--")}
 _BESIDE = {who: 1.0 + 0.015 * k for k, who in enumerate(WHO)}  # lines that would hide each other: a little to the right
@@ -67,3 +76,8 @@ def _legend(canvas: Any, who: Sequence[str]) -> None:
     looks: list[Any] = [dict(zip(("color", "marker", "linestyle"), _LOOK[w], strict=True)) for w in who]
     handles = [Line2D([], [], label=w, **how) for w, how in zip(who, looks, strict=True)]
     canvas.legend(handles=handles, loc="outside lower center", ncols=5)
+
+
+def films_cell(made: int, broken: int) -> str:
+    """Films behind a row of a table, and how many more failed."""
+    return f"{broken} of {made + broken} failed" if broken and made else "failed" if broken else str(made)

@@ -22,15 +22,8 @@ from spheremouse.experiments.mistakes import (
     TRACKERS,
     Kind,
 )
-from spheremouse.experiments.viewing import (
-    CLEARLY,
-    COLOURS,
-    FOLLOWED,
-    films_cell,
-    is_lost,
-    label_ends,
-    plain_numbers,
-)
+from spheremouse.experiments.report.cells import CLEARLY, COLOURS, films_cell
+from spheremouse.experiments.viewing import FOLLOWED, is_lost, label_ends, plain_numbers
 
 
 def section(request: Request, results: Results) -> Section:

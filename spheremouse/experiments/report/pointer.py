@@ -25,8 +25,7 @@ from spheremouse.experiments.pointer import (
     STOPPED,
     latency,
 )
-from spheremouse.experiments.report.cells import label_lines, plain, rate_axis, those
-from spheremouse.experiments.viewing import films_cell
+from spheremouse.experiments.report.cells import films_cell, label_lines, plain, rate_axis, those
 from spheremouse.output.pointer import PointerSettings
 
 _MARKS = {NONE: ("C1", "s"), ONE: ("C3", "v"), NEXT: ("C2", "D"), DEFAULT: ("C0", "o")}
