@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from spheremouse.experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
-from spheremouse.files.yaml import write_atomically
+from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import log
 
 PAGE = Path(__file__).with_name("calibration.md")

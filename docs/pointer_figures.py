@@ -14,7 +14,7 @@ import numpy as np
 from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase
-from spheremouse.files.yaml import write_atomically
+from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.session.offline import initialise, track

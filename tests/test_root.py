@@ -23,9 +23,9 @@ from spheremouse.commands.service import systemd as service
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
 from spheremouse.files import atomic, migrate
 from spheremouse.files.as_owner import as_owner
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.folders import NewFolder
-from spheremouse.files.yaml import write_atomically
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
 from spheremouse.session.control import socket as control_socket

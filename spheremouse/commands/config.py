@@ -7,7 +7,7 @@ import typer
 
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.files import config
-from spheremouse.files.yaml import write_atomically
+from spheremouse.files.atomic import write_atomically
 
 app = typer.Typer(no_args_is_help=True, help="Show, check or write a configuration file.")
 

@@ -13,7 +13,7 @@ import typer
 from spheremouse.calibrate.outputs import check_outputs
 from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import ConfigurationError, OutputError
-from spheremouse.files.yaml import write_json
+from spheremouse.files.atomic import write_json
 from spheremouse.output.serial import firmware
 from spheremouse.output.serial.firmware import Drive, words
 

@@ -29,8 +29,9 @@ from spheremouse.calibrate.layout.search import (
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import plain_json
+from spheremouse.files.atomic import write_atomically, write_json
 from spheremouse.files.bounded import read_text
-from spheremouse.files.yaml import MAX_BYTES, read_document, write_atomically, write_json
+from spheremouse.files.yaml import MAX_BYTES, read_document
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.scene import spread_directions
 

@@ -91,14 +91,14 @@ def match(
     if json_file != Path("-"):
         _print(found, verdict, ball, trackball, after, before, radius, frames, run)
     if json_file is not None:
-        from spheremouse.files.yaml import write_json
+        from spheremouse.files.atomic import write_json
 
         write_json(json_file, figures(found, verdict, after))
     if after is None:
         raise typer.Exit(_NO_MATCH)
     quiet = json_file == Path("-")
     if out is not None:
-        from spheremouse.files.yaml import write_atomically
+        from spheremouse.files.atomic import write_atomically
 
         write_atomically(out, fragment(after, f"{recording} and {log}", verdict.text))
         if not quiet:

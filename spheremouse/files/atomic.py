@@ -10,6 +10,7 @@ through where a person named it, and by root only in a folder where nobody else 
 
 import contextlib
 import errno
+import json
 import os
 import re
 import secrets
@@ -21,7 +22,10 @@ from collections.abc import Iterator
 from io import BufferedWriter
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self
+from typing import Any, BinaryIO, Self
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.files import atomic
 
 try:
     import fcntl
@@ -326,3 +330,24 @@ def _removed(name: str, folder: int | None) -> bool:
             os.close(descriptor)
     os.unlink(name, dir_fd=folder)
     return True
+
+
+def write_json(path: Path, data: Any) -> bool:
+    """Write data as JSON, whole or not at all; to standard output for `-`. Whether it was printed."""
+    text = json.dumps(data, indent=1, allow_nan=False)
+    if path == Path("-"):
+        print(text)
+        return True
+    write_atomically(path, text + "\n")
+    return False
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file so that at any moment either the old or the new one is there, whole.
+
+    A device or a pipe is written to, never replaced: see `files.atomic`.
+    """
+    try:
+        atomic.write(path, text.encode("utf-8"))
+    except OSError as e:
+        raise ConfigurationError(f"{path}: cannot be written: {e.strerror or e}") from None

@@ -20,9 +20,10 @@ from spheremouse import __version__
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MOST_DISCS, Rig
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.migrate import converted
 from spheremouse.files.validate import validated
-from spheremouse.files.yaml import Document, Problem, read_document, shown, write_atomically
+from spheremouse.files.yaml import Document, Problem, read_document, shown
 from spheremouse.geometry.rotation import Array
 
 MAP_SCHEMA = 1

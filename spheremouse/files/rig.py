@@ -17,8 +17,9 @@ from ruamel.yaml import YAML
 from scipy.linalg import block_diag
 
 from spheremouse.ball.rig import CODES, MOST_DISCS, UNKNOWN_READOUT, Ball, Rig, Targets
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.validate import read_checked
-from spheremouse.files.yaml import SCHEMA, Key, Problem, write_atomically
+from spheremouse.files.yaml import SCHEMA, Key, Problem
 from spheremouse.geometry.camera import MAX_SIDE, InteriorOrientation, Pose, pose_from_matrix, too_large
 from spheremouse.geometry.rotation import Array
 

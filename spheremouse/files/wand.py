@@ -13,8 +13,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.validate import read_checked
-from spheremouse.files.yaml import SCHEMA, Document, Problem, write_atomically
+from spheremouse.files.yaml import SCHEMA, Document, Problem
 from spheremouse.geometry.rotation import Array, align, log
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings

@@ -4,7 +4,6 @@ Only plain data is read: mappings, lists, text, numbers, true/false, null. Tags,
 that no file can run code or blow up in memory. Problems read `FILE:LINE: key: what is wrong; what to do`.
 """
 
-import json
 import re
 from codecs import BOM_UTF8
 from collections.abc import Sequence
@@ -17,7 +16,6 @@ from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEv
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files import atomic
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.plain_json import MAX_DEPTH
 
@@ -143,27 +141,6 @@ def without_schema(document: Document) -> Document:
         text = f"is {shown(version)}; this program reads version {SCHEMA}: update one of the two"
         raise document.error([Problem(("schema",), text)])
     return Document(document.name, data, document.lines)
-
-
-def write_json(path: Path, data: Any) -> bool:
-    """Write data as JSON, whole or not at all; to standard output for `-`. Whether it was printed."""
-    text = json.dumps(data, indent=1, allow_nan=False)
-    if path == Path("-"):
-        print(text)
-        return True
-    write_atomically(path, text + "\n")
-    return False
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file so that at any moment either the old or the new one is there, whole.
-
-    A device or a pipe is written to, never replaced: see `files.atomic`.
-    """
-    try:
-        atomic.write(path, text.encode("utf-8"))
-    except OSError as e:
-        raise ConfigurationError(f"{path}: cannot be written: {e.strerror or e}") from None
 
 
 def shown(value: Any) -> str:

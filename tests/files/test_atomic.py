@@ -10,8 +10,8 @@ import pytest
 
 from spheremouse.ball.warm import _RIG
 from spheremouse.files import atomic
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.folders import clear_left_folders
-from spheremouse.files.yaml import write_atomically
 from spheremouse.session.map_keeper import MapKeeper
 from spheremouse.session.record.places import tidy
 

@@ -19,8 +19,8 @@ from spheremouse.calibrate.camera.figures import (
     _tilt_figure,
     _views_figure,
 )
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
-from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.camera import interior_vector
 from spheremouse.geometry.rotation import Array, log
 

@@ -25,8 +25,8 @@ from spheremouse.calibrate.device.results import (
 )
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
-from spheremouse.files.yaml import write_atomically
 from spheremouse.geometry.rotation import Array
 
 _MARKS = {"good": ("✓", "green"), "note": ("·", "cyan"), "warning": ("!", "red")}

@@ -12,7 +12,7 @@ import numpy as np
 from spheremouse.calibrate.layout.drawing import drawing, drawn_radius, sketch
 from spheremouse.calibrate.layout.search import CLEAR, ENOUGH, Judgement, Trials, alike
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.yaml import write_atomically
+from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import Array
 
 

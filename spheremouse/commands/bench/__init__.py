@@ -38,7 +38,7 @@ from spheremouse.commands.bench.measure import (
 )
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.yaml import write_atomically
+from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import Array
 
 _NAMES = {

@@ -10,7 +10,7 @@ from spheremouse.calibrate.outputs import check_outputs, copyable, note
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
-from spheremouse.files.yaml import write_json
+from spheremouse.files.atomic import write_json
 
 if TYPE_CHECKING:
     from spheremouse.calibrate.camera.corners import Pattern

@@ -7,8 +7,8 @@ import typer
 
 from spheremouse.calibrate.evening import default_folder, next_command
 from spheremouse.errors import CalibrationError
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.device import device_template
-from spheremouse.files.yaml import write_atomically
 
 EXAMPLE = "Example: spheremouse calibrate init cabinet"
 

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from spheremouse.calibrate.evening import Step, checklist, default_folder
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.yaml import write_atomically
+from spheremouse.files.atomic import write_atomically
 
 EXAMPLE = "Example: spheremouse calibrate next cabinet"
 

@@ -11,7 +11,7 @@ import typer
 from spheremouse.calibrate.outputs import check_outputs
 from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.files.yaml import write_json
+from spheremouse.files.atomic import write_json
 
 EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
 

@@ -23,11 +23,11 @@ from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.evaluate.table import wand_table
 from spheremouse.files import config
+from spheremouse.files.atomic import write_json
 from spheremouse.files.dataset.ball import Recording, open_dataset, read_frames
 from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.report.style import require_matplotlib
 from spheremouse.files.rig import load_camera, load_rig, with_camera
-from spheremouse.files.yaml import write_json
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.session.map_keeper import open_map
 from spheremouse.session.offline import initialise, track

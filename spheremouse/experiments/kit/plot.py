@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.kit.job import Figure
+from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report.style import require_matplotlib
-from spheremouse.files.yaml import write_atomically
 
 # ---- for a reader ----
 

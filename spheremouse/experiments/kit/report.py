@@ -6,7 +6,7 @@ from pathlib import Path
 from spheremouse import __version__
 from spheremouse.experiments.kit.job import Figure, Result, Section, Table
 from spheremouse.experiments.kit.plot import save
-from spheremouse.files.yaml import write_atomically, write_json
+from spheremouse.files.atomic import write_atomically, write_json
 
 # ---- for a reader ----
 
