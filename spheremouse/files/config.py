@@ -17,18 +17,9 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from spheremouse.errors import ConfigurationError
+from spheremouse.files.migrate import without_schema
 from spheremouse.files.validate import nearest, validated
-from spheremouse.files.yaml import (
-    SCHEMA,
-    Document,
-    Key,
-    Problem,
-    dotted,
-    parse_document,
-    parse_value,
-    read_document,
-    without_schema,
-)
+from spheremouse.files.yaml import SCHEMA, Document, Key, Problem, dotted, parse_document, parse_value, read_document
 
 S = TypeVar("S")
 

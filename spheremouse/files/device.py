@@ -15,9 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.rig import CODES
 from spheremouse.files.bounded import read_bytes
+from spheremouse.files.migrate import without_schema
 from spheremouse.files.rig import Code
 from spheremouse.files.validate import validated
-from spheremouse.files.yaml import MAX_BYTES, SCHEMA, Document, Problem, read_document, without_schema
+from spheremouse.files.yaml import MAX_BYTES, SCHEMA, Document, Problem, read_document
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 

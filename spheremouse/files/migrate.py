@@ -18,7 +18,7 @@ from ruamel.yaml.representer import RoundTripRepresenter
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import open_to_read, replace
-from spheremouse.files.yaml import MAX_BYTES, Document, Problem, parse_bytes, parse_document
+from spheremouse.files.yaml import MAX_BYTES, SCHEMA, Document, Problem, parse_bytes, parse_document, shown
 
 Step = Callable[[MutableMapping[str, Any]], None]
 
@@ -205,3 +205,20 @@ def _copied(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _copied(v) for k, v in value.items()}
     return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value
+
+
+def without_schema(document: Document) -> Document:
+    """The document less its `schema` key, which must be the version this program reads."""
+    if not isinstance(document.data, dict):
+        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {SCHEMA}`")])
+    pass
+
+    document = converted(document)
+    data = dict(document.data)
+    version = data.pop("schema", None)
+    if version is None:
+        raise document.error([Problem((), f"schema: missing; write `schema: {SCHEMA}` as the first line")])
+    if version is True or version != SCHEMA:
+        text = f"is {shown(version)}; this program reads version {SCHEMA}: update one of the two"
+        raise document.error([Problem(("schema",), text)])
+    return Document(document.name, data, document.lines)

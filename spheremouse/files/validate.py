@@ -12,17 +12,8 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from spheremouse.files.yaml import (
-    MAX_PROBLEMS,
-    Document,
-    Key,
-    Problem,
-    dotted,
-    one_line,
-    read_document,
-    shown,
-    without_schema,
-)
+from spheremouse.files.migrate import without_schema
+from spheremouse.files.yaml import MAX_PROBLEMS, Document, Key, Problem, dotted, one_line, read_document, shown
 
 M = TypeVar("M", bound=BaseModel)
 

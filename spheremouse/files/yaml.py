@@ -126,23 +126,6 @@ def parse_value(text: str, name: str) -> Any:
     return parse_document(text, name).data if text.strip() and not text.lstrip().startswith("#") else None
 
 
-def without_schema(document: Document) -> Document:
-    """The document less its `schema` key, which must be the version this program reads."""
-    if not isinstance(document.data, dict):
-        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {SCHEMA}`")])
-    from spheremouse.files.migrate import converted  # late: it reads and writes by this module
-
-    document = converted(document)
-    data = dict(document.data)
-    version = data.pop("schema", None)
-    if version is None:
-        raise document.error([Problem((), f"schema: missing; write `schema: {SCHEMA}` as the first line")])
-    if version is True or version != SCHEMA:
-        text = f"is {shown(version)}; this program reads version {SCHEMA}: update one of the two"
-        raise document.error([Problem(("schema",), text)])
-    return Document(document.name, data, document.lines)
-
-
 def shown(value: Any) -> str:
     """A value as a message quotes it."""
     if value is None:
