@@ -32,9 +32,10 @@ def log_mouse(
     are there they are listed. Ends with Ctrl-C, after --seconds, or when the mouse is unplugged; what came until then
     is in the file.
     """
-    from spheremouse.capture.mouse import MOST, Listener, LogFile, choose, mice
+    from spheremouse.capture.mouse import Listener, choose, mice
     from spheremouse.capture.stopping import Stopping
     from spheremouse.errors import SourceError
+    from spheremouse.files.mouse_log import MOST, LogFile
 
     if not sys.platform.startswith("linux"):
         raise SourceError("log-mouse: reads the event devices of Linux; on other systems there are none")

@@ -57,9 +57,9 @@ def match(
     missing. Says how well the two agree, and the settings with which the pointer moves as the trackball moved it.
     Exit codes: 0 they agree, 1 they do not, or the ball was not moved enough; 2 unusable input.
     """
-    from spheremouse.capture.mouse import read_log
     from spheremouse.evaluate.trackball import match as core
     from spheremouse.evaluate.trackball.match_verdict import judge, settings_of
+    from spheremouse.files.mouse_log import read_log
     from spheremouse.session.plan import Request, read_plan
 
     _check_outputs(out, force, json_file)

@@ -6,10 +6,10 @@ import shutil
 import numpy as np
 import pytest
 
-from spheremouse.capture.mouse import read_log, write_log
 from spheremouse.commands import match as cli_match
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.files.mouse_log import read_log, write_log
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.ball.profile import play

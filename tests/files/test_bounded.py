@@ -16,7 +16,6 @@ from oversized import mkv, png, sparse
 
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.capture import open_source
-from spheremouse.capture.mouse import read_log
 from spheremouse.commands.options import parse_size
 from spheremouse.commands.wand import _image
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
@@ -24,6 +23,7 @@ from spheremouse.files import bounded, pictures, plain_json, tables, validate
 from spheremouse.files import yaml as yaml_file
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.wand import is_wand
+from spheremouse.files.mouse_log import read_log
 from spheremouse.files.rig import load_camera
 from spheremouse.session.control import protocol
 

@@ -13,18 +13,9 @@ from hypothesis import strategies as st
 
 from spheremouse import commands as cli
 from spheremouse.capture import mouse as mouse_log
-from spheremouse.capture.mouse import (
-    Assembler,
-    Listener,
-    LogFile,
-    Mouse,
-    MouseReport,
-    choose,
-    mice,
-    read_log,
-    write_log,
-)
+from spheremouse.capture.mouse import Assembler, Listener, Mouse, choose, mice
 from spheremouse.errors import DatasetError, SourceError
+from spheremouse.files.mouse_log import LogFile, MouseReport, read_log, write_log
 from spheremouse.simulate.ball.trackball import MouseLog
 
 SYN, REL, KEY = 0, 2, 1

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.capture import open_source
-from spheremouse.capture.mouse import read_log
 from spheremouse.commands.wand import _image
 from spheremouse.files import config, plain_json
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.wand import is_wand, open_wand
+from spheremouse.files.mouse_log import read_log
 from spheremouse.files.rig import load_camera
 from tests.fuzz.targets import file, refused, target
 from tests.oversized import bmp, jpeg, mkv, png, sparse, tiff

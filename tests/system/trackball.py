@@ -10,8 +10,9 @@ from contextlib import contextmanager, suppress
 import numpy as np
 import pytest
 
-from spheremouse.capture.mouse import Listener, choose, mice, read_log
+from spheremouse.capture.mouse import Listener, choose, mice
 from spheremouse.errors import SourceError
+from spheremouse.files.mouse_log import read_log
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes
