@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from spheremouse.evaluate.trackball.lag import Turning
     from spheremouse.evaluate.trackball.match import Match
     from spheremouse.evaluate.trackball.match_verdict import Verdict
+    from spheremouse.files.mouse_log import MouseLog
     from spheremouse.output.counts import MotionSettings
     from spheremouse.session.plan import Plan
-    from spheremouse.simulate.ball.trackball import MouseLog
     from spheremouse.tracker import Frame
 
 _NO_MATCH = 1  # exit code

@@ -16,9 +16,9 @@ from spheremouse.evaluate.trackball.match import match, turning
 from spheremouse.experiments.kit import r1, sights
 from spheremouse.experiments.kit.film import TRACKERS, Film, made, options_of, settings_of, taken, tracked
 from spheremouse.experiments.kit.job import Job, Request, Result
+from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import prepare
-from spheremouse.simulate.ball.trackball import MouseLog
 
 TITLE = "Filter models (Wittich 2017, table 19, figs. 35 to 37)"
 

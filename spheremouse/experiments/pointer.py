@@ -16,12 +16,12 @@ from spheremouse.evaluate.trackball.lag import Turning, search, travel
 from spheremouse.experiments.kit.film import settings_of
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
+from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion, Remainder, to_counts
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
-from spheremouse.simulate.ball.trackball import MouseLog
 from spheremouse.tracker import Frame
 
 TITLE = "The pointer between frames: delay, distance, smoothness, overshoot"

@@ -16,7 +16,13 @@ from spheremouse.files.atomic import NewFile
 from spheremouse.files.bounded import lines, opened
 
 if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
-    from spheremouse.simulate.ball.trackball import MouseLog
+    pass
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.geometry.rotation import Array
 
 COLUMNS = ("t", "dx", "dy", "wheel", "lost")
 MOST = 5_000_000  # reports of a log: 80 minutes at 1000 Hz, 150 MB
@@ -107,7 +113,7 @@ def read_log(path: Path) -> "MouseLog":
     """Read a log; DatasetError says file and line. Columns wheel and lost may be missing, # lines are passed over."""
     import numpy as np
 
-    from spheremouse.simulate.ball.trackball import MouseLog
+    pass
 
     rows, first, last, count = array("d"), 0.0, -math.inf, 0
     places: list[int] = []
@@ -185,3 +191,16 @@ def _number(path: Path, number: int, text: str, column: str) -> float:
     if not math.isfinite(value) or (column != "t" and abs(value) > _MOST_COUNTS):
         raise DatasetError(f"{path}:{number}: {column}: {text[:40]!r} is not a number that can be")
     return value
+
+
+@dataclass(frozen=True, slots=True)
+class MouseLog:
+    """Reports of a mouse. The first and the last may be empty: they say from when to when it was listened to."""
+
+    stamp: Array  # (n,) s, of the log's clock; not decreasing
+    counts: Array  # (n, 2), x and y
+    wheel: Array  # (n,) notches
+    lost: NDArray[np.bool_]  # (n,) reports between the one before and this one are known to be lost
+
+    def __len__(self) -> int:
+        return len(self.stamp)

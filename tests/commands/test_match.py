@@ -9,11 +9,11 @@ import pytest
 from spheremouse.commands import match as cli_match
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset
-from spheremouse.files.mouse_log import read_log, write_log
+from spheremouse.files.mouse_log import MouseLog, read_log, write_log
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.ball.profile import play
-from spheremouse.simulate.ball.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
+from spheremouse.simulate.ball.trackball import Trackball, rate_of, simulate_log, trackball_matrix
 from spheremouse.simulate.to_dataset import write_simulation
 
 MATRIX = trackball_matrix(-480.0, 480.0)

@@ -15,8 +15,7 @@ from spheremouse import commands as cli
 from spheremouse.capture import mouse as mouse_log
 from spheremouse.capture.mouse import Assembler, Listener, Mouse, choose, mice
 from spheremouse.errors import DatasetError, SourceError
-from spheremouse.files.mouse_log import LogFile, MouseReport, read_log, write_log
-from spheremouse.simulate.ball.trackball import MouseLog
+from spheremouse.files.mouse_log import LogFile, MouseLog, MouseReport, read_log, write_log
 
 SYN, REL, KEY = 0, 2, 1
 X, Y, WHEEL = 0, 1, 8

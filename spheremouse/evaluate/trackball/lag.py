@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate
 
+from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.trackball import MouseLog
 
 GRID = 0.02  # s, resolution of the search
 _BAND = 5  # steps of the grid: means over 0.1 s, which hands hardly go beyond

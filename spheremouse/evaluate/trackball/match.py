@@ -20,8 +20,8 @@ from scipy.linalg import cholesky_banded, solve_banded
 
 from spheremouse.evaluate.metrics import Run, pearson
 from spheremouse.evaluate.trackball.lag import Peak, Travel, Turning, search, travel
+from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
-from spheremouse.simulate.ball.trackball import MouseLog
 
 INTERVAL = 0.1  # s
 _LONGEST = 0.5  # s between two frames; beyond that nobody knows what a hand did

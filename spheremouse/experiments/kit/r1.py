@@ -14,10 +14,11 @@ from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.metrics import Run, pearson, surface_travel
 from spheremouse.evaluate.trackball.lag import travel
 from spheremouse.experiments.kit.film import Film, made, options_of
+from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.profile import Profile, play
-from spheremouse.simulate.ball.trackball import MouseLog, Trackball, simulate_log, trackball_matrix
+from spheremouse.simulate.ball.trackball import Trackball, simulate_log, trackball_matrix
 
 PACE = 0.5  # of `play`: at its full pace the published filters lose the ball too often for what R1 shows (`filters`)
 SECONDS = 30.0  # s

@@ -13,24 +13,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from spheremouse.ball.truth import Truth
+from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
 
 _STEP = 1e-3  # s, of the integration
 
 Rate = Callable[[Array], Array]  # times (n,) s -> w_obj (n, 3) rad/s, as `Profile.rate`
-
-
-@dataclass(frozen=True, slots=True)
-class MouseLog:
-    """Reports of a mouse. The first and the last may be empty: they say from when to when it was listened to."""
-
-    stamp: Array  # (n,) s, of the log's clock; not decreasing
-    counts: Array  # (n, 2), x and y
-    wheel: Array  # (n,) notches
-    lost: NDArray[np.bool_]  # (n,) reports between the one before and this one are known to be lost
-
-    def __len__(self) -> int:
-        return len(self.stamp)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,11 @@ from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.trackball.lag import Turning, search, travel
 from spheremouse.evaluate.trackball.match import match, reproduced
 from spheremouse.evaluate.trackball.match_verdict import Kind, axes_of, judge, settings_of
+from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.output.counts import MotionSettings
 from spheremouse.simulate.ball.profile import Gestures, play, stroke
-from spheremouse.simulate.ball.trackball import MouseLog, Trackball, rate_of, simulate_log, trackball_matrix
+from spheremouse.simulate.ball.trackball import Trackball, rate_of, simulate_log, trackball_matrix
 
 FPS, RADIUS = 30.0, 0.6
 BEGIN = 5000.0  # s, of the frames' clock
