@@ -17,7 +17,8 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import Rig
-from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project, project_circle
+from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, exp, hat, log
 from spheremouse.settings import PART, PIXELS, SECONDS, SIGMA_PX, param
 

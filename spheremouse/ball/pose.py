@@ -18,15 +18,8 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import MOST, TargetDetections
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import PoseError
-from spheremouse.geometry.camera import (
-    Pose,
-    ellipse_to_pixel,
-    project,
-    project_circle,
-    project_sphere,
-    reduced_to_pixel,
-    unproject,
-)
+from spheremouse.geometry.camera import Pose, project, reduced_to_pixel, unproject
+from spheremouse.geometry.conics import ellipse_to_pixel, project_circle, project_sphere
 from spheremouse.geometry.rotation import Array, exp, hat
 from spheremouse.settings import SHARE, SIGMA_PX, param
 

@@ -24,7 +24,7 @@ from spheremouse.experiments.viewing import (
     moved,
     suited,
 )
-from spheremouse.geometry.camera import project_sphere
+from spheremouse.geometry.conics import project_sphere
 from spheremouse.geometry.rotation import Array, log
 
 TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.geometry.camera import InteriorOrientation, project, project_sphere
+from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.conics import project_sphere
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand import limb

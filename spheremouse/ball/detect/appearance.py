@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.rig import Rig
-from spheremouse.geometry.camera import Pose, distorted, sphere_outline
+from spheremouse.geometry.camera import Pose, distorted
+from spheremouse.geometry.conics import sphere_outline
 from spheremouse.geometry.rotation import Array
 
 _CORNERS = 24  # of the polygon that stands for a distorted outline

@@ -17,13 +17,12 @@ from spheremouse.ball.device import Device
 from spheremouse.geometry.camera import (
     InteriorOrientation,
     Pose,
-    ellipse_to_pixel,
     interior_jacobian,
     interior_vector,
     project,
-    project_circle,
     with_interior,
 )
+from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.least_squares.adjust import Adjusted, Jacobian, adjust, cofactors
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian
 

@@ -8,12 +8,8 @@ from scipy.optimize import least_squares
 from spheremouse.ball.device import Device
 from spheremouse.calibrate.rolling.axes import _PLACE, _RIM, _SIZE, Axes, Parts, _by_lens, _jacobian
 from spheremouse.errors import CalibrationError
-from spheremouse.geometry.camera import (
-    InteriorOrientation,
-    ellipse_to_pixel,
-    project_circle,
-    unproject,
-)
+from spheremouse.geometry.camera import InteriorOrientation, unproject
+from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array, log
 
 

@@ -23,7 +23,8 @@ from spheremouse.ball.state import Phase, Tracker, TrackState, current
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 from spheremouse.files.folders import NewFolder
-from spheremouse.geometry.camera import Pose, ellipse_to_pixel, project_circle
+from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import Epoch
 

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, ball_outline, largest_disc
 from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.geometry.camera import InteriorOrientation, Pose, ellipse_to_pixel, project, project_circle
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 
 NO_TARGETS = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3))
 STRONG = InteriorOrientation(1920, 1080, 1404.0, 1390.0, 967.0, 540.0, np.array([-0.4, 0.2, 2e-3, -1e-3, -0.05]))

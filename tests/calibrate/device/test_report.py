@@ -19,7 +19,7 @@ from spheremouse.commands.calibrate.device import device_text
 from spheremouse.errors import ConfigurationError
 from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.files.report import page
-from spheremouse.geometry.camera import ellipse_to_pixel, project_sphere
+from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
 
