@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.associate import assign, identify
+from spheremouse.ball.associate import identify
 from spheremouse.ball.disc_map import DiscMap
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, align, tangent_basis
 
 _LEAST, _MOST = 0.005, 0.05  # rad: a disc nearer to its old place has stayed (3 mm on the ball); farther, it has not

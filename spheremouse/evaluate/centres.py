@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.associate import assign
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
 
 # px. A detection this near to a disc's centre is that disc: centres are good to a tenth of a pixel, or to one where a

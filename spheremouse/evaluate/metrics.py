@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.associate import assign
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Phase
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import MATCH, distances, measured
 from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, log
 
 MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.associate import assign
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.truth import VISIBLE, Truth
@@ -23,6 +22,7 @@ from spheremouse.evaluate.centres import MATCH, Sight, distances
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.geometry.camera import project
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene, prepare
 from spheremouse.simulate.ball.profile import thesis

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.associate import assign
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import disc_detector
@@ -22,6 +21,7 @@ from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.thesis import THESIS_TABLES, calibrated_rig
 from spheremouse.geometry.camera import Pose
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, tangent_basis, to_euler
 from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, Scene, View, default_scene
 from spheremouse.simulate.ball.hands import draw_hand, place_hand

@@ -12,7 +12,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from spheremouse.ball.associate import assign, common_rotation, identify
+from spheremouse.ball.associate import common_rotation, identify
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import exp, log
 
 CAMERA = np.array([0.0, 0.0, 1.0])

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.ball.associate import assign
 from spheremouse.experiments import limits
 from spheremouse.experiments.kit import world as world_module
 from spheremouse.experiments.kit.job import Figure, Request, Table
@@ -13,6 +12,7 @@ from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.kit.world import NEW, RATES, WHO, SpedUp, world
 from spheremouse.experiments.limits import ACCELERATIONS, COVERS, FASTEST, TRACKERS, Trial, jobs, section
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.associate import assign
 from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
 from spheremouse.ball.filters.so3_settings import So3Settings, _squares, _usual, usual_acceleration
 from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
+from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
 
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
