@@ -1,6 +1,7 @@
 """Assignment of one to one."""
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.constellation import hypotheses as kernel
@@ -18,3 +19,70 @@ def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]
     column = kernel.match(np.where(worth > 0.0, worth, -1.0))  # nan: no pair
     rows = np.flatnonzero(column >= 0)
     return rows, column[rows]
+
+
+@njit(cache=True)
+def match(worth: Array) -> NDArray[np.intp]:
+    """One-to-one pairs of greatest total worth: for each row of `worth`, (n, m), its column, or -1.
+
+    A row may stay alone for 0. Where the best columns of all rows differ, that is it.
+    """
+    n, m = worth.shape
+    column = np.full(n, -1)
+    taken = np.zeros(m, dtype=np.bool_)
+    for i in range(n):
+        j = int(np.argmax(worth[i]))
+        if worth[i, j] <= 0.0:
+            continue
+        if taken[j]:
+            wanted = np.array([c for c in range(m) if worth[:, c].max() > 0.0])
+            return _augment(worth, wanted)
+        taken[j] = True
+        column[i] = j
+    return column
+
+
+@njit(cache=True)
+def _augment(worth: Array, wanted: NDArray[np.intp]) -> NDArray[np.intp]:
+    """`match` by shortest augmenting paths (Kuhn 1955, Munkres 1957), among the columns `wanted` and one spare a row.
+
+    Rows and columns count from 1 here; column 0 holds the row that is being placed.
+    """
+    n, k = len(worth), len(wanted)
+    width = k + n + 1
+    u, v = np.zeros(n + 1), np.zeros(width)
+    owner, before = np.zeros(width, dtype=np.intp), np.zeros(width, dtype=np.intp)
+    least, used = np.empty(width), np.empty(width, dtype=np.bool_)
+    for row in range(1, n + 1):
+        owner[0] = row
+        here = 0
+        least[:] = np.inf
+        used[:] = False
+        while owner[here] != 0 or here == 0:
+            used[here] = True
+            i = owner[here]
+            step, following = np.inf, 0
+            for j in range(1, width):
+                if used[j]:
+                    continue
+                cost = -max(0.0, worth[i - 1, wanted[j - 1]]) if j <= k else 0.0
+                reduced = cost - u[i] - v[j]
+                if reduced < least[j]:
+                    least[j], before[j] = reduced, here
+                if least[j] < step:
+                    step, following = least[j], j
+            for j in range(width):
+                if used[j]:
+                    u[owner[j]] += step
+                    v[j] -= step
+                else:
+                    least[j] -= step
+            here = following
+        while here != 0:
+            owner[here] = owner[before[here]]
+            here = before[here]
+    column = np.full(n, -1)
+    for j in range(1, k + 1):
+        if owner[j] > 0 and worth[owner[j] - 1, wanted[j - 1]] > 0.0:
+            column[owner[j] - 1] = wanted[j - 1]
+    return column

@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.ball.constellation.hypotheses import _STEPS, Law, match
+from spheremouse.ball.constellation.hypotheses import _STEPS, Law
+from spheremouse.geometry.matching import match
 from spheremouse.geometry.rotation import Array
 
 

@@ -13,6 +13,7 @@ from scipy.stats import multivariate_normal
 from spheremouse.ball.constellation import evidence
 from spheremouse.ball.constellation import hypotheses as kernel
 from spheremouse.ball.constellation.identify import Model, attitude
+from spheremouse.geometry import matching
 from spheremouse.geometry.rotation import align, exp, log, tangent_basis
 
 CAMERA = np.array([0.0, 0.0, 1.0])
@@ -67,7 +68,7 @@ def test_matches_are_worth_the_most(seed):
     worth = rng.normal(size=(n, m)) + (1.0 if seed % 2 else -0.5)
     if seed % 3 == 0:
         worth = np.round(worth)  # ties
-    column = kernel.match(worth)
+    column = matching.match(worth)
     rows = np.flatnonzero(column >= 0)
     assert len(set(column[rows])) == len(rows)
     gain = np.maximum(worth, 0.0)
