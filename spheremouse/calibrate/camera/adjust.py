@@ -33,7 +33,8 @@ from spheremouse.calibrate.camera.bundle import (
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_vector
-from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors, redundancy, snooped, variance_factors
+from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors
+from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
 from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 
 MIN_VIEWS = 3

@@ -25,7 +25,7 @@ from spheremouse.calibrate.device.what_if import (
     with_photos,
 )
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.least_squares.adjust import redundancy
+from spheremouse.geometry.least_squares.reliability import redundancy
 from spheremouse.geometry.rotation import Array
 
 WORTH = 1.3  # times better: less is not worth the way

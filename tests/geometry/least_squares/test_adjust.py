@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.stats import chi2
 
-from spheremouse.geometry.least_squares.adjust import adjust, cofactors, redundancy, snooped, variance_factors
+from spheremouse.geometry.least_squares.adjust import adjust, cofactors
+from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
 
 
 def linear(rng, n=40, u=5, sigma=0.1):
