@@ -12,6 +12,7 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Motion, Remainder, to_counts
+from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
 from spheremouse.wand.course import between
 from spheremouse.wand.track import WandPhase, WandPose
@@ -154,3 +155,32 @@ def _is_leap(before: Held, after: Held, settings: PointingSettings) -> bool:
     way = between(before.position, before.rotation, after.position, after.rotation)
     reach = np.repeat([settings.fastest * dt, settings.fastest_turn * dt], 3)
     return bool(dt <= 0.0 or (np.abs(way) > reach + _NOISE * np.sqrt(before.variance + after.variance)).any())
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What a frame adds to the pointer."""
+
+    motion: Motion
+    rate: tuple[float, float, float]  # counts/s
+    holds: bool  # the ball was seen: the rate may be carried on
+
+
+class Hand:
+    """Motion of the pointer from the epochs of a run, as they come."""
+
+    def __init__(self, settings: PointingSettings, points: int = 0) -> None:
+        """`points` is the index of the ball that moves the pointer."""
+        self._settings, self._points = settings, points
+        self._pointing = Pointing()
+
+    def move(self, epoch: WandEpoch) -> Moved:
+        """The next one."""
+        pose, velocity = epoch.poses[self._points], epoch.state.tracks[self._points].velocity
+        self._pointing, motion = point(self._pointing, pose, velocity, epoch.frame.stamp, self._settings)
+        holds = pose.seen and pose.phase is WandPhase.TRACKING
+        return Moved(motion, pointing_rate(velocity, self._settings) if holds else (0.0, 0.0, 0.0), holds)
+
+    def interrupted(self) -> None:
+        """No frames came for a while: nothing moves to where the ball is next seen."""
+        self._pointing = begun_anew(self._pointing)

@@ -14,13 +14,14 @@ from pathlib import Path
 from spheremouse.capture import Source
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import SourceError, SpheremouseError
+from spheremouse.output.hand import Hand, Moved
 from spheremouse.session.cameras import is_camera, opener, refuse_if_taken
 from spheremouse.session.overlay.ball import OverlayFile
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.plan import Plan, Request
 from spheremouse.session.screen import Tally
 from spheremouse.session.wand.messages import Told
-from spheremouse.session.wand.offline import Hand, Moved, WandEpoch, track_wand
+from spheremouse.session.wand.offline import WandEpoch, track_wand
 from spheremouse.session.wand.plan import Outputs, open_given, wand_outputs, wand_tracker
 from spheremouse.session.wand.screen import WandBoard
 from spheremouse.session.wand.service import WandLive

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 from spheremouse.errors import SourceError
 from spheremouse.geometry.rotation import Array
-from spheremouse.output.counts import Motion
-from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate
 from spheremouse.session.offline import told_why
 from spheremouse.tracker import Frame
-from spheremouse.wand.track import WandPhase, WandPose, WandState, WandTracker, begin, step
+from spheremouse.wand.track import WandPose, WandState, WandTracker, begin, step
 from spheremouse.wand.warm import warm_up
 
 _NO_HUE = ("dark", "light")  # colours that grey frames show as well
@@ -29,35 +27,6 @@ class WandEpoch:
     poses: tuple[WandPose, ...]
     state: WandState
     seconds: float  # wall time of the step
-
-
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """What a frame adds to the pointer."""
-
-    motion: Motion
-    rate: tuple[float, float, float]  # counts/s
-    holds: bool  # the ball was seen: the rate may be carried on
-
-
-class Hand:
-    """Motion of the pointer from the epochs of a run, as they come."""
-
-    def __init__(self, settings: PointingSettings, points: int = 0) -> None:
-        """`points` is the index of the ball that moves the pointer."""
-        self._settings, self._points = settings, points
-        self._pointing = Pointing()
-
-    def move(self, epoch: WandEpoch) -> Moved:
-        """The next one."""
-        pose, velocity = epoch.poses[self._points], epoch.state.tracks[self._points].velocity
-        self._pointing, motion = point(self._pointing, pose, velocity, epoch.frame.stamp, self._settings)
-        holds = pose.seen and pose.phase is WandPhase.TRACKING
-        return Moved(motion, pointing_rate(velocity, self._settings) if holds else (0.0, 0.0, 0.0), holds)
-
-    def interrupted(self) -> None:
-        """No frames came for a while: nothing moves to where the ball is next seen."""
-        self._pointing = begun_anew(self._pointing)
 
 
 def make_wand_ready() -> None:

@@ -19,13 +19,14 @@ from spheremouse.capture.owned import Owned
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.output.counts import Motion
+from spheremouse.output.hand import Hand, Moved
 from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing
 from spheremouse.session.process import realtime, threads
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import Told
-from spheremouse.session.wand.offline import Hand, Moved, WandEpoch, check_wand_frame, make_wand_ready
+from spheremouse.session.wand.offline import WandEpoch, check_wand_frame, make_wand_ready
 from spheremouse.session.wand.plan import Outputs
 from spheremouse.tracker import Frame
 from spheremouse.wand.track import WandState, WandTracker, begin, step
