@@ -10,6 +10,7 @@ from collections.abc import Callable
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import options
 from spheremouse.output import Output, desktop, serial, uinput
+from spheremouse.output.serial import ports as ports_module
 
 THIRD = ("none", "wheel")  # what all of them can
 
@@ -37,8 +38,8 @@ def _uinput(given: str) -> tuple[str, Output]:
 
 
 def _board(given: str) -> tuple[str, Output]:
-    ports = serial.ports_here()
-    port = serial.find_board(ports=ports, adapters=False)
+    ports = ports_module.ports_here()
+    port = ports_module.find_board(ports=ports, adapters=False)
     number = next((p.serial_number for p in ports if p.device == port), None)
     # By its number, so that it is found again at another port.
     where = f"auto,id={number}" if number else port

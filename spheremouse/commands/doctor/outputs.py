@@ -45,7 +45,7 @@ def uinput(node: Path = UINPUT) -> Finding:
 
 def serial(argument: str) -> Finding:
     """The board, by what it says of itself, and its port."""
-    from spheremouse.output.serial import find_board
+    from spheremouse.output.serial.ports import find_board
 
     name, _, rest = argument.partition(",")
     identifier = next((p.partition("=")[2] for p in rest.split(",") if p.startswith("id=")), None)
@@ -91,7 +91,7 @@ def _own_board() -> Finding:
     """A board that says it is ours; an adapter may be anything."""
     from serial.tools import list_ports
 
-    from spheremouse.output.serial import PRODUCT
+    from spheremouse.output.serial.ports import PRODUCT
 
     try:
         ours = [p for p in list_ports.comports() if PRODUCT in f"{p.product} {p.serial_number}".lower()]

@@ -15,9 +15,11 @@ from spheremouse.errors import OutputError
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
 from spheremouse.output.counts import Motion
-from spheremouse.output.serial import Serial, find_board
+from spheremouse.output.serial import Serial
+from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.link import STOP, Flags, encode
+from spheremouse.output.serial.ports import find_board
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402
@@ -285,9 +287,9 @@ def test_a_board_comes_back_whatever_goes_wrong_meanwhile(board, monkeypatch):
 
 def test_a_port_that_goes_away_at_once_is_an_output_error(board, monkeypatch):
     def gone(self, data):
-        raise output_module.PortGoneError("Input/output error")
+        raise ports_module.PortGoneError("Input/output error")
 
-    monkeypatch.setattr(output_module.Port, "write", gone)
+    monkeypatch.setattr(ports_module.Port, "write", gone)
     assert "the port went away (Input/output error); plug the board in again" in refused(f"serial:{board.port}")
 
 
@@ -301,7 +303,7 @@ def test_ports_that_change_while_they_are_listed(monkeypatch):
 
 def test_sending_does_not_wait_for_a_port_that_closes_slowly(board, monkeypatch):
     """Systems drain a port that is closed, for up to 30 s."""
-    closing, close = threading.Event(), output_module.Port.close
+    closing, close = threading.Event(), ports_module.Port.close
     slow = threading.Event()
 
     def drain(self):
@@ -312,7 +314,7 @@ def test_sending_does_not_wait_for_a_port_that_closes_slowly(board, monkeypatch)
     def finding(n):
         raise OutputError("gone")
 
-    monkeypatch.setattr(output_module.Port, "close", drain)
+    monkeypatch.setattr(ports_module.Port, "close", drain)
     output, _ = returning(board, finding)
     assert closing.wait(10.0)
     sender = threading.Thread(target=lambda: output.send(motion(1)), daemon=True)
@@ -328,9 +330,9 @@ def test_a_stop_after_half_a_frame_arrives(board, monkeypatch):
     assert isinstance(output, Serial)
     output.hold(1)
     until(lambda: board.buttons == 1)
-    write = output_module.Port.write
+    write = ports_module.Port.write
     monkeypatch.setattr(output_module, "_FLUSH", 10.0)  # however busy the machine is
-    monkeypatch.setattr(output_module.Port, "write", lambda port, data: write(port, data[:5]))  # a line that is full
+    monkeypatch.setattr(ports_module.Port, "write", lambda port, data: write(port, data[:5]))  # a line that is full
     with output._lock:
         output._over.set()  # the thread writes no more
     output._thread.join()
