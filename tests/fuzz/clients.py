@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.desk import MOST, Asked, Desk
+from spheremouse.session.control.limits import Limits
 from spheremouse.session.control.protocol import Request
 from spheremouse.session.control.reply import Reply
-from spheremouse.session.control.server import ControlServer, Limits
+from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.process.threads import Crew
 from tests.fuzz.targets import target

@@ -9,10 +9,11 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from spheremouse.session.control.client import Client
+from spheremouse.session.control.limits import Limits
 from spheremouse.session.control.protocol import COMMANDS, BadRequestError, encode
 from spheremouse.session.control.protocol import parse as parse_request
 from spheremouse.session.control.protocol import refused as refused_reply
-from spheremouse.session.control.server import ControlServer, Limits
+from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.settings import ControlSettings
 from tests.fuzz.strategies import mutated, mutated_json, words
 from tests.fuzz.targets import target

@@ -27,8 +27,9 @@ from spheremouse.session.control import places, protocol
 from spheremouse.session.control import server as control
 from spheremouse.session.control import socket as control_socket
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
+from spheremouse.session.control.limits import Limits
 from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, Request, StatusReport, encode, parse
-from spheremouse.session.control.server import ControlServer, Limits
+from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.control.socket import Peer
 
