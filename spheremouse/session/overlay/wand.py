@@ -11,7 +11,7 @@ import numpy as np
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.conics import sphere_outline
 from spheremouse.geometry.rotation import Array, tangent_basis
-from spheremouse.session.overlay.ball import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
+from spheremouse.session.overlay.pen import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
 from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall

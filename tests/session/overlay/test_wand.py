@@ -13,7 +13,7 @@ from spheremouse.files.wand import save_wand
 from spheremouse.geometry.camera import InteriorOrientation, unproject
 from spheremouse.geometry.conics import sphere_outline
 from spheremouse.geometry.rotation import exp
-from spheremouse.session.overlay.ball import GREEN, WHITE
+from spheremouse.session.overlay.pen import GREEN, WHITE
 from spheremouse.session.overlay.wand import WandOverlay, pin, rims
 from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.simulate.to_dataset import write_wand

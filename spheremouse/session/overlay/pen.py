@@ -1,0 +1,135 @@
+"""Marks on a picture: lines, ellipses and letters that can be seen on any ground."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.geometry.rotation import Array
+
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]  # blue, green, red
+WHITE, GREEN, RED, BLUE, OUTLINE = (255, 255, 255), (90, 220, 60), (40, 40, 255), (230, 150, 60), (200, 200, 120)  # BGR
+SHADOW = (40, 40, 40)
+_SHIFT = 4  # fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel
+_EPOCHS = 15  # epochs that fade: half a second
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A target as it is drawn."""
+
+    code: str
+    centre: Array  # (2,) px
+    shape: Array  # (2, 2) px², of the outer ring
+
+
+def canvas_of(image: Image, scale: int) -> Image:
+    """A copy of a frame, grey or BGR, in colour and enlarged."""
+    canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    if scale != 1:
+        canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    return np.ascontiguousarray(canvas, dtype=np.uint8)
+
+
+class Pen:
+    """Draws in the frame's pixels on a canvas `scale` times as large. Lines that leave the picture are cut."""
+
+    def __init__(self, canvas: Image, scale: int) -> None:
+        self._canvas, self._scale = canvas, scale
+        self.width = max(1, round(min(canvas.shape[:2]) / 480))  # of a thin line, px
+
+    def outline(self, points: Array) -> None:
+        """A ball's outline, (n, 2) px: thin, as it is not detected but known."""
+        layer = self._canvas.copy()
+        cv2.polylines(layer, [self._fixed(points)], True, OUTLINE, self.width, cv2.LINE_AA, _SHIFT)
+        cv2.addWeighted(layer, 0.55, self._canvas, 0.45, 0.0, dst=self._canvas)
+
+    def contour(self, points: NDArray[np.int32], weight: float) -> None:
+        """A contour as OpenCV gives it; a `weight` below 1 makes it greyer."""
+        self._closed(points.reshape(-1, 2).astype(float), WHITE, weight)
+
+    def line(self, points: Array, colour: Colour, weight: float = 1.0, width: int = 1) -> None:
+        """A line through (n, 2) px, so many times as wide as a thin one."""
+        if len(points) > 1:
+            self._stroke(points, _dull(colour, weight), width * self.width)
+
+    def ellipse(self, centre: Array, shape: Array, colour: Colour, weight: float = 1.0) -> None:
+        """An ellipse of a shape, (2, 2) px²."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+        rim = centre + np.stack([np.cos(angle), np.sin(angle)], axis=1) @ np.linalg.cholesky(shape).T
+        self._closed(rim, colour, weight)
+
+    def trace(self, epochs: list[Array], colour: Colour = RED) -> None:
+        """Dots at (m, 2) px of each epoch, the newest last: older ones smaller and fainter."""
+        alpha = np.zeros(self._canvas.shape[:2], np.uint8)
+        for age, points in reversed(list(enumerate(reversed(epochs)))):
+            freshness = 1.0 - age / _EPOCHS
+            radius = (0.9 + 1.9 * freshness) * self.width
+            level = round(255 * (1.0 if age == 0 else 0.15 + 0.6 * freshness))
+            for p in self._fixed(points):
+                x, y = int(p[0]), int(p[1])
+                cv2.circle(alpha, (x, y), round(radius * 2**_SHIFT), level, -1, cv2.LINE_AA, _SHIFT)
+        rows, columns = np.nonzero(alpha)
+        share = alpha[rows, columns, None].astype(np.float32) / 255.0
+        mixed = self._canvas[rows, columns] * (1.0 - share) + np.array(colour, np.float32) * share
+        self._canvas[rows, columns] = np.rint(mixed).astype(np.uint8)
+
+    def cross(self, centre: Array) -> None:
+        """A diagonal cross on a look-alike."""
+        r = 5.0 * self.width / self._scale
+        for arm in (np.array([r, r]), np.array([r, -r])):
+            self._stroke(np.array([centre - arm, centre + arm]), BLUE, 2 * self.width)
+
+    def target(self, mark: Mark) -> None:
+        """A ring around the target, a crosshair through it, its code beside it."""
+        self.ellipse(mark.centre, 1.6 * mark.shape, GREEN)
+        across = np.sqrt(np.diag(mark.shape))
+        for arm in 1.75 * np.diag(across):
+            self._stroke(np.array([mark.centre - arm, mark.centre + arm]), GREEN, self.width)
+        self.label(mark.code, mark.centre + (1.5, -1.1) * across, GREEN)
+
+    def label(self, text: str, at: Array, colour: Colour) -> None:
+        """Words that begin at a place, (2,) px, or as near to it as they are in the picture; with a shadow."""
+        h, w = self._canvas.shape[:2]
+        (long, high), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 11 * self.width / _LETTERS, 1)
+        x, y = np.rint(np.nan_to_num(at) * self._scale).tolist()
+        x, y = int(min(max(x, 0), w - long - 1)), int(min(max(y, high), h - 3 * high))
+        _text(self._canvas, text, (x + self.width, y + self.width), 11 * self.width, SHADOW)
+        _text(self._canvas, text, (x, y), 11 * self.width, colour)
+
+    def caption(self, cells: Sequence[tuple[str, float]], height: int = 11) -> None:
+        """A strip along the lower edge: words, each from a share of the width on, so that numbers do not dance."""
+        h, w = self._canvas.shape[:2]
+        size = height * self.width
+        top = h - 2 * size
+        self._canvas[top:] = self._canvas[top:] // 4
+        for text, place in cells:
+            _text(self._canvas, text, (round(place * w), h - round(0.65 * size)), size, (235, 235, 235))
+
+    def _closed(self, points: Array, colour: Colour, weight: float) -> None:
+        """A closed line."""
+        fixed = [self._fixed(points)]
+        cv2.polylines(self._canvas, fixed, True, _dull(colour, weight), self.width, cv2.LINE_AA, _SHIFT)
+
+    def _stroke(self, points: Array, colour: Colour, width: int) -> None:
+        cv2.polylines(self._canvas, [self._fixed(points)], False, colour, width, cv2.LINE_AA, _SHIFT)
+
+    def _fixed(self, points: Array) -> NDArray[np.int32]:
+        """Frame pixels to OpenCV's fixed point on the canvas; pixel centres stay pixel centres."""
+        at = (np.asarray(points, dtype=float) + 0.5) * self._scale - 0.5
+        return np.rint(np.clip(at, -1e5, 1e5) * 2**_SHIFT).astype(np.int32)
+
+
+_LETTERS = 22.0  # px high at font scale 1
+
+
+def _dull(colour: Colour, weight: float) -> Colour:
+    b, g, r = (round(weight * c + (1.0 - weight) * 110) for c in colour)
+    return b, g, r
+
+
+def _text(image: Image, text: str, at: tuple[int, int], height: float, colour: Colour) -> None:
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, height / _LETTERS, colour, 1, cv2.LINE_AA)
