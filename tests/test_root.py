@@ -29,7 +29,7 @@ from spheremouse.files.folders import NewFolder
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
 from spheremouse.session.control import socket as control_socket
-from spheremouse.session.overlay.ball import OverlayFile
+from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.to_dataset import write_simulation
 

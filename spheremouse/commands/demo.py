@@ -30,7 +30,8 @@ from spheremouse.evaluate.plot import plot_run
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import open_output
 from spheremouse.session.offline import Epoch, Start, initialise, track
-from spheremouse.session.overlay.ball import Overlay, OverlayFile, target_marks, write_picture
+from spheremouse.session.overlay.ball import Overlay, target_marks
+from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.pen import Image
 from spheremouse.session.screen import Board, Tally
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate

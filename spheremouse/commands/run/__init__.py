@@ -14,7 +14,7 @@ from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 if TYPE_CHECKING:
     from spheremouse.capture import Source
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.session.overlay.ball import OverlayFile
+    from spheremouse.session.overlay.file import OverlayFile
     from spheremouse.session.plan import Plan, Request
     from spheremouse.session.screen import Board, Tally
     from spheremouse.session.worker import Step
@@ -120,7 +120,7 @@ def run(
     from spheremouse.capture import open_source
     from spheremouse.capture.stopping import Stopping
     from spheremouse.session.cameras import is_camera
-    from spheremouse.session.overlay.ball import OverlayFile
+    from spheremouse.session.overlay.file import OverlayFile
     from spheremouse.session.plan import Request, check_kinds, read_plan, without_map
     from spheremouse.session.process.standard_error import unhurried
     from spheremouse.session.screen import Board, Tally

@@ -16,7 +16,7 @@ from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.output.hand import Hand, Moved
 from spheremouse.session.cameras import is_camera, opener, refuse_if_taken
-from spheremouse.session.overlay.ball import OverlayFile
+from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.plan import Plan, Request
 from spheremouse.session.screen import Tally

@@ -6,7 +6,8 @@ from pathlib import Path
 from spheremouse.ball.state import Tracker, current
 from spheremouse.errors import OutputError
 from spheremouse.session.offline import Epoch
-from spheremouse.session.overlay.ball import Overlay, target_marks, write_picture
+from spheremouse.session.overlay.ball import Overlay, target_marks
+from spheremouse.session.overlay.file import write_picture
 from spheremouse.session.record.places import FILE
 from spheremouse.session.record.privacy import kept, masked
 

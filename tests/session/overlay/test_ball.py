@@ -18,7 +18,8 @@ from spheremouse.errors import OutputError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.session.offline import Epoch
-from spheremouse.session.overlay.ball import Overlay, OverlayFile, target_marks
+from spheremouse.session.overlay.ball import Overlay, target_marks
+from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.pen import GREEN, OUTLINE, RED, WHITE
 from spheremouse.simulate.ball.film import default_scene
 from spheremouse.tracker import Frame
