@@ -45,7 +45,8 @@ from spheremouse.wand.particles import (
     steadied,
 )
 from spheremouse.wand.refine import Peak, refine
-from spheremouse.wand.start import convincing, hypotheses, same, spots
+from spheremouse.wand.spots import spots
+from spheremouse.wand.start import convincing, hypotheses, same
 
 _THESIS_DT = 1.25  # s between the frames to which the thesis' standard deviations belong (0.8 per second)
 _MOST_PEAKS = 3  # of the likelihood followed at a time: a pose, its mirror, a second ball

@@ -13,7 +13,8 @@ from spheremouse.tracker import Frame
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
 from spheremouse.wand.likelihood import model
-from spheremouse.wand.start import convincing, hypotheses, spots
+from spheremouse.wand.spots import spots
+from spheremouse.wand.start import convincing, hypotheses
 from spheremouse.wand.track import WandPhase, begin, build, step
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 320.0, 240.0)
