@@ -10,7 +10,7 @@ from spheremouse.files.rig import _CameraFile, _RigFile
 from spheremouse.files.wand import _Wand
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.session.settings import Configuration
-from spheremouse.wand.colour import ColourSettings
+from spheremouse.wand.rims import ColourSettings
 
 FREE = ("provenance",)  # sections for people, which nothing reads
 

@@ -18,7 +18,8 @@ from spheremouse.files.validate import read_checked
 from spheremouse.files.yaml import SCHEMA, Document, Problem
 from spheremouse.geometry.rotation import Array, align, log
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
-from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
+from spheremouse.wand.colour import DEFAULT_COLOURS
+from spheremouse.wand.rims import ColourSettings
 
 _ALIKE = np.radians(6.0)  # discs this near to one another are taken for the same one: half of the smallest disc
 _TURNED = np.radians(15.0)  # smaller turns onto itself are the same attitude, in effect

@@ -10,7 +10,7 @@ from numba import njit
 
 from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand.colour import Image
+from spheremouse.wand.rims import Image
 
 DIRECTIONS = 24  # around the outline; every four pixels of a ball 50 px across
 SIGMA = 0.2  # px, of one place: noise, pixels, shading that changes within the blur

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import DEFAULT_COLOURS, MEAN_BRIGHTNESS, ColourSettings, fields, tone
+from spheremouse.wand.colour import DEFAULT_COLOURS, MEAN_BRIGHTNESS, fields, tone
+from spheremouse.wand.rims import ColourSettings
 
 HUES = {"red": 0.0, "orange": 30.0, "yellow": 55.0, "green": 125.0, "blue": 230.0, "purple": 285.0, "pink": 330.0}
 _NEAR = 40.0  # deg of hue: as far as a print's red may be from red

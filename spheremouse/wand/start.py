@@ -16,8 +16,9 @@ from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand.assign import _search
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import Fields, Image
+from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import BEGINS, FULLY, Model
+from spheremouse.wand.rims import Image
 from spheremouse.wand.spots import Spots
 
 _PALE = 0.37  # of full saturation: print has more, whatever white has in the light of a lamp or of the sky has less

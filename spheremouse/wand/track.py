@@ -17,17 +17,7 @@ from spheremouse.settings import HAND, HAND_TURN, PART, SECONDS, Bounds, param
 from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import (
-    DEFAULT_COLOURS,
-    ColourSettings,
-    Fields,
-    Image,
-    Region,
-    Tone,
-    fields,
-    reduction,
-    tone,
-)
+from spheremouse.wand.colour import DEFAULT_COLOURS, Fields, Region, Tone, fields, reduction, tone
 from spheremouse.wand.course import Course, begun, between, measured, predicted, speed_covariance, told
 from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import FULLY, Model, counts, log_likelihood, model, published
@@ -45,6 +35,7 @@ from spheremouse.wand.particles import (
     steadied,
 )
 from spheremouse.wand.refine import Peak, refine
+from spheremouse.wand.rims import ColourSettings, Image
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import convincing, hypotheses, same
 

@@ -18,8 +18,9 @@ from spheremouse.experiments.wand_films import Film, Job, Variant, films, jobs, 
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
-from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
+from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.pick_colours import Circle, disc_mask, find, judged, pick
+from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.track import WandSettings
 
 app = typer.Typer()

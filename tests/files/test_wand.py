@@ -10,7 +10,8 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.wand import load_wand, save_wand, symmetry, wand_text
 from spheremouse.geometry.rotation import exp
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball, wand_disc
-from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings
+from spheremouse.wand.colour import DEFAULT_COLOURS
+from spheremouse.wand.rims import ColourSettings
 
 GIVEN = Path(__file__).parents[2] / "calibration" / "wand"
 

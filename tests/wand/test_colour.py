@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, Tone, fields, reduction, rim_shift, tone
+from spheremouse.wand.colour import DEFAULT_COLOURS, Tone, fields, reduction, tone
+from spheremouse.wand.rims import ColourSettings, rim_shift
 
 NAMES = ("blue", "red")
 

@@ -10,7 +10,8 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.tracker import Frame
 from spheremouse.wand import track
 from spheremouse.wand.ball import contrast_ball, led_ball
-from spheremouse.wand.colour import DEFAULT_COLOURS, ColourSettings, fields
+from spheremouse.wand.colour import DEFAULT_COLOURS, fields
+from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import hypotheses
 from spheremouse.wand.track import WandPhase, WandSettings, begin, build, step

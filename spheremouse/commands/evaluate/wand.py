@@ -23,7 +23,7 @@ from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.session.wand.plan import read_balls, told_apart
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import ColourSettings
+from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.track import WandSettings, build
 
 _NO_TRUTH = "no truth.csv to compare with: no errors are known; frames tracked and times say what can be said without"

@@ -15,7 +15,7 @@ from spheremouse.output.axes import AxesOutput
 from spheremouse.session.plan import Plan, Request, beside
 from spheremouse.session.wand.settings import WandRunSettings
 from spheremouse.wand.ball import WandBall, grzonka_ball
-from spheremouse.wand.colour import ColourSettings
+from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.track import WandTracker, build
 
 
