@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.session.control import protocol
+from spheremouse.session.control import status as status_module
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.settings import ControlSettings
 from tests.session.control.test_server import Daemon, conversations
@@ -117,7 +118,7 @@ def test_the_status_as_json_is_the_plain_dict(ctl, daemon):
     assert issue <= set(json.loads(out))
 
 
-@pytest.mark.parametrize("state", protocol.STATES)
+@pytest.mark.parametrize("state", status_module.STATES)
 def test_every_state_has_a_colour(state):
     assert cli_ctl._COLOURS[state]
     assert f"● {state}" in shown({"state": state})

@@ -22,9 +22,9 @@ from spheremouse.capture import open_source
 from spheremouse.errors import ControlError
 from spheremouse.files.rig import save_rig
 from spheremouse.session.control.client import Client
-from spheremouse.session.control.protocol import STATES
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.control.status import STATES
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from PIL import Image, ImageDraw
 
-from spheremouse.session.control.protocol import STATES as DAEMON_STATES
+from spheremouse.session.control.status import STATES as DAEMON_STATES
 
 NO_DAEMON = "no-daemon"
 STATES = (*DAEMON_STATES, NO_DAEMON)

@@ -26,12 +26,14 @@ from spheremouse.errors import ControlError
 from spheremouse.session.control import places, protocol
 from spheremouse.session.control import server as control
 from spheremouse.session.control import socket as control_socket
+from spheremouse.session.control import status as status_module
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
 from spheremouse.session.control.limits import Limits
-from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, Request, StatusReport, encode, parse
+from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, Request, encode, parse
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.control.socket import Peer
+from spheremouse.session.control.status import StatusReport
 
 PAGE = Path(__file__).parents[3] / "docs" / "control.md"
 GENEROUS = 20.0  # s, for what takes milliseconds
@@ -180,9 +182,9 @@ def test_the_status_of_the_description_is_as_promised():
     status = {k: v for k, v in Daemon().status.items() if k != "ok"}
     report = StatusReport.model_validate(status)
     assert set(status) == set(StatusReport.model_fields)
-    assert report.state in protocol.STATES
+    assert report.state in status_module.STATES
     text = PAGE.read_text(encoding="utf-8")
-    assert all(f"`{state}`" in text for state in protocol.STATES)
+    assert all(f"`{state}`" in text for state in status_module.STATES)
 
 
 def test_every_test_that_the_security_page_names_is_there():

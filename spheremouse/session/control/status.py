@@ -1,0 +1,91 @@
+"""The parts of a status, checked where they are read."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+State = Literal["starting", "no-camera", "searching-targets", "tracking", "lost", "paused", "failed-output"]
+STATES: tuple[str, ...] = State.__args__  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+
+
+class Quantiles(_Part):
+    """Of the last frames, ms."""
+
+    p50: float
+    p99: float
+    max: float | None = None
+
+
+class PoseStatus(_Part):
+    """Where the camera is, in `obj`."""
+
+    position_m: list[float] = Field(min_length=3, max_length=3)
+    sigma_mm: list[float] = Field(min_length=3, max_length=3)
+    sigma_deg: list[float] = Field(min_length=3, max_length=3)
+    age_s: float
+
+
+class OutputStatus(_Part):
+    """Where motion goes."""
+
+    spec: str
+    failed: str | None
+    reports: int
+    unsent: list[int] = Field(min_length=3, max_length=3)
+    ahead: list[int] = Field(min_length=3, max_length=3)
+
+
+class SourceStatus(_Part):
+    """Where pictures come from."""
+
+    spec: str
+    description: str
+
+
+class RecordingStatus(_Part):
+    """A recording that runs."""
+
+    folder: str
+    frames: int
+    seconds: float
+    bytes: int
+    dropped: int
+
+
+class StatusReport(_Part):
+    """What a status holds; later versions may add to it, and take nothing away."""
+
+    state: State
+    reason: str
+    since_s: float
+    fps: float | None
+    latency_ms: Quantiles | None
+    stages_ms: dict[str, Quantiles]
+    discs: int
+    discs_seen: int
+    discs_known: int
+    frames: int
+    skipped: int
+    dropped: int
+    damaged: int
+    pose: PoseStatus | None
+    output: OutputStatus
+    source: SourceStatus
+    unseen_s: float
+    lost_count: int
+    camera_restarts: int
+    uptime_s: float
+    version: str
+    pid: int
+    config: str | None
+    rig: str | None
+    map: str | None
+    recording: RecordingStatus | None
+    memory_mb: float | None
+    cpu_share: float | None
+    scheduling: str
+    paused: bool
