@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import pdtrc
 
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.associate import common_rotation
@@ -18,13 +17,13 @@ from spheremouse.ball.build import begin, build, check_size
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
-from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import CORE, So3State, augment, consider
+from spheremouse.ball.filters.so3_state import CORE, So3State, consider
+from spheremouse.ball.phases.follow import _follow, _holds, look
 from spheremouse.ball.phases.lifted import _back_on_bearings, _on_its_bearings
 from spheremouse.ball.phases.readout import _tell_readout
 from spheremouse.ball.phases.recognise import _recognised
@@ -49,7 +48,6 @@ from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.output.counts import Motion, to_counts
 from spheremouse.tracker import Frame
 
-_POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
@@ -162,34 +160,6 @@ def _stages(
     detections, hunt = look(state, frame, tracker, predicted)
     detected()
     return advance(state, frame.stamp, detections, tracker, predicted, hunt)
-
-
-def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState) -> tuple[Detections, Hunt]:
-    """The disc candidates of a frame, and the state of the search.
-
-    While the ball is held, each disc of the map in a window of its own where it is predicted, and a part of the rest of
-    the ball; the whole picture when that does not show enough of what was seen before.
-    """
-    detector = tracker.detector
-    if not (
-        isinstance(detector, DiscDetector)
-        and isinstance(predicted, So3State)
-        and isinstance(tracker.filter, So3Filter)
-        and state.phase is Phase.TRACKING
-        and state.moved
-        and state.held == state.filter.stamp
-    ):
-        return detector.detect(frame.image), state.hunt
-    which = tracker.filter.visible(predicted)
-    known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
-    readout = tracker.rig.readout_s + predicted.readout
-    found, hunt = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.hunt)
-    seen_before = np.count_nonzero(predicted.missed[which] == 0)
-    if 2 * len(found) < min(seen_before, len(state.filter.used)):
-        return detector.detect(frame.image), hunt
-    near = np.concatenate([found.centre, state.lookalikes.masks])
-    other, hunt = detector.hunt(frame.image, hunt, near)
-    return found.joined(other), hunt
 
 
 def _surprised(state: TrackState) -> bool:
@@ -373,85 +343,6 @@ def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackSt
         filter=_unused(state.filter),
         event=f"lost: no frame for {gap:.1f} s",
     )
-
-
-def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
-    """Filter the points; candidates that have moved with the ball may found discs."""
-    points, centre = state.points, state.detections.centre[state.points.index]
-    rig, pose, settings = tracker.rig, tracker.pose, tracker.settings.static
-    proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
-    posterior = tracker.filter.update(predicted, points, proven)
-    held = _holds(posterior, len(points), predicted, tracker)
-    if held and len(posterior.used) == len(points) and not len(state.lookalikes.place):
-        return replace(state, filter=posterior, holds=True)
-    state = replace(state, filter=posterior)
-    other = np.ones(len(points), dtype=bool)
-    if not held:
-        found = _recognised(state, stamp, tracker)
-        if found is not None:
-            return replace(state, filter=found[0], holds=True)
-        posterior = tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool))
-        if not _known_well(posterior, tracker):  # no point has a place on the ball, and none founds a disc
-            return replace(state, filter=posterior, holds=False)
-    other[posterior.used] = False  # what belongs to a known disc needs no judgement
-    turning, _, lookalikes = static.judge(
-        state.lookalikes, centre[other], points.direction[other], posterior.attitude, stamp, rig, pose, settings
-    )
-    if not held:  # a hand may have stopped the ball: what stands still says nothing, what goes on turning does
-        lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
-    posterior = _with_discs(posterior, points, np.flatnonzero(other)[turning], tracker)
-    if len(posterior.discs) > len(predicted.discs):
-        lookalikes = static.founded(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
-    return replace(state, filter=posterior, lookalikes=lookalikes, holds=held)
-
-
-def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
-    """Is the attitude known so well that one disc tells the rest?"""
-    worst = np.linalg.eigvalsh(filter_state.covariance[:3, :3])[-1]
-    return bool(worst < tracker.settings.loss.known_sigma**2)
-
-
-def _with_discs(
-    filter_state: FilterState, points: SpherePoints, which: NDArray[np.intp], tracker: Tracker
-) -> FilterState:
-    """With those points that have just shown to turn with the ball as discs: the next frame may show no other."""
-    if not isinstance(filter_state, So3State) or not isinstance(tracker.filter, So3Filter):
-        return filter_state  # the published filters take a disc up when they see it again
-    f = tracker.filter
-    apart = np.cos(2.0 * f.disc_angle)  # two discs do not overlap: nearer to a known one it is that one, badly seen
-    for k in which:
-        known = filter_state.discs @ (points.direction[k] @ filter_state.attitude)
-        if np.max(known, initial=-1.0) < apart and len(filter_state.discs) < f.settings.most_discs:
-            filter_state = augment(filter_state, points, np.array([k]), f.radius)
-    return filter_state
-
-
-def _holds(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
-    """Does the last frame, with so many points, hold the attitude?
-
-    Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many
-    false candidates a few always fit; and only at a rate that a hand can give.
-    """
-    settings, used, rate = tracker.settings.loss, len(posterior.used), posterior.rate
-    if used == 0 or float(rate @ rate) > settings.fastest**2:
-        return False
-    if 2 * used < points and not _significant(used, points, predicted, tracker):
-        return False
-    return used > 1 or _known_well(posterior, tracker)
-
-
-def _significant(used: int, points: int, predicted: FilterState, tracker: Tracker) -> bool:
-    """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
-
-    Each point lies in each disc's gate by chance with that gate's share of what the camera sees of the ball.
-    """
-    if not isinstance(predicted, So3State) or not isinstance(tracker.filter, So3Filter):
-        return False  # the published filters gate by a length: half of the points must fit
-    f = tracker.filter
-    which = f.visible(predicted)
-    areas = f.settings.gate * np.pi * (f.place_sigma(predicted, which) ** 2 + _POINT_SIGMA**2)
-    chance = points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - f.horizon))  # pairs to be expected
-    return bool(pdtrc(used - 1, chance) < 1e-3)
 
 
 def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
