@@ -9,25 +9,24 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.ball import camera_watch as watching
-from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.build import begin, build, check_size
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
-from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings
+from spheremouse.ball.detect.lookalikes import Lookalikes
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
-from spheremouse.ball.phases.follow import _follow, _holds, look
+from spheremouse.ball.phases.follow import _follow, look
+from spheremouse.ball.phases.learn import _first_motion
 from spheremouse.ball.phases.lifted import _back_on_bearings, _on_its_bearings
 from spheremouse.ball.phases.readout import _tell_readout
 from spheremouse.ball.phases.recognise import _recognised
-from spheremouse.ball.points import SpherePoints, intersect
+from spheremouse.ball.points import intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
@@ -43,14 +42,13 @@ from spheremouse.ball.state import (
     current,
 )
 from spheremouse.errors import PoseError
-from spheremouse.geometry.camera import Pose, project
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.output.counts import Motion, to_counts
 from spheremouse.tracker import Frame
 
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
-_REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
 
 Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
@@ -343,83 +341,6 @@ def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackSt
         filter=_unused(state.filter),
         event=f"lost: no frame for {gap:.1f} s",
     )
-
-
-def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
-    """Nothing has moved yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
-
-    Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
-    """
-    naive = replace(state, filter=tracker.filter.update(predicted, state.points))
-    naive = replace(naive, holds=_holds(naive.filter, len(state.points), predicted, tracker))
-    if len(state.points) == 0 and not state.recent:
-        return naive
-    recent = (*state.recent, Sight(stamp, state.detections, state.points, naive.filter.attitude))
-    if len(recent) > _REPLAY:
-        recent = (recent[0], *recent[2:])  # the first frame is the anchor: slow motion shows against it
-    naive = replace(naive, recent=recent)
-    still = _still_since(recent[0], recent[-1], tracker)
-    if still is None:
-        if len(recent) == _REPLAY and _changed(recent[0], recent[-1], tracker.settings.static):
-            naive = replace(naive, recent=recent[-1:])
-        return naive
-    lookalikes = static.mask(state.lookalikes, still, stamp)
-    filtered = tracker.filter.initial(recent[0].stamp, recent[0].attitude)
-    points = state.points
-    for sight in recent:
-        free, _ = static.unmasked(lookalikes, sight.centre, sight.stamp, tracker.settings.static)
-        points = sight.points.take(free)
-        filtered = tracker.filter.update(tracker.filter.predict(filtered, sight.stamp), points)
-    masked = f"{len(still)} look-alike{'s' if len(still) > 1 else ''} masked"
-    event = f"the ball turns; {masked}" if len(still) else "the ball turns"
-    return replace(
-        state,
-        filter=filtered,
-        lookalikes=lookalikes,
-        points=points,
-        moved=True,
-        holds=len(filtered.used) > 1,
-        recent=(),
-        event=event,
-    )
-
-
-def _still_since(anchor: Sight, now: Sight, tracker: Tracker) -> Array | None:
-    """Places, (k, 2) px, that stayed while at least three others turned alike; None while nothing is certain."""
-    s = tracker.settings.static
-    if len(anchor.points) < 3 or len(now.points) < 3:
-        return None
-    distance = np.linalg.norm(now.centre[:, None] - anchor.centre[None], axis=2)
-    stayed = distance.min(axis=1) < s.still
-    left = distance.min(axis=0) >= s.still
-    spread = np.sqrt(np.trace(now.points.image_covariance, axis1=1, axis2=2) / 2.0) / tracker.rig.ball.radius
-    sigma = max(float(np.median(spread)), 1e-3)
-    shared = common_rotation(anchor.points.direction[left], now.points.direction[~stayed], sigma)
-    if shared is None:
-        return None
-    rotation, pairs = shared
-    path = np.linalg.norm(anchor.centre[left][pairs[:, 0]] - now.centre[~stayed][pairs[:, 1]], axis=1)
-    if np.median(path) < s.moved:
-        return None
-    return now.centre[stayed & _would_move(now.points, rotation, tracker, s.moved)]
-
-
-def _would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: float) -> NDArray[np.bool_]:
-    """Which points would have come from at least `least` px away, were they discs under `rotation`."""
-    radius, centre = tracker.rig.ball.radius, tracker.rig.ball.centre
-    uv = [
-        project(tracker.pose.to_cam(centre + radius * d), tracker.rig.camera)[0]
-        for d in (points.direction, points.direction @ rotation)
-    ]
-    return np.linalg.norm(uv[0] - uv[1], axis=1) > least
-
-
-def _changed(anchor: Sight, now: Sight, settings: StaticSettings) -> bool:
-    """The anchor's picture is gone without a common rotation: hands, light, or too few discs in common."""
-    if len(anchor.points) == 0 or len(now.points) == 0:
-        return len(now.points) > 0
-    stayed = np.linalg.norm(anchor.centre[:, None] - now.centre[None], axis=2).min(axis=1) < settings.still
-    return bool(np.count_nonzero(~stayed) > 0.5 * len(anchor.points))
 
 
 def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
