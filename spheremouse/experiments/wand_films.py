@@ -19,7 +19,8 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.session.wand.offline import track_wand
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball
-from spheremouse.wand.track import WandSettings, begin, build, step
+from spheremouse.wand.settings import WandSettings
+from spheremouse.wand.track import begin, build, step
 from spheremouse.wand.truth import WandTruth
 
 BALLS = {"grzonka": grzonka_ball, "contrast": contrast_ball, "led": led_ball}

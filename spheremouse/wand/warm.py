@@ -13,7 +13,8 @@ from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball
-from spheremouse.wand.track import WandSettings, begin, build, step
+from spheremouse.wand.settings import WandSettings
+from spheremouse.wand.track import begin, build, step
 
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])
 _CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 319.5, 239.5, _LENS)

@@ -21,7 +21,7 @@ from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.pick_colours import Circle, disc_mask, find, judged, pick
 from spheremouse.wand.rims import ColourSettings
-from spheremouse.wand.track import WandSettings
+from spheremouse.wand.settings import WandSettings
 
 app = typer.Typer()
 app.add_typer(cli_wand.app, name="wand")

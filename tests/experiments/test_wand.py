@@ -15,7 +15,7 @@ from spheremouse.experiments.wand_films import Film, Variant
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import grzonka_ball
-from spheremouse.wand.track import WandSettings
+from spheremouse.wand.settings import WandSettings
 
 FILM = Film(
     "drive",

@@ -10,7 +10,8 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import model
-from spheremouse.wand.track import WandSettings, begin, build, step
+from spheremouse.wand.settings import WandSettings
+from spheremouse.wand.track import begin, build, step
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,10 @@ from spheremouse.wand import track
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
 from spheremouse.wand.rims import ColourSettings
+from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import hypotheses
-from spheremouse.wand.track import WandPhase, WandSettings, begin, build, step
+from spheremouse.wand.track import WandPhase, begin, build, step
 
 HAND = WandOptions(motion="hand", blur=0.008, size=(640, 480), focal=500.0, seconds=1.4, seed=3)
 

@@ -24,7 +24,8 @@ from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.session.wand.plan import read_balls, told_apart
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.rims import ColourSettings
-from spheremouse.wand.track import WandSettings, build
+from spheremouse.wand.settings import WandSettings
+from spheremouse.wand.track import build
 
 _NO_TRUTH = "no truth.csv to compare with: no errors are known; frames tracked and times say what can be said without"
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from spheremouse.output.hand import PointingSettings
 from spheremouse.settings import param
-from spheremouse.wand.track import WandSettings
+from spheremouse.wand.settings import WandSettings
 
 MOST_BALLS = 8  # each takes its time in every frame, and two people have four hands
 
