@@ -8,7 +8,8 @@ import pytest
 
 from spheremouse.session.wand.plan import read_balls
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.track import WandPhase, begin, build, step
+from spheremouse.wand.state import WandPhase
+from spheremouse.wand.track import begin, build, step
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "docs" / "wand.md").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from spheremouse.evaluate.wand import WandRun
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import Epoch
 from spheremouse.session.wand.offline import WandEpoch
-from spheremouse.wand.track import WandPose
+from spheremouse.wand.state import WandPose
 
 
 @dataclass(slots=True)

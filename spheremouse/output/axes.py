@@ -15,7 +15,7 @@ from spheremouse.output import text
 from spheremouse.output.counts import Motion
 from spheremouse.output.text import Text
 from spheremouse.wand.axes import axes_of
-from spheremouse.wand.track import WandPhase, WandPose
+from spheremouse.wand.state import WandPhase, WandPose
 
 NAMES = "# t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state"
 UNITS = "# s; m and degrees before the camera; their standard deviations; counts; number; a word"

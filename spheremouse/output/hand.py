@@ -15,7 +15,7 @@ from spheremouse.output.counts import Motion, Remainder, to_counts
 from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
 from spheremouse.wand.course import between
-from spheremouse.wand.track import WandPhase, WandPose
+from spheremouse.wand.state import WandPhase, WandPose
 
 _NOISE = 3.0  # standard deviations by which a pose may be off, besides what a hand does
 

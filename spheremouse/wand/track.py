@@ -4,8 +4,7 @@ Select colours, look for the likelihood's peaks (near the prediction, else by sp
 particles, weigh, resample, average (Grzonka 2005, section 3.4 and its outlook 5.2). Nothing here reads a clock.
 """
 
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, Fields, Region, Tone, fields, reduction, tone
-from spheremouse.wand.course import Course, begun, between, measured, predicted, speed_covariance, told
+from spheremouse.wand.course import begun, between, measured, predicted, speed_covariance, told
 from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import FULLY, Model, counts, log_likelihood, model, published
 from spheremouse.wand.particles import (
@@ -37,6 +36,7 @@ from spheremouse.wand.rims import ColourSettings, Image
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import convincing, hypotheses, same
+from spheremouse.wand.state import _MIXTURE, Track, WandPhase, WandPose, WandState, WandTracker
 
 _THESIS_DT = 1.25  # s between the frames to which the thesis' standard deviations belong (0.8 per second)
 _MOST_PEAKS = 3  # of the likelihood followed at a time: a pose, its mirror, a second ball
@@ -67,81 +67,8 @@ _SECOND = "a second ball like"
 _SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
 _DISCS = 3  # that show of a pose nothing led to: any two spots are explained by some pose
 _NOTHING, _TOO_MUCH = 2e-6, 0.25  # part of the picture of one colour that no ball makes
-_MIXTURE = np.array([0.45, 0.45, 0.1])  # rest, go on, free
 _STAYS = 0.8  # part of a motion's probability that lives on to the next frame
 _REACH = 0.5  # radii around the ball that the region of interest keeps free, besides the motion
-
-
-class WandPhase(StrEnum):
-    """What is known of a ball."""
-
-    SEARCHING = "searching"  # never seen
-    TRACKING = "tracking"
-    LOST = "lost"
-
-
-@dataclass(frozen=True, slots=True)
-class WandTracker:
-    """What stays the same from frame to frame."""
-
-    settings: WandSettings
-    camera: InteriorOrientation
-    balls: tuple[WandBall, ...]
-    models: tuple[Model, ...]
-    discs: tuple[Array, ...]  # (m, 4) of each ball: direction, angular radius
-    colours: dict[str, ColourSettings]
-    names: tuple[str, ...]  # of the colours in use
-
-
-@dataclass(frozen=True, slots=True)
-class WandPose:
-    """A ball in one frame."""
-
-    name: str
-    position: Array | None  # (3,) m, cam; None where it is not known
-    rotation: Array | None  # (3, 3) R_cam_ball
-    covariance: Array | None  # (6, 6) m, rad: position + d, exp(theta) @ rotation, cam axes
-    phase: WandPhase
-    event: str  # what a user should know, in words; empty where all is well
-    match: float = 0.0  # part of the coloured points that show
-    effective: float = 0.0  # effective number of particles before resampling
-    seen: bool = False  # in this frame, not only predicted
-
-
-@dataclass(frozen=True, slots=True)
-class Track:
-    """One ball's state."""
-
-    phase: WandPhase = WandPhase.SEARCHING
-    particles: Particles | None = None
-    pose: tuple[Array, Array, Array] | None = None  # position, rotation, covariance
-    course: Course | None = None  # of the peak that it follows; while it is tracked
-    motion: Array = field(default_factory=_MIXTURE.copy)  # (3,) probabilities of the motions
-    repeats: Array = field(default_factory=lambda: np.zeros((6, 6)))  # what the last picture had wrong: its covariance
-    stamp: float = 0.0  # s, of the particles
-    seen: float = -np.inf  # s
-    unseen_frames: int = 0
-    level: float = 0.0  # log-likelihood ratio that this ball's pose has had of late
-    turn: int = 0  # spot with which the next search begins, where a picture has too many for one
-    second: tuple[int, Array] | None = None  # pictures in a row with another ball like it, and where, (3,) m
-
-    @property
-    def velocity(self) -> Array:
-        """(6,) m/s, rad/s in cam axes; zero where it is not known."""
-        return np.zeros(6) if self.course is None else self.course.velocity
-
-
-@dataclass(frozen=True, slots=True)
-class WandState:
-    """The tracker's memory."""
-
-    tracks: tuple[Track, ...]
-    looked: float = -np.inf  # s, last search of the whole picture
-    waited: int = 0  # frames since
-    complaint: str = ""  # of the last search: about colours
-    worth: float = 0.0  # at 1, it is worth a word though all balls are followed
-    heard: float = -np.inf  # s, of the last search
-    seed: int = 0
 
 
 def build(

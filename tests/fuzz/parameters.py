@@ -29,6 +29,7 @@ from spheremouse.output.hand import Pointing, point, pointing_rate
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
+from spheremouse.wand import state as state_module
 from spheremouse.wand import track as wand
 from spheremouse.wand.warm import warm_up as warm_up_wand
 from tests.fuzz.extremes import extremes, numbers
@@ -199,7 +200,7 @@ def _in_a_hand(c: Configuration) -> None:
     follow(wand.build(film.scene.camera, balls, c.wand), frames, c)
 
 
-def follow(tracker: wand.WandTracker, frames: list[Frame], c: Configuration) -> None:
+def follow(tracker: state_module.WandTracker, frames: list[Frame], c: Configuration) -> None:
     """The frames of a film of `hand` tracked, and their motion."""
     film, _ = hand()
     usual = wand.build(film.scene.camera, tuple(carried.ball for carried in film.scene.balls))

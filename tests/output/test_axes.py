@@ -13,7 +13,7 @@ from spheremouse.output import OutputClosed
 from spheremouse.output.axes import HEADER, NAMES, AxesOutput, AxesText
 from spheremouse.output.counts import Motion
 from spheremouse.wand.axes import UPRIGHT, attitude, axes_of, wrapped
-from spheremouse.wand.track import WandPhase, WandPose
+from spheremouse.wand.state import WandPhase, WandPose
 
 ANGLE = st.floats(-3.1, 3.1)
 TILT = st.floats(-1.5, 1.5)

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.output.counts import Remainder
 from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
-from spheremouse.wand.track import WandPhase, WandPose
+from spheremouse.wand.state import WandPhase, WandPose
 
 DT = 1.0 / 30.0
 SIGMA = 0.01  # rad and m

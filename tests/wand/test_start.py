@@ -15,7 +15,8 @@ from spheremouse.wand.colour import DEFAULT_COLOURS, fields
 from spheremouse.wand.likelihood import model
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import convincing, hypotheses
-from spheremouse.wand.track import WandPhase, begin, build, step
+from spheremouse.wand.state import WandPhase
+from spheremouse.wand.track import begin, build, step
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 320.0, 240.0)
 PICTURES = 50

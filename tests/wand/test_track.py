@@ -15,7 +15,8 @@ from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import hypotheses
-from spheremouse.wand.track import WandPhase, begin, build, step
+from spheremouse.wand.state import WandPhase
+from spheremouse.wand.track import begin, build, step
 
 HAND = WandOptions(motion="hand", blur=0.008, size=(640, 480), focal=500.0, seconds=1.4, seed=3)
 

@@ -34,7 +34,7 @@ from spheremouse.files.rig import with_camera
 from spheremouse.session.cameras import node_of
 from spheremouse.session.plan import Plan, Request, without_map
 from spheremouse.session.wand.plan import open_given
-from spheremouse.wand.track import WandTracker
+from spheremouse.wand.state import WandTracker
 
 _NO_CAMERA = "v4l2:"  # source of a plan where none is named and none is there
 SECONDS = 2.0  # of film: sixty frames tell a rate to 2 % and flicker to a percent

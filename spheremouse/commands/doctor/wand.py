@@ -10,7 +10,8 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.session.plan import Plan, Request
 from spheremouse.session.wand.plan import Given, wand_tracker
 from spheremouse.tracker import Frame
-from spheremouse.wand.track import WandPhase, WandPose, WandTracker, begin, step
+from spheremouse.wand.state import WandPhase, WandPose, WandTracker
+from spheremouse.wand.track import begin, step
 
 _SURE = 0.5  # of the pictures: a ball that somebody holds before the camera is in view in most
 

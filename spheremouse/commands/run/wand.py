@@ -25,7 +25,7 @@ from spheremouse.session.wand.offline import WandEpoch, track_wand
 from spheremouse.session.wand.plan import Outputs, open_given, wand_outputs, wand_tracker
 from spheremouse.session.wand.screen import WandBoard
 from spheremouse.session.wand.service import WandLive
-from spheremouse.wand.track import WandTracker
+from spheremouse.wand.state import WandTracker
 
 
 @dataclass(frozen=True, slots=True)

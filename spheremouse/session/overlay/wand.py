@@ -15,7 +15,7 @@ from spheremouse.session.overlay.pen import GREEN, SHADOW, WHITE, Colour, Image,
 from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.track import WandPhase, WandPose, WandTracker
+from spheremouse.wand.state import WandPhase, WandPose, WandTracker
 
 _STEPS = 96  # points along a rim
 _TRACE = 0.5  # s

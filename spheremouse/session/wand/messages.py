@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.output.sparing import letters
-from spheremouse.wand.track import WandPhase, WandPose
+from spheremouse.wand.state import WandPhase, WandPose
 
 PATIENCE = 5.0  # s of frames without a ball that was never seen, after which that is worth a word
 _GREY = 3.0  # grey values by which the colours of a pixel differ, on average, in a picture without colour

@@ -11,7 +11,8 @@ from spheremouse.errors import SourceError
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import told_why
 from spheremouse.tracker import Frame
-from spheremouse.wand.track import WandPose, WandState, WandTracker, begin, step
+from spheremouse.wand.state import WandPose, WandState, WandTracker
+from spheremouse.wand.track import begin, step
 from spheremouse.wand.warm import warm_up
 
 _NO_HUE = ("dark", "light")  # colours that grey frames show as well

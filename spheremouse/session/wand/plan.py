@@ -16,7 +16,8 @@ from spheremouse.session.plan import Plan, Request, beside
 from spheremouse.session.wand.settings import WandRunSettings
 from spheremouse.wand.ball import WandBall, grzonka_ball
 from spheremouse.wand.rims import ColourSettings
-from spheremouse.wand.track import WandTracker, build
+from spheremouse.wand.state import WandTracker
+from spheremouse.wand.track import build
 
 
 @dataclass(frozen=True, slots=True)

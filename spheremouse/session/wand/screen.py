@@ -6,7 +6,7 @@ from rich.text import Text
 
 from spheremouse.session.screen import Screen, Tally
 from spheremouse.wand.axes import axes_of
-from spheremouse.wand.track import WandPose
+from spheremouse.wand.state import WandPose
 
 
 class WandBoard(Screen):

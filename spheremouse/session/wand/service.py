@@ -29,7 +29,8 @@ from spheremouse.session.wand.messages import Told
 from spheremouse.session.wand.offline import WandEpoch, check_wand_frame, make_wand_ready
 from spheremouse.session.wand.plan import Outputs
 from spheremouse.tracker import Frame
-from spheremouse.wand.track import WandState, WandTracker, begin, step
+from spheremouse.wand.state import WandState, WandTracker
+from spheremouse.wand.track import begin, step
 
 _TICK = 0.25  # s; the longest wait for a shot
 _COMPILING = 900.0  # s that a small computer may take for it

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.session.wand.messages import Told
-from spheremouse.wand.track import WandPhase, WandPose
+from spheremouse.wand.state import WandPhase, WandPose
 
 SEARCHING = WandPose("ball", None, None, None, WandPhase.SEARCHING, "no ball like ball in view: hold it up")
 TRACKING = WandPose("ball", np.zeros(3), np.eye(3), np.eye(6), WandPhase.TRACKING, "", seen=True)
