@@ -23,21 +23,18 @@ from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
 from spheremouse.ball.phases.follow import _follow, look
 from spheremouse.ball.phases.learn import _first_motion
-from spheremouse.ball.phases.lifted import _back_on_bearings, _on_its_bearings
+from spheremouse.ball.phases.lifted import _on_its_bearings
 from spheremouse.ball.phases.readout import _tell_readout
-from spheremouse.ball.phases.recognise import _recognised
+from spheremouse.ball.phases.recover import _lost_in_a_gap, _recognise_saved, _recover
 from spheremouse.ball.points import intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
     Phase,
-    Sight,
     Tracker,
     TrackState,
-    _forget,
     _no_motion,
     _no_points,
-    _tracking,
     _unused,
     current,
 )
@@ -326,89 +323,6 @@ def advance(
     if tracker.rig.readout_sigma_s > 0.0 and not state.readout_told:
         state = _tell_readout(state, tracker)
     return _motion(state, stamp, tracker)
-
-
-def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
-    """No frame came for so long that the prediction is a guess: the map says where the ball is, or nothing does."""
-    gap = stamp - state.filter.stamp
-    if state.phase is not Phase.TRACKING or not state.moved or gap <= tracker.settings.loss.lost_after:
-        return state
-    return replace(
-        state,
-        phase=Phase.LOST,
-        found=None,
-        off=0,
-        filter=_unused(state.filter),
-        event=f"lost: no frame for {gap:.1f} s",
-    )
-
-
-def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
-    """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
-    points, s = state.points, tracker.settings.loss
-    if len(points) < 2:
-        return replace(state, found=None)
-    found = stamp if state.found is None else min(state.found, stamp)  # a clock that starts again
-    state = replace(state, found=found)
-    if isinstance(state.filter, So3State):
-        recognised = _recognised(state, stamp, tracker)
-        if recognised is not None and _back_on_bearings(state, recognised[0], tracker):
-            filtered, pairs = recognised
-            return replace(
-                _tracking(state, filtered, filtered.attitude, stamp),
-                lifted=None,
-                off=0,
-                recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
-                lookalikes=_forget(state.lookalikes),
-                event=f"tracking again: attitude kept, recognised by {pairs} discs",
-            )
-        if stamp - found < s.reset_after:
-            return state
-        if state.lifted is not None and 0.0 <= stamp - state.lifted < tracker.settings.bearing.patience:
-            return state
-    attitude = state.filter.attitude
-    anew = _anew(state, stamp, tracker)
-    return replace(
-        _tracking(anew, anew.filter, attitude, stamp),
-        moved=False,
-        lifted=None,
-        misfit=0.0,
-        out_of_round=False,
-        fitted=0.0,
-        lookalikes=_forget(state.lookalikes),
-        event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
-    )
-
-
-def _anew(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
-    """With a new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
-    attitude = state.filter.attitude
-    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), state.points)
-    return replace(state, filter=filtered, found=None, recent=(Sight(stamp, state.detections, state.points, attitude),))
-
-
-def _recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
-    """The ball is where the saved map says, once that is certain; never recognised, it is another ball's map."""
-    points = state.points
-    recognised = _recognised(state, stamp, tracker)
-    if recognised is not None:
-        filtered, pairs = recognised
-        return replace(
-            _tracking(state, filtered, filtered.attitude, stamp),
-            moved=True,
-            saved=False,
-            absolute=True,
-            event=f"tracking: recognised by {pairs} discs of the saved map",
-        )
-    enough = len(points) >= 4  # fewer say nothing against the map
-    found = stamp if state.found is None or not enough else min(state.found, stamp)
-    if stamp - found < tracker.settings.loss.reset_after:
-        return replace(state, found=found)
-    return replace(
-        _anew(state, stamp, tracker),
-        saved=False,
-        event="the saved map does not fit: another ball, or its discs were moved; a new map is begun",
-    )
 
 
 def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
