@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration
-from spheremouse.calibrate.device.advice import Advice, coverage
+from spheremouse.calibrate.device.advice import coverage
 from spheremouse.calibrate.device.figures import certainty, magnification, overview, photo_picture, side_views
+from spheremouse.calibrate.device.plans import Advice
 from spheremouse.calibrate.device.results import (
     _advice,
     _correlation,

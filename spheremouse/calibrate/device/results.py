@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration
-from spheremouse.calibrate.device.advice import Advice, advise, distance_redundancy
+from spheremouse.calibrate.device.advice import advise, distance_redundancy
+from spheremouse.calibrate.device.plans import Advice
 from spheremouse.geometry.rotation import Array
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from spheremouse.ball.device import Device
     from spheremouse.ball.settings import Settings
     from spheremouse.calibrate.device.adjust import DeviceCalibration
-    from spheremouse.calibrate.device.advice import Advice
+    from spheremouse.calibrate.device.plans import Advice
     from spheremouse.calibrate.photos import Photo
     from spheremouse.geometry.camera import InteriorOrientation
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ from rich.table import Table
 from rich.text import Text
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration
-from spheremouse.calibrate.device.advice import Advice
+from spheremouse.calibrate.device.plans import Advice
 from spheremouse.calibrate.device.report import _AXES, _MARKS
 from spheremouse.calibrate.device.results import (
     _advice,

@@ -12,8 +12,9 @@ import pytest
 
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.calibrate.device.adjust import DiscViews, adjust_device
-from spheremouse.calibrate.device.advice import ENOUGH, WORTH, advise, coverage, photo_scatter
+from spheremouse.calibrate.device.advice import advise, coverage, photo_scatter
 from spheremouse.calibrate.device.bundle import Block, ImagePoints, Problem, predicted
+from spheremouse.calibrate.device.plans import ENOUGH, WORTH
 from spheremouse.calibrate.device.start import TargetViews
 from spheremouse.calibrate.device.what_if import network, sigmas, spread, targets_seen, with_distances, with_photos
 from spheremouse.geometry.camera import InteriorOrientation, Pose

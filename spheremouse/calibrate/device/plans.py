@@ -1,0 +1,234 @@
+"""What more photos or lengths could be taken, and what each would gain."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+
+from spheremouse.calibrate.device.adjust import DeviceCalibration
+from spheremouse.calibrate.device.what_if import (
+    Network,
+    Sigmas,
+    looking,
+    network,
+    sigmas,
+    targets_seen,
+    with_distances,
+    with_photos,
+)
+from spheremouse.geometry.camera import Pose
+
+WORTH = 1.3  # times better: less is not worth the way
+ENOUGH = 2.5e-3  # of the radius: half of what Wittich 2017, table 11, had and tracked with
+_MOST = 3  # pieces of advice on what to do
+_FINE = 1e-4  # m: the thickness of paper, to which a disc's surface is the ball's
+_TAPE = 0.001  # m, a steel tape held taut
+_RULER = 0.0003  # m, what nobody reads better
+Kind = Literal["good", "note", "warning"]
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """One sentence or two. Where it asks for work: how many times better it makes what."""
+
+    kind: Kind
+    text: str
+    gain: float | None = None
+    improves: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """Something to do."""
+
+    text: str
+    reason: str
+    photos: tuple[Pose, ...] = ()
+    pairs: tuple[tuple[int, int], ...] = ()
+    sigma: float = 0.0  # m, of those
+
+    @property
+    def effort(self) -> int:
+        return len(self.photos) + len(self.pairs)
+
+    def on(self, net: Network) -> Network:
+        net = with_distances(net, self.pairs, self.sigma) if self.pairs else net
+        return with_photos(net, self.photos) if self.photos else net
+
+
+def length(value: float, calibration: DeviceCalibration) -> str:
+    """A length of `obj` as people say it: in mm, or in percent of the radius where there are no metres."""
+    return f"{100.0 * value:.2g} % of the radius" if calibration.scale_free else f"{_digits(1e3 * value)} mm"
+
+
+def _digits(value: float) -> str:
+    return f"{value:.2f}" if value < 0.995 else f"{value:.1f}" if value < 99.5 else f"{value:.0f}"
+
+
+_NAMES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's depth (Z)", "the radius")
+_TARGETS, _DISC = "the targets' places", "the least certain disc"
+
+
+def _work(c: DeviceCalibration) -> list[Advice]:
+    """The best plans, each on top of those before it."""
+    net = network(c)
+    known = len(c.discs)
+    now = sigmas(net, known)
+    plans, enough = _plans(net), ENOUGH * c.radius
+    found: list[Advice] = []
+    while len(found) < _MOST and max(now.ball.max(), now.targets) * c.unit > _FINE:
+        options = []
+        for plan in plans:
+            then = plan.on(net)
+            after = sigmas(then, known)
+            options.append(_Option(plan, then, after, *_gain(now, after, enough)))
+        options = [o for o in options if o.gain >= WORTH]
+        if not options:
+            break
+        if any(o.what != _DISC for o in options):
+            options = [o for o in options if o.what != _DISC]
+        least = 0.8 * np.log(max(o.gain for o in options))  # nearly as good with less work is better
+        best = min((o for o in options if np.log(o.gain) > least), key=lambda o: (o.plan.effort, -o.gain))
+        found.append(_said(best, now, c, first=not found))
+        plans = [p for p in plans if p is not best.plan]
+        net, now = best.then, best.after
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Option:
+    """A plan, and what it would lead to."""
+
+    plan: _Plan
+    then: Network
+    after: Sigmas
+    what: str
+    gain: float
+
+
+def _said(option: _Option, now: Sigmas, c: DeviceCalibration, *, first: bool) -> Advice:
+    plan, what = option.plan, option.what
+    before, later = _value(now, what), _value(option.after, what)
+    times = f"{option.gain:.1f}" if option.gain < 9.5 else f"{option.gain:.0f}"
+    better = f"{what} {times} times better, from {length(before, c)} to {length(later, c)}"
+    text = f"{plan.reason}: {plan.text} would make {better}." if first else f"Then {plan.text}: {better}."
+    return Advice("warning" if before > ENOUGH * c.radius else "note", text, option.gain, what)
+
+
+def _value(s: Sigmas, what: str) -> float:
+    return {**dict(zip(_NAMES, s.ball, strict=True)), _TARGETS: s.targets, _DISC: s.disc}[what]
+
+
+def _gain(now: Sigmas, after: Sigmas, enough: float) -> tuple[str, float]:
+    """What is made better most, of what is bad enough to matter, and how many times; the radius first."""
+    values = {name: _value(now, name) for name in (*_NAMES[::-1], _TARGETS)}
+    large = max(values.values())
+    gains = [(name, v / _value(after, name)) for name, v in values.items() if v >= 0.5 * large and v > 0.0]
+    most = max(gain for _, gain in gains)
+    if most < WORTH and now.disc > enough:  # play refines discs by and by: only bad ones are worth a photo
+        return _DISC, now.disc / after.disc
+    return next(g for g in gains if g[1] > 0.9 * most)
+
+
+def _plans(net: Network) -> list[_Plan]:
+    return [*_photo_plans(net), *_distance_plans(net)]
+
+
+def _photo_plans(net: Network) -> Iterator[_Plan]:
+    """Photos from places around the device: sides, pairs of sides, the same again, nearer."""
+    way = np.array([pose.position - net.aim for pose in net.block.poses])
+    distance = float(np.median(np.linalg.norm(way, axis=1)))
+    azimuth = np.degrees(np.arctan2(way[:, 0], way[:, 2]))
+    height = np.degrees(np.arcsin(way[:, 1] / np.linalg.norm(way, axis=1)))
+    usual = float(np.median(azimuth)), float(np.median(height))
+    for one, other in _SIDES:
+        reached = [
+            (side, float(np.max(side.right * azimuth + side.up * height)), *_aside(net, side, usual[1], distance))
+            for side in (one, other)
+        ]
+        seen = [(side, reach < 0.5 * angle, angle, stations) for side, reach, angle, stations in reached if stations]
+        for side, none, angle, stations in seen:
+            text = f"two more photos from {side.words} ({angle}° and {round(_INNER * angle)}° off the front)"
+            yield _Plan(text, f"{'No photo is' if none else 'Few photos are'} from {side.words}", stations)
+        if len(seen) == 2:
+            text = f"two more photos from {one.words} and two from {other.words} (as far as three targets are seen)"
+            front = all(none for _, none, _, _ in seen)
+            reason = "All photos are from the front" if front else f"Few photos are from {one.words} and {other.words}"
+            yield _Plan(text, reason, seen[0][3] + seen[1][3])
+    if again := _stations(net, [(usual[0], usual[1] + 5.0), (usual[0], usual[1] - 5.0)], distance):
+        yield _Plan("two more photos like those there are", "Each photo adds a little", again)
+    for part in (0.5, 0.6, 0.7, 0.8):
+        if near := _stations(net, [(usual[0] - 15.0, usual[1]), (usual[0] + 15.0, usual[1])], part * distance):
+            how = f"{100.0 * part:.0f} % of the distance" if net.problem.scale_free else f"{part * distance:.1f} m"
+            yield _Plan(f"two more photos from nearer, {how}", "The photos are from afar", near)
+            break
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    words: str
+    right: float  # direction of the angle
+    up: float
+    most: int  # degrees; beyond 75 no ring is seen, ceilings and floors come earlier
+
+
+_SIDES = (
+    (_Side("the far left", -1.0, 0.0, 75), _Side("the far right", 1.0, 0.0, 75)),
+    (_Side("high above", 0.0, 1.0, 60), _Side("far below", 0.0, -1.0, 45)),
+)
+_INNER = 0.7  # the second photo's angle over the first's
+
+
+def _aside(net: Network, side: _Side, height: float, distance: float) -> tuple[int, tuple[Pose, ...]]:
+    """As far to a side as three targets are seen: the angle, degrees, and two stations; none where none is."""
+    for angle in range(side.most, 14, -5):
+        at = [(side.right * part * angle, side.up * part * angle if side.up else height) for part in (1.0, _INNER)]
+        if stations := _stations(net, at, distance):
+            return angle, stations
+    return 0, ()
+
+
+def _stations(net: Network, angles: Sequence[tuple[float, float]], distance: float) -> tuple[Pose, ...]:
+    """Cameras at angles (degrees) to the right of the front and above it; none where one sees too few targets."""
+    stations = []
+    for azimuth, height in angles:
+        a, h = np.radians([azimuth, height])
+        stations.append(looking(net, np.array([np.sin(a) * np.cos(h), np.sin(h), np.cos(a) * np.cos(h)]), distance))
+    return tuple(stations) if all(np.count_nonzero(targets_seen(net, s)) >= 3 for s in stations) else ()
+
+
+def _distance_plans(net: Network) -> Iterator[_Plan]:
+    """Tape: pairs that were not measured, a better tape, both."""
+    given = net.problem.device.distances
+    if not given:
+        return
+    sigma = float(np.median([d.sigma for d in given]))
+    have = {frozenset((d.start, d.end)) for d in given}
+    old = tuple(dict.fromkeys((min(d.start, d.end), max(d.start, d.end)) for d in given))
+    new = tuple(p for p in combinations(sorted(net.problem.device.ids), 2) if frozenset(p) not in have)
+    better = _TAPE if sigma > 1.3 * _TAPE else 0.5 * sigma
+    each = " each" if len(given) > 1 else ""
+    reason = f"The scale rests on {_count(len(given), 'distance')}, ± {1e3 * sigma:g} mm{each}"
+    if new:
+        yield _Plan(f"measuring {_pairs(new)}, too", reason, pairs=new, sigma=sigma)
+    if better >= _RULER:
+        with_ = "with a steel tape held taut" if better == _TAPE else "with a better tape or a laser"
+        yield _Plan(f"measuring {_pairs(old)} again {with_}, to {1e3 * better:g} mm,", reason, pairs=old, sigma=better)
+        if new:
+            text = f"measuring all distances {with_}, to {1e3 * better:g} mm, {_pairs(new)} among them"
+            yield _Plan(text, reason, pairs=old + new, sigma=better)
+
+
+def _pairs(pairs: Sequence[tuple[int, int]]) -> str:
+    if len(pairs) > 4:
+        return f"{len(pairs)} pairs of targets"
+    named = [f"{a}-{b}" for a, b in pairs]
+    return ("distance " if len(pairs) == 1 else "distances ") + (
+        named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
+    )
+
+
+def _count(n: int, word: str) -> str:
+    return f"{n} {word}{'' if n == 1 else 's'}"
