@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from spheremouse.experiments import limits
+from spheremouse.experiments import covers, limits
+from spheremouse.experiments.covers import COVERS
 from spheremouse.experiments.kit import world as world_module
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.kit.world import NEW, RATES, WHO, SpedUp, world
-from spheremouse.experiments.limits import ACCELERATIONS, COVERS, FASTEST, TRACKERS, Trial, jobs, section
+from spheremouse.experiments.limits import ACCELERATIONS, FASTEST, TRACKERS, Trial, jobs, section
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
@@ -75,14 +76,14 @@ def test_what_is_covered_is_not_seen(there):
 def test_a_cover_grows_over_the_whole_ball_from_its_side(there):
     visible = np.count_nonzero(there.ball)
     for kind in COVERS:
-        order = limits.growing(there, kind)
+        order = covers.growing(there, kind)
         half = order < 0.5
         assert np.count_nonzero(half) == pytest.approx(0.5 * visible, abs=1.0)
         assert np.array_equal(order < 1.0, there.ball)
     # the far camera is turned: obj's up is where the image's columns go, or come from
     place = there.scene.pose.to_cam(np.array([[0.0, 0.3, 0.5], [0.0, -0.3, 0.5]]))
     top, bottom = ((there.scene.camera.fx * p[:2] / p[2] + (320, 240)).astype(int) for p in place)
-    above = limits.growing(there, "from above")
+    above = covers.growing(there, "from above")
     assert above[top[1], top[0]] < 0.5 < above[bottom[1], bottom[0]]
 
 
@@ -136,7 +137,7 @@ def test_so3_follows_what_ekf2_loses(there, trial):
 
 
 def test_so3_finds_the_ball_again_at_once_and_ekf2_not_its_attitude():
-    found = limits.found_again(15.0, 1, False)
+    found = covers.found_again(15.0, 1, False)
     assert found["so3"]["attitude"]["frames"] == 1
     assert found["so3"]["attitude"]["ms"] < 1e3 / 15.0
     assert "error" in found["ekf2"] or found["ekf2"]["attitude"] is None
@@ -145,10 +146,10 @@ def test_so3_finds_the_ball_again_at_once_and_ekf2_not_its_attitude():
 def test_the_wait_is_counted_from_when_the_cover_goes():
     t = np.arange(1.0, 56.0) / 10.0
     off = [(np.eye(3), 0.0 if s < 2.0 or s > 3.35 else 1.0, True) for s in t]
-    found = limits._waited(t, off, 3.0)
+    found = covers._waited(t, off, 3.0)
     assert found["rate"] == {"frames": 5, "ms": pytest.approx(400.0)}
     assert found["attitude"] == {"frames": 1, "ms": pytest.approx(0.0)}
-    assert limits._waited(t, [(np.eye(3), 1.0, True)] * len(t), 3.0) == {"error": "lost before the cover came"}
+    assert covers._waited(t, [(np.eye(3), 1.0, True)] * len(t), 3.0) == {"error": "lost before the cover came"}
 
 
 # ---- sections ----

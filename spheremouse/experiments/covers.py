@@ -1,0 +1,157 @@
+"""The ball covered by hands and boards: how much may be hidden, and how soon it is found again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.state import Phase, Tracker, TrackState
+from spheremouse.ball.track import advance, step
+from spheremouse.experiments.kit.film import TRACKERS
+from spheremouse.experiments.kit.job import Result
+from spheremouse.experiments.kit.world import (
+    DISCS,
+    NOISE,
+    WHO,
+    Course,
+    SpedUp,
+    World,
+    _axis,
+    _begun,
+    _error,
+    _started,
+    _tracker,
+    world,
+)
+from spheremouse.geometry.camera import project
+from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.ball.film import Renderer, RenderOptions
+from spheremouse.simulate.ball.profile import Profile, thesis
+from spheremouse.tracker import Frame
+
+Sight = Detections | NDArray[np.uint8]  # what a detector found, or a picture
+Cover = NDArray[np.bool_]  # (h, w) pixels in which something is before the ball
+_View = Callable[[Cover | None], Sight]  # of one moment, with a cover or without
+_SHEET = np.uint8(110)  # grey value of a cover
+
+
+@dataclass(slots=True)
+class _Eye:
+    """What is seen of a world, with pictures or without."""
+
+    world: World
+    pictures: bool
+    seed: int
+    _rng: np.random.Generator = field(init=False)
+    _renderer: Renderer | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng([self.seed, 4])
+        self._renderer = Renderer(self.world.scene, RenderOptions(noise=NOISE)) if self.pictures else None
+
+    def at(self, motion: Profile, t: float) -> _View:
+        """At a time of a motion, s."""
+        if self._renderer is None:
+            R = motion.attitude(np.array([t]))[0]
+            return lambda cover: self.world.see(R, self._rng, cover)
+        image = self._renderer.frame(motion, t, 0, self._rng).frame.image
+        return lambda cover: image if cover is None else np.where(cover[..., None], _SHEET, image)
+
+
+def _shown(state: TrackState, stamp: float, sight: Sight, tracker: Tracker) -> TrackState:
+    """The next state."""
+    if isinstance(sight, Detections):
+        return advance(state, stamp, sight, tracker)[0]
+    return step(state, Frame(sight, stamp, 0), tracker)[0]
+
+
+COVERS = ("from the left", "from the right", "from above", "from below", "closing in", "from the middle")
+FILMED = COVERS[::2]  # and in a quick run
+COUNTS = (16, 26, DISCS, 74)
+_FPS, _BEFORE, _GROWS = 30.0, 1.0, 8.0  # Hz; s until the cover comes; s from nothing to all
+
+
+def growing(world: World, kind: str) -> Array:
+    """Of each pixel of the ball the share of the visible ball that is hidden before it is, (h, w); 2 elsewhere."""
+    v, u = np.nonzero(world.ball)
+    middle = project(world.scene.pose.to_cam(np.zeros((1, 3))), world.scene.camera)[0][0]
+    away = np.hypot(u - middle[0], v - middle[1])
+    # the far camera stands turned by 90 degrees: what is above is where obj's y is
+    up = world.scene.pose.rotation.T @ np.array([0.0, 1.0, 0.0])
+    right = world.scene.pose.rotation.T @ np.array([1.0, 0.0, 0.0])
+    place = {"from the left": u * right[0] + v * right[1], "from below": u * up[0] + v * up[1], "from the middle": away}
+    place |= {"from the right": -place["from the left"], "from above": -place["from below"], "closing in": -away}
+    order = np.full(world.ball.shape, 2.0)
+    order[v, u] = np.argsort(np.argsort(place[kind], kind="stable"), kind="stable") / len(u)
+    return order
+
+
+def covered(discs: int, layout: int, pictures: bool, kinds: Sequence[str]) -> Result:
+    """Share of the visible ball that was hidden when discs last held the attitude, by cover and tracker."""
+    there, motion = world(discs, layout), thesis()
+    eye = _Eye(there, pictures, layout)
+    trackers = {who: _tracker(who, there) for who in TRACKERS}
+    started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
+    orders = {kind: growing(there, kind) for kind in kinds}
+    going: dict[tuple[str, str], Course] = {(kind, who): _begun(started[who]) for kind in kinds for who in TRACKERS}
+    found: Result = {kind: dict.fromkeys(TRACKERS, 0.0) for kind in kinds}
+    for t in np.arange(1.0, motion.seconds * _FPS) / _FPS:
+        share = float(np.clip((t - _BEFORE) / _GROWS, 0.0, 1.0))
+        view, R = eye.at(motion, float(t)), motion.attitude(np.array([t]))[0]
+        for kind in kinds:
+            sight = view(orders[kind] < share)
+            for who in [w for k, w in going if k == kind]:
+                course = going.pop((kind, who))
+                stamp = started[who].filter.stamp + float(t)
+                after = course.then(_shown(course.state, stamp, sight, trackers[who]), R)
+                if after is not None:
+                    going[kind, who] = after
+                    if after.state.held == stamp:
+                        found[kind][who] = share
+        if not going:
+            break
+    return found
+
+
+COVERED = 1.0  # s, for which nothing is seen
+_AT, _AFTER = 2.0, 2.5  # s: when the cover comes, and how long is waited afterwards
+_TURNING, _GENTLY = 2.0, 2.0  # rad/s, and rad/s² up to it
+_ATTITUDE, _RATE, _STAYS = 1.0, 0.1, 0.2  # °, rad/s: right again; s, for which it has to stay so
+
+
+def found_again(fps: float, seed: int, pictures: bool) -> Result:
+    """By tracker: frames and ms from when the cover goes until attitude and rate are right again, None: never."""
+    there, motion = world(DISCS, seed), SpedUp(_axis(seed), _GENTLY, _TURNING)
+    eye = _Eye(there, pictures, seed)
+    trackers = {who: _tracker(who, there) for who in WHO}
+    started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
+    states, end = dict(started), _AT + COVERED
+    t = np.arange(1.0, (end + _AFTER) * fps + 0.5) / fps
+    off: dict[str, list[tuple[Array, float, bool]]] = {who: [] for who in WHO}
+    attitudes, rates = motion.attitude(t), motion.rate(t)
+    for s, R, w in zip(t, attitudes, rates, strict=True):
+        sight = eye.at(motion, float(s))(there.ball if _AT <= s < end else None)
+        for who in WHO:
+            state = _shown(states[who], started[who].filter.stamp + float(s), sight, trackers[who])
+            states[who] = state
+            rate = float(np.linalg.norm(state.filter.rate - w))
+            off[who].append((_error(state, R), rate, state.phase is Phase.TRACKING))
+    return {who: _waited(t, off[who], end) for who in WHO}
+
+
+def _waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Result:
+    errors, rate, tracking = (np.array([o[k] for o in off]) for k in range(3))
+    before, after = int(np.searchsorted(t, _AT)) - 1, int(np.searchsorted(t, end))
+    cosine = 0.5 * (np.sum(errors * errors[before], axis=(1, 2)) - 1.0)
+    right = {"attitude": cosine > np.cos(np.radians(_ATTITUDE)), "rate": rate < _RATE}
+    if not tracking[before] or not right["rate"][before]:
+        return {"error": "lost before the cover came"}
+    frames = round(_STAYS / (t[1] - t[0])) + 1
+    result: Result = {}
+    for what, close in right.items():
+        good = close & tracking
+        k = next((k for k in range(after, len(t) - frames) if good[k : k + frames].all()), None)
+        result[what] = None if k is None else {"frames": k - after + 1, "ms": 1e3 * float(t[k] - end)}
+    return result
