@@ -16,14 +16,7 @@ from spheremouse.evaluate.metrics import Run, surface_travel
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit import sights
 from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.viewing import (
-    SHARE,
-    brief,
-    filmed,
-    least,
-    moved,
-    suited,
-)
+from spheremouse.experiments.kit.tour import SHARE, brief, filmed, least, moved, suited
 from spheremouse.geometry.conics import project_sphere
 from spheremouse.geometry.rotation import Array, log
 

@@ -8,7 +8,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.state import Phase
-from spheremouse.experiments import mistakes, viewing
+from spheremouse.experiments import mistakes
+from spheremouse.experiments.kit import tour
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, wrong
@@ -23,7 +24,7 @@ RIG = default_scene().rig()
 
 @pytest.fixture(scope="module")
 def film():
-    return viewing.filmed({}, 1, 1.2)
+    return tour.filmed({}, 1, 1.2)
 
 
 def row(error, lost=0, **more):

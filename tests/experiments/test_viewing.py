@@ -10,12 +10,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from spheremouse.experiments import viewing
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit import sights
+from spheremouse.experiments.kit import tour as tour_module
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import apart, save
 from spheremouse.experiments.kit.report import write_report
+from spheremouse.experiments.kit.tour import thinned, tour
 from spheremouse.experiments.report import viewing as viewing_module
 from spheremouse.experiments.report.viewing import points, section
-from spheremouse.experiments.viewing import KINDS, jobs, thinned, tour
+from spheremouse.experiments.viewing import KINDS, jobs
 from spheremouse.geometry.rotation import log
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
@@ -23,7 +25,7 @@ QUICK, WHOLE = Request(True, None), Request(False, None)
 
 @pytest.fixture(scope="module")
 def film():
-    return viewing.filmed({"fps": 60.0, "size": [320, 240]}, 1, 0.6)
+    return tour_module.filmed({"fps": 60.0, "size": [320, 240]}, 1, 0.6)
 
 
 def row(error, lost=0):
@@ -82,7 +84,7 @@ def test_tours_are_alike_in_liveliness_but_not_in_order():
 
 def test_a_thinned_film_is_the_film_at_the_slower_rate(film):
     fewer = thinned(film, 2)
-    slow = viewing.filmed({"size": [320, 240]}, 1, 0.6)
+    slow = tour_module.filmed({"size": [320, 240]}, 1, 0.6)
     assert [f.sequence for f in fewer.frames] == list(range(18))
     assert_allclose([f.stamp for f in fewer.frames], [f.stamp for f in slow.frames])
     assert_allclose(fewer.truth.motion.attitude, slow.truth.motion.attitude, atol=1e-12)
@@ -101,7 +103,9 @@ def test_one_film_is_followed_at_every_rate_it_holds(monkeypatch):
     assert set(found["30"]["rows"]) == set(KINDS["rate"].shown)
     for at in found.values():
         assert at["rows"]["so3"]["tracked"] == at["rows"]["so3"]["frames"]
-        assert at["rows"]["ekf2"]["rate"] < at["rows"][viewing.PUBLISHED]["rate"]  # it is told how lively the ball is
+        assert (
+            at["rows"]["ekf2"]["rate"] < at["rows"][tour_module.PUBLISHED]["rate"]
+        )  # it is told how lively the ball is
         assert 0.0 < at["bound"]["attitude"] < 1.0
     assert found["60"]["bound"]["rate"] < found["30"]["bound"]["rate"]
 
@@ -114,9 +118,12 @@ def test_a_rate_that_does_not_divide_the_film_is_refused():
 def test_a_readout_that_is_not_considered_costs_attitude():
     found = viewing.with_film(1, 1.2, {"readout": 0.03})
     assert found["pose"] is None  # nothing was amiss
-    off = {name: found["rows"][name]["attitude"] for name in (viewing.KNOWN, viewing.ESTIMATED, viewing.IGNORED)}
-    assert off[viewing.IGNORED] > 2.0 * off[viewing.KNOWN]
-    assert off[viewing.ESTIMATED] < off[viewing.IGNORED]
+    off = {
+        name: found["rows"][name]["attitude"]
+        for name in (tour_module.KNOWN, tour_module.ESTIMATED, tour_module.IGNORED)
+    }
+    assert off[tour_module.IGNORED] > 2.0 * off[tour_module.KNOWN]
+    assert off[tour_module.ESTIMATED] < off[tour_module.IGNORED]
 
 
 def test_where_no_target_is_found_the_true_pose_is_taken_and_said():
@@ -128,8 +135,8 @@ def test_where_no_target_is_found_the_true_pose_is_taken_and_said():
 def test_the_classic_filters_are_told_the_true_acceleration(film):
     motion = film.truth.motion
     steady = replace(motion, rate=np.outer(motion.stamp, [3.0, 0.0, 0.0]))
-    assert viewing.acceleration(steady) == pytest.approx(np.sqrt(3.0))
-    said = kit.settings_of([viewing.suited(steady)]).euler.acceleration_sigma
+    assert tour_module.acceleration(steady) == pytest.approx(np.sqrt(3.0))
+    said = kit.settings_of([tour_module.suited(steady)]).euler.acceleration_sigma
     assert said == pytest.approx(np.sqrt(3.0))
 
 
@@ -138,10 +145,10 @@ def test_what_is_brief_is_what_was_reported(film):
     seen = sights.look_at(posed, kit.settings_of(["tracker=ekf2"]))
     run = sights.filtered(seen, kit.settings_of(["tracker=ekf2"]), film)
     said = sights.errors(run, film.truth, 0.6)
-    found = viewing.brief(said)
+    found = tour_module.brief(said)
     assert found["attitude"] == said["attitude_rmse_deg"]["combined"]
     assert found["rate"] == said["rate_rmse_deg_s"]["combined"]
-    assert viewing.least(None) is None
+    assert tour_module.least(None) is None
 
 
 # ---- pages ----
@@ -220,10 +227,10 @@ def test_rows_have_medians_and_say_what_was_lost(tmp_path):
 
 
 def test_a_lost_film_is_one_that_says_so_or_is_far_off_or_has_nothing():
-    assert viewing.is_lost(row(0.1, lost=1))
-    assert viewing.is_lost(row(1.2))
-    assert viewing.is_lost({**row(0.1), "attitude": None})
-    assert not viewing.is_lost(row(0.9))
+    assert tour_module.is_lost(row(0.1, lost=1))
+    assert tour_module.is_lost(row(1.2))
+    assert tour_module.is_lost({**row(0.1), "attitude": None})
+    assert not tour_module.is_lost(row(0.9))
 
 
 def test_a_figure_is_drawn_where_a_filter_or_the_bound_has_no_value(tmp_path):

@@ -25,8 +25,8 @@ from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, decades
 from spheremouse.experiments.kit.report import failures, value
+from spheremouse.experiments.kit.tour import FAR_OFF, FOLLOWED, brief, is_lost
 from spheremouse.experiments.report.cells import films_cell
-from spheremouse.experiments.viewing import FAR_OFF, FOLLOWED, brief, is_lost
 
 _RECOGNISED = 0.99  # of the pictures: good enough
 

@@ -8,6 +8,7 @@ import numpy as np
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND
 from spheremouse.experiments.kit.report import failures
+from spheremouse.experiments.kit.tour import FOLLOWED, is_lost
 from spheremouse.experiments.mistakes import (
     _LENS,
     _PER_UNIT,
@@ -23,7 +24,7 @@ from spheremouse.experiments.mistakes import (
     Kind,
 )
 from spheremouse.experiments.report.cells import CLEARLY, COLOURS, films_cell
-from spheremouse.experiments.viewing import FOLLOWED, is_lost, label_ends, plain_numbers
+from spheremouse.experiments.viewing import label_ends, plain_numbers
 
 
 def section(request: Request, results: Results) -> Section:

@@ -10,23 +10,21 @@ from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, label_ends, plain_numbers
 from spheremouse.experiments.kit.report import failures
-from spheremouse.experiments.report.cells import CLEARLY, COLOURS, DASHES, MARKS, films_cell
-from spheremouse.experiments.viewing import (
+from spheremouse.experiments.kit.tour import (
     _AXES,
-    _FASTEST,
     _NOISE,
     _USUAL,
     ESTIMATED,
     FAR_OFF,
     FOLLOWED,
     IGNORED,
-    KINDS,
     KNOWN,
     NEAR,
     SHARE,
-    Kind,
     is_lost,
 )
+from spheremouse.experiments.report.cells import CLEARLY, COLOURS, DASHES, MARKS, films_cell
+from spheremouse.experiments.viewing import _FASTEST, KINDS, Kind
 
 
 def section(request: Request, results: Results) -> Section:
