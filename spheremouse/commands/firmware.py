@@ -321,7 +321,7 @@ def _wrong_version(runs: firmware.Version, ours: firmware.Version, kind: int) ->
 def _ask(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
     """Identity of the board that answers, how it fares, and what is wrong with that."""
     from spheremouse.output.serial import Serial
-    from spheremouse.output.serial.link import Flags
+    from spheremouse.output.serial.messages import Flags
     from spheremouse.output.serial.ports import find_board
 
     name = find_board() if port == "auto" else port

@@ -23,7 +23,8 @@ from spheremouse.errors import OutputError
 from spheremouse.files.spec import options
 from spheremouse.output import Passage
 from spheremouse.output.counts import Motion
-from spheremouse.output.serial.link import VERSION, Flags, Identity, Link, Status
+from spheremouse.output.serial.link import Link
+from spheremouse.output.serial.messages import VERSION, Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, _example_port, _foreign, _nobody, find_board
 from spheremouse.output.sparing import Sparing
 

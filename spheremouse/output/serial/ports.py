@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from spheremouse.errors import OutputError
-from spheremouse.output.serial.link import VERSION
+from spheremouse.output.serial.messages import VERSION
 
 PRODUCT = "spheremouse"
 CIRCUITPYTHON = (0x239A, 0x2E8A)  # USB vendors of its boards with RP2040 and RP2350: Adafruit, Raspberry Pi

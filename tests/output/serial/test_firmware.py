@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from spheremouse.commands.firmware import app
 from spheremouse.errors import OutputError
-from spheremouse.output.serial import firmware
+from spheremouse.output.serial import firmware, messages
 from spheremouse.output.serial import link as host
 from spheremouse.output.serial.firmware import words
 
@@ -93,11 +93,11 @@ def test_micropython_makes_and_reads_the_hosts_bytes(micropython):
     rng = np.random.default_rng(0)
     stream, contents = b"", []
     for k in range(200):
-        kind = int(rng.choice(sorted(host._BODY)))
-        body = rng.integers(0, 256, host._BODY[kind]).astype(np.uint8).tobytes()
+        kind = int(rng.choice(sorted(messages._BODY)))
+        body = rng.integers(0, 256, messages._BODY[kind]).astype(np.uint8).tobytes()
         body = bytes(b if rng.random() < 0.5 else 0 for b in body)
         made = micropython("sealed", {"content": (bytes([1, kind, 0, 0]) + body).hex(), "number": 65_500 + k & 0xFFFF})
-        assert bytes.fromhex(made) == host.encode(kind, 65_500 + k, body)
+        assert bytes.fromhex(made) == messages.encode(kind, 65_500 + k, body)
         stream += rng.bytes(int(rng.integers(0, 90))) + b"\0" + bytes.fromhex(made)  # noise between
         contents.append(body)
     found = micropython("taken", stream.hex())
@@ -116,12 +116,12 @@ def test_micropython_and_cpython_answer_the_same_to_anything(micropython):
         now += int(rng.integers(0, 40)) + 150 * (k % 97 == 0)
         position += rng.integers(-500, 600, 4)
         frame = (
-            host.motion(k, position.tolist(), int(rng.integers(0, 256))),
-            host.hello(k, int(rng.integers(0, 4))),
-            host.encode(host.ASK_STATUS, k),
-            host.encode(host.STOP, k),
-            host.encode(9, k),
-            host.encode(host.HELLO, k, bytes(4), version=2),
+            messages.motion(k, position.tolist(), int(rng.integers(0, 256))),
+            messages.hello(k, int(rng.integers(0, 4))),
+            messages.encode(messages.ASK_STATUS, k),
+            messages.encode(messages.STOP, k),
+            messages.encode(9, k),
+            messages.encode(messages.HELLO, k, bytes(4), version=2),
             rng.bytes(200),
             b"",
         )[int(rng.choice(8, p=(0.7, 0.12, 0.05, 0.03, 0.02, 0.02, 0.03, 0.03)))]
@@ -160,9 +160,9 @@ def test_breaks_and_resets_under_micropython(micropython):
 
 def test_the_loop_allocates_nothing(micropython):
     """With the collector off, thousands of turns leave the heap as it was."""
-    frames = b"\0" + host.hello(0, 77)
-    frames += b"".join(host.motion(k, (k, 3 * k, 2 * k, -k), k & 31) for k in range(1, 3000))
-    frames += b"".join(host.encode(host.ASK_STATUS, k) for k in range(100)) + b"\x55" * 1000 + b"\0\3\0"
+    frames = b"\0" + messages.hello(0, 77)
+    frames += b"".join(messages.motion(k, (k, 3 * k, 2 * k, -k), k & 31) for k in range(1, 3000))
+    frames += b"".join(messages.encode(messages.ASK_STATUS, k) for k in range(100)) + b"\x55" * 1000 + b"\0\3\0"
     MicroPythonBoard(micropython).turn(b"", 99)
     found = micropython("allocated", {"bytes": frames.hex(), "step": 19, "now": 100})
     assert found["bytes"] == 0
@@ -172,47 +172,47 @@ def test_the_loop_allocates_nothing(micropython):
 def acked(board, frame, now, **asked):
     """The last ACK to a frame; `asked` of the desk."""
     board._asked |= asked
-    ack = [host.parse(f) for f in host.Splitter().take(board.turn(frame, now))][-1]
-    assert isinstance(ack, host.Ack)
+    ack = [messages.parse(f) for f in messages.Splitter().take(board.turn(frame, now))][-1]
+    assert isinstance(ack, messages.Ack)
     return ack
 
 
 def test_a_computer_that_fetches_no_reports(micropython):
     """Trying costs 2 s in which nothing is answered: seldom, and the flag says so meanwhile."""
     board = MicroPythonBoard(micropython)
-    board.turn(host.hello(0, 9), 0)
-    acked(board, host.motion(1, (5, 0, 0, 0), 1), 1)
-    ack, tries = acked(board, host.motion(2, (6, 0, 0, 0), 0), 2, refuses=True), board.tries
-    assert (ack.counters[0], bool(ack.flags & host.Flags.USB_READY)) == (5, False)
+    board.turn(messages.hello(0, 9), 0)
+    acked(board, messages.motion(1, (5, 0, 0, 0), 1), 1)
+    ack, tries = acked(board, messages.motion(2, (6, 0, 0, 0), 0), 2, refuses=True), board.tries
+    assert (ack.counters[0], bool(ack.flags & messages.Flags.USB_READY)) == (5, False)
     for n in range(3, 4900):  # the frames go on
-        ack = acked(board, host.motion(n, (6, 0, 0, 0), 0), n, refuses=False)
-    assert (ack.counters[0], bool(ack.flags & host.Flags.USB_READY)) == (5, False)
+        ack = acked(board, messages.motion(n, (6, 0, 0, 0), 0), n, refuses=False)
+    assert (ack.counters[0], bool(ack.flags & messages.Flags.USB_READY)) == (5, False)
     assert board.tries == tries
-    ack = acked(board, host.motion(5002, (7, 0, 0, 0), 0) + host.motion(5003, (7, 0, 0, 0), 0), 5002)
+    ack = acked(board, messages.motion(5002, (7, 0, 0, 0), 0) + messages.motion(5003, (7, 0, 0, 0), 0), 5002)
     assert (ack.counters[0], board.moved[0], board.buttons) == (7, 7, 0)
-    assert ack.flags & host.Flags.USB_READY
-    acked(board, host.motion(5004, (8, 0, 0, 0), 0), 5004, refuses=True)
+    assert ack.flags & messages.Flags.USB_READY
+    acked(board, messages.motion(5004, (8, 0, 0, 0), 0), 5004, refuses=True)
     board.turn(b"", 5005)
     board._asked = {"usb": False}  # another computer, or that one started again
     board.turn(b"", 5006)
-    ack = acked(board, host.motion(5005, (9, 0, 0, 0), 0), 5007, usb=True, refuses=False)
+    ack = acked(board, messages.motion(5005, (9, 0, 0, 0), 0), 5007, usb=True, refuses=False)
     assert ack.counters[0] == board.moved[0] == 9
 
 
 def test_a_computer_that_falls_asleep_while_a_report_waits(micropython):
     """CircuitPython gives no sign of it: what was not fetched stays due, and buttons are told anew on waking."""
     board = MicroPythonBoard(micropython)
-    board.turn(host.hello(0, 9), 0)
-    assert acked(board, host.motion(1, (5, 0, 0, 0), 1), 1).counters[0] == 5
-    ack = acked(board, host.motion(2, (405, 0, 0, 0), 0), 2, nods_off=True)
+    board.turn(messages.hello(0, 9), 0)
+    assert acked(board, messages.motion(1, (5, 0, 0, 0), 1), 1).counters[0] == 5
+    ack = acked(board, messages.motion(2, (405, 0, 0, 0), 0), 2, nods_off=True)
     assert (ack.counters[0], board.buttons) == (5, 1)
-    ack = acked(board, host.motion(3, (405, 0, 0, 0), 0), 3)
-    assert (ack.counters[0], bool(ack.flags & host.Flags.USB_READY)) == (5, False)
-    ack = acked(board, host.motion(4, (405, 0, 0, 0), 0), 4, usb=True)
+    ack = acked(board, messages.motion(3, (405, 0, 0, 0), 0), 3)
+    assert (ack.counters[0], bool(ack.flags & messages.Flags.USB_READY)) == (5, False)
+    ack = acked(board, messages.motion(4, (405, 0, 0, 0), 0), 4, usb=True)
     assert (ack.counters[0], board.moved[0], board.buttons) == (405, 405, 0)
     tries = board.tries
     for usb in (False, True):  # asleep with nothing due
-        acked(board, host.motion(5 + usb, (405, 0, 0, 0), 0), 5 + usb, usb=usb)
+        acked(board, messages.motion(5 + usb, (405, 0, 0, 0), 0), 5 + usb, usb=usb)
     assert board.tries == tries + 1
 
 
@@ -300,15 +300,15 @@ def test_the_light(mouse):
     assert not any(lights(0, 2048))  # no computer
     runtime.usb_connected = True
     assert sum(lights(2048, 4096)) == 1024  # waits: slow blinking
-    assert all(lights(4096, 4150, host.hello(0, 5)))  # a session
-    assert all(lights(4150, 4200, host.motion(1, (1, 0, 0, 0), 0)))
-    worried = lights(4200, 4250, host.motion(3, (1, 0, 0, 0), 0))  # a frame was lost: flicker
+    assert all(lights(4096, 4150, messages.hello(0, 5)))  # a session
+    assert all(lights(4150, 4200, messages.motion(1, (1, 0, 0, 0), 0)))
+    worried = lights(4200, 4250, messages.motion(3, (1, 0, 0, 0), 0))  # a frame was lost: flicker
     assert 0 < sum(worried) < 50
-    damaged = bytearray(host.motion(4, (1, 0, 0, 0), 0))
+    damaged = bytearray(messages.motion(4, (1, 0, 0, 0), 0))
     damaged[7] ^= 1
-    assert all(lights(4550, 4580, host.motion(5, (1, 0, 0, 0), 0)[:0] + host.hello(4, 6)))
+    assert all(lights(4550, 4580, messages.motion(5, (1, 0, 0, 0), 0)[:0] + messages.hello(4, 6)))
     assert 0 < sum(lights(4580, 4640, bytes(damaged))) < 60  # a wrong check sum: flicker
-    assert all(lights(4900, 4930, host.hello(5, 7)))
+    assert all(lights(4900, 4930, messages.hello(5, 7)))
     noise.in_waiting = 3  # an open pin
     assert all(lights(4930, 4980))
     noise.in_waiting = 0
@@ -426,7 +426,7 @@ def test_the_firmware_puts_values_where_the_descriptor_says(mouse):
     device, line = mouse.protocol.Device(1, b""), mouse.protocol.Line()
     device.set_multipliers(0b0101)
     device.usb_ready = True
-    for frame in (host.hello(0, 5), host.motion(1, (300, -301, 1000, -1001), 0b10001)):
+    for frame in (messages.hello(0, 5), messages.motion(1, (300, -301, 1000, -1001), 0b10001)):
         line.take(frame, 0, len(frame))
         device.handle(line, 0)
     assert device.due()
@@ -554,14 +554,14 @@ def run_code():
 
 @pytest.mark.parametrize("pins", [{"LED": 25}, {}])
 def test_code_moves_and_answers(mouse, monkeypatch, pins):
-    frames = b"\0" + host.hello(0, 5) + host.motion(1, (3, -4, 0, 0), 1)
+    frames = b"\0" + messages.hello(0, 5) + messages.motion(1, (3, -4, 0, 0), 1)
     seen = board_modules(monkeypatch, frames=frames, **pins)
     with pytest.raises(EndOfTestError):
         run_code()
     assert seen.reports == [(1, bytes([1, 3, 0, 0xFC, 0xFF, 0, 0, 0, 0]))]
-    identity, ack = map(host.parse, host.Splitter().take(seen.out))
-    assert isinstance(identity, host.Identity)
-    assert isinstance(ack, host.Ack)
+    identity, ack = map(messages.parse, messages.Splitter().take(seen.out))
+    assert isinstance(identity, messages.Identity)
+    assert isinstance(ack, messages.Ack)
     assert (identity.board, identity.kind, identity.firmware) == ("pico", 1, firmware.version_of(PICO))
     assert ack.counters == (3, 2**16 - 4, 0, 0)
     assert seen.resets == 0

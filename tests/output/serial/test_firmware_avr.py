@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from spheremouse.output.serial import link as host
+from spheremouse.output.serial import messages
 from spheremouse.output.serial.firmware import folder, load_protocol
 
-HELLO_1 = host.hello(0, 0xABCD0001)
+HELLO_1 = messages.hello(0, 0xABCD0001)
 FINE = 0b0101  # both resolution multipliers
 
 
@@ -29,16 +30,16 @@ def board(code):
 
 def answers(data):
     """Answers as the host reads them; none is damaged."""
-    frames = host.Splitter()
-    found = [host.parse(frame) for frame in frames.take(data)]
+    frames = messages.Splitter()
+    found = [messages.parse(frame) for frame in frames.take(data)]
     assert frames.damaged == 0
     assert None not in found
     return found
 
 
 def begin(board, session=7, number=0, now=0, line=0):
-    (identity,) = answers(board.turn(host.hello(number, session), now, line))
-    assert isinstance(identity, host.Identity)
+    (identity,) = answers(board.turn(messages.hello(number, session), now, line))
+    assert isinstance(identity, messages.Identity)
     assert identity.session == session
     return identity
 
@@ -61,22 +62,22 @@ def test_identity_and_status(board):
     assert (identity.kind, identity.board, identity.firmware) == (2, "test", (1, 0, 0))
     assert (identity.step, identity.silence) == (host.STEP, round(1000 * host.SILENCE))
     assert (identity.first, identity.last, identity.counters) == (0x12345678, 0, (0, 0, 0, 0))
-    (status,) = answers(board.turn(b"\x05nonsense\0" + host.encode(host.ASK_STATUS, 1), 65))
+    (status,) = answers(board.turn(b"\x05nonsense\0" + messages.encode(messages.ASK_STATUS, 1), 65))
     assert (status.session, status.frames, status.damaged, status.uptime) == (0x12345678, 2, 1, 0)
-    (status,) = answers(board.turn(host.encode(host.ASK_STATUS, 2), 70_001))
+    (status,) = answers(board.turn(messages.encode(messages.ASK_STATUS, 2), 70_001))
     assert (status.session, status.frames, status.uptime) == (0, 3, 70)
 
 
 def test_motions_become_reports(board):
     begin(board)
-    (ack,) = answers(board.turn(host.motion(1, (5, -7, 120, -3), 0b10001), 1))
-    assert (ack.number, host.Flags(ack.flags)) == (1, host.Flags(0x1D))
-    assert [host.signed(c) for c in ack.counters] == [5, -7, 120, -3]
+    (ack,) = answers(board.turn(messages.motion(1, (5, -7, 120, -3), 0b10001), 1))
+    assert (ack.number, messages.Flags(ack.flags)) == (1, messages.Flags(0x1D))
+    assert [messages.signed(c) for c in ack.counters] == [5, -7, 120, -3]
     assert (board.moved, board.reports, board.buttons) == ((5, -7, 120, -3), 1, 0b10001)
-    board.turn(host.motion(1, (9, 9, 9, 9), 0), 2)  # not newer
-    board.turn(host.motion(0, (9, 9, 9, 9), 0), 2)
+    board.turn(messages.motion(1, (9, 9, 9, 9), 0), 2)  # not newer
+    board.turn(messages.motion(0, (9, 9, 9, 9), 0), 2)
     assert board.moved == (5, -7, 120, -3)
-    (ack,) = answers(board.turn(host.motion(4, (-1195, 1193, 1320, -1203), 0), 3))
+    (ack,) = answers(board.turn(messages.motion(4, (-1195, 1193, 1320, -1203), 0), 3))
     assert (ack.refused, ack.lost) == (2, 2)
     assert board.moved == (-1195, 1193, 1320, -1203)  # a step of 1200 passes
 
@@ -85,11 +86,11 @@ def test_motions_become_reports(board):
 @pytest.mark.parametrize("step", [1201, -1201, 32767, -32768])
 def test_a_step_that_no_hand_makes_ends_the_session(board, axis, step):
     begin(board)
-    board.turn(host.motion(1, (1, 1, 1, 1), 1), 1)
+    board.turn(messages.motion(1, (1, 1, 1, 1), 1), 1)
     counters = [1, 1, 1, 1]
     counters[axis] += step
-    (ack,) = answers(board.turn(host.motion(2, counters, 3), 2))
-    assert ack.flags & (host.Flags.RUNNING | host.Flags.TOO_LARGE) == host.Flags.TOO_LARGE
+    (ack,) = answers(board.turn(messages.motion(2, counters, 3), 2))
+    assert ack.flags & (messages.Flags.RUNNING | messages.Flags.TOO_LARGE) == messages.Flags.TOO_LARGE
     assert (board.moved, board.buttons) == ((1, 1, 1, 1), 0)
     assert begin(board, session=8, number=3, now=3).counters == (1, 1, 1, 1)
 
@@ -97,29 +98,29 @@ def test_a_step_that_no_hand_makes_ends_the_session(board, axis, step):
 def test_counters_wrap(board):
     begin(board)
     for n in range(1, 201):
-        board.turn(host.motion(n, (1200 * n, -1200 * n, 0, 0), 0), n)
+        board.turn(messages.motion(n, (1200 * n, -1200 * n, 0, 0), 0), n)
     assert board.moved == (240_000, -240_000, 0, 0)
 
 
 def test_silence_of_100_ms_ends_the_session_and_releases(board):
     begin(board)
-    board.turn(host.motion(1, (3, 0, 0, 0), 1), 50)
-    board.turn(host.encode(host.ASK_STATUS, 2), 149)  # does not break it
+    board.turn(messages.motion(1, (3, 0, 0, 0), 1), 50)
+    board.turn(messages.encode(messages.ASK_STATUS, 2), 149)  # does not break it
     assert board.buttons == 1
     board.turn(b"", 150)
     assert board.buttons == 0
-    (ack,) = answers(board.turn(host.motion(3, (9, 0, 0, 0), 1), 151))
-    assert not ack.flags & host.Flags.RUNNING
+    (ack,) = answers(board.turn(messages.motion(3, (9, 0, 0, 0), 1), 151))
+    assert not ack.flags & messages.Flags.RUNNING
     assert board.moved == (3, 0, 0, 0)
     identity = begin(board, session=8, number=4, now=160)
     assert (identity.last, identity.counters, identity.first) == (7, (3, 0, 0, 0), 7)
-    assert board.turn(host.hello(5, 7) + b"\0", 161) == b""  # a HELLO that strayed
+    assert board.turn(messages.hello(5, 7) + b"\0", 161) == b""  # a HELLO that strayed
 
 
 def test_time_wraps(code):
     board = avr_board.Board(code, now=2**32 - 60)
     begin(board, now=2**32 - 60)
-    board.turn(host.motion(1, (3, 0, 0, 0), 1), 2**32 - 50)
+    board.turn(messages.motion(1, (3, 0, 0, 0), 1), 2**32 - 50)
     board.turn(b"", 49)
     assert board.buttons == 1
     board.turn(b"", 50)
@@ -128,17 +129,17 @@ def test_time_wraps(code):
 
 def test_stop_releases(board):
     begin(board)
-    board.turn(host.motion(1, (3, 0, 0, 0), 31), 1)
-    (ack,) = answers(board.turn(host.encode(host.STOP, 2), 2))
-    assert (ack.number, ack.flags & host.Flags.RUNNING, board.buttons) == (2, 0, 0)
+    board.turn(messages.motion(1, (3, 0, 0, 0), 31), 1)
+    (ack,) = answers(board.turn(messages.encode(messages.STOP, 2), 2))
+    assert (ack.number, ack.flags & messages.Flags.RUNNING, board.buttons) == (2, 0, 0)
 
 
 def test_a_computer_that_sleeps_gets_it_when_it_wakes(board):
     begin(board)
-    board.turn(host.motion(1, (3, 0, 0, 0), 1), 1)
+    board.turn(messages.motion(1, (3, 0, 0, 0), 1), 1)
     board.usb(ready=False)
-    (ack,) = answers(board.turn(host.motion(2, (50, 0, 0, 0), 3), 2))
-    assert (ack.counters[0], ack.flags & host.Flags.USB_READY) == (3, 0)
+    (ack,) = answers(board.turn(messages.motion(2, (50, 0, 0, 0), 3), 2))
+    assert (ack.counters[0], ack.flags & messages.Flags.USB_READY) == (3, 0)
     board.usb(ready=True, takes=False)
     board.turn(b"", 3)
     assert board.moved[0] == 3
@@ -149,7 +150,7 @@ def test_a_computer_that_sleeps_gets_it_when_it_wakes(board):
 
 def test_a_computer_that_wakes_is_told_the_buttons_anew(board):
     begin(board)
-    board.turn(host.motion(1, (3, 0, 0, 0), 1), 1)
+    board.turn(messages.motion(1, (3, 0, 0, 0), 1), 1)
     before = board.reports
     board.usb(ready=False)
     board.turn(b"", 2)
@@ -161,31 +162,31 @@ def test_a_computer_that_wakes_is_told_the_buttons_anew(board):
 
 def test_a_hello_of_another_session_is_no_gap(board):
     begin(board, session=1, number=40_000)
-    board.turn(host.motion(40_001, (1, 0, 0, 0), 0), 1)
+    board.turn(messages.motion(40_001, (1, 0, 0, 0), 0), 1)
     begin(board, session=2, number=0, now=5)
-    (ack,) = answers(board.turn(host.motion(1, (1, 0, 0, 0), 0), 6))
+    (ack,) = answers(board.turn(messages.motion(1, (1, 0, 0, 0), 0), 6))
     assert ack.lost == 0
-    board.turn(host.hello(4, 2), 7)
-    assert answers(board.turn(host.motion(5, (1, 0, 0, 0), 0), 8))[0].lost == 2  # of its own one there is
+    board.turn(messages.hello(4, 2), 7)
+    assert answers(board.turn(messages.motion(5, (1, 0, 0, 0), 0), 8))[0].lost == 2  # of its own one there is
 
 
 def test_two_lines(board):
     begin(board, session=7)
-    board.turn(host.motion(1, (3, 0, 0, 0), 1), 1)
+    board.turn(messages.motion(1, (3, 0, 0, 0), 1), 1)
     begin(board, session=8, line=1, now=2)
     assert board.buttons == 0
-    (ack,) = answers(board.turn(host.motion(2, (9, 0, 0, 0), 1), 3))
-    assert not ack.flags & host.Flags.RUNNING
-    (ack,) = answers(board.turn(host.motion(1, (4, 0, 0, 0), 0), 4, line=1))
-    assert ack.flags & host.Flags.RUNNING
+    (ack,) = answers(board.turn(messages.motion(2, (9, 0, 0, 0), 1), 3))
+    assert not ack.flags & messages.Flags.RUNNING
+    (ack,) = answers(board.turn(messages.motion(1, (4, 0, 0, 0), 0), 4, line=1))
+    assert ack.flags & messages.Flags.RUNNING
     assert board.moved[0] == 7
 
 
 def test_another_version_is_told(board):
-    (identity,) = answers(board.turn(host.encode(host.HELLO, 0, bytes(4), version=2), 0))
+    (identity,) = answers(board.turn(messages.encode(messages.HELLO, 0, bytes(4), version=2), 0))
     assert identity.session == 0
-    (ack,) = answers(board.turn(host.motion(1, (1, 0, 0, 0), 0), 1))
-    assert not ack.flags & host.Flags.RUNNING
+    (ack,) = answers(board.turn(messages.motion(1, (1, 0, 0, 0), 0), 1))
+    assert not ack.flags & messages.Flags.RUNNING
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -193,11 +194,11 @@ def test_notches_are_whole_until_the_computer_asks_for_less(board, sign):
     board.multipliers(0)
     begin(board)
     for n in range(1, 61):
-        board.turn(host.motion(n, (0, 0, sign * 7 * n, -sign * 50 * n), 0), n)
+        board.turn(messages.motion(n, (0, 0, sign * 7 * n, -sign * 50 * n), 0), n)
     assert board.moved == (0, 0, sign * (420 // 120), -sign * (3000 // 120))
     assert board.reports < 60  # none for a part of a notch
     board.multipliers(0b0001)
-    board.turn(host.motion(61, (0, 0, sign * 421, -sign * 3000), 0), 61)
+    board.turn(messages.motion(61, (0, 0, sign * 421, -sign * 3000), 0), 61)
     assert board.moved == (0, 0, sign * 4, -sign * 25)
 
 
@@ -210,11 +211,11 @@ def test_a_flood_a_cut_and_noise_harm_the_next_frame_at_most(board):
     sure = 0
     for n in range(1, 300):
         junk = bytes(rng.randrange(256) for _ in range(rng.randrange(300)))
-        cut = host.motion(9999, (n + 500, 0, 0, 0), 0)[: rng.randrange(18)]
+        cut = messages.motion(9999, (n + 500, 0, 0, 0), 0)[: rng.randrange(18)]
         board.turn(junk + b"\1" * rng.choice([0, 0, 5000]) + cut, n)
         assert board.moved[0] == sure
-        board.turn(host.motion(2 * n - 1, (n, 0, 0, 0), 0), n)  # may stick to the rest of the junk
-        board.turn(host.motion(2 * n, (n, 0, 0, 0), 0), n)
+        board.turn(messages.motion(2 * n - 1, (n, 0, 0, 0), 0), n)  # may stick to the rest of the junk
+        board.turn(messages.motion(2 * n, (n, 0, 0, 0), 0), n)
         sure = n
         assert board.moved[0] == n
 
@@ -224,9 +225,9 @@ def test_frames_of_every_length(board, length):
     begin(board)
     rng = random.Random(length)
     content = bytes(rng.randrange(256) for _ in range(length))
-    before = answers(board.turn(host.encode(host.ASK_STATUS, 1), 1))[0].damaged
+    before = answers(board.turn(messages.encode(messages.ASK_STATUS, 1), 1))[0].damaged
     board.turn(host.cobs.encode(content) + b"\0", 1)
-    (status,) = answers(board.turn(host.encode(host.ASK_STATUS, 2), 1))
+    (status,) = answers(board.turn(messages.encode(messages.ASK_STATUS, 2), 1))
     assert status.damaged == before + 1
     assert status.lost == 0
 
@@ -282,7 +283,9 @@ def test_host_and_board_over_a_line_that_damages_1_percent_both_ways(board):
     assert link.dropped == link.uncertain == [0] * 4
     assert list(board.moved) == np.sum(moves, axis=0).tolist()
     (status,) = [
-        s for s in answers(board.turn(b"\0" + host.encode(host.ASK_STATUS, 0), now)) if isinstance(s, host.Status)
+        s
+        for s in answers(board.turn(b"\0" + messages.encode(messages.ASK_STATUS, 0), now))
+        if isinstance(s, messages.Status)
     ]
     assert status.damaged > 10_000  # the line was as bad as that
 
@@ -316,7 +319,7 @@ def test_the_fast_encoder_is_right():
     rng = np.random.default_rng(5)
     counters = rng.integers(0, 65536, (3000, 4)) * (rng.random((3000, 4)) < 0.6)
     for n, frame in enumerate(encoded(counters, 3), 1):
-        assert frame.tobytes() == host.motion(n, counters[n - 1].tolist(), 3)
+        assert frame.tobytes() == messages.motion(n, counters[n - 1].tolist(), 3)
 
 
 def test_a_million_motions_with_1_percent_of_bytes_damaged(board):
@@ -327,9 +330,9 @@ def test_a_million_motions_with_1_percent_of_bytes_damaged(board):
     begin(board)
     board.turn(damage(frames, rng), 0, step=19)  # one a ms
     now = 1_000_000
-    board.turn(b"\0" + host.motion(1_000_001, totals[-1].tolist(), 0), now)  # as the host repeats it
+    board.turn(b"\0" + messages.motion(1_000_001, totals[-1].tolist(), 0), now)  # as the host repeats it
     assert list(board.moved) == totals[-1].tolist()
-    (status,) = answers(board.turn(host.encode(host.ASK_STATUS, 1_000_002), now))
+    (status,) = answers(board.turn(messages.encode(messages.ASK_STATUS, 1_000_002), now))
     assert status.session == 7  # the one that was begun
     assert 150_000 < (1_000_000 - status.frames) < 200_000  # 17 % lost their frame
     print(f"{1_000_000 - status.frames} frames damaged, sums {board.moved}")
@@ -398,19 +401,19 @@ def test_the_same_bytes_as_the_pico(code, seed):
             what = rng.random()
             if what < 0.06:
                 sessions.append(rng.randrange(1, 2**32))
-                data += host.hello(number[line], rng.choice(sessions[-3:]))
+                data += messages.hello(number[line], rng.choice(sessions[-3:]))
                 counters = [0] * 4
             elif what < 0.9:
                 most = 3000 if rng.random() < 0.01 else 100
                 counters = [(c + rng.randint(-most, most)) & 0xFFFF for c in counters]
-                data += host.motion(number[line], counters, rng.choice([0, 0, 1, 0xFF]))
+                data += messages.motion(number[line], counters, rng.choice([0, 0, 1, 0xFF]))
             elif what < 0.95:
-                data += host.encode(host.ASK_STATUS, number[line])
+                data += messages.encode(messages.ASK_STATUS, number[line])
             elif what < 0.97:
-                data += host.encode(host.STOP, number[line])
+                data += messages.encode(messages.STOP, number[line])
             else:
                 body = bytes(rng.randrange(256) for _ in range(rng.choice([0, 4, 9, 60])))
-                data += host.encode(rng.choice([0, 1, 2, 3, 4, 5, 0x82]), number[line], body, rng.choice([1, 1, 2]))
+                data += messages.encode(rng.choice([0, 1, 2, 3, 4, 5, 0x82]), number[line], body, rng.choice([1, 1, 2]))
         data = bytes(b if rng.random() > 0.002 else rng.randrange(256) for b in data)
         if rng.random() < 0.02:
             ready, takes = rng.random() < 0.7, rng.random() < 0.9
@@ -424,5 +427,5 @@ def test_the_same_bytes_as_the_pico(code, seed):
         assert said == pico.turn(data, now, line)
         kinds |= {type(a) for a in answers(said)}
         assert (list(avr.moved), avr.reports, avr.buttons) == (pico.moved, pico.reports, pico.device.reported)
-    assert kinds == {host.Identity, host.Ack, host.Status}
+    assert kinds == {messages.Identity, messages.Ack, messages.Status}
     assert avr.reports > 100

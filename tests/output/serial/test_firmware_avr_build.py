@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from spheremouse.output.serial import link as host
+from spheremouse.output.serial import messages
 
 FIRMWARE = avr_board.SOURCES.parent
 CORE = Path("/usr/share/arduino/hardware/arduino/avr/cores/arduino")
@@ -202,8 +203,8 @@ def test_a_thousand_motions_a_second(computer):
     assert computer.moved == np.sum(moves, axis=0).tolist()
     assert link.dropped == link.uncertain == [0] * 4
     assert link.sessions == 1
-    said = computer.turn(2, host.encode(host.ASK_STATUS, 60_000))
-    (status,) = [f for f in map(host.parse, host.Splitter().take(said)) if isinstance(f, host.Status)]
+    said = computer.turn(2, messages.encode(messages.ASK_STATUS, 60_000))
+    (status,) = [f for f in map(messages.parse, messages.Splitter().take(said)) if isinstance(f, messages.Status)]
     assert (status.damaged, status.refused, status.usb_errors) == (0, 0, 0)
     assert link.motions > 1900  # it kept up: nearly each motion had a frame of its own
     print(f"{len(moves)} motions in {link.motions} frames, {link.acks} answers, {computer.reports} reports")
@@ -247,7 +248,7 @@ def test_a_host_that_dies_leaves_no_button_down(computer):
 
 def test_a_flood_and_a_computer_that_does_not_read(computer):
     rng = np.random.default_rng(34)
-    for junk in (rng.integers(0, 256, 3000, dtype=np.uint8).tobytes(), b"\1" * 3000, host.hello(1, 9) * 200):
+    for junk in (rng.integers(0, 256, 3000, dtype=np.uint8).tobytes(), b"\1" * 3000, messages.hello(1, 9) * 200):
         computer.turn(60, junk)
     play(computer, [(2, -1, 0, 0)] * 50)
     assert computer.moved == [100, -50, 0, 0]

@@ -13,11 +13,13 @@ from serial_world import PROTOCOL as BOARD
 from serial_world import Board, Wire, World, exchange
 
 from spheremouse.output.serial import link as host
-from spheremouse.output.serial.link import Flags, Link, Splitter, parse, signed
+from spheremouse.output.serial import messages
+from spheremouse.output.serial.link import Link
+from spheremouse.output.serial.messages import Flags, Splitter, parse, signed
 
 PAGE = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text(encoding="utf-8")
 u16, u32 = st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
-bodies = st.sampled_from(sorted(host._BODY.items())).flatmap(
+bodies = st.sampled_from(sorted(messages._BODY.items())).flatmap(
     lambda item: st.tuples(st.just(item[0]), st.binary(min_size=item[1], max_size=item[1]))
 )
 
@@ -56,31 +58,33 @@ def test_the_check_sum_is_the_one_of_the_page():
 
 def test_types_and_lengths_are_those_of_the_page():
     rows = re.findall(r"^\| (0x[0-9a-f]{2}) \| (\S+) \|[^|]+\| (\d+) \| (\d+) \| (\d+) \|$", PAGE, re.M)
-    assert {int(code, 16): int(body) for code, _, body, _, _ in rows} == host._BODY
+    assert {int(code, 16): int(body) for code, _, body, _, _ in rows} == messages._BODY
     for code, name, body, content, line in rows:
         constant = "ASK_STATUS" if name == "STATUS?" else name
         assert getattr(host, constant) == getattr(BOARD, constant) == int(code, 16)
-        assert int(content) == int(body) + 8 <= host.MOST
+        assert int(content) == int(body) + 8 <= messages.MOST
         for fill in (b"\0", b"\x07", b"\xff"):
-            assert len(host.encode(int(code, 16), 0, fill * int(body))) == int(line) == int(content) + 2
+            assert len(messages.encode(int(code, 16), 0, fill * int(body))) == int(line) == int(content) + 2
 
 
 @given(bodies, u16)
 def test_the_board_makes_the_same_bytes(body, number):
     kind, data = body
-    assert sealed(bytes([1, kind, 0, 0]) + data, number) == host.encode(kind, number, data)
+    assert sealed(bytes([1, kind, 0, 0]) + data, number) == messages.encode(kind, number, data)
 
 
 @given(st.lists(st.tuples(bodies, u16), max_size=5), st.integers(1, 40))
 def test_the_board_reads_what_the_host_writes_however_it_is_cut(frames, piece):
-    coded = [host.encode(kind, number, data) for (kind, data), number in frames]
+    coded = [messages.encode(kind, number, data) for (kind, data), number in frames]
     found, damaged = taken(b"\0" + b"".join(coded), piece)
     assert found == [cobs.decode(c[:-1]) for c in coded]
     assert damaged == 0
 
 
 @settings(max_examples=300)
-@given(st.lists(st.one_of(bodies.map(lambda b: host.encode(b[0], 9, b[1])), st.binary(max_size=90))), st.integers(1, 9))
+@given(
+    st.lists(st.one_of(bodies.map(lambda b: messages.encode(b[0], 9, b[1])), st.binary(max_size=90))), st.integers(1, 9)
+)
 def test_both_ends_find_the_same_frames_in_any_bytes(pieces, cut):
     """Noise, cuts and floods: the two decoders were written apart; they must agree."""
     data = b"".join(pieces) + b"\0"
@@ -88,7 +92,7 @@ def test_both_ends_find_the_same_frames_in_any_bytes(pieces, cut):
     splitter, frames = Splitter(), []
     for k in range(0, len(data), cut):
         frames += splitter.take(data[k : k + cut])
-    known = [c for c in found if c[0] != 1 or host._BODY.get(c[1]) == len(c) - 8]
+    known = [c for c in found if c[0] != 1 or messages._BODY.get(c[1]) == len(c) - 8]
     assert [(f.version, f.type, f.number, f.body) for f in frames] == [
         (c[0], c[1], int.from_bytes(c[2:4], "little"), c[4:-4]) for c in known
     ]
@@ -96,18 +100,18 @@ def test_both_ends_find_the_same_frames_in_any_bytes(pieces, cut):
 
 @given(bodies, st.integers(0, 2000), st.integers(1, 255))
 def test_one_damaged_byte_is_always_noticed(body, at, change):
-    coded = bytearray(host.encode(body[0], 77, body[1]))
+    coded = bytearray(messages.encode(body[0], 77, body[1]))
     coded[at % (len(coded) - 1)] ^= change
-    assert [c for c in taken(bytes(coded))[0] if len(c) == host._BODY[body[0]] + 8] == []
+    assert [c for c in taken(bytes(coded))[0] if len(c) == messages._BODY[body[0]] + 8] == []
     assert [f for f in Splitter().take(bytes(coded)) if f.version == 1] == []
 
 
 def test_a_flood_costs_no_memory_and_one_frame():
-    good = host.hello(3, 5)
+    good = messages.hello(3, 5)
     splitter = Splitter()
     for _ in range(1000):
         assert list(splitter.take(b"\xaa" * 1000)) == []
-    assert len(splitter._rest) <= host.MOST + 1
+    assert len(splitter._rest) <= messages.MOST + 1
     assert len(list(splitter.take(b"\0" + good))) == 1
     assert splitter.damaged == 1
     found, damaged = taken(b"\xaa" * 100_000 + b"\0" + good, 64)
@@ -129,13 +133,13 @@ def asked(board, data, now=0):
 
 def begun(session=7, number=100, now=0):
     board = Board()
-    (identity,) = asked(board, host.hello(number, session), now)
+    (identity,) = asked(board, messages.hello(number, session), now)
     assert identity.session == session
     return board
 
 
 def test_identity_says_what_the_page_says():
-    (found,) = asked(Board(), host.hello(1, 0xDEADBEEF))
+    (found,) = asked(Board(), messages.hello(1, 0xDEADBEEF))
     assert (found.session, found.last, found.counters, found.first) == (0xDEADBEEF, 0, (0, 0, 0, 0), 0xDEADBEEF)
     assert (found.step, found.silence) == (host.STEP, 1000 * host.SILENCE) == (1200, 100)
     assert (found.firmware, found.kind, found.board) == (BOARD.FIRMWARE, 3, "world")
@@ -143,7 +147,7 @@ def test_identity_says_what_the_page_says():
 
 def test_counters_are_passed_on_and_acknowledged():
     board = begun()
-    (ack,) = asked(board, host.motion(101, (3, -4, 5, -6), 0b10), 10)
+    (ack,) = asked(board, messages.motion(101, (3, -4, 5, -6), 0b10), 10)
     assert (ack.number, ack.counters) == (101, (3, 2**16 - 4, 5, 2**16 - 6))
     assert ack.flags == Flags.RUNNING | Flags.USB_READY | Flags.WHEEL_FINE | Flags.PAN_FINE
     assert (board.moved, board.buttons) == ([3, -4, 5, -6], 0b10)
@@ -151,8 +155,8 @@ def test_counters_are_passed_on_and_acknowledged():
 
 def test_twice_and_late_frames_change_nothing():
     board = begun()
-    asked(board, host.motion(101, (10, 0, 0, 0), 0) + host.motion(102, (20, 0, 0, 0), 1))
-    for old in (host.motion(102, (20, 0, 0, 0), 0), host.motion(101, (10, 0, 0, 0), 0)):
+    asked(board, messages.motion(101, (10, 0, 0, 0), 0) + messages.motion(102, (20, 0, 0, 0), 1))
+    for old in (messages.motion(102, (20, 0, 0, 0), 0), messages.motion(101, (10, 0, 0, 0), 0)):
         (ack,) = asked(board, old)
         assert ack.flags & Flags.RUNNING
     assert (board.moved[0], board.buttons, ack.refused) == (20, 1, 2)
@@ -160,7 +164,7 @@ def test_twice_and_late_frames_change_nothing():
 
 def test_lost_frames_are_counted_by_their_numbers():
     board = begun(number=0xFFFE)
-    (ack,) = asked(board, host.motion(0x0003, (1, 0, 0, 0), 0))
+    (ack,) = asked(board, messages.motion(0x0003, (1, 0, 0, 0), 0))
     assert ack.lost == 4
     assert board.moved[0] == 1
 
@@ -171,7 +175,7 @@ def test_a_step_larger_than_a_hand_can_turn_is_refused_and_ends_the_session(axis
     board = begun()
     counters = [0, 0, 0, 0]
     counters[axis] = step
-    (ack,) = asked(board, host.motion(101, counters, 1))
+    (ack,) = asked(board, messages.motion(101, counters, 1))
     assert bool(ack.flags & Flags.TOO_LARGE) != taken
     assert bool(ack.flags & Flags.RUNNING) == taken
     assert board.moved[axis] == (step if taken else 0)
@@ -181,61 +185,61 @@ def test_a_step_larger_than_a_hand_can_turn_is_refused_and_ends_the_session(axis
 
 def test_silence_releases_buttons_and_ends_the_session():
     board = begun(now=2**29 - 50)  # the ticks wrap meanwhile
-    asked(board, host.motion(101, (5, 0, 0, 0), 0b11111), 2**29 - 40)
+    asked(board, messages.motion(101, (5, 0, 0, 0), 0b11111), 2**29 - 40)
     board.turn(b"", 59)
     assert board.buttons == 0b11111
-    board.turn(host.encode(host.ASK_STATUS, 102), 59)  # is no motion
+    board.turn(messages.encode(messages.ASK_STATUS, 102), 59)  # is no motion
     board.turn(b"", 60)
     assert board.buttons == 0
-    (ack,) = asked(board, host.motion(103, (9, 0, 0, 0), 1), 61)
+    (ack,) = asked(board, messages.motion(103, (9, 0, 0, 0), 1), 61)
     assert not ack.flags & Flags.RUNNING
     assert (board.moved[0], board.buttons) == (5, 0)
-    (identity,) = asked(board, host.hello(104, 8), 62)
+    (identity,) = asked(board, messages.hello(104, 8), 62)
     assert (identity.last, identity.counters, identity.first) == (7, (5, 0, 0, 0), 7)
 
 
 def test_hello_again_is_answered_the_same_and_one_from_before_is_refused():
     board = begun(7)
-    asked(board, host.motion(101, (5, 0, 0, 0), 0))
-    (again,) = asked(board, host.hello(102, 7))
+    asked(board, messages.motion(101, (5, 0, 0, 0), 0))
+    (again,) = asked(board, messages.hello(102, 7))
     assert again.last == 0
-    assert asked(board, host.motion(103, (6, 0, 0, 0), 0))[0].counters[0] == 6
-    (other,) = asked(board, host.hello(104, 8))
+    assert asked(board, messages.motion(103, (6, 0, 0, 0), 0))[0].counters[0] == 6
+    (other,) = asked(board, messages.hello(104, 8))
     assert (other.last, other.counters[0]) == (7, 6)
-    assert asked(board, host.hello(105, 7)) == []  # strayed in
-    assert asked(board, host.motion(106, (1, 0, 0, 0), 0))[0].flags & Flags.RUNNING
+    assert asked(board, messages.hello(105, 7)) == []  # strayed in
+    assert asked(board, messages.motion(106, (1, 0, 0, 0), 0))[0].flags & Flags.RUNNING
     assert board.moved[0] == 7
 
 
 def test_a_session_without_a_motion_leaves_no_trace():
     board = begun(7)
-    asked(board, host.motion(101, (5, 0, 0, 0), 0))
-    asked(board, host.hello(102, 8), 1)  # its answer was lost, say
+    asked(board, messages.motion(101, (5, 0, 0, 0), 0))
+    asked(board, messages.hello(102, 8), 1)  # its answer was lost, say
     board.turn(b"", 150)
-    (again,) = asked(board, host.hello(103, 8), 160)
+    (again,) = asked(board, messages.hello(103, 8), 160)
     assert (again.session, again.last, again.counters[0]) == (8, 7, 5)
 
 
 def test_stop_releases_buttons():
     board = begun()
-    asked(board, host.motion(101, (5, 0, 0, 0), 3))
-    (ack,) = asked(board, host.encode(host.STOP, 102))
+    asked(board, messages.motion(101, (5, 0, 0, 0), 3))
+    (ack,) = asked(board, messages.encode(messages.STOP, 102))
     assert (ack.number, board.buttons) == (102, 0)
     assert not ack.flags & Flags.RUNNING
 
 
 def test_a_hello_of_another_session_is_no_gap():
     board = begun(session=1, number=40_000)
-    asked(board, host.motion(40_001, (1, 0, 0, 0), 0))
-    asked(board, host.hello(0, 2))
-    assert asked(board, host.motion(1, (1, 0, 0, 0), 0))[0].lost == 0
-    asked(board, host.hello(4, 2))
-    assert asked(board, host.motion(5, (1, 0, 0, 0), 0))[0].lost == 2  # of its own one there is
+    asked(board, messages.motion(40_001, (1, 0, 0, 0), 0))
+    asked(board, messages.hello(0, 2))
+    assert asked(board, messages.motion(1, (1, 0, 0, 0), 0))[0].lost == 0
+    asked(board, messages.hello(4, 2))
+    assert asked(board, messages.motion(5, (1, 0, 0, 0), 0))[0].lost == 2  # of its own one there is
 
 
 def test_a_computer_that_wakes_is_told_the_buttons_anew():
     board = begun()
-    asked(board, host.motion(101, (1, 0, 0, 0), 1))
+    asked(board, messages.motion(101, (1, 0, 0, 0), 1))
     board.usb = False
     board.turn(b"", 1)
     board.usb, board.buttons = True, 0  # it has started again, and knows of none
@@ -248,32 +252,32 @@ def test_a_computer_that_wakes_is_told_the_buttons_anew():
 
 def test_another_version_is_told_ours():
     board = Board()
-    (frame,) = Splitter().take(board.turn(host.encode(host.HELLO, 1, b"\1\2\3\4", version=2), 0))
+    (frame,) = Splitter().take(board.turn(messages.encode(messages.HELLO, 1, b"\1\2\3\4", version=2), 0))
     assert frame.version == 1
     found = parse(frame)
     assert found is not None
     assert found.session == 0
     assert not board.device.running
-    assert board.turn(host.encode(host.MOTION, 1, bytes(9), version=2), 0) == b""
+    assert board.turn(messages.encode(messages.MOTION, 1, bytes(9), version=2), 0) == b""
 
 
 def test_what_usb_does_not_take_stays_due():
     board = begun()
     board.usb = False
-    (ack,) = asked(board, host.motion(101, (7, 0, 130, 0), 1))
+    (ack,) = asked(board, messages.motion(101, (7, 0, 130, 0), 1))
     assert (ack.counters, bool(ack.flags & Flags.USB_READY)) == ((0, 0, 0, 0), False)
     board.usb = True
-    (ack,) = asked(board, host.motion(102, (9, 0, 130, 0), 1))
+    (ack,) = asked(board, messages.motion(102, (9, 0, 130, 0), 1))
     assert (ack.counters, board.moved, board.buttons) == ((9, 0, 130, 0), [9, 0, 130, 0], 1)
 
 
 @given(st.lists(st.integers(-400, 400), max_size=30))
 def test_whole_notches_where_the_computer_knows_no_fine_ones(turns):
     board, at = Board(fine=0), 0
-    asked(board, host.hello(0, 7))
+    asked(board, messages.hello(0, 7))
     for k, n in enumerate(turns):
         at += n
-        (ack,) = asked(board, host.motion(k + 1, (0, 0, at, -at), 0))
+        (ack,) = asked(board, messages.motion(k + 1, (0, 0, at, -at), 0))
         assert ack.counters[2] == at % 2**16
         assert abs(at - 120 * board.moved[2]) < 120
         assert board.moved[3] == -board.moved[2]
@@ -281,12 +285,12 @@ def test_whole_notches_where_the_computer_knows_no_fine_ones(turns):
 
 def test_status_counts():
     board = begun()
-    asked(board, host.motion(101, (1, 0, 0, 0), 1) + b"\1\2\3\0", 5)
-    (status,) = asked(board, host.encode(host.ASK_STATUS, 103), 50)
+    asked(board, messages.motion(101, (1, 0, 0, 0), 1) + b"\1\2\3\0", 5)
+    (status,) = asked(board, messages.encode(messages.ASK_STATUS, 103), 50)
     assert (status.session, status.frames, status.damaged, status.lost, status.reports) == (7, 3, 1, 1, 1)
     assert (status.buttons, status.uptime) == (1, 0)
     board.turn(b"", 2050)
-    assert asked(board, host.encode(host.ASK_STATUS, 104), 2060)[0].uptime == 2
+    assert asked(board, messages.encode(messages.ASK_STATUS, 104), 2060)[0].uptime == 2
 
 
 # ---- both, and the line between them ----
@@ -424,7 +428,7 @@ def test_the_host_program_starts_again():
 def test_a_board_of_another_protocol_is_noticed():
     link = Link(lambda: 5)
     link.opened(0.0)
-    link.receive(host.encode(host.IDENTITY, 0, bytes(44), version=2), 0.0)
+    link.receive(messages.encode(messages.IDENTITY, 0, bytes(44), version=2), 0.0)
     assert link.foreign == 2
     assert link.heard == -np.inf  # it is none that is there
     link.receive(Board().turn(link.due(0.0) or b"", 0), 1.0)
@@ -432,10 +436,10 @@ def test_a_board_of_another_protocol_is_noticed():
 
 
 def test_a_name_of_control_characters_stays_off_the_terminal():
-    frame = bytearray(host._IDENTITY.size)
+    frame = bytearray(messages._IDENTITY.size)
     frame[28:] = b"\x1b[2Jdesk\x07".ljust(16, b"\0")
-    (found,) = map(parse, Splitter().take(host.encode(host.IDENTITY, 0, bytes(frame))))
-    assert isinstance(found, host.Identity)
+    (found,) = map(parse, Splitter().take(messages.encode(messages.IDENTITY, 0, bytes(frame))))
+    assert isinstance(found, messages.Identity)
     assert found.board == "?[2Jdesk?"
 
 

@@ -18,7 +18,7 @@ from spheremouse.output.counts import Motion
 from spheremouse.output.serial import Serial
 from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.firmware import load_protocol
-from spheremouse.output.serial.link import STOP, Flags, encode
+from spheremouse.output.serial.messages import STOP, Flags, encode
 from spheremouse.output.serial.ports import find_board
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
