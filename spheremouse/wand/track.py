@@ -9,15 +9,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation, project
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import DEFAULT_COLOURS, Fields, Region, reduction, tone
-from spheremouse.wand.course import begun, between, measured, predicted, speed_covariance, told
+from spheremouse.wand.colour import DEFAULT_COLOURS, Fields, tone
+from spheremouse.wand.course import begun, between, measured, predicted, told
 from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import FULLY, counts, log_likelihood, model, published
+from spheremouse.wand.motions import _acceleration, _limited, _motion, _motions, _region, _rest
 from spheremouse.wand.particles import (
     Motions,
     Particles,
@@ -49,9 +50,8 @@ from spheremouse.wand.peaks import (
 )
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.state import _MIXTURE, Track, WandPhase, WandPose, WandState, WandTracker
+from spheremouse.wand.state import Track, WandPhase, WandPose, WandState, WandTracker
 
-_THESIS_DT = 1.25  # s between the frames to which the thesis' standard deviations belong (0.8 per second)
 _LOOK_EVERY = 15  # frames at least between searches of the whole picture: a slow camera has no time for more
 _DOUBT = 0.85  # of that level: below, the picture is searched for a better pose before this one is believed
 _REACHED = 36.0  # d² of six standard deviations of a motion: farther, a ball is elsewhere
@@ -59,7 +59,6 @@ _REMEMBERED = 3.0  # s, the level of a ball that is lost: it may come back farth
 _NEAR_PEAK = 0.5  # of that level: a predicted pose that has as much lies on the flank of the right peak
 _LEVEL_GAIN = 0.2  # the level follows the ball's turning within five frames
 _BLIND = 0.1  # part of the particles that know nothing of the peaks
-_BIRTH = 1e-3  # probability per frame that the ball is somewhere else altogether
 _ABOUT = 0.3  # rad about a peak: the same discs show, with as much of each to a tenth
 _REDRAW = 0.5  # of the particles that count, below which they are resampled
 _PREDICTED = 48  # predicted particles that are tried for a peak
@@ -68,8 +67,6 @@ _AWAY = 10.0  # searches in which no hand holds one side towards the camera
 _SECOND = "a second ball like"
 _SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
 _NOTHING, _TOO_MUCH = 2e-6, 0.25  # part of the picture of one colour that no ball makes
-_STAYS = 0.8  # part of a motion's probability that lives on to the next frame
-_REACH = 0.5  # radii around the ball that the region of interest keeps free, besides the motion
 
 
 def build(
@@ -179,63 +176,6 @@ def _complaint(whole: Fields, away: set[str]) -> tuple[str, float]:
             words = f"the bounds of {name} match {100 * share:.0f} % of the picture"
             found.append((f"{words}: narrow them with `spheremouse wand colours`", 0.0))
     return min(found, key=lambda one: one[1], default=("", 0.0))
-
-
-def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
-    """Rest, go on, free, over dt."""
-    s = tracker.settings
-    rest = _rest(dt, s)
-    camera = tracker.camera
-    volume = camera.width * camera.height / (camera.fx * camera.fy) * (s.farthest**3 - s.nearest**3) / 3.0
-    birth = _BIRTH / (volume * 8.0 * np.pi**2)
-    if not s.adaptive or s.proposal == "motion":
-        return Motions(np.zeros((1, 6)), rest[None], np.array([1.0 - _BIRTH]), birth)
-    assert track.course is not None
-    on = dt**2 * speed_covariance(track.course, track.stamp + dt, _acceleration(s))
-    leap = np.array([min(0.01 + s.fastest * dt, 0.5)] * 3 + [min(0.05 + s.fastest_turn * dt, 1.2)] * 3)
-    shift = np.zeros((3, 6))
-    shift[1] = track.velocity * dt
-    angle = np.linalg.norm(shift[1, 3:])
-    if angle > 2.5:  # more between two frames is no prediction
-        shift[1, 3:] *= 2.5 / angle
-    # the next picture has wrong much of what the last one had: no prediction is better than a picture
-    covariance = np.stack([rest + track.repeats, _limited(on + track.repeats), np.diag(leap**2)])
-    return Motions(shift, covariance, track.motion * (1.0 - _BIRTH), birth)
-
-
-def _rest(dt: float, s: WandSettings) -> Array:
-    """Covariance of the random walk of a ball at rest, (6, 6)."""
-    walk = np.array([s.sigma_x, s.sigma_y, s.sigma_z, s.sigma_pitch, s.sigma_yaw, s.sigma_roll])
-    return np.diag(walk**2 * (dt / _THESIS_DT))
-
-
-def _acceleration(s: WandSettings) -> Array:
-    return np.array([s.acceleration] * 3 + [s.turn_acceleration] * 3)
-
-
-def _limited(covariance: Array) -> Array:
-    """A covariance whose standard deviations stay below what a motion may be: 0.5 m, 1.2 rad."""
-    most = np.array([0.5] * 3 + [1.2] * 3)
-    scale = np.minimum(1.0, most / np.sqrt(np.diag(covariance)))
-    return covariance * np.outer(scale, scale)
-
-
-def _region(track: Track, motions: Motions, tracker: WandTracker, radius: float) -> tuple[Region, int]:
-    """Where to look, and how much to reduce the picture there."""
-    assert track.pose is not None
-    camera, (p, _, covariance) = tracker.camera, track.pose
-    middle = p + motions.shift[:, :3]
-    middle = middle[middle[:, 2] > radius]
-    uv = project(middle if len(middle) else p[None], camera)[0]
-    depth = max(float(p[2]), 2.0 * radius)
-    spread = 3.0 * np.sqrt(np.max(np.diagonal(motions.covariance[:2], axis1=1, axis2=2)[:, :2]) + covariance[0, 0])
-    reach = camera.fx * (radius * (1.0 + _REACH) + min(spread, 0.4)) / depth + 8.0
-    left, top = np.floor(np.min(uv, axis=0) - reach).astype(int)
-    right, bottom = np.ceil(np.max(uv, axis=0) + reach).astype(int) + 1
-    h, w = camera.height, camera.width
-    left, top = min(max(left, 0), w - 8), min(max(top, 0), h - 8)
-    region = (left, top, max(min(right, w), left + 8), max(min(bottom, h), top + 8))
-    return region, reduction(2.0 * camera.fx * radius / depth)
 
 
 def _follow(
@@ -481,19 +421,3 @@ def _by_motion(
         particles = _some(particles, len(weight), rng)
     after = replace(track, particles=particles, pose=pose, stamp=stamp, seen=stamp)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, "", float(weight @ match), count, True)
-
-
-def _motion(track: Track, pose: tuple[Array, Array, Array], motions: Motions) -> Array:
-    """Probabilities of the motions after a frame, (3,), by Bayes' rule."""
-    assert track.pose is not None
-    if len(motions.probability) < 3:
-        return track.motion
-    p, R, covariance = track.pose
-    way = between(p, R, *pose[:2])
-    fit = np.empty(3)
-    for m in range(3):
-        S = motions.covariance[m] + pose[2] + covariance
-        d = way - motions.shift[m]
-        fit[m] = np.log(motions.probability[m]) - 0.5 * (d @ np.linalg.solve(S, d) + np.linalg.slogdet(S)[1])
-    share, _ = normalised(fit)
-    return _STAYS * share + (1.0 - _STAYS) * _MIXTURE
