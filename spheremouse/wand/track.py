@@ -15,9 +15,10 @@ from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, Fields, tone
+from spheremouse.wand.complaints import _SECOND, _complaint, _doubtful, _missing, _second, _turned_away
 from spheremouse.wand.course import begun, between, measured, predicted, told
 from spheremouse.wand.edge import distances, on_edges
-from spheremouse.wand.likelihood import FULLY, counts, log_likelihood, model, published
+from spheremouse.wand.likelihood import counts, log_likelihood, model, published
 from spheremouse.wand.motions import _acceleration, _limited, _motion, _motions, _region, _rest
 from spheremouse.wand.particles import (
     Motions,
@@ -63,10 +64,6 @@ _ABOUT = 0.3  # rad about a peak: the same discs show, with as much of each to a
 _REDRAW = 0.5  # of the particles that count, below which they are resampled
 _PREDICTED = 48  # predicted particles that are tried for a peak
 _WORTH = 1.0 - 1e-6  # of a complaint: frames' parts of a second do not add up to one exactly
-_AWAY = 10.0  # searches in which no hand holds one side towards the camera
-_SECOND = "a second ball like"
-_SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
-_NOTHING, _TOO_MUCH = 2e-6, 0.25  # part of the picture of one colour that no ball makes
 
 
 def build(
@@ -148,34 +145,6 @@ def step(
         state.seed,
     )
     return after, tuple(poses)
-
-
-def _turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
-    """Colours that all balls that have them are known to hide."""
-    away = set(tracker.names)
-    for ball, discs, track in zip(tracker.balls, tracker.discs, tracks, strict=True):
-        facing = np.ones(len(discs))
-        if track.phase == WandPhase.TRACKING and track.pose is not None:
-            p, R, _ = track.pose
-            facing = -(discs[:, :3] @ R.T) @ p / np.linalg.norm(p) - ball.radius / np.linalg.norm(p)
-        away -= {disc.colour for disc, faces in zip(ball.discs, facing, strict=True) if faces > FULLY}
-    return away
-
-
-def _complaint(whole: Fields, away: set[str]) -> tuple[str, float]:
-    """What is wrong with the colours, in words, and for how long it should be before a word: in searches.
-
-    `away`: colours that are turned away, or else their bounds are wrong and the pose is one that does without.
-    """
-    found: list[tuple[str, float]] = []
-    for name, share in zip(whole.colours, whole.share, strict=True):
-        if share < _NOTHING:
-            words = f"the bounds of {name} match nothing in the picture: pick them with `spheremouse wand colours`"
-            found.append((words, _AWAY if name in away else 1.0))
-        if share > _TOO_MUCH and name not in ("dark", "light"):
-            words = f"the bounds of {name} match {100 * share:.0f} % of the picture"
-            found.append((f"{words}: narrow them with `spheremouse wand colours`", 0.0))
-    return min(found, key=lambda one: one[1], default=("", 0.0))
 
 
 def _follow(
@@ -289,36 +258,6 @@ def _about(particles: Particles, peaks: Peaks, nearest: NDArray[np.int64]) -> ND
     return np.where(trace > 1.0 + 2.0 * np.cos(_ABOUT), nearest, -1)
 
 
-def _doubtful(track: Track) -> bool:
-    """Has a second ball been seen, but not often enough to say so?"""
-    return track.second is not None and track.second[0] < _SIGHTINGS
-
-
-def _second(
-    track: Track, found: _Found, first: Array | None, dt: float, scene: _Scene, index: int
-) -> tuple[Track, str]:
-    """The track with what a search of the whole picture says of a second ball like it, and words where it is there.
-
-    `first` is where the ball is. A second one lies beside it in the picture, shows half as much, and is a ball wherever
-    it is looked for, `_SIGHTINGS` times in a row, no farther from where it was than it can have moved in `dt` s.
-    """
-    s, ball = scene.tracker.settings, scene.tracker.balls[index]
-    if first is None or not found.peaks:
-        return replace(track, second=None), ""
-    least = max(s.evidence, 0.5 * found.log_likelihood[0])
-    good = [i for i in range(len(found.peaks)) if found.log_likelihood[i] >= least and found.match[i] >= _SURE]
-    for k in _convincing(_part(found, good), scene, index).peaks:
-        apart = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
-        if apart < ball.radius / k.position[2] + ball.radius / first[2]:
-            continue
-        times, before = track.second or (0, k.position)
-        moved_by = np.linalg.norm(k.position[:2] / k.position[2] - before[:2] / before[2]) * k.position[2]
-        times = min(times + 1, _SIGHTINGS) if moved_by < ball.radius + s.fastest * dt else 1
-        words = f"{_SECOND} {ball.name} is in view: declare it too, or take it away" if times == _SIGHTINGS else ""
-        return replace(track, second=(times, k.position)), words
-    return replace(track, second=None), ""
-
-
 def _unseen(
     track: Track, stamp: float, dt: float, scene: _Scene, index: int, rng: np.random.Generator, found: _Found
 ) -> tuple[Track, WandPose]:
@@ -343,12 +282,6 @@ def _unseen(
         unseen_frames=frames,
     )
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
-
-
-def _missing(ball: WandBall, seen: float) -> str:
-    if np.isfinite(seen):
-        return f"{ball.name} is lost: hold it into the picture"
-    return f"no ball like {ball.name} in view: hold it into the picture, or check its colours and size"
 
 
 def _acquire(

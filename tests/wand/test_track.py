@@ -8,7 +8,7 @@ import pytest
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
-from spheremouse.wand import track
+from spheremouse.wand import complaints
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
 from spheremouse.wand.rims import ColourSettings
@@ -210,8 +210,8 @@ def test_a_colour_that_a_followed_ball_turns_away_is_known(hand):
     tracker = build(camera, (replace(balls[0], discs=(*discs, pole)),))
     state = begin(tracker, poses={0: (shots[0].position[0], shots[0].rotation[0])})
     assert (shots[0].rotation[0] @ pole.direction) @ shots[0].position[0] > 0.0
-    assert track._turned_away(tracker, list(state.tracks)) == {"blue"}
-    assert track._turned_away(tracker, [replace(t, phase=WandPhase.LOST) for t in state.tracks]) == set()
+    assert complaints._turned_away(tracker, list(state.tracks)) == {"blue"}
+    assert complaints._turned_away(tracker, [replace(t, phase=WandPhase.LOST) for t in state.tracks]) == set()
 
 
 def test_two_balls_are_followed_and_a_second_one_that_is_not_declared_is_said():
