@@ -14,11 +14,10 @@ from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import DEFAULT_COLOURS, Fields, tone
+from spheremouse.wand.colour import DEFAULT_COLOURS, tone
 from spheremouse.wand.complaints import _SECOND, _complaint, _doubtful, _missing, _second, _turned_away
 from spheremouse.wand.course import begun, between, measured, predicted, told
-from spheremouse.wand.edge import distances, on_edges
-from spheremouse.wand.likelihood import counts, log_likelihood, model, published
+from spheremouse.wand.likelihood import counts, log_likelihood, model
 from spheremouse.wand.motions import _acceleration, _limited, _motion, _motions, _region, _rest
 from spheremouse.wand.particles import (
     Motions,
@@ -47,11 +46,11 @@ from spheremouse.wand.peaks import (
     _part,
     _Scene,
     _search,
-    _whole_region,
 )
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.state import Track, WandPhase, WandPose, WandState, WandTracker
+from spheremouse.wand.thesis import _REDRAW, _by_motion, _some
 
 _LOOK_EVERY = 15  # frames at least between searches of the whole picture: a slow camera has no time for more
 _DOUBT = 0.85  # of that level: below, the picture is searched for a better pose before this one is believed
@@ -61,7 +60,6 @@ _NEAR_PEAK = 0.5  # of that level: a predicted pose that has as much lies on the
 _LEVEL_GAIN = 0.2  # the level follows the ball's turning within five frames
 _BLIND = 0.1  # part of the particles that know nothing of the peaks
 _ABOUT = 0.3  # rad about a peak: the same discs show, with as much of each to a tenth
-_REDRAW = 0.5  # of the particles that count, below which they are resampled
 _PREDICTED = 48  # predicted particles that are tried for a peak
 _WORTH = 1.0 - 1e-6  # of a complaint: frames' parts of a second do not add up to one exactly
 
@@ -246,12 +244,6 @@ def _level(track: Track, found: _Found) -> float:
     return best if track.level == 0.0 else track.level + _LEVEL_GAIN * (best - track.level)
 
 
-def _some(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
-    """n particles drawn by weight, of equal weight."""
-    i = low_variance(particles.weight, n, rng.random())
-    return Particles(particles.position[i], particles.rotation[i], np.full(n, 1.0 / n))
-
-
 def _about(particles: Particles, peaks: Peaks, nearest: NDArray[np.int64]) -> NDArray[np.int64]:
     """The nearest peak of each particle, (n,); -1 where not even about that one the same side of the ball shows."""
     trace = np.einsum("nij,nij->n", particles.rotation, peaks.rotation[nearest])
@@ -330,27 +322,3 @@ def _acquire(
     )
     after, event = _second(after, found, found.peaks[0].position, 0.0, scene, index)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
-
-
-def _by_motion(
-    track: Track, stamp: float, motions: Motions, seen: Fields, scene: _Scene, index: int, rng: np.random.Generator
-) -> tuple[Track, WandPose]:
-    """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh one way or another, resample."""
-    assert track.particles is not None
-    ball = scene.tracker.balls[index]
-    ahead = moved(track.particles, motions, rng)
-    m, likelihood = scene.tracker.models[index], scene.tracker.settings.likelihood
-    if likelihood == "edges":
-        away, place = distances(scene.image, _whole_region(seen), seen.factor)
-        value, match = on_edges(ahead.position, ahead.rotation, m, away, place)
-    else:
-        weigh = published if likelihood == "product" else log_likelihood
-        value, match = weigh(ahead.position, ahead.rotation, m, seen)
-    weight, _ = normalised(np.log(np.maximum(ahead.weight, 1e-300)) + value)
-    count = effective(weight)
-    particles = Particles(ahead.position, ahead.rotation, weight)
-    pose = estimate(particles)
-    if count < _REDRAW * len(weight):
-        particles = _some(particles, len(weight), rng)
-    after = replace(track, particles=particles, pose=pose, stamp=stamp, seen=stamp)
-    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, "", float(weight @ match), count, True)
