@@ -44,7 +44,8 @@ _LEAST, _MOST = 0.003, 0.5  # part of a picture of one colour, as far as the rat
 # In single precision, or the loops over points would be computed in double: numbers of the functions below
 _NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _PER_SIGMA, _HALF_SIGMA = np.float32(1.0 / FIELD_SIGMA), np.float32(0.5 * FIELD_SIGMA)
-_LEAST_ACROSS, _MOST_MOVED, _TINY, _FAR = np.float32(0.02), np.float32(0.8), np.float32(1e-6), np.float32(3.6)
+_LEAST_ACROSS, _MOST_MOVED, _TINY = np.float32(0.02), np.float32(0.8), np.float32(1e-6)
+_FAR = np.float32(3.6)
 _CUBIC = (np.float32(0.7988), np.float32(0.03528), np.float32(0.10584))
 _TANH = tuple(np.float32(c) for c in (135135.0, 17325.0, 378.0, 62370.0, 3150.0, 28.0))
 _ARC = (np.float32(0.1350363), np.float32(0.0472763), np.float32(0.0119235))
