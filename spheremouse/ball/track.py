@@ -12,7 +12,6 @@ import numpy as np
 
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.build import begin, build, check_size
-from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
@@ -21,6 +20,7 @@ from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
+from spheremouse.ball.phases.camera_moved import Moved, _hidden, _out_of_sight, _relative, _surprised, _with_references
 from spheremouse.ball.phases.follow import _follow, look
 from spheremouse.ball.phases.learn import _first_motion
 from spheremouse.ball.phases.lifted import _on_its_bearings
@@ -44,11 +44,6 @@ from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.output.counts import Motion, to_counts
 from spheremouse.tracker import Frame
 
-_LIVELY = 64.0  # level of the player from which a bumped camera explains as much
-_COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
-
-
-Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
 Seek = Callable[[Frame, Tracker], Moved | None]
 
 
@@ -140,13 +135,6 @@ def retuned(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[Tr
     return replace(state, rebuilt=None, hunt=Hunt()), anew
 
 
-def _hidden(watch: Watch | None) -> bool:
-    """Are the targets out of sight that were in sight before?"""
-    if watch is None or sum(patch is not None for patch in watch.patches) < 3:
-        return False
-    return int(np.count_nonzero(watch.seen)) < 3
-
-
 def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
 ) -> tuple[TrackState, Motion]:
@@ -155,32 +143,6 @@ def _stages(
     detections, hunt = look(state, frame, tracker, predicted)
     detected()
     return advance(state, frame.stamp, detections, tracker, predicted, hunt)
-
-
-def _surprised(state: TrackState) -> bool:
-    """Did the last frame's discs say something that a bumped camera would say?"""
-    if state.phase is not Phase.TRACKING or not isinstance(state.filter, So3State):
-        return state.phase is Phase.LOST
-    freedom = 2 * len(state.filter.used)
-    return not state.holds or state.filter.level >= _LIVELY or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
-
-
-def _with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
-    """What the targets look like, where that is not known yet: all at the first frame, then in their turn."""
-    which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
-    if len(which) and watch.due > -np.inf:
-        which = which[which == (watch.turn + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]
-    if len(which) == 0:
-        return watch
-    return watching.take(watch, frame.image, which, tracker.rig, tracker.settings.rings)
-
-
-def _out_of_sight(state: TrackState, stamp: float) -> bool:
-    """No disc holds and the targets are not where they were: time to look for them in the whole picture?"""
-    watch = state.watch
-    if watch is None or state.holds or state.phase is Phase.SEARCHING:
-        return False
-    return _hidden(watch) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
 
 
 def _attend(
@@ -219,20 +181,6 @@ def _attend(
         watch = watching.take(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
     new, motion = _stages(state, frame, tracker) if done is None else done
     return replace(new, watch=watch), motion
-
-
-def _relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
-    """The tracker for the pose that the shifts of the targets, (n, 2) px, tell, and what that adds to the pose's
-    covariance; None where they tell none. Measured on the rings, or else by correlation."""
-    rig, settings = tracker.rig, tracker.settings
-    for measured, sigma in ((on_rings, settings.watch.ring_sigma), (shift, settings.watch.match_sigma)):
-        found = watching.moved_pose(measured, rig, tracker.pose, sigma)
-        if found is not None:
-            try:
-                return build(rig, found[0], settings), found[1]
-            except PoseError:
-                continue
-    return None
 
 
 def _from_there(

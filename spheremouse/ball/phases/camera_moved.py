@@ -1,0 +1,67 @@
+"""A camera that was moved: noticed, waited for, and its new pose taken."""
+
+import numpy as np
+
+from spheremouse.ball import camera_watch as watching
+from spheremouse.ball.build import build
+from spheremouse.ball.camera_watch import Watch
+from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.state import (
+    Phase,
+    Tracker,
+    TrackState,
+)
+from spheremouse.errors import PoseError
+from spheremouse.geometry.rotation import Array
+from spheremouse.tracker import Frame
+
+_LIVELY = 64.0  # level of the player from which a bumped camera explains as much
+_COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
+Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
+
+
+def _hidden(watch: Watch | None) -> bool:
+    """Are the targets out of sight that were in sight before?"""
+    if watch is None or sum(patch is not None for patch in watch.patches) < 3:
+        return False
+    return int(np.count_nonzero(watch.seen)) < 3
+
+
+def _surprised(state: TrackState) -> bool:
+    """Did the last frame's discs say something that a bumped camera would say?"""
+    if state.phase is not Phase.TRACKING or not isinstance(state.filter, So3State):
+        return state.phase is Phase.LOST
+    freedom = 2 * len(state.filter.used)
+    return not state.holds or state.filter.level >= _LIVELY or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
+
+
+def _with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
+    """What the targets look like, where that is not known yet: all at the first frame, then in their turn."""
+    which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
+    if len(which) and watch.due > -np.inf:
+        which = which[which == (watch.turn + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]
+    if len(which) == 0:
+        return watch
+    return watching.take(watch, frame.image, which, tracker.rig, tracker.settings.rings)
+
+
+def _out_of_sight(state: TrackState, stamp: float) -> bool:
+    """No disc holds and the targets are not where they were: time to look for them in the whole picture?"""
+    watch = state.watch
+    if watch is None or state.holds or state.phase is Phase.SEARCHING:
+        return False
+    return _hidden(watch) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
+
+
+def _relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
+    """The tracker for the pose that the shifts of the targets, (n, 2) px, tell, and what that adds to the pose's
+    covariance; None where they tell none. Measured on the rings, or else by correlation."""
+    rig, settings = tracker.rig, tracker.settings
+    for measured, sigma in ((on_rings, settings.watch.ring_sigma), (shift, settings.watch.match_sigma)):
+        found = watching.moved_pose(measured, rig, tracker.pose, sigma)
+        if found is not None:
+            try:
+                return build(rig, found[0], settings), found[1]
+            except PoseError:
+                continue
+    return None
