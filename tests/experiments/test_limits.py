@@ -12,7 +12,8 @@ from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.kit.world import NEW, RATES, WHO, SpedUp, world
-from spheremouse.experiments.limits import ACCELERATIONS, FASTEST, TRACKERS, Trial, jobs, section
+from spheremouse.experiments.limits import ACCELERATIONS, FASTEST, TRACKERS, Trial, jobs
+from spheremouse.experiments.report.limits import section
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
