@@ -25,15 +25,7 @@ from spheremouse.experiments.limits import (
     LADDER,
     PUSH,
     SLOWEST,
-    _again_about,
-    _again_figure,
-    _again_table,
-    _cover_about,
-    _cover_figure,
-    _cover_table,
     _degrees,
-    _hidden,
-    _waits,
 )
 from spheremouse.experiments.report.cells import (
     _BESIDE,
@@ -46,6 +38,16 @@ from spheremouse.experiments.report.cells import (
     plain,
     rate_axis,
     those,
+)
+from spheremouse.experiments.report.covers import (
+    _again_about,
+    _again_figure,
+    _again_table,
+    _cover_about,
+    _cover_figure,
+    _cover_table,
+    _hidden,
+    _waits,
 )
 from spheremouse.simulate.ball.film import default_scene
 
