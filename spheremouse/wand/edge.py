@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand.colour import Region
-from spheremouse.wand.likelihood import FULLY, Model
+from spheremouse.wand.likelihood import FULLY
 from spheremouse.wand.limb import DIRECTIONS, outline
+from spheremouse.wand.model import Model
 from spheremouse.wand.rims import Image
 
 _SIGMA = 0.7  # px, of an edge: half a pixel of Canny's grid, half of lens, gloss and motion

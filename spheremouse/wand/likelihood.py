@@ -14,26 +14,20 @@ The rim's offset, common to a colour (a bound on saturation moves every rim outw
 Glare hides colours: with a part v of glare at a point, its field is anything from m to m + v, and it counts 1 - v.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.geometry.camera import InteriorOrientation, distorted
-from spheremouse.geometry.rotation import Array, tangent_basis
-from spheremouse.wand.ball import WandBall
+from spheremouse.geometry.camera import distorted
+from spheremouse.geometry.rotation import Array
 from spheremouse.wand.colour import FIELD_SIGMA, Fields
+from spheremouse.wand.model import _NONE, _ONE, Model, _normal, _turn
 
 # Of the field's range. A rim goes through pixels anywhere: 0.29 px each, over the 4 px along it that the kernel takes
 # together 0.14, at a slope of a third per pixel 0.05; 0.04 more for print, gloss and motion
 SIGMA = 0.065
 OUTLIER = 0.08  # part of the points that a finger, a highlight or a stick hides
 RIM_OFFSET = 0.25  # px, standard deviation of the rims' common offset about that of `rim_shift`: paint, light, focus
-_RIM = 12  # points on a rim
-_BESIDE = 6  # points beside it
-_BESIDE_BY = 0.11  # rad: half the gap between the discs of one azimuth, and three pixels of a ball 50 px across
-_BARE = 80  # directions tried for bare points
 BEGINS, FULLY = 0.08, 0.25  # cosine of the angle of view where a point begins to count, and counts fully
 _ASKED = 0.3  # of the field's range: points expected above it tell how well a pose matches
 _NEAR = 0.25  # of the field's range, three quarters of a pixel: a point so far off shows all the same
@@ -41,75 +35,9 @@ _TABLE = 511
 _SHOWN, _FLOOR = 20.0, 0.02  # published: points of four discs in view; least weight of one, a product's zero undone
 _KERNEL_AREA = 2.0 * np.pi * FIELD_SIGMA**2  # px²
 _LEAST, _MOST = 0.003, 0.5  # part of a picture of one colour, as far as the ratio believes it
-# In single precision, or the loops over points would be computed in double: numbers of the functions below
-_NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _PER_SIGMA, _HALF_SIGMA = np.float32(1.0 / FIELD_SIGMA), np.float32(0.5 * FIELD_SIGMA)
 _LEAST_ACROSS, _MOST_MOVED, _TINY = np.float32(0.02), np.float32(0.8), np.float32(1e-6)
-_FAR = np.float32(3.6)
-_CUBIC = (np.float32(0.7988), np.float32(0.03528), np.float32(0.10584))
-_TANH = tuple(np.float32(c) for c in (135135.0, 17325.0, 378.0, 62370.0, 3150.0, 28.0))
-_ARC = (np.float32(0.1350363), np.float32(0.0472763), np.float32(0.0119235))
 _NO_COUNTS, _NONE_OF_THEM = np.zeros((0, 1)), np.zeros(0, dtype=np.int64)
-
-
-@dataclass(frozen=True, slots=True)
-class Points:
-    """Points on a ball, in its frame."""
-
-    # (p, 10): direction, unit; tangent along the rim, unit; rad from the rim towards the disc's centre, negative beside
-    # the disc; rad to the far rim; 1 / tan of the disc's angular radius; sr that each
-    # point of the disc stands for, at its centre, which comes first, else 0
-    table: Array
-    colour: NDArray[np.int64]  # (p,) index of the colour; -1: bare of all
-
-
-@dataclass(frozen=True, slots=True)
-class Model:
-    """What the compiled functions need of ball, points and camera."""
-
-    points: Points
-    radius: float  # m
-    lens: Array  # (9,) fx, fy, cx, cy, k1, k2, p1, p2, k3
-
-
-def ball_points(ball: WandBall, names: tuple[str, ...]) -> Points:
-    """The points of a ball; `names` are the colours of the fields."""
-    rows = []
-    for disc in ball.discs:
-        c = names.index(disc.colour)
-        basis = tangent_basis(disc.direction)
-        rows.append((disc.direction, basis[:, 0], disc.angle, disc.angle, c))  # the centre comes first
-        rings = (
-            (4, disc.points_angle, disc.angle - disc.points_angle),
-            (_RIM, disc.angle, 0.0),
-            (_BESIDE, disc.angle + _BESIDE_BY, -_BESIDE_BY),
-        )
-        for n, away, inside in rings:
-            for phi in np.arange(n) * (2.0 * np.pi / n):
-                out = basis @ np.array([np.cos(phi), np.sin(phi)])
-                along = basis @ np.array([-np.sin(phi), np.cos(phi)])
-                u = np.cos(away) * disc.direction + np.sin(away) * out
-                if inside < 0.0 and _within(u, ball, _BESIDE_BY / 2, disc.colour):
-                    continue
-                rows.append((u, along, inside, disc.angle, c))
-    for u in _spiral(_BARE):
-        if not _within(u, ball, 1.5 * _BESIDE_BY, None):
-            rows.append((u, tangent_basis(u)[:, 0], -1.0, 1.0, -1))
-    table, last = [], None
-    for u, t, inside, angle, c in rows:
-        # what a point stands for is written down at the first of each disc, and of the bare ones
-        first = inside == angle or (c < 0 and last != c)
-        last = c
-        share = _solid_angle(angle, c) if first else 0.0
-        table.append([*u, *t, inside, 2.0 * angle - inside, 1.0 / np.tan(angle), share])
-    return Points(np.array(table), np.array([row[4] for row in rows], dtype=np.int64))
-
-
-def model(ball: WandBall, camera: InteriorOrientation, names: tuple[str, ...] | None = None) -> Model:
-    """A ball before a camera; `names` are the colours of the fields, those of the ball where not given."""
-    return Model(
-        ball_points(ball, names or ball.colours), ball.radius, np.concatenate([camera.intrinsic, camera.distortion])
-    )
 
 
 def log_likelihood(
@@ -169,27 +97,6 @@ def published(position: Array, rotation: Array, model: Model, fields: Fields) ->
 def shares(fields: Fields) -> Array:
     """Parts of a picture that colours have, as the ratio believes them, (c,)."""
     return np.clip(fields.share, _LEAST, _MOST)
-
-
-def _solid_angle(angle: float, colour: int) -> float:
-    """Of one point of a disc or of a bare one, sr."""
-    return 4.0 * np.pi / _BARE if colour < 0 else np.pi * angle**2 / (5 + _RIM)
-
-
-def _spiral(n: int) -> Array:
-    z = 1.0 - (np.arange(n) + 0.5) * 2.0 / n
-    azimuth = np.arange(n) * np.pi * (3.0 - np.sqrt(5.0))
-    r = np.sqrt(1.0 - z * z)
-    return np.stack([r * np.cos(azimuth), r * np.sin(azimuth), z], axis=1)
-
-
-def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool:
-    """Does a direction lie in or near a disc, of one colour or of any?"""
-    return any(
-        np.arccos(np.clip(u @ d.direction, -1.0, 1.0)) < d.angle + margin
-        for d in ball.discs
-        if colour is None or d.colour == colour
-    )
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -425,26 +332,3 @@ def expected_field(along, outward, facing, scale, inside, width, bend, offset):
     e = (_ONE - share) * both + share * same_way
     g = (_ONE - share) * slope + (share * g if counts else _NONE)
     return e, g * _PER_SIGMA
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _normal(x):
-    """Gaussian distribution function and density, to 0.02 %, without a call.
-
-    The logistic of a cubic (Bowling et al. 2009), its hyperbolic tangent as a continued fraction.
-    """
-    x = min(max(x, -_FAR), _FAR)
-    xx = x * x
-    y = x * (_CUBIC[0] + _CUBIC[1] * xx)
-    yy = y * y
-    t = y * (_TANH[0] + yy * (_TANH[1] + yy * (_TANH[2] + yy)))
-    t /= _TANH[0] + yy * (_TANH[3] + yy * (_TANH[4] + _TANH[5] * yy))
-    return _HALF + _HALF * t, _HALF * (_ONE - t * t) * (_CUBIC[0] + _CUBIC[2] * xx)
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _turn(cosine):
-    """2 / pi times the arc sine, to 5e-5 (Abramowitz, Stegun 1964, 4.4.45)."""
-    x = min(abs(cosine), _ONE)
-    rest = np.sqrt(_ONE - x) * (_ONE - x * (_ARC[0] - x * (_ARC[1] - x * _ARC[2])))
-    return _ONE - rest if cosine > _NONE else rest - _ONE

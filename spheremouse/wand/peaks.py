@@ -7,7 +7,8 @@ import numpy as np
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand import limb
 from spheremouse.wand.colour import Fields, Region, Tone, fields, reduction
-from spheremouse.wand.likelihood import Model, log_likelihood
+from spheremouse.wand.likelihood import log_likelihood
+from spheremouse.wand.model import Model
 from spheremouse.wand.particles import (
     Peaks,
 )

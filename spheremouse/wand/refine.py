@@ -20,12 +20,12 @@ from spheremouse.wand.likelihood import (
     OUTLIER,
     RIM_OFFSET,
     SIGMA,
-    Model,
     between,
     counted,
     expected_field,
     shares,
 )
+from spheremouse.wand.model import Model
 
 _SOFT = (0.6, 0.4, 0.25, 0.13)  # of the field's range: residuals believed in the first rounds, far from the peak
 _ROUNDS = 8

@@ -17,7 +17,8 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.wand.assign import _search
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
-from spheremouse.wand.likelihood import BEGINS, FULLY, Model
+from spheremouse.wand.likelihood import BEGINS, FULLY
+from spheremouse.wand.model import Model
 from spheremouse.wand.rims import Image
 from spheremouse.wand.spots import Spots
 

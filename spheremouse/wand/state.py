@@ -9,7 +9,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.course import Course
-from spheremouse.wand.likelihood import Model
+from spheremouse.wand.model import Model
 from spheremouse.wand.particles import (
     Particles,
 )

@@ -17,7 +17,8 @@ from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, tone
 from spheremouse.wand.complaints import _SECOND, _complaint, _doubtful, _missing, _second, _turned_away
 from spheremouse.wand.course import begun, between, measured, predicted, told
-from spheremouse.wand.likelihood import counts, log_likelihood, model
+from spheremouse.wand.likelihood import counts, log_likelihood
+from spheremouse.wand.model import model
 from spheremouse.wand.motions import _acceleration, _limited, _motion, _motions, _region, _rest
 from spheremouse.wand.particles import (
     Motions,

@@ -9,7 +9,7 @@ from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.edge import distances, on_edges
-from spheremouse.wand.likelihood import model
+from spheremouse.wand.model import model
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.track import begin, build, step
 

@@ -13,7 +13,8 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand import limb
 from spheremouse.wand.ball import grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
-from spheremouse.wand.likelihood import SIGMA, counts, expected_field, log_likelihood, model, published
+from spheremouse.wand.likelihood import SIGMA, counts, expected_field, log_likelihood, published
+from spheremouse.wand.model import model
 from spheremouse.wand.refine import refine
 
 BALL = grzonka_ball()

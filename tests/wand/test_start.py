@@ -12,7 +12,7 @@ from spheremouse.simulate.wand.render import WandRenderer
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
-from spheremouse.wand.likelihood import model
+from spheremouse.wand.model import model
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import convincing, hypotheses
 from spheremouse.wand.state import WandPhase
