@@ -23,7 +23,7 @@ from spheremouse.ball.state import (
     Phase,
     Tracker,
     TrackState,
-    _no_points,
+    no_points,
 )
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
@@ -102,7 +102,7 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         saved,
         False,
         no_detections(),
-        _no_points(tracker),
+        no_points(tracker),
         watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
     )
 

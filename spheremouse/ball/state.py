@@ -106,23 +106,23 @@ def disc_map(state: TrackState) -> DiscMap | None:
     return to_map(state.filter, _SURE) if isinstance(state.filter, So3State) and not state.saved else None
 
 
-def _unused(filter_state: Any) -> Any:
+def unused(filter_state: Any) -> Any:
     return replace(filter_state, used=np.zeros(0, dtype=np.intp))
 
 
-def _tracking(state: TrackState, filtered: FilterState, sent: Array, stamp: float) -> TrackState:
+def tracking(state: TrackState, filtered: FilterState, sent: Array, stamp: float) -> TrackState:
     """Tracking from this frame on, by a filter just found or begun; motion counts from the attitude `sent`."""
     return replace(state, filter=filtered, phase=Phase.TRACKING, sent=sent, held=stamp, holds=True, found=None)
 
 
-def _forget(lookalikes: Lookalikes) -> Lookalikes:
+def forget(lookalikes: Lookalikes) -> Lookalikes:
     """Masks stay; candidates followed under another attitude go."""
     return Lookalikes(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
 
 
-def _no_motion(stamp: float) -> Motion:
+def no_motion(stamp: float) -> Motion:
     return Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
 
 
-def _no_points(tracker: Tracker) -> SpherePoints:
+def no_points(tracker: Tracker) -> SpherePoints:
     return intersect(no_detections(), tracker.rig, tracker.pose)

@@ -20,12 +20,12 @@ from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
-from spheremouse.ball.phases.camera_moved import Moved, _hidden, _out_of_sight, _relative, _surprised, _with_references
+from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases.follow import _follow, look
-from spheremouse.ball.phases.learn import _first_motion
-from spheremouse.ball.phases.lifted import _on_its_bearings
-from spheremouse.ball.phases.readout import _tell_readout
-from spheremouse.ball.phases.recover import _lost_in_a_gap, _recognise_saved, _recover
+from spheremouse.ball.phases.learn import first_motion
+from spheremouse.ball.phases.lifted import on_its_bearings
+from spheremouse.ball.phases.readout import tell_readout
+from spheremouse.ball.phases.recover import _recover, lost_in_a_gap, recognise_saved
 from spheremouse.ball.points import intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
@@ -33,10 +33,10 @@ from spheremouse.ball.state import (
     Phase,
     Tracker,
     TrackState,
-    _no_motion,
-    _no_points,
-    _unused,
     current,
+    no_motion,
+    no_points,
+    unused,
 )
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
@@ -83,13 +83,13 @@ def step(
     if state.watch.away is not None:
         return _attend(state, None, frame, tracker, seek)
     new, motion = _stages(state, frame, tracker, detected)
-    watch = _with_references(state.watch, frame, tracker)
-    watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, _surprised(new))
+    watch = with_references(state.watch, frame, tracker)
+    watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, surprised(new))
     if watch is not new.watch:
         new = replace(new, watch=watch)
-    if odd or watch.asked or _out_of_sight(new, frame.stamp):
+    if odd or watch.asked or out_of_sight(new, frame.stamp):
         new, motion = _attend(replace(state, watch=watch), (new, motion), frame, tracker, seek)
-    if state.phase is Phase.TRACKING and new.phase is Phase.LOST and _hidden(new.watch):
+    if state.phase is Phase.TRACKING and new.phase is Phase.LOST and hidden(new.watch):
         return replace(
             new, event=f"{new.event}; the targets are out of sight: if the camera was moved, initialise again"
         ), motion
@@ -102,7 +102,7 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
     if watch is None:
         return False
     unknown = stamp >= watch.due and any(patch is None for patch in watch.patches)
-    return watch.asked or watch.away is not None or unknown or _out_of_sight(state, stamp)
+    return watch.asked or watch.away is not None or unknown or out_of_sight(state, stamp)
 
 
 def posed_anew(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> tuple[TrackState, Motion]:
@@ -161,7 +161,7 @@ def _attend(
     if moved is None:
         moved = watching.displaced(shift, 3.0 * s.match_sigma)
     if moved and watching.stands(before, shift, s):
-        anew = _relative(on_rings, shift, tracker) or seek(frame, tracker)
+        anew = relative(on_rings, shift, tracker) or seek(frame, tracker)
         if anew is not None:
             return _from_there(state, *anew, frame, tracker)
     if moved:
@@ -171,7 +171,7 @@ def _attend(
         new, motion = _stages(state, frame, tracker) if done is None else done
         return replace(new, watch=replace(watch, asked=True)), motion
     watch = replace(watch, asked=False)
-    if moved is None and done is not None and _out_of_sight(replace(done[0], watch=watch), frame.stamp):
+    if moved is None and done is not None and out_of_sight(replace(done[0], watch=watch), frame.stamp):
         watch = replace(watch, tried=frame.stamp)
         anew = seek(frame, tracker)
         if anew is not None:
@@ -204,7 +204,7 @@ def _from_there(
         filtered = replace(filtered, joint=joint)
     watch = watching.begin(anew.rig, anew.pose)
     if watch is not None:
-        watch = replace(_with_references(watch, frame, anew), due=frame.stamp)
+        watch = replace(with_references(watch, frame, anew), due=frame.stamp)
     state = replace(state, filter=filtered, lookalikes=Lookalikes(), recent=(), hunt=Hunt(), watch=watch, rebuilt=anew)
     state = replace(state, off=0, misfit=0.0, out_of_round=False, fitted=0.0)
     new, motion = _stages(state, frame, anew)
@@ -220,16 +220,16 @@ def _swings(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackSta
     state = replace(
         state,
         event="",
-        filter=tracker.filter.update(tracker.filter.predict(state.filter, stamp), _no_points(tracker)),
+        filter=tracker.filter.update(tracker.filter.predict(state.filter, stamp), no_points(tracker)),
         detections=no_detections(),
-        points=_no_points(tracker),
+        points=no_points(tracker),
         holds=False,
         watch=replace(state.watch, away=away),
     )
     if state.phase is Phase.TRACKING and stamp - away > tracker.settings.loss.lost_after:
         text = "lost: the camera was moved, and its pose is not found: uncover the targets, or initialise again"
         state = replace(state, phase=Phase.LOST, found=None, event=text)
-    return state, _no_motion(stamp)
+    return state, no_motion(stamp)
 
 
 def advance(
@@ -258,18 +258,18 @@ def advance(
         holds=False,
         hunt=hunt or state.hunt,
     )
-    state = _lost_in_a_gap(state, stamp, tracker)
+    state = lost_in_a_gap(state, stamp, tracker)
     if state.phase is Phase.LOST:
         state = _recover(state, stamp, tracker)
     elif state.saved:
-        state = _recognise_saved(state, stamp, tracker)
+        state = recognise_saved(state, stamp, tracker)
     elif not state.moved:
-        state = _first_motion(state, stamp, tracker, carried)
+        state = first_motion(state, stamp, tracker, carried)
     else:
-        state = _on_its_bearings(_follow(state, stamp, tracker, carried), stamp, tracker, carried)
+        state = on_its_bearings(_follow(state, stamp, tracker, carried), stamp, tracker, carried)
     state = _judge_phase(state, stamp, tracker)
     if tracker.rig.readout_sigma_s > 0.0 and not state.readout_told:
-        state = _tell_readout(state, tracker)
+        state = tell_readout(state, tracker)
     return _motion(state, stamp, tracker)
 
 
@@ -292,7 +292,7 @@ def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackStat
             state,
             phase=Phase.LOST,
             found=None,
-            filter=_unused(state.filter),
+            filter=unused(state.filter),
             event=f"lost: {why} for {tracker.settings.loss.lost_after:.1f} s",
         )
     return state
@@ -301,7 +301,7 @@ def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackStat
 def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
     """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
     if state.phase is not Phase.TRACKING or not state.holds:
-        return state, _no_motion(stamp)
+        return state, no_motion(stamp)
     attitude = state.filter.attitude
     rotation = rotation_between(state.sent, attitude)
     counts, remainder = to_counts(rotation, tracker.counts, state.remainder)

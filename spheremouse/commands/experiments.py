@@ -56,7 +56,8 @@ def experiments(
     modules = {name: import_module(f"spheremouse.experiments.{name}") for name in chosen}
     jobs = {name: module.jobs(request) for name, module in modules.items()}
     results = _worked(jobs, folder, cores or os.cpu_count() or 1, again)
-    sections = {name: (module.TITLE, module.section(request, results[name])) for name, module in modules.items()}
+    reports = {name: import_module(f"spheremouse.experiments.report.{name}") for name in chosen}
+    sections = {n: (modules[n].TITLE, report.section(request, results[n])) for n, report in reports.items()}
     console = Console(soft_wrap=True, highlight=False)
     if not console.is_terminal:
         console.width = 1000

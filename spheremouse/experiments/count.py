@@ -17,7 +17,7 @@ TITLE = "Number of discs (Wittich 2017, table 20)"
 COUNTS = (6, 10, 16, 26, 36, 50, 74, 100)
 LAYOUTS = (0, 1, 2)
 _KNOWN = 1.0  # rad/s, standard deviation of a rate of which something is known
-_FAR_OFF = 1.0  # °, an attitude that is lost
+FAR_OFF = 1.0  # °, an attitude that is lost
 STORED = {26: 4.9, 50: 8.9, 74: 14.5}
 ATTITUDE = {26: (0.100, 0.086, 0.122), 50: (0.070, 0.067, 0.083), 74: (0.040, 0.056, 0.080)}  # °
 RATE = {26: (0.595, 0.481, 0.773), 50: (0.551, 0.407, 0.624), 74: (0.456, 0.406, 0.561)}  # °/s
@@ -57,6 +57,3 @@ def _where_known(limit: Bound | None) -> Bound | None:
 
 def _key(discs: int, layout: int) -> str:
     return f"{discs}-{layout}"
-
-
-# ---- for a reader ----

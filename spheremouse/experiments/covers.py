@@ -33,12 +33,12 @@ from spheremouse.tracker import Frame
 
 Sight = Detections | NDArray[np.uint8]  # what a detector found, or a picture
 Cover = NDArray[np.bool_]  # (h, w) pixels in which something is before the ball
-_View = Callable[[Cover | None], Sight]  # of one moment, with a cover or without
+View = Callable[[Cover | None], Sight]  # of one moment, with a cover or without
 _SHEET = np.uint8(110)  # grey value of a cover
 
 
 @dataclass(slots=True)
-class _Eye:
+class Eye:
     """What is seen of a world, with pictures or without."""
 
     world: World
@@ -51,7 +51,7 @@ class _Eye:
         self._rng = np.random.default_rng([self.seed, 4])
         self._renderer = Renderer(self.world.scene, RenderOptions(noise=NOISE)) if self.pictures else None
 
-    def at(self, motion: Profile, t: float) -> _View:
+    def at(self, motion: Profile, t: float) -> View:
         """At a time of a motion, s."""
         if self._renderer is None:
             R = motion.attitude(np.array([t]))[0]
@@ -60,7 +60,7 @@ class _Eye:
         return lambda cover: image if cover is None else np.where(cover[..., None], _SHEET, image)
 
 
-def _shown(state: TrackState, stamp: float, sight: Sight, tracker: Tracker) -> TrackState:
+def shown(state: TrackState, stamp: float, sight: Sight, tracker: Tracker) -> TrackState:
     """The next state."""
     if isinstance(sight, Detections):
         return advance(state, stamp, sight, tracker)[0]
@@ -70,7 +70,7 @@ def _shown(state: TrackState, stamp: float, sight: Sight, tracker: Tracker) -> T
 COVERS = ("from the left", "from the right", "from above", "from below", "closing in", "from the middle")
 FILMED = COVERS[::2]  # and in a quick run
 COUNTS = (16, 26, DISCS, 74)
-_FPS, _BEFORE, _GROWS = 30.0, 1.0, 8.0  # Hz; s until the cover comes; s from nothing to all
+FPS, _BEFORE, GROWS = 30.0, 1.0, 8.0  # Hz; s until the cover comes; s from nothing to all
 
 
 def growing(world: World, kind: str) -> Array:
@@ -91,21 +91,21 @@ def growing(world: World, kind: str) -> Array:
 def covered(discs: int, layout: int, pictures: bool, kinds: Sequence[str]) -> Result:
     """Share of the visible ball that was hidden when discs last held the attitude, by cover and tracker."""
     there, motion = world(discs, layout), thesis()
-    eye = _Eye(there, pictures, layout)
+    eye = Eye(there, pictures, layout)
     trackers = {who: _tracker(who, there) for who in TRACKERS}
     started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
     orders = {kind: growing(there, kind) for kind in kinds}
     going: dict[tuple[str, str], Course] = {(kind, who): _begun(started[who]) for kind in kinds for who in TRACKERS}
     found: Result = {kind: dict.fromkeys(TRACKERS, 0.0) for kind in kinds}
-    for t in np.arange(1.0, motion.seconds * _FPS) / _FPS:
-        share = float(np.clip((t - _BEFORE) / _GROWS, 0.0, 1.0))
+    for t in np.arange(1.0, motion.seconds * FPS) / FPS:
+        share = float(np.clip((t - _BEFORE) / GROWS, 0.0, 1.0))
         view, R = eye.at(motion, float(t)), motion.attitude(np.array([t]))[0]
         for kind in kinds:
             sight = view(orders[kind] < share)
             for who in [w for k, w in going if k == kind]:
                 course = going.pop((kind, who))
                 stamp = started[who].filter.stamp + float(t)
-                after = course.then(_shown(course.state, stamp, sight, trackers[who]), R)
+                after = course.then(shown(course.state, stamp, sight, trackers[who]), R)
                 if after is not None:
                     going[kind, who] = after
                     if after.state.held == stamp:
@@ -116,25 +116,25 @@ def covered(discs: int, layout: int, pictures: bool, kinds: Sequence[str]) -> Re
 
 
 COVERED = 1.0  # s, for which nothing is seen
-_AT, _AFTER = 2.0, 2.5  # s: when the cover comes, and how long is waited afterwards
-_TURNING, _GENTLY = 2.0, 2.0  # rad/s, and rad/s² up to it
-_ATTITUDE, _RATE, _STAYS = 1.0, 0.1, 0.2  # °, rad/s: right again; s, for which it has to stay so
+_AT, AFTER = 2.0, 2.5  # s: when the cover comes, and how long is waited afterwards
+TURNING, _GENTLY = 2.0, 2.0  # rad/s, and rad/s² up to it
+ATTITUDE, RATE, STAYS = 1.0, 0.1, 0.2  # °, rad/s: right again; s, for which it has to stay so
 
 
 def found_again(fps: float, seed: int, pictures: bool) -> Result:
     """By tracker: frames and ms from when the cover goes until attitude and rate are right again, None: never."""
-    there, motion = world(DISCS, seed), SpedUp(_axis(seed), _GENTLY, _TURNING)
-    eye = _Eye(there, pictures, seed)
+    there, motion = world(DISCS, seed), SpedUp(_axis(seed), _GENTLY, TURNING)
+    eye = Eye(there, pictures, seed)
     trackers = {who: _tracker(who, there) for who in WHO}
     started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
     states, end = dict(started), _AT + COVERED
-    t = np.arange(1.0, (end + _AFTER) * fps + 0.5) / fps
+    t = np.arange(1.0, (end + AFTER) * fps + 0.5) / fps
     off: dict[str, list[tuple[Array, float, bool]]] = {who: [] for who in WHO}
     attitudes, rates = motion.attitude(t), motion.rate(t)
     for s, R, w in zip(t, attitudes, rates, strict=True):
         sight = eye.at(motion, float(s))(there.ball if _AT <= s < end else None)
         for who in WHO:
-            state = _shown(states[who], started[who].filter.stamp + float(s), sight, trackers[who])
+            state = shown(states[who], started[who].filter.stamp + float(s), sight, trackers[who])
             states[who] = state
             rate = float(np.linalg.norm(state.filter.rate - w))
             off[who].append((_error(state, R), rate, state.phase is Phase.TRACKING))
@@ -145,10 +145,10 @@ def _waited(t: Array, off: "list[tuple[Array, float, bool]]", end: float) -> Res
     errors, rate, tracking = (np.array([o[k] for o in off]) for k in range(3))
     before, after = int(np.searchsorted(t, _AT)) - 1, int(np.searchsorted(t, end))
     cosine = 0.5 * (np.sum(errors * errors[before], axis=(1, 2)) - 1.0)
-    right = {"attitude": cosine > np.cos(np.radians(_ATTITUDE)), "rate": rate < _RATE}
+    right = {"attitude": cosine > np.cos(np.radians(ATTITUDE)), "rate": rate < RATE}
     if not tracking[before] or not right["rate"][before]:
         return {"error": "lost before the cover came"}
-    frames = round(_STAYS / (t[1] - t[0])) + 1
+    frames = round(STAYS / (t[1] - t[0])) + 1
     result: Result = {}
     for what, close in right.items():
         good = close & tracking

@@ -23,12 +23,12 @@ TITLE = "Discs: their size, their places, hands on the ball (Wittich 2017, chapt
 
 DISCS = 26
 _RADIUS = 0.6  # m, of the ball
-_NOISE = 3.0  # grey values
-_NEARLY = 1.25  # times the least error is as good
+NOISE = 3.0  # grey values
+NEARLY = 1.25  # times the least error is as good
 _VIEW_ANGLE = np.radians(70.0)  # as `spheremouse layout`
-_SURE, _MISSING, _TRIALS = np.radians(0.1), 0.2, 200  # of recognising attitudes, as docs/layout has it
+SURE, MISSING, _TRIALS = np.radians(0.1), 0.2, 200  # of recognising attitudes, as docs/layout has it
 _LAYOUT_SEEDS = 2  # their films are longer, and the seeds differ little
-_SETTLE = 1.0  # s, before hands come: the camera's pose is found by then
+SETTLE = 1.0  # s, before hands come: the camera's pose is found by then
 
 SIZES = (4, 6, 8, 10, 14, 20, 30)  # mm, radius
 LAYOUTS = {
@@ -46,11 +46,11 @@ HANDS = {  # right or left, and how large
     "two large": ((True, 1.5), (False, 1.5)),
     "two very large": ((True, 2.2), (False, 2.2)),
 }
-_QUANTITIES = (
+QUANTITIES = (
     ("attitude_deg", "attitude_rmse_deg", "attitude", "°", 4),
     ("rate_deg_s", "rate_rmse_deg_s", "rate", "°/s", 3),
 )
-_LINES = (*kit.TRACKERS, "bound")
+LINES = (*kit.TRACKERS, "bound")
 
 
 def jobs(request: Request) -> list[Job]:
@@ -88,7 +88,7 @@ def laid_out(kind: str, seed: int, frames: int) -> Result:
     result = _followed(replace(simulation, profile=once))
     directions = simulation.scene.disc_directions
     judged = layout.judge(directions, _VIEW_ANGLE)
-    trials = layout.recognised(directions, _VIEW_ANGLE, _SURE, _MISSING, _TRIALS, np.random.default_rng([seed, 8]))
+    trials = layout.recognised(directions, _VIEW_ANGLE, SURE, MISSING, _TRIALS, np.random.default_rng([seed, 8]))
     named = {"in_view": judged.in_view, "contradictions": judged.separability}
     return {**result, **named, "recognised": trials.found, "mistaken": trials.wrong}
 
@@ -97,13 +97,13 @@ def with_hands(kind: str, seed: int, frames: int) -> Result:
     """Hands that come after a second and stay."""
     simulation = _simulated(seed, frames, _irregular(20.0, seed))
     end = 2.0 + frames / simulation.fps
-    start = min(_SETTLE, 0.25 * frames / simulation.fps)
+    start = min(SETTLE, 0.25 * frames / simulation.fps)
     visits = tuple(HandVisit(start, end, right, size) for right, size in HANDS[kind])
     return _followed(replace(simulation, options=replace(simulation.options, hands=visits)), start + 0.5)
 
 
 def _simulated(seed: int, frames: int, directions: Array) -> Simulation:
-    simulation = prepare(kit.options_of({"discs": DISCS, "seed": seed, "noise": _NOISE, "seconds": frames / 30.0}))
+    simulation = prepare(kit.options_of({"discs": DISCS, "seed": seed, "noise": NOISE, "seconds": frames / 30.0}))
     return replace(simulation, scene=replace(simulation.scene, disc_directions=directions))
 
 
@@ -177,9 +177,6 @@ def scattered(rng: np.random.Generator, least: float) -> Array:
         if v[2] > least and np.all(found @ v < apart):
             found = np.concatenate([found, v[None]])
     return found
-
-
-# ---- for a reader ----
 
 
 # ---- figures ----

@@ -30,8 +30,8 @@ THESIS = (  # film, filter, correlation, rates °/s, mouse speed px/s
 )
 PACES = (0.75, 1.0)  # beside that of the film like R1
 _SHOWN = 10.0  # s, of the film like R1 in the figure
-_PUBLISHED = "-blobs"
-_ENOUGH = 2  # discs that hold an attitude
+PUBLISHED = "-blobs"
+ENOUGH = 2  # discs that hold an attitude
 
 
 def jobs(request: Request) -> list[Job]:
@@ -103,7 +103,7 @@ def _compared(film: Film) -> Result:
 def _runs(film: Film, published: bool) -> dict[str, Run]:
     """By the filters' names; with the published detector the classic ones once more."""
     runs: dict[str, Run] = {}
-    for detector, suffix in (("default", ""), ("blobs", _PUBLISHED))[: 1 + published]:
+    for detector, suffix in (("default", ""), ("blobs", PUBLISHED))[: 1 + published]:
         seen = sights.look_at(film, settings_of([f"detector={detector}", "tracker=ekf2"]))
         for name in ("ekf1", "ekf2"):
             runs[name + suffix] = sights.filtered(seen, settings_of([f"tracker={name}"]), film)
@@ -116,7 +116,7 @@ def _row(run: Run, film: Film) -> Result:
     assert motion is not None
     speed, true = surface_speeds(run, motion, radius)
     off = np.linalg.norm(speed - true, axis=1)
-    few = np.array([len(run.used[k]) < _ENOUGH for k in run.tracked[1:]])
+    few = np.array([len(run.used[k]) < ENOUGH for k in run.tracked[1:]])
     return {
         **sights.errors(run, film.truth, radius),
         "largest_mm_s": float(off.max()) if len(off) else None,
@@ -169,6 +169,3 @@ def _matched(run: Run, mouse: MouseLog) -> Result:
 
 def _plain(values: Array) -> list[Any]:
     return np.round(values, 3).tolist()
-
-
-# ---- for a reader ----

@@ -130,7 +130,7 @@ def _encoded(image: Any) -> str:
     return base64.b64encode(cv2.imencode(".png", grey)[1].tobytes()).decode("ascii")
 
 
-def _decoded(text: str) -> Any:
+def decoded(text: str) -> Any:
     return cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_GRAYSCALE)
 
 
@@ -140,6 +140,3 @@ def _plain(values: Array) -> list[Any]:
 
 def _key(film: str, level: int) -> str:
     return f"{film}{level:+d}"
-
-
-# ---- for a reader ----

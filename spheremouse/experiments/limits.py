@@ -15,11 +15,11 @@ from spheremouse.experiments.covers import (
     COUNTS,
     COVERS,
     FILMED,
-    _Eye,
-    _shown,
-    _View,
+    Eye,
+    View,
     covered,
     found_again,
+    shown,
 )
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Job, Request, Result
@@ -50,7 +50,7 @@ HARDEST = 2000.0  # rad/s², the highest acceleration that is tried
 
 EXPOSURE = 0.004  # s: as long as a camera of 240 Hz can
 EXPOSURES = (0.0, 0.002, EXPOSURE, 0.008, 0.016)  # s
-_WHOLE = 8.0  # rad/s, up to which all of the way is filmed
+WHOLE = 8.0  # rad/s, up to which all of the way is filmed
 LADDER = tuple(float(2.0 ** (0.5 * k)) for k in range(10))  # rad/s, that are filmed
 _FILMED, _BLIND = 0.1, 0.05  # s of a filmed trial; at its end discs must have held the attitude as late as that
 
@@ -77,7 +77,7 @@ class Trial:
         rng, attitudes = np.random.default_rng([self.seed, len(t)]), motion.attitude(t)
         made: list[Course] = []
         for s, R in zip(t, attitudes, strict=True):
-            state = _shown(before.state, self.start.filter.stamp + float(s), self.world.see(R, rng), self.tracker)
+            state = shown(before.state, self.start.filter.stamp + float(s), self.world.see(R, rng), self.tracker)
             after = before.then(state, R)
             if after is None:
                 break
@@ -206,23 +206,23 @@ def filmed(fps: float, exposure: float, seed: int) -> Result:
         tracker = _tracker(who, there)
         trials[who] = Trial(tracker, there, _started(who, tracker, there), axis, fps, seed)
     courses = {who: trial.sped_up(ACCELERATIONS[0], LADDER[-1]) for who, trial in trials.items()}
-    found: Result = _climbed(trials, courses, _Eye(there, True, seed))
+    found: Result = _climbed(trials, courses, Eye(there, True, seed))
     if exposure == 0.0:
-        both = [_lost_at(trials, _Eye(there, pictures, seed)) for pictures in (True, False)]
+        both = [_lost_at(trials, Eye(there, pictures, seed)) for pictures in (True, False)]
         found["sharp"] = {who: [rates[who] for rates in both] for who in trials}
     return found
 
 
-def _lost_at(trials: dict[str, Trial], eye: "_Eye") -> dict[str, float]:
-    """The rate, rad/s, up to which each follows a ball that is sped up gently from rest, to _WHOLE at most."""
+def _lost_at(trials: dict[str, Trial], eye: "Eye") -> dict[str, float]:
+    """The rate, rad/s, up to which each follows a ball that is sped up gently from rest, to WHOLE at most."""
     one = next(iter(trials.values()))
-    motion = SpedUp(one.axis, ACCELERATIONS[0], _WHOLE)
+    motion = SpedUp(one.axis, ACCELERATIONS[0], WHOLE)
     going, found = {who: _begun(trial.start) for who, trial in trials.items()}, dict.fromkeys(trials, 0.0)
-    for s in one.times(_WHOLE / ACCELERATIONS[0]):
+    for s in one.times(WHOLE / ACCELERATIONS[0]):
         view, R = eye.at(motion, float(s)), motion.attitude(np.array([s]))[0]
         for who, course in list(going.items()):
             trial = trials[who]
-            after = course.then(_shown(course.state, trial.start.filter.stamp + float(s), view(None), trial.tracker), R)
+            after = course.then(shown(course.state, trial.start.filter.stamp + float(s), view(None), trial.tracker), R)
             if after is None:
                 del going[who]
             else:
@@ -230,7 +230,7 @@ def _lost_at(trials: dict[str, Trial], eye: "_Eye") -> dict[str, float]:
     return found
 
 
-def _climbed(trials: dict[str, Trial], courses: dict[str, list[Course]], eye: "_Eye") -> Result:
+def _climbed(trials: dict[str, Trial], courses: dict[str, list[Course]], eye: "Eye") -> Result:
     """The highest rate of LADDER, rad/s, that each follows for a while; `courses` lead there."""
     found, going, gentle, one = dict.fromkeys(trials, 0.0), list(trials), ACCELERATIONS[0], next(iter(trials.values()))
     for rate in LADDER:
@@ -246,12 +246,12 @@ def _climbed(trials: dict[str, Trial], courses: dict[str, list[Course]], eye: "_
     return found
 
 
-def _follows(trial: Trial, course: Course, t: Array, attitudes: Array, pictures: "Sequence[_View]") -> bool:
+def _follows(trial: Trial, course: Course, t: Array, attitudes: Array, pictures: "Sequence[View]") -> bool:
     """Right to the end, and not because it is blind and the ball goes on as it did."""
     now: Course | None = course
     for s, R, view in zip(t, attitudes, pictures, strict=True):
         assert now is not None, "the loop ends where it is lost"
-        now = now.then(_shown(now.state, trial.start.filter.stamp + float(s), view(None), trial.tracker), R)
+        now = now.then(shown(now.state, trial.start.filter.stamp + float(s), view(None), trial.tracker), R)
         if now is None:
             return False
     return now is not None and now.state.filter.stamp - now.state.held <= max(_BLIND, 1.0 / trial.fps)
@@ -264,9 +264,6 @@ def _follows(trial: Trial, course: Course, t: Array, attitudes: Array, pictures:
 
 
 # ---- found again ----
-
-
-# ---- for a reader ----
 
 
 def _degrees(rate: float) -> float:

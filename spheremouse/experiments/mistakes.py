@@ -28,10 +28,10 @@ TOLD = "so3, told"  # how uncertain the lengths are
 STRAIGHT = 2.0  # °, a pointer that goes where the hand pushes
 STEADY = 100.0 * SHARE  # %, of the motion, that is neither scale nor direction
 EVENING = {"focal": 0.03, "principal": 6.0, "radius": 0.002, "centre": 0.01, "targets": 0.003}  # m, px; 1 sigma
-_LENS = 0.1  # −k1 of an evening
+LENS = 0.1  # −k1 of an evening
 _SHORTEST, _NARROW = 10, 0.1  # frames, and share of the turns about other axes, from which a scale is told
 _QUICKLY = "pose.frames=5"  # the film's first frames show the same
-_PER_UNIT = {"focal": 1e2, "radius": 1e3, "centre": 1e3, "targets": 1e3, "lens": 1.0, "evening": 1.0}  # SI to the axis
+PER_UNIT = {"focal": 1e2, "radius": 1e3, "centre": 1e3, "targets": 1e3, "lens": 1.0, "evening": 1.0}  # SI to the axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +81,13 @@ KINDS = {
 ALONE = ("focal", "radius", "centre", "targets", "lens")
 
 
-_TOGETHER = {"camera": ("focal", "radius"), "places": ("centre", "targets")}  # in a job
+TOGETHER = {"camera": ("focal", "radius"), "places": ("centre", "targets")}  # in a job
 
 
 def jobs(request: Request) -> list[Job]:
     """Films through a right lens, by many wrong rigs each; and one per strength of a lens, with its evenings."""
     seeds, seconds = ((1,), 1.5) if request.quick else ((1, 2), 3.5)
-    groups = {"alone": ALONE[:-1]} if request.quick else _TOGETHER
+    groups = {"alone": ALONE[:-1]} if request.quick else TOGETHER
     found = []
     for seed in seeds:
         what = {"seed": seed, "seconds": seconds}
@@ -96,7 +96,7 @@ def jobs(request: Request) -> list[Job]:
             plain = {name: list(tried) for name, tried in many.items()}
             found.append(Job(f"{group}-{seed}", with_mistakes, {**what, "mistakes": plain}, cost=_cost(seconds, many)))
         for k1 in _tried(KINDS["lens"], request)[0]:
-            many = {"lens": ([k1], 1), "evening": ([k1 / _LENS], _tried(KINDS["evening"], request)[1])}
+            many = {"lens": ([k1], 1), "evening": ([k1 / LENS], _tried(KINDS["evening"], request)[1])}
             parameters = {**what, "mistakes": {name: list(tried) for name, tried in many.items()}, "k1": k1}
             found.append(Job(f"lens-{k1:g}-{seed}", with_mistakes, parameters, cost=_cost(seconds, many)))
     return found
@@ -274,9 +274,6 @@ def _compared(sent: Array, made: Array) -> dict[str, float] | None:
         "spin": 100.0 * float(np.linalg.norm(A[:, 2])),
         "wobble": 100.0 * float(np.linalg.norm(left) / np.linalg.norm(made[:, :2])),
     }
-
-
-# ---- for a reader ----
 
 
 # ---- figures ----

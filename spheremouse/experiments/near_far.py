@@ -18,17 +18,17 @@ from spheremouse.simulate.ball.film import View, prepare
 
 TITLE = "Near and far camera"
 
-_VIEWS: tuple[View, ...] = ("near", "far")
-_DISCS = 50
-_NOISE = 3.0  # grey values
-_VARIANTS = {
+VIEWS: tuple[View, ...] = ("near", "far")
+DISCS = 50
+NOISE = 3.0  # grey values
+VARIANTS = {
     "ekf2, blobs": ("tracker=ekf2", "detector=blobs"),  # both as published
     "ekf1": ("tracker=ekf1",),
     "ekf2": ("tracker=ekf2",),
     "so3": ("tracker=so3",),
 }
 _TABLE: dict[View, str] = {"near": "22", "far": "21"}  # of the thesis' poses
-_THESIS = {
+THESIS = {
     "near": {"discs": 7.4, "attitude": (0.23, 0.13, 0.21), "rate": (0.46, 0.35, 0.58)},
     "far": {"discs": 8.9, "attitude": (0.07, 0.07, 0.08), "rate": (0.55, 0.41, 0.62)},
 }
@@ -39,20 +39,20 @@ def jobs(request: Request) -> list[Job]:
     seeds, seconds = (1, 1.5) if request.quick else (4, None)
     work = [
         Job(f"{view}-{seed}", followed, {"view": view, "seed": seed, "seconds": seconds})
-        for view in _VIEWS
+        for view in VIEWS
         for seed in range(seeds)
     ]
     whole = not request.quick  # the first second hardly turns, and tells nothing of a wrong pose
-    return work + [Job(f"posed-{view}", posed, {"view": view, "seconds": seconds}, 25.0) for view in _VIEWS if whole]
+    return work + [Job(f"posed-{view}", posed, {"view": view, "seconds": seconds}, 25.0) for view in VIEWS if whole]
 
 
 def followed(view: View, seed: int, seconds: float | None) -> Result:
     """A film by all trackers, with the camera's own pose, and the bound for what was in view."""
-    options = kit.options_of({"discs": _DISCS, "view": view, "seed": seed, "noise": _NOISE, "seconds": seconds})
+    options = kit.options_of({"discs": DISCS, "view": view, "seed": seed, "noise": NOISE, "seconds": seconds})
     film = kit.made(prepare(options), f"{view}-{seed}")
     pose = initialise(iter(film.frames), film.rig, kit.settings_of()).pose  # looked for once: the same for all
     rig = replace(film.rig, pose=pose)
-    found: Result = kit.compared(film, {name: kit.settings_of(v) for name, v in _VARIANTS.items()}, rig=rig)
+    found: Result = kit.compared(film, {name: kit.settings_of(v) for name, v in VARIANTS.items()}, rig=rig)
     return {"frames": len(film.frames), "trackers": found, "bound": found["so3"].get("bound")}
 
 
@@ -61,7 +61,7 @@ def posed(view: View, seconds: float | None) -> Result:
 
     To turn the whole error about is to turn the errors of the attitude about, near enough: half of the signs do.
     """
-    film = kit.made(prepare(kit.options_of({"discs": _DISCS, "view": view, "noise": _NOISE, "seconds": seconds})))
+    film = kit.made(prepare(kit.options_of({"discs": DISCS, "view": view, "noise": NOISE, "seconds": seconds})))
     settings, true = kit.settings_of(["tracker=ekf2"]), film.truth.pose
     assert true is not None, "a film made here knows its camera"
     seen = sights.look_at(film, settings)
@@ -77,6 +77,3 @@ def posed(view: View, seconds: float | None) -> Result:
         found += [said["attitude_rmse_deg"]["combined"]] if whole else []
         lost += not whole
     return {"attitude": sorted(found), "lost": lost}
-
-
-# ---- for a reader ----

@@ -17,8 +17,8 @@ TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to
 
 SIGMA_W = (0.001, 0.01, 0.1, 1.0)  # rad/s², those of the thesis
 SIGMA_B = (0.1, 1.0, 10.0)  # px
-_BEYOND = 10.0  # rad/s², a row of ours
-_EXACT = 1e-6  # m: so round the ball is taken to be where only that of the thesis is compared
+BEYOND = 10.0  # rad/s², a row of ours
+EXACT = 1e-6  # m: so round the ball is taken to be where only that of the thesis is compared
 
 # rows by sigma_w, columns by sigma_b
 R_R1 = ((0.645, 0.594, 0.678), (0.902, 0.794, 0.527), (0.962, 0.948, 0.778), (0.947, 0.956, 0.954))
@@ -29,7 +29,7 @@ SPEED = ((0.49, 0.56, 0.64), (0.23, 0.30, 0.34), (0.11, 0.15, 0.15), (0.15, 0.20
 
 Grid = tuple[tuple[float, ...], ...]
 
-_PATHS: dict[str, tuple[str, ...]] = {
+PATHS: dict[str, tuple[str, ...]] = {
     "r": ("surface_speed_r", "combined"),
     "attitude": ("attitude_rmse_deg", "combined"),
     "rate": ("rate_rmse_deg_s", "combined"),
@@ -96,7 +96,7 @@ def _grid(film: Film, judge: Any) -> Result:
     cells = {}
     for b in SIGMA_B:
         noisy = sights.with_sigma(seen, b)
-        for w in (*SIGMA_W, _BEYOND):
+        for w in (*SIGMA_W, BEYOND):
             settings = settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"])
             cells[_key(w, b)] = judge(sights.filtered(noisy, settings, film))
     best = tracked(film, settings_of())
@@ -113,7 +113,7 @@ def _exact(film: Film, judge: Any) -> Result:
         noisy = sights.with_sigma(seen, b)
         for w in SIGMA_W:
             settings = settings_of(
-                ["tracker=ekf2", f"euler.acceleration_sigma={w}", f"euler.radial_sigma={_EXACT}"],
+                ["tracker=ekf2", f"euler.acceleration_sigma={w}", f"euler.radial_sigma={EXACT}"],
             )
             cells[_key(w, b)] = judge(sights.filtered(noisy, settings, film))
     return cells
@@ -139,7 +139,7 @@ def _scaled(film: Film, judge: Any) -> Result:
 def _published(film: Film, judge: Any) -> Result:
     """The first column with the published detector, by sigma_w."""
     seen = sights.with_sigma(sights.look_at(film, settings_of(["detector=blobs", "tracker=ekf2"])), SIGMA_B[0])
-    settings = {w: settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"]) for w in (*SIGMA_W, _BEYOND)}
+    settings = {w: settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"]) for w in (*SIGMA_W, BEYOND)}
     return {f"{w:g}": judge(sights.filtered(seen, s, film)) for w, s in settings.items()}
 
 
@@ -149,6 +149,3 @@ def _agreement(found: r1.Agreement | None) -> Result:
 
 def _key(w: float, b: float) -> str:
     return f"{w:g}/{b:g}"
-
-
-# ---- for a reader ----

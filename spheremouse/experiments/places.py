@@ -31,26 +31,26 @@ from spheremouse.simulate.shapes import Sphere, Viewpoint, look
 
 TITLE = "Where to put the camera"
 
-_DISCS = 50
-_NOISE = 3.0  # grey values
+DISCS = 50
+NOISE = 3.0  # grey values
 _FPS = 30.0  # Hz
 _FRAMES = 150
 _AIM = np.array([0.0, -0.17, 0.0])  # m, obj: the middle of ball and frame
-_FAR = 2.35  # m, from the ball's centre: the thesis' far camera
-_FOCAL = 640.0  # px, its lens
+FAR = 2.35  # m, from the ball's centre: the thesis' far camera
+FOCAL = 640.0  # px, its lens
 _FILL = 0.9  # share of the picture's height that the ball fills before a lens chosen for its distance
 _RIM = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)  # where a disc is looked at, beside its centre
 _RING = 2.5  # px across: narrower rings of targets are not found (`targets`)
 _LEAST = 15  # centres that make a size class
-_NEAR_BEST = 1.25  # times the least error: as good as the best place
-_TOP = 60.0  # times the least error: more is not drawn
-_LENSES = ("same lens", "ball fills the picture")
+NEAR_BEST = 1.25  # times the least error: as good as the best place
+TOP = 60.0  # times the least error: more is not drawn
+LENSES = ("same lens", "ball fills the picture")
 
 AZIMUTHS = tuple(range(-90, 91, 15))  # deg, to the right of the device's front
 ELEVATIONS = tuple(range(-20, 81, 10))  # deg
 DISTANCES = (0.9, 1.0, 1.15, 1.35, 1.6, 2.0, 2.35, 2.8, 3.3, 3.8)  # m
 _CHECKED = ((0, 0), (0, 30), (0, 60), (-30, 0), (45, 10), (-45, 50), (75, 0), (-75, 30), (30, -20))  # deg
-_CHECKED_DISTANCES = {_LENSES[0]: (1.0, 1.35, 3.3), _LENSES[1]: (1.0, 1.35, 3.3)}  # m
+_CHECKED_DISTANCES = {LENSES[0]: (1.0, 1.35, 3.3), LENSES[1]: (1.0, 1.35, 3.3)}  # m
 
 
 class Place(NamedTuple):
@@ -68,8 +68,8 @@ class Place(NamedTuple):
 
 
 _PICTURED = (
-    *(Place(0, 0, distance, _FOCAL) for distance in (1.1, _FAR, 3.7)),
-    *(Place(azimuth, elevation, _FAR, _FOCAL) for azimuth, elevation in ((-45, 45), (60, 15))),
+    *(Place(0, 0, distance, FOCAL) for distance in (1.1, FAR, 3.7)),
+    *(Place(azimuth, elevation, FAR, FOCAL) for azimuth, elevation in ((-45, 45), (60, 15))),
 )
 
 
@@ -79,14 +79,14 @@ def fitted(distance: float) -> float:
 
 
 def _lens(name: str, distance: float) -> float:
-    return _FOCAL if name == _LENSES[0] else fitted(distance)
+    return FOCAL if name == LENSES[0] else fitted(distance)
 
 
 def _checked(quick: bool) -> tuple[list[Place], list[Place]]:
     """Places that are filmed: of the map of directions, and of the distances."""
     if quick:
-        return [Place(0, 10, _FAR, _FOCAL)], []
-    far = [Place(a, e, _FAR, _FOCAL) for a, e in _CHECKED]
+        return [Place(0, 10, FAR, FOCAL)], []
+    far = [Place(a, e, FAR, FOCAL) for a, e in _CHECKED]
     return far, [Place(0, 0, d, _lens(lens, d)) for lens, found in _CHECKED_DISTANCES.items() for d in found]
 
 
@@ -109,12 +109,12 @@ def jobs(request: Request) -> list[Job]:
 def _maps(quick: bool, around: list[Place], along: list[Place]) -> list[tuple[str, list[Place], list[Place]]]:
     """Name, places, and those of them that are filmed."""
     if quick:
-        return [("directions-0", [Place(a, e, _FAR, _FOCAL) for e in ELEVATIONS[::3] for a in AZIMUTHS[::3]], around)]
+        return [("directions-0", [Place(a, e, FAR, FOCAL) for e in ELEVATIONS[::3] for a in AZIMUTHS[::3]], around)]
     half = len(ELEVATIONS) // 2
     halves = [
-        [Place(a, e, _FAR, _FOCAL) for e in rows for a in AZIMUTHS] for rows in (ELEVATIONS[:half], ELEVATIONS[half:])
+        [Place(a, e, FAR, FOCAL) for e in rows for a in AZIMUTHS] for rows in (ELEVATIONS[:half], ELEVATIONS[half:])
     ]
-    distances_ = [Place(0, 0, d, _lens(lens, d)) for lens in _LENSES for d in DISTANCES]
+    distances_ = [Place(0, 0, d, _lens(lens, d)) for lens in LENSES for d in DISTANCES]
     return [("directions-0", halves[0], around), ("directions-1", halves[1], []), ("distances", distances_, along)]
 
 
@@ -123,7 +123,7 @@ def _maps(quick: bool, around: list[Place], along: list[Place]) -> list[tuple[st
 
 def scene_from(place: Place, layout: int) -> Scene:
     """The device before a camera of 640x480 in a place."""
-    scene = default_scene(_DISCS, "far", layout)
+    scene = default_scene(DISCS, "far", layout)
     a, e = np.radians([place.azimuth, place.elevation])
     away = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
     camera = replace(scene.camera, fx=place.focal, fy=place.focal)
@@ -162,7 +162,7 @@ def measured_noise(pictures: int, places: int = len(_PICTURED)) -> list[Size]:
     areas, errors = [], []
     for k, place in enumerate(_PICTURED[:places]):
         scene = scene_from(place, k)
-        renderer, rng = Renderer(scene, RenderOptions(noise=_NOISE)), np.random.default_rng([k, 7])
+        renderer, rng = Renderer(scene, RenderOptions(noise=NOISE)), np.random.default_rng([k, 7])
         detector = disc_detector(settings, scene.rig(), scene.pose)
         for picture in range(pictures):
             shot = renderer.frame(thesis(), 9.0 * picture / pictures, picture, rng)
@@ -273,7 +273,7 @@ def _shapes(scene: Scene) -> Viewpoint:
 def filmed(place: Sequence[float], frames: int) -> Result:
     """What `so3` makes of a film from there, with the pose it finds and with the true one, and the film's own bound."""
     where = Place(*place)
-    simulation = prepare(kit.options_of({"discs": _DISCS, "noise": _NOISE, "seconds": frames / _FPS}))
+    simulation = prepare(kit.options_of({"discs": DISCS, "noise": NOISE, "seconds": frames / _FPS}))
     film = kit.made(replace(simulation, scene=scene_from(where, 0)), where.key)
     tracked = kit.tracked(film, kit.settings_of(), own_pose=False)
     result: Result = {"place": list(where), "true pose": tracked.report, "bound": kit.bound(film, tracked)}
@@ -282,6 +282,3 @@ def filmed(place: Sequence[float], frames: int) -> Result:
     except PoseError as e:
         result["own pose"] = {"error": str(e)}
     return result
-
-
-# ---- for a reader ----

@@ -40,7 +40,7 @@ FIXED, FRAMES = 0.01, 1.2  # s, and frames: from a frame's stamp to its arrival;
 SHOWN = 0.004  # s, between two looks at the pointer
 SPEED, STOPPED, HELD = float(np.radians(400.0)), (0.05, 0.2), 0.25  # rad/s; s, in which it is stopped, and before
 NEAR = 5.0  # counts, about 5 mm on the ball: a pointer is near
-_TRACKED, _JUMP = 0.98, 20.0  # of the frames; counts beyond a stop that are no noise
+TRACKED, JUMP = 0.98, 20.0  # of the frames; counts beyond a stop that are no noise
 _BEGIN = 1.2  # s: the ball begins to move after one second, and frames arrive later
 _FINE, _SAME = 1e-3, 1e-9  # s: of the integration; rounding of times
 _LAGS = np.arange(-0.03, 0.0301, 0.002)  # s, about the best on the grid of `lag.search`
@@ -261,6 +261,3 @@ def stopped(fps: float, phases: int) -> Result:
                 found["t"], found["true"] = true.t.tolist(), (way_ * true.place[:, moved]).tolist()
                 found["end"] = end
     return found
-
-
-# ---- for a reader ----

@@ -26,13 +26,13 @@ from spheremouse.tracker import Frame
 
 TITLE = "The camera's pose from four targets"
 
-_VIEWS: tuple[View, ...] = ("far", "near")
-_VIEWS_USED = 30  # of the tables: a second of video
+VIEWS: tuple[View, ...] = ("far", "near")
+VIEWS_USED = 30  # of the tables: a second of video
 _COUNTS = (1, 2, 3, 5, 10, 20, 30, 50, 100)
-_NOISE, _STRONG = 3.0, 15.0  # grey values: of the tables; of the figure, the strongest of table 24
-_NAMES = ("X0", "Y0", "Z0", "ω0", "φ0", "κ0")
+NOISE, STRONG = 3.0, 15.0  # grey values: of the tables; of the figure, the strongest of table 24
+NAMES = ("X0", "Y0", "Z0", "ω0", "φ0", "κ0")
 _STRAY = (0.01, np.radians(0.5))  # m, rad: by which cameras differ from the thesis'
-_BLANK = "–"
+BLANK = "–"
 
 
 def jobs(request: Request) -> list[Job]:
@@ -40,10 +40,10 @@ def jobs(request: Request) -> list[Job]:
     seeds, counts, draws = (2, (1, 3, 10), 4) if request.quick else (16, _COUNTS, 80)
     work = [
         Job(f"{view}-{seed}", filmed, {"view": view, "seed": seed, "counts": list(counts)})
-        for view in _VIEWS
+        for view in VIEWS
         for seed in range(seeds)
     ]
-    work += [Job(f"drawn-{view}", drawn, {"view": view, "seeds": draws}) for view in _VIEWS]
+    work += [Job(f"drawn-{view}", drawn, {"view": view, "seeds": draws}) for view in VIEWS]
     if request.datasets is not None:
         path = str(request.datasets / "far26")
         work.append(Job("far26", recorded, {"path": path, "counts": list(counts)}))
@@ -93,7 +93,7 @@ def drawn(view: View, seeds: int) -> Result:
     for seed in range(seeds):
         rng = np.random.default_rng([seed, 3])
         seen = [
-            Sighting(code, c + sigma * rng.standard_normal(2), sigma**2 * np.eye(2), _VIEWS_USED)
+            Sighting(code, c + sigma * rng.standard_normal(2), sigma**2 * np.eye(2), VIEWS_USED)
             for code, c in zip(exact.targets.codes, centre, strict=True)
         ]
         entries.append(_found(seen, calibrated_rig(seed, scene.camera), scene.pose))
@@ -102,7 +102,7 @@ def drawn(view: View, seeds: int) -> Result:
 
 def _films(counts: Sequence[int]) -> tuple[tuple[str, float, Sequence[int]], ...]:
     """Name, noise and numbers of views: for the tables, and for the figure."""
-    return ("table", _NOISE, (_VIEWS_USED,)), ("figure", _STRONG, counts)
+    return ("table", NOISE, (VIEWS_USED,)), ("figure", STRONG, counts)
 
 
 def _strayed(scene: Scene, rng: np.random.Generator) -> Pose:
@@ -167,6 +167,3 @@ def _found(seen: list[Sighting], rig: Rig, true: Pose, image: Any = None) -> Res
         "correlation": (P / np.outer(sigma, sigma)).tolist(),
         "chi_square": float(error @ np.linalg.solve(pose.covariance, error)),
     }
-
-
-# ---- for a reader ----

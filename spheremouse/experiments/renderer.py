@@ -25,13 +25,13 @@ from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, defau
 
 TITLE = "The renderer against Blender"
 
-_ASKED = 0.05  # px RMS per axis between the two, for discs that both show whole
+ASKED = 0.05  # px RMS per axis between the two, for discs that both show whole
 _MATCH = 3.0  # px
-_RINGS = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the ball's radius in the picture
-_AREAS = ((10.0, 30.0), (30.0, 60.0), (60.0, np.inf))  # px²
-_STEP, _REACH = 0.1, 2.5  # px, of an edge's profile: cells, and how far to either side
-_GREY = ("ours", "Blender")
-_LINEAR = "Blender, linear light"
+RINGS = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the ball's radius in the picture
+AREAS = ((10.0, 30.0), (30.0, 60.0), (60.0, np.inf))  # px²
+STEP, REACH = 0.1, 2.5  # px, of an edge's profile: cells, and how far to either side
+GREY = ("ours", "Blender")
+LINEAR = "Blender, linear light"
 
 
 def jobs(request: Request) -> list[Job]:
@@ -100,7 +100,7 @@ def compared(path: str, first: int, step: int) -> Result:
     rig = film.rig
     detector = disc_detector(kit.settings_of().discs, rig, scene.pose)
     rows: list[list[float]] = []
-    edges = {name: np.zeros((2, round(2 * _REACH / _STEP))) for name in (*_GREY, _LINEAR)}
+    edges = {name: np.zeros((2, round(2 * REACH / STEP))) for name in (*GREY, LINEAR)}
     levels: list[list[float]] = []
     geometry: list[list[float]] = []
     for k in range(first, len(film.frames), step):
@@ -117,9 +117,9 @@ def compared(path: str, first: int, step: int) -> Result:
         radius = np.linalg.norm(_from_middle(whole.centre, rig, scene), axis=1)
         for i in range(len(whole)):
             rows.append([radius[i], whole.area[i], *whole.centre[i], *found[0][i], *found[1][i]])
-        for name, picture in zip(_GREY, pictures, strict=True):
+        for name, picture in zip(GREY, pictures, strict=True):
             _add_edges(edges[name], picture, looks)
-        _add_edges(edges[_LINEAR], _light(pictures[1]), looks)
+        _add_edges(edges[LINEAR], _light(pictures[1]), looks)
         levels += _levels(pictures, looks)
     return {
         "frames": len(range(first, len(film.frames), step)),
@@ -132,7 +132,7 @@ def compared(path: str, first: int, step: int) -> Result:
 
 def _whole_in_both(ours: DiscTruth, theirs: DiscTruth) -> tuple[DiscTruth, DiscTruth]:
     """Discs that both say are wholly visible, as each has them."""
-    keep = (theirs.state == VISIBLE) & (theirs.area >= _AREAS[0][0])
+    keep = (theirs.state == VISIBLE) & (theirs.area >= AREAS[0][0])
     _, a, b = np.intersect1d(ours.disc, np.where(keep, theirs.disc, -1), return_indices=True)
     shown = ours.state[a] == VISIBLE
     a, b = a[shown], b[shown]
@@ -183,17 +183,17 @@ def _grey(picture: Any, at: NDArray[np.intp]) -> Array:
 def _add_edges(edges: Array, picture: Any, look: Appearance) -> None:
     """Adds to sums and counts (2, cells) the darkness of pixels by their distance from the edges of large discs."""
     for i in np.flatnonzero(look.whole & (look.area >= 60.0)):
-        cells = _cells(look, int(i), picture.shape[:2], _REACH + 1.5)
+        cells = _cells(look, int(i), picture.shape[:2], REACH + 1.5)
         if cells is None:
             continue
         distance, at = cells
         grey = _grey(picture, at)
-        inside, outside = grey[distance < -_REACH], grey[(distance > _REACH) & (distance < _REACH + 1.5)]
+        inside, outside = grey[distance < -REACH], grey[(distance > REACH) & (distance < REACH + 1.5)]
         if len(inside) < 4 or np.ptp(outside) > 25.0:  # a strut, or a highlight, is near
             continue
-        near = np.abs(distance) < _REACH
+        near = np.abs(distance) < REACH
         share = (grey[near] - inside.mean()) / (outside.mean() - inside.mean())
-        cell = ((distance[near] + _REACH) / _STEP).astype(int)
+        cell = ((distance[near] + REACH) / STEP).astype(int)
         np.add.at(edges[0], cell, share)
         np.add.at(edges[1], cell, 1.0)
 
@@ -211,6 +211,3 @@ def _levels(pictures: Sequence[Any], look: Appearance) -> list[list[float]]:
         if np.any(inside):
             found.append([float(np.median(g[w])) for w in (inside, outside) for g in greys])
     return found
-
-
-# ---- for a reader ----

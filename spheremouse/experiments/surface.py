@@ -29,16 +29,16 @@ from spheremouse.simulate.shapes import Sphere, look
 
 TITLE = "Points on the ball: covariances over the visible cap, visible area"
 
-_VIEWS: tuple[View, ...] = ("far", "near")
+VIEWS: tuple[View, ...] = ("far", "near")
 _DISCS = 74  # as many as the thesis' fullest ball: more places at once
 _NOISE = 3.0  # grey values
 _BIN = 6.0  # deg, from the point that faces the camera
-_RINGS, _SPOKES = 24, 61  # of a map
+RINGS, _SPOKES = 24, 61  # of a map
 _DISTANCES = (0.7, 0.8, 0.9, 1.0, 1.2, 1.35, 1.6, 2.0, 2.35, 2.7, 3.0)  # m
 _POINTS = 20_000  # spread over the sphere to be counted
 
 # Wittich 2017, table 13: place (mm), correlations XY, XZ, YZ, standard deviations (mm).
-_TABLE_13 = (
+TABLE_13 = (
     ((9.4, 401.3, 424.4), (-0.174, 0.136, -0.959), (1.2, 1.5, 1.7)),
     ((-322.1, 316.5, 370.6), (-0.501, 0.930, -0.714), (2.5, 1.2, 3.0)),
     ((-73.0, 70.5, 575.3), (0.276, 0.652, 0.155), (1.2, 0.9, 0.7)),
@@ -46,17 +46,17 @@ _TABLE_13 = (
     ((-141.0, -279.7, 493.1), (0.675, 0.708, 0.917), (1.3, 2.1, 1.5)),
 )
 _TABLE_11 = ((0.7, 0.9, 3.3, 2.7), ((-0.333,), (-0.460, 0.858), (0.457, -0.858, -0.998)))  # centre, radius: mm
-_SIGMA_B = 0.1  # px, of a centre in the thesis, section 4.5
-_RADIUS = 0.6  # m
-_LEVELS = (0.1, 0.15, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0)  # mm, of the map
-_TURN = np.linspace(0.0, 2.0 * np.pi, _SPOKES)
-_FIGURE_39 = {"far": (2.35, 2.74), "near": (1.35, 2.16)}  # m, m²
+SIGMA_B = 0.1  # px, of a centre in the thesis, section 4.5
+RADIUS = 0.6  # m
+LEVELS = (0.1, 0.15, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0)  # mm, of the map
+TURN = np.linspace(0.0, 2.0 * np.pi, _SPOKES)
+FIGURE_39 = {"far": (2.35, 2.74), "near": (1.35, 2.16)}  # m, m²
 
 
 def jobs(request: Request) -> list[Job]:
     """The cap before each camera, and the areas."""
     frames, draws = (8, 4) if request.quick else (60, 60)
-    work = [Job(f"cap-{view}", cap, {"view": view, "frames": frames, "draws": draws}) for view in _VIEWS]
+    work = [Job(f"cap-{view}", cap, {"view": view, "frames": frames, "draws": draws}) for view in VIEWS]
     return [*work, Job("area", areas, {"points": _POINTS // 4 if request.quick else _POINTS})]
 
 
@@ -156,7 +156,7 @@ class _Errors:
 
 def _errors(sights: _Sights, rig: Rig, pose: Pose) -> _Errors:
     points = intersect(sights.detections, rig, pose)
-    true = _RADIUS * sights.directions[points.index]
+    true = RADIUS * sights.directions[points.index]
     variance, axes = _along_surface(points)
     off = np.einsum("nij,ni->nj", axes, points.position - true)
     return _Errors(points.index, 1e3 * off[:, ::-1], 1e3 * np.sqrt(variance[:, ::-1]))
@@ -198,13 +198,13 @@ def _map(scene: Scene, rig: Rig, angle: Array, seen: Detections) -> Result:
     right, down = (axis - (axis @ middle) * middle for axis in scene.pose.rotation.T[:2])
     right, down = right / np.linalg.norm(right), down / np.linalg.norm(down)
     limb = np.degrees(np.arccos(scene.ball_radius / np.linalg.norm(scene.pose.position)))
-    polar, turn = np.meshgrid(np.linspace(0.0, limb - 1.0, _RINGS), _TURN)
+    polar, turn = np.meshgrid(np.linspace(0.0, limb - 1.0, RINGS), TURN)
     a, t = np.radians(polar.ravel())[:, None], turn.ravel()[:, None]
     directions = np.cos(a) * middle + np.sin(a) * (np.cos(t) * right + np.sin(t) * down)
     sigma = np.interp(polar.ravel(), *_certainty(angle, seen))
     points = _seen(directions, sigma, rig, scene)
     variance, _ = _along_surface(points)
-    worst, best = (np.round(1e3 * np.sqrt(v), 4).reshape(_SPOKES, _RINGS).tolist() for v in variance.T[::-1])
+    worst, best = (np.round(1e3 * np.sqrt(v), 4).reshape(_SPOKES, RINGS).tolist() for v in variance.T[::-1])
     return {"worst": worst, "best": best, "limb_deg": float(limb), "seen_to_deg": float(angle.max())}
 
 
@@ -232,9 +232,9 @@ def _certainty(angle: Array, seen: Detections) -> tuple[list[float], list[float]
 
 def _five(scene: Scene, rig: Rig) -> Result:
     """The five places of table 13 before the far camera, with the thesis' noise of a centre; with all its inputs."""
-    place = np.array([p for p, _, _ in _TABLE_13])
+    place = np.array([p for p, _, _ in TABLE_13])
     directions = place / np.linalg.norm(place, axis=1, keepdims=True)
-    sigma = np.full(len(place), _SIGMA_B)
+    sigma = np.full(len(place), SIGMA_B)
     assert rig.pose is not None, "the device stands before a camera"
     apart = replace(rig, pose=replace(rig.pose, ball_covariance=np.zeros((6, 4))))
     return {
@@ -282,7 +282,7 @@ def areas(points: int) -> Result:
         for d in _DISTANCES
     ]
     views = {}
-    for view in _VIEWS:
+    for view in VIEWS:
         scene = default_scene(1, view)
         free, shown = (_met(sphere, scene, scene.pose, around) for around in (False, True))
         views[view] = {
@@ -346,9 +346,6 @@ def _behind_hands(sphere: Array, scene: Scene, hands: int) -> float:
 def visible_cap(distance: float, radius: float) -> float:
     """Area of a sphere that is seen from `distance` to its centre, m²."""
     return 2.0 * np.pi * radius**2 * (1.0 - radius / distance)
-
-
-# ---- for a reader ----
 
 
 # ---- figures ----

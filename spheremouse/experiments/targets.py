@@ -27,12 +27,12 @@ from spheremouse.simulate.ball.tags import Sheet, painted, ring_sheet, tag_cells
 
 TITLE = "Targets on the frame: number, size, kind (Wittich 2017, chapter 5)"
 
-_USUAL, _NUMBER = 36, 4  # mm, outer radius, and how many, as the thesis has them
-_STRAY = (0.04, np.radians(1.0), np.radians(15.0))  # m, rad, rad about the line of sight: how cameras differ
+USUAL, NUMBER = 36, 4  # mm, outer radius, and how many, as the thesis has them
+STRAY = (0.04, np.radians(1.0), np.radians(15.0))  # m, rad, rad about the line of sight: how cameras differ
 _HALF_PIXEL = 0.5  # px: AprilTag's corners count from a pixel's corner, all others from its centre
-_MATCH = 5.0  # px: what is further off is something else
-_SURE = 0.95  # share of targets found that counts as all
-_NEARLY = 1.25  # times the least standard deviation is as good
+MATCH = 5.0  # px: what is further off is something else
+SURE = 0.95  # share of targets found that counts as all
+NEARLY = 1.25  # times the least standard deviation is as good
 _Z = 0.5629  # m, of the targets
 
 NUMBERS = (3, 4, 5, 6, 7, 8)
@@ -55,7 +55,7 @@ CONDITIONS = {
     "dark": Condition(3.0, light=0.2),
     "blurred": Condition(3.0, blur=1.5),
 }
-_ABOUT = {
+ABOUT = {
     "plain": "noise of 3 grey values",
     "noisy": "noise of 15",
     "dark": "a fifth of the light, noise of 3",
@@ -70,7 +70,7 @@ REFINEMENTS = {  # OpenCV's corners: method and half width of the window, px (No
     "subpix, 2 px": (cv2.aruco.CORNER_REFINE_SUBPIX, 2),
     "AprilTag": (cv2.aruco.CORNER_REFINE_APRILTAG, None),
 }
-_REFINED = ("subpix, 2 px", "AprilTag")  # that which finds more tags is taken; the last where both find as many
+REFINED = ("subpix, 2 px", "AprilTag")  # that which finds more tags is taken; the last where both find as many
 
 
 def jobs(request: Request) -> list[Job]:
@@ -135,9 +135,9 @@ def camera_of(seed: int) -> Scene:
     scene = default_scene(26, "far", seed)
     none = replace(scene.targets, ids=(), codes=(), position=np.zeros((0, 3)), covariance=np.zeros((0, 0)))
     pose = scene.pose
-    turn = exp(_STRAY[1] * rng.standard_normal(3))
-    roll = exp(np.array([0.0, 0.0, rng.uniform(-_STRAY[2], _STRAY[2])]))
-    moved = Pose(turn @ pose.rotation @ roll, pose.position + _STRAY[0] * rng.standard_normal(3))
+    turn = exp(STRAY[1] * rng.standard_normal(3))
+    roll = exp(np.array([0.0, 0.0, rng.uniform(-STRAY[2], STRAY[2])]))
+    moved = Pose(turn @ pose.rotation @ roll, pose.position + STRAY[0] * rng.standard_normal(3))
     return replace(scene, pose=moved, surroundings=(*frame(none, 0.0105), *room()))
 
 
@@ -152,15 +152,15 @@ def filmed(seed: int, numbers: Sequence[int], sizes: Sequence[float], conditions
     for kind in ("rings", *FAMILIES):
         for n in numbers:
             if kind != "rings" or n <= len(CODES):
-                found["numbers"] |= _tried(kind, scene, bare, n, _USUAL, "plain", seed)
+                found["numbers"] |= _tried(kind, scene, bare, n, USUAL, "plain", seed)
         for size in sizes:
             for condition in conditions:
-                found["sizes"] |= _tried(kind, scene, bare, _NUMBER, size, condition, seed)
-    picture = painted(bare, scene, _sheets("aruco", _NUMBER, _USUAL))
+                found["sizes"] |= _tried(kind, scene, bare, NUMBER, size, condition, seed)
+    picture = painted(bare, scene, _sheets("aruco", NUMBER, USUAL))
     image = next(_views(picture, CONDITIONS["plain"], seed))
-    rig = rig_of("aruco", scene, _NUMBER, _USUAL)
+    rig = rig_of("aruco", scene, NUMBER, USUAL)
     found["refinements"] = {name: _corner_errors(image, rig, scene.pose, name) for name in REFINEMENTS}
-    depth = scene.pose.to_cam(places(_NUMBER))[:, 2]
+    depth = scene.pose.to_cam(places(NUMBER))[:, 2]
     found["px_per_mm"] = float(np.mean(2e-3 * scene.camera.fx / depth))  # of diameter per radius
     return found
 
@@ -199,7 +199,7 @@ def _detected(kind: str, image: NDArray[np.uint8], rig: Rig) -> TargetDetections
     """What is seen of the rig's targets; of tags, their corners."""
     if kind == "rings":
         return detect_targets(image, rig.targets.radii, kit.settings_of().rings)
-    quick, slow = _REFINED
+    quick, slow = REFINED
     found = corners_of(kind, image, rig, quick)
     better = corners_of(kind, image, rig, slow) if len(found) else found  # ten times as long
     return better if len(better) >= len(found) else found
@@ -263,7 +263,7 @@ def _off(seen: Iterable[Sighting], rig: Rig, true: Pose) -> Result:
     """RMS per axis of what was measured, px; without those that are something else."""
     expected = dict(zip(rig.targets.codes, predict_targets(true, rig), strict=True))
     errors = np.array([s.centre - expected[s.code] for s in seen if s.code in expected]).reshape(-1, 2)
-    errors = errors[np.linalg.norm(errors, axis=1) < _MATCH]
+    errors = errors[np.linalg.norm(errors, axis=1) < MATCH]
     return {"point_px": float(np.sqrt(np.mean(errors**2))) if len(errors) else None}
 
 
@@ -272,9 +272,6 @@ def _corner_errors(image: NDArray[np.uint8], rig: Rig, true: Pose, refinement: s
     where = dict(zip(rig.targets.codes, project(true.to_cam(rig.targets.position), rig.camera)[0], strict=True))
     errors = np.array([c - where[code] for code, c in zip(seen.codes, seen.centre, strict=True)]).reshape(-1, 2)
     return {"found": len(seen) / len(rig.targets.codes), "errors": np.round(errors, 4).tolist()}
-
-
-# ---- for a reader ----
 
 
 # ---- figures ----

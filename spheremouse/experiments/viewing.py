@@ -13,12 +13,12 @@ from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit import sights
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.tour import (
-    _USUAL,
     CLASSIC,
     ESTIMATED,
     IGNORED,
     KNOWN,
     PUBLISHED,
+    USUAL,
     filmed,
     followed,
     thinned,
@@ -26,7 +26,7 @@ from spheremouse.experiments.kit.tour import (
 
 TITLE = "How the camera films: frame rate, resolution, blur, rolling shutter (Wittich 2017, chapter 5)"
 
-_FASTEST = 240  # frames per second, of the film from which the slower ones are taken
+FASTEST = 240  # frames per second, of the film from which the slower ones are taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def _film(kind: str, word: str) -> dict[str, Any]:
     """Options of `simulate` for a value."""
     if kind == "size":
         return {"size": [int(x) for x in word.split("x")]}
-    seconds = min(1e-3 * float(word), 1.0 / _USUAL)
+    seconds = min(1e-3 * float(word), 1.0 / USUAL)
     return {"blur": seconds} if kind == "blur" else {"readout": seconds}
 
 
@@ -106,12 +106,12 @@ def _cost(film: dict[str, Any]) -> float:
 
 def at_rates(seed: int, seconds: float, rates: list[int]) -> Result:
     """One film at 240 frames per second, and what it is when only each second, third, ... frame is taken."""
-    assert all(_FASTEST % rate == 0 for rate in rates), "a rate must divide that of the film"
-    film = filmed({"fps": float(_FASTEST)}, seed, seconds)
+    assert all(FASTEST % rate == 0 for rate in rates), "a rate must divide that of the film"
+    film = filmed({"fps": float(FASTEST)}, seed, seconds)
     seen = sights.look_at(film, kit.settings_of(["tracker=ekf2"]))
     found: Result = {}
     for rate in rates:
-        every = _FASTEST // rate
+        every = FASTEST // rate
         fewer = replace(seen, stamps=seen.stamps[::every], detections=seen.detections[::every])
         found[str(rate)] = followed(thinned(film, every), fewer, {KNOWN: film.rig}, published=True)
     return {"points": found}
@@ -132,9 +132,6 @@ def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
         none = replace(shot.rig, readout_s=0.0)
         rigs |= {ESTIMATED: replace(none, readout_sigma_s=UNKNOWN_READOUT), IGNORED: none}
     return {**followed(shot, seen, rigs), "pose": said}
-
-
-# ---- for a reader ----
 
 
 # ---- figures ----

@@ -6,7 +6,7 @@ from spheremouse.experiments import wand_films as wand
 from spheremouse.experiments.kit.job import Job, Request, Result
 
 TITLE = "The hand-held ball (Grzonka 2005, chapter 4)"
-_SPEEDS = "speeds"
+SPEEDS = "speeds"
 
 
 def jobs(request: Request) -> list[Job]:
@@ -20,7 +20,7 @@ def jobs(request: Request) -> list[Job]:
         for k, variant in enumerate(shared.variants):
             what = {"path": path, "quick": request.quick, "variant": k}
             films.append(Job(wand.recording_key(variant), recorded, what, cost=6.0 * len(shared.seeds)))
-    return [*films, Job(_SPEEDS, speeds, {"frames": 20 if request.quick else 60}, cost=25.0, alone=True)]
+    return [*films, Job(SPEEDS, speeds, {"frames": 20 if request.quick else 60}, cost=25.0, alone=True)]
 
 
 def _cost(film: wand.Film) -> float:
@@ -45,9 +45,6 @@ def recorded(path: str, quick: bool, variant: int) -> Result:
 def speeds(frames: int) -> Result:
     """Frames per second, over so many frames."""
     return wand.measure_speeds(frames)
-
-
-# ---- for a reader ----
 
 
 # ---- figures ----

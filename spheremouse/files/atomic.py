@@ -25,7 +25,6 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files import atomic
 
 try:
     import fcntl
@@ -348,6 +347,6 @@ def write_atomically(path: Path, text: str) -> None:
     A device or a pipe is written to, never replaced: see `files.atomic`.
     """
     try:
-        atomic.write(path, text.encode("utf-8"))
+        write(path, text.encode("utf-8"))
     except OSError as e:
         raise ConfigurationError(f"{path}: cannot be written: {e.strerror or e}") from None

@@ -17,7 +17,6 @@ from spheremouse.files.bounded import lines, opened
 
 if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
     pass
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray

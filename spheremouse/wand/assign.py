@@ -7,7 +7,7 @@ _NEIGHBOURS = 8  # of a spot that triples are made with: as many as a side of a 
 
 
 @njit(cache=True, error_model="numpy")
-def _search(xy, area, colour, direction, angle, colours, limits, pixels, least, glare, begin, effort, found):
+def search(xy, area, colour, direction, angle, colours, limits, pixels, least, glare, begin, effort, found):
     """Hypotheses into `found`: score, centre in radii of the ball, rotation. Gives their number.
 
     And the spot at which the effort was spent, or 0.

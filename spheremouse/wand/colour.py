@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand.rims import _BRIGHTEST, ColourSettings, Image, _shift_by_brightness, rim_shift
+from spheremouse.wand.rims import BRIGHTEST, ColourSettings, Image, rim_shift, shift_by_brightness
 
 Region = tuple[int, int, int, int]  # left, top, right, bottom px; right and bottom excluded
 
@@ -109,7 +109,7 @@ def fields(
     rim = [
         rim_shift(colours[name]) / factor
         if colours[name].saturation_min > 0.0
-        else _shift_by_brightness(part, one, bound, factor)
+        else shift_by_brightness(part, one, bound, factor)
         for name, one, bound in zip(names, binary, bounds, strict=True)
     ]
     return Fields(weight, binary, left, top, factor, share, names, np.array(rim), glare)
@@ -229,7 +229,7 @@ def _row(colour: ColourSettings, gain: float) -> tuple[float, ...]:
         colour.hue_max,
         colour.saturation_min / 255.0,
         colour.saturation_max / 255.0,
-        min(colour.value_min / gain, _BRIGHTEST),
+        min(colour.value_min / gain, BRIGHTEST),
         colour.value_max / gain,
     )
 
@@ -257,7 +257,7 @@ def _select(image, bounds, binary, count, white):
         darkest = min(darkest, bounds[c, 4])
         brightest = max(brightest, bounds[c, 5])
     grey = np.int32(least * np.float32(256.0))  # of 256: below, no colour whatever the hue
-    overexposed, some = np.int32(_BRIGHTEST), 0
+    overexposed, some = np.int32(BRIGHTEST), 0
     low_value, high_value = np.int32(min(darkest, np.float32(255.0))), np.int32(min(brightest, np.float32(255.0)))
     for i in range(h):
         for j in range(w):

@@ -9,21 +9,21 @@ from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import FULLY
 from spheremouse.wand.peaks import (
-    _SURE,
+    SURE,
+    Found,
+    Scene,
     _convincing,
-    _Found,
     _part,
-    _Scene,
 )
 from spheremouse.wand.state import Track, WandPhase, WandTracker
 
 _AWAY = 10.0  # searches in which no hand holds one side towards the camera
-_SECOND = "a second ball like"
+SECOND = "a second ball like"
 _SIGHTINGS = 3  # in a row, of a second ball before a word is said: what clutter makes of a spot or two does not last
 _NOTHING, _TOO_MUCH = 2e-6, 0.25  # part of the picture of one colour that no ball makes
 
 
-def _turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
+def turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
     """Colours that all balls that have them are known to hide."""
     away = set(tracker.names)
     for ball, discs, track in zip(tracker.balls, tracker.discs, tracks, strict=True):
@@ -51,14 +51,12 @@ def _complaint(whole: Fields, away: set[str]) -> tuple[str, float]:
     return min(found, key=lambda one: one[1], default=("", 0.0))
 
 
-def _doubtful(track: Track) -> bool:
+def doubtful(track: Track) -> bool:
     """Has a second ball been seen, but not often enough to say so?"""
     return track.second is not None and track.second[0] < _SIGHTINGS
 
 
-def _second(
-    track: Track, found: _Found, first: Array | None, dt: float, scene: _Scene, index: int
-) -> tuple[Track, str]:
+def _second(track: Track, found: Found, first: Array | None, dt: float, scene: Scene, index: int) -> tuple[Track, str]:
     """The track with what a search of the whole picture says of a second ball like it, and words where it is there.
 
     `first` is where the ball is. A second one lies beside it in the picture, shows half as much, and is a ball wherever
@@ -68,7 +66,7 @@ def _second(
     if first is None or not found.peaks:
         return replace(track, second=None), ""
     least = max(s.evidence, 0.5 * found.log_likelihood[0])
-    good = [i for i in range(len(found.peaks)) if found.log_likelihood[i] >= least and found.match[i] >= _SURE]
+    good = [i for i in range(len(found.peaks)) if found.log_likelihood[i] >= least and found.match[i] >= SURE]
     for k in _convincing(_part(found, good), scene, index).peaks:
         apart = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
         if apart < ball.radius / k.position[2] + ball.radius / first[2]:
@@ -76,7 +74,7 @@ def _second(
         times, before = track.second or (0, k.position)
         moved_by = np.linalg.norm(k.position[:2] / k.position[2] - before[:2] / before[2]) * k.position[2]
         times = min(times + 1, _SIGHTINGS) if moved_by < ball.radius + s.fastest * dt else 1
-        words = f"{_SECOND} {ball.name} is in view: declare it too, or take it away" if times == _SIGHTINGS else ""
+        words = f"{SECOND} {ball.name} is in view: declare it too, or take it away" if times == _SIGHTINGS else ""
         return replace(track, second=(times, k.position)), words
     return replace(track, second=None), ""
 

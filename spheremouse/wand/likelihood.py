@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand.colour import FIELD_SIGMA, Fields
-from spheremouse.wand.model import _NONE, _ONE, Model, _normal, _turn
+from spheremouse.wand.model import NONE, ONE, Model, _normal, turn
 
 # Of the field's range. A rim goes through pixels anywhere: 0.29 px each, over the 4 px along it that the kernel takes
 # together 0.14, at a slope of a third per pixel 0.05; 0.04 more for print, gloss and motion
@@ -313,22 +313,22 @@ def expected_field(along, outward, facing, scale, inside, width, bend, offset):
     rad seen from the front, `inside` the way to the rim and `width` that to the far side, rad; `bend` is the
     curvature's 1 / tan(angle), `offset` how far, px, bounds put the rim outward.
     """
-    per_root = _ONE / np.sqrt(max(_ONE - along * along, _LEAST_ACROSS))
+    per_root = ONE / np.sqrt(max(ONE - along * along, _LEAST_ACROSS))
     across = scale * facing * per_root * _PER_SIGMA  # field sigmas per rad, across the projected rim
     # a blurred rim of curvature k moves inward by k s² / 2
     moved = min(_HALF_SIGMA * facing * bend * per_root * per_root * per_root / scale, _MOST_MOVED)
     moved -= offset * _PER_SIGMA
     disc, g = _normal(inside * across - moved)
     beyond, slope = _normal(width * across - moved)
-    disc, g = max(disc + beyond - _ONE, _NONE), g + slope
+    disc, g = max(disc + beyond - ONE, NONE), g + slope
     # the ball ends at its limb: two half planes, two Gaussian variables; exact where the point lies on both edges
-    aside = np.sqrt(max(_ONE - facing * facing, _TINY))
-    ball, _ = _normal(scale * (_ONE - aside) * _PER_SIGMA)
-    w = _turn(outward / aside * per_root)
+    aside = np.sqrt(max(ONE - facing * facing, _TINY))
+    ball, _ = _normal(scale * (ONE - aside) * _PER_SIGMA)
+    w = turn(outward / aside * per_root)
     both, slope = disc * ball, g * ball
-    same_way = min(disc, ball) if w > _NONE else max(disc + ball - _ONE, _NONE)
-    counts = disc < ball if w > _NONE else disc + ball > _ONE
+    same_way = min(disc, ball) if w > NONE else max(disc + ball - ONE, NONE)
+    counts = disc < ball if w > NONE else disc + ball > ONE
     share = abs(w)
-    e = (_ONE - share) * both + share * same_way
-    g = (_ONE - share) * slope + (share * g if counts else _NONE)
+    e = (ONE - share) * both + share * same_way
+    g = (ONE - share) * slope + (share * g if counts else NONE)
     return e, g * _PER_SIGMA

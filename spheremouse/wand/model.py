@@ -15,7 +15,7 @@ _BESIDE = 6  # points beside it
 _BESIDE_BY = 0.11  # rad: half the gap between the discs of one azimuth, and three pixels of a ball 50 px across
 _BARE = 80  # directions tried for bare points
 # In single precision, or the loops over points would be computed in double: numbers of the functions below
-_NONE, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+NONE, _HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _FAR = np.float32(3.6)
 _CUBIC = (np.float32(0.7988), np.float32(0.03528), np.float32(0.10584))
 _TANH = tuple(np.float32(c) for c in (135135.0, 17325.0, 378.0, 62370.0, 3150.0, 28.0))
@@ -115,12 +115,12 @@ def _normal(x):
     yy = y * y
     t = y * (_TANH[0] + yy * (_TANH[1] + yy * (_TANH[2] + yy)))
     t /= _TANH[0] + yy * (_TANH[3] + yy * (_TANH[4] + _TANH[5] * yy))
-    return _HALF + _HALF * t, _HALF * (_ONE - t * t) * (_CUBIC[0] + _CUBIC[2] * xx)
+    return _HALF + _HALF * t, _HALF * (ONE - t * t) * (_CUBIC[0] + _CUBIC[2] * xx)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _turn(cosine):
+def turn(cosine):
     """2 / pi times the arc sine, to 5e-5 (Abramowitz, Stegun 1964, 4.4.45)."""
-    x = min(abs(cosine), _ONE)
-    rest = np.sqrt(_ONE - x) * (_ONE - x * (_ARC[0] - x * (_ARC[1] - x * _ARC[2])))
-    return _ONE - rest if cosine > _NONE else rest - _ONE
+    x = min(abs(cosine), ONE)
+    rest = np.sqrt(ONE - x) * (ONE - x * (_ARC[0] - x * (_ARC[1] - x * _ARC[2])))
+    return ONE - rest if cosine > NONE else rest - ONE

@@ -11,7 +11,7 @@ from spheremouse.wand.particles import (
     normalised,
 )
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.state import _MIXTURE, Track, WandTracker
+from spheremouse.wand.state import MIXTURE, Track, WandTracker
 
 _THESIS_DT = 1.25  # s between the frames to which the thesis' standard deviations belong (0.8 per second)
 _BIRTH = 1e-3  # probability per frame that the ball is somewhere else altogether
@@ -37,7 +37,7 @@ def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     if angle > 2.5:  # more between two frames is no prediction
         shift[1, 3:] *= 2.5 / angle
     # the next picture has wrong much of what the last one had: no prediction is better than a picture
-    covariance = np.stack([rest + track.repeats, _limited(on + track.repeats), np.diag(leap**2)])
+    covariance = np.stack([rest + track.repeats, limited(on + track.repeats), np.diag(leap**2)])
     return Motions(shift, covariance, track.motion * (1.0 - _BIRTH), birth)
 
 
@@ -51,7 +51,7 @@ def _acceleration(s: WandSettings) -> Array:
     return np.array([s.acceleration] * 3 + [s.turn_acceleration] * 3)
 
 
-def _limited(covariance: Array) -> Array:
+def limited(covariance: Array) -> Array:
     """A covariance whose standard deviations stay below what a motion may be: 0.5 m, 1.2 rad."""
     most = np.array([0.5] * 3 + [1.2] * 3)
     scale = np.minimum(1.0, most / np.sqrt(np.diag(covariance)))
@@ -89,4 +89,4 @@ def _motion(track: Track, pose: tuple[Array, Array, Array], motions: Motions) ->
         d = way - motions.shift[m]
         fit[m] = np.log(motions.probability[m]) - 0.5 * (d @ np.linalg.solve(S, d) + np.linalg.slogdet(S)[1])
     share, _ = normalised(fit)
-    return _STAYS * share + (1.0 - _STAYS) * _MIXTURE
+    return _STAYS * share + (1.0 - _STAYS) * MIXTURE

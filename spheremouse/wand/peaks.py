@@ -22,18 +22,18 @@ from spheremouse.wand.state import WandTracker
 _MOST_PEAKS = 3  # of the likelihood followed at a time: a pose, its mirror, a second ball
 _WORSE = 15.0  # log-likelihood below the best at which a peak is none
 _WIDER = 1.5  # covariance of a proposal over that of its peak: the likelihood has thicker tails than a Gaussian
-_SURE = 0.8  # match of a pose that is believed at first sight: less is looked at twice, or is the mirror of the truth
+SURE = 0.8  # match of a pose that is believed at first sight: less is looked at twice, or is the mirror of the truth
 _STRONG, _LENIENT = 2.0, 0.15  # times the evidence asked for: a pose that has it may match so much less
 _COARSE = 36.0  # px across: in a picture so far reduced, a hypothesis is within reach of its peak
-_HIDDEN_LEVEL = 0.4  # of that level: below, and with a poor match, more than half is hidden or it is another thing
-_ELSEWHERE = 0.5  # of that level: what has less, elsewhere in the picture, is not the ball but a thing of its colours
+HIDDEN_LEVEL = 0.4  # of that level: below, and with a poor match, more than half is hidden or it is another thing
+ELSEWHERE = 0.5  # of that level: what has less, elsewhere in the picture, is not the ball but a thing of its colours
 _FLANK = 0.15  # of the field's range: poses half a pixel from a peak are told from others yet
 _ROUNDS, _ROUNDS_NEAR = 8, 3  # of the refinement, from a hypothesis and from the flank of a peak
 _STEEP = 0.5  # `Peak.slope` above which a pose is still on its way: half a standard deviation off
 _DISCS = 3  # that show of a pose nothing led to: any two spots are explained by some pose
 
 
-class _Scene:
+class Scene:
     """One picture and what has been made of it so far: the whole picture's fields are made at most once."""
 
     def __init__(self, image: Image, tracker: WandTracker, known: Tone) -> None:
@@ -55,7 +55,7 @@ class _Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class Found:
     """Peaks of one ball in one picture, the best first."""
 
     peaks: tuple[Peak, ...]
@@ -65,7 +65,7 @@ class _Found:
     turn: int = 0  # spot with which the next search begins
 
 
-def _part(found: _Found, kept: list[int]) -> _Found:
+def _part(found: Found, kept: list[int]) -> Found:
     """Some of its peaks."""
     return replace(
         found,
@@ -75,7 +75,7 @@ def _part(found: _Found, kept: list[int]) -> _Found:
     )
 
 
-def _convincing(found: _Found, scene: _Scene, index: int) -> _Found:
+def _convincing(found: Found, scene: Scene, index: int) -> Found:
     """Those of its peaks that would be a ball if nothing led to them."""
     tracker, kept = scene.tracker, []
     if found.fields is None:
@@ -99,21 +99,21 @@ def _weighed(peaks: list[Peak], index: int, tracker: WandTracker, seen: Fields) 
     return out, match
 
 
-def _climb(
+def climb(
     position: Array,
     rotation: Array,
     most: int,
     index: int,
-    scene: _Scene,
+    scene: Scene,
     seen: Fields,
     others: list[Array],
     outline: bool = True,
     sure: float = 0.0,
-) -> _Found:
+) -> Found:
     """Peaks near the best of some poses; of the best alone where its log-likelihood is above `sure`."""
     tracker = scene.tracker
     m, radius = tracker.models[index], tracker.balls[index].radius
-    empty = _Found((), np.zeros(0), np.zeros(0), seen)
+    empty = Found((), np.zeros(0), np.zeros(0), seen)
     if len(position) == 0:
         return empty
     first, _ = log_likelihood(position, rotation, m, seen, _FLANK)
@@ -155,7 +155,7 @@ def _climb(
             chosen[i] = _settled(refine(k.position, k.rotation, m, seen, edges, _ROUNDS_NEAR), m, seen)
     value, match = _weighed(chosen, index, tracker, seen)
     order = np.argsort(-value)
-    return _Found(tuple(chosen[i] for i in order), value[order], match[order], seen)
+    return Found(tuple(chosen[i] for i in order), value[order], match[order], seen)
 
 
 def _settled(peak: Peak, m: Model, seen: Fields) -> Peak:
@@ -170,7 +170,7 @@ def _one(a: Peak, b: Peak, radius: float) -> bool:
     return same(a.position, a.rotation, b.position, b.rotation, radius)
 
 
-def _good(found: _Found, settings: WandSettings, level: float = 0.0) -> bool:
+def good(found: Found, settings: WandSettings, level: float = 0.0) -> bool:
     """Is the best peak the ball? `level`: what its log-likelihood has been of late; 0 where it is not followed yet.
 
     A highlight or a hand takes points away, but what is left of a ball says more than anything that happens to match.
@@ -178,19 +178,19 @@ def _good(found: _Found, settings: WandSettings, level: float = 0.0) -> bool:
     if not found.peaks:
         return False
     value, match = float(found.log_likelihood[0]), float(found.match[0])
-    strong = value >= max(_STRONG * settings.evidence, _ELSEWHERE * level)
+    strong = value >= max(_STRONG * settings.evidence, ELSEWHERE * level)
     if value < settings.evidence or match < settings.match - (_LENIENT if strong else 0.0):
         return False
-    return bool(strong or match >= _SURE or (level > 0.0 and value >= _HIDDEN_LEVEL * level))
+    return bool(strong or match >= SURE or (level > 0.0 and value >= HIDDEN_LEVEL * level))
 
 
-def _search(scene: _Scene, index: int, others: list[Array], turn: int) -> _Found:
+def search(scene: Scene, index: int, others: list[Array], turn: int) -> Found:
     """Peaks in the whole picture, from spot `turn` on."""
     scene.searched = True
-    return _from_spots(scene, index, scene.all(), 12, others, turn)
+    return from_spots(scene, index, scene.all(), 12, others, turn)
 
 
-def _from_spots(scene: _Scene, index: int, seen: Fields, most: int, others: list[Array], turn: int = 0) -> _Found:
+def from_spots(scene: Scene, index: int, seen: Fields, most: int, others: list[Array], turn: int = 0) -> Found:
     """Peaks from the spots of a region.
 
     A hypothesis is as exact as the ball is near round and far away, some hundredths of its diameter. So near balls are
@@ -207,31 +207,31 @@ def _from_spots(scene: _Scene, index: int, seen: Fields, most: int, others: list
             position.append(guess.position[group])
             rotation.append(guess.rotation[group])
             continue
-        reduced = scene.part(_whole_region(seen), int(factor))
+        reduced = scene.part(whole_region(seen), int(factor))
         part = int(np.ceil(most * np.mean(group)))
-        found = _climb(guess.position[group], guess.rotation[group], part, index, scene, reduced, others, False)
+        found = climb(guess.position[group], guess.rotation[group], part, index, scene, reduced, others, False)
         position.append(np.array([k.position for k in found.peaks]).reshape(-1, 3))
         rotation.append(np.array([k.rotation for k in found.peaks]).reshape(-1, 3, 3))
     if not position:
-        return _Found((), np.zeros(0), np.zeros(0), seen, guess.following)
+        return Found((), np.zeros(0), np.zeros(0), seen, guess.following)
     p, R = np.concatenate(position), np.concatenate(rotation)
-    found = _climb(p, R, most, index, scene, seen, others)
+    found = climb(p, R, most, index, scene, seen, others)
     if found.peaks:
         factor = reduction(2.0 * tracker.camera.fx * ball.radius / found.peaks[0].position[2])
         if factor > seen.factor:
             p = np.array([k.position for k in found.peaks])
             R = np.array([k.rotation for k in found.peaks])
-            found = _climb(p, R, _MOST_PEAKS, index, scene, scene.part(_whole_region(seen), factor), others)
+            found = climb(p, R, _MOST_PEAKS, index, scene, scene.part(whole_region(seen), factor), others)
     return replace(found, turn=guess.following)
 
 
-def _whole_region(seen: Fields) -> Region:
+def whole_region(seen: Fields) -> Region:
     """The part of the picture that fields cover."""
     h, w = seen.binary.shape[1:]
     return seen.left, seen.top, seen.left + w * seen.factor, seen.top + h * seen.factor
 
 
-def _as_peaks(found: _Found) -> Peaks:
+def as_peaks(found: Found) -> Peaks:
     covariance = np.array([_WIDER * k.covariance for k in found.peaks])
     _, log_det = np.linalg.slogdet(covariance)
     mass = found.log_likelihood + 0.5 * log_det + 3.0 * np.log(2.0 * np.pi)
@@ -240,7 +240,7 @@ def _as_peaks(found: _Found) -> Peaks:
     )
 
 
-def _joined(a: _Found, b: _Found, radius: float) -> _Found:
+def joined(a: Found, b: Found, radius: float) -> Found:
     """Peaks of two searches. Both are judged by the fields of the better: they may lie in different parts."""
     if not b.peaks:
         return a
@@ -254,5 +254,5 @@ def _joined(a: _Found, b: _Found, radius: float) -> _Found:
                 peaks.append(k)
                 value.append(v)
                 match.append(m)
-        return _Found(tuple(peaks), np.array(value), np.array(match), best.fields)
+        return Found(tuple(peaks), np.array(value), np.array(match), best.fields)
     return best

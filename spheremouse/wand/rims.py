@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from spheremouse.settings import param
 
 Image = NDArray[np.uint8]
-_BRIGHTEST = 250.0  # a pixel this bright is overexposed: bright enough whatever the mean of a bright picture asks
+BRIGHTEST = 250.0  # a pixel this bright is overexposed: bright enough whatever the mean of a bright picture asks
 _GAMMA = 2.2  # of grey values
 _PRINT = 0.65  # light of a print's greatest channel over that of white paper: 0.58 to 0.7
 _FULL = 255.0  # grey values
@@ -60,7 +60,7 @@ def _outward(cover: float, factor: int = 1) -> float:
     return float(-edge * NormalDist().inv_cdf(min(max(cover, _COVER), 1.0 - _COVER)))
 
 
-def _shift_by_brightness(image: Image, one: NDArray[np.uint8], bound: NDArray[np.float32], factor: int) -> float:
+def shift_by_brightness(image: Image, one: NDArray[np.uint8], bound: NDArray[np.float32], factor: int) -> float:
     """`rim_shift` where a bound on brightness selects: the picture shows how bright it is on either side of rims.
 
     As there, light mixes: a bound half way between the grey values of print and white lies near all white. In pixels of
@@ -72,10 +72,10 @@ def _shift_by_brightness(image: Image, one: NDArray[np.uint8], bound: NDArray[np
     if min(len(rims.within), len(rims.beside)) < _LEVEL_LEAST:
         return 0.0
     ours, theirs = float(np.median(rims.within)), float(np.median(rims.beside))
-    if min(ours, theirs) >= _BRIGHTEST:
+    if min(ours, theirs) >= BRIGHTEST:
         return 0.0
     low, high = _light(min(ours, theirs)), _light(max(ours, theirs))
-    if max(ours, theirs) >= _BRIGHTEST:
+    if max(ours, theirs) >= BRIGHTEST:
         high = _beyond(rims, low, factor)
     selects = _light(float(bound[4] if ours > theirs else bound[5]))
     if not low < selects < high:  # it is not brightness that tells them apart

@@ -14,7 +14,7 @@ from numba import njit
 
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand.assign import _search
+from spheremouse.wand.assign import search
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import BEGINS, FULLY
@@ -72,7 +72,7 @@ def hypotheses(
     found = np.empty((_KEPT, 13))
     limits = np.array([ball.radius / farthest, ball.radius / nearest])
     begin = first % len(xy)
-    n, following = _search(
+    n, following = search(
         xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, least, glare,
         begin, effort, found,
     )  # fmt: skip

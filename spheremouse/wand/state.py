@@ -16,7 +16,7 @@ from spheremouse.wand.particles import (
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 
-_MIXTURE = np.array([0.45, 0.45, 0.1])  # rest, go on, free
+MIXTURE = np.array([0.45, 0.45, 0.1])  # rest, go on, free
 
 
 class WandPhase(StrEnum):
@@ -63,7 +63,7 @@ class Track:
     particles: Particles | None = None
     pose: tuple[Array, Array, Array] | None = None  # position, rotation, covariance
     course: Course | None = None  # of the peak that it follows; while it is tracked
-    motion: Array = field(default_factory=_MIXTURE.copy)  # (3,) probabilities of the motions
+    motion: Array = field(default_factory=MIXTURE.copy)  # (3,) probabilities of the motions
     repeats: Array = field(default_factory=lambda: np.zeros((6, 6)))  # what the last picture had wrong: its covariance
     stamp: float = 0.0  # s, of the particles
     seen: float = -np.inf  # s

@@ -17,22 +17,22 @@ from spheremouse.wand.particles import (
     normalised,
 )
 from spheremouse.wand.peaks import (
-    _Scene,
-    _whole_region,
+    Scene,
+    whole_region,
 )
 from spheremouse.wand.state import Track, WandPhase, WandPose
 
-_REDRAW = 0.5  # of the particles that count, below which they are resampled
+REDRAW = 0.5  # of the particles that count, below which they are resampled
 
 
-def _some(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
+def some(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
     """n particles drawn by weight, of equal weight."""
     i = low_variance(particles.weight, n, rng.random())
     return Particles(particles.position[i], particles.rotation[i], np.full(n, 1.0 / n))
 
 
-def _by_motion(
-    track: Track, stamp: float, motions: Motions, seen: Fields, scene: _Scene, index: int, rng: np.random.Generator
+def by_motion(
+    track: Track, stamp: float, motions: Motions, seen: Fields, scene: Scene, index: int, rng: np.random.Generator
 ) -> tuple[Track, WandPose]:
     """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh one way or another, resample."""
     assert track.particles is not None
@@ -40,7 +40,7 @@ def _by_motion(
     ahead = moved(track.particles, motions, rng)
     m, likelihood = scene.tracker.models[index], scene.tracker.settings.likelihood
     if likelihood == "edges":
-        away, place = distances(scene.image, _whole_region(seen), seen.factor)
+        away, place = distances(scene.image, whole_region(seen), seen.factor)
         value, match = on_edges(ahead.position, ahead.rotation, m, away, place)
     else:
         weigh = published if likelihood == "product" else log_likelihood
@@ -49,7 +49,7 @@ def _by_motion(
     count = effective(weight)
     particles = Particles(ahead.position, ahead.rotation, weight)
     pose = estimate(particles)
-    if count < _REDRAW * len(weight):
-        particles = _some(particles, len(weight), rng)
+    if count < REDRAW * len(weight):
+        particles = some(particles, len(weight), rng)
     after = replace(track, particles=particles, pose=pose, stamp=stamp, seen=stamp)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, "", float(weight @ match), count, True)

@@ -15,11 +15,11 @@ from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, tone
-from spheremouse.wand.complaints import _SECOND, _complaint, _doubtful, _missing, _second, _turned_away
+from spheremouse.wand.complaints import SECOND, _complaint, _missing, _second, doubtful, turned_away
 from spheremouse.wand.course import begun, between, measured, predicted, told
 from spheremouse.wand.likelihood import counts, log_likelihood
 from spheremouse.wand.model import model
-from spheremouse.wand.motions import _acceleration, _limited, _motion, _motions, _region, _rest
+from spheremouse.wand.motions import _acceleration, _motion, _motions, _region, _rest, limited
 from spheremouse.wand.particles import (
     Motions,
     Particles,
@@ -34,24 +34,24 @@ from spheremouse.wand.particles import (
     steadied,
 )
 from spheremouse.wand.peaks import (
-    _ELSEWHERE,
-    _HIDDEN_LEVEL,
-    _SURE,
-    _as_peaks,
-    _climb,
+    ELSEWHERE,
+    HIDDEN_LEVEL,
+    SURE,
+    Found,
+    Scene,
     _convincing,
-    _Found,
-    _from_spots,
-    _good,
-    _joined,
     _part,
-    _Scene,
-    _search,
+    as_peaks,
+    climb,
+    from_spots,
+    good,
+    joined,
+    search,
 )
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.state import Track, WandPhase, WandPose, WandState, WandTracker
-from spheremouse.wand.thesis import _REDRAW, _by_motion, _some
+from spheremouse.wand.thesis import REDRAW, by_motion, some
 
 _LOOK_EVERY = 15  # frames at least between searches of the whole picture: a slow camera has no time for more
 _DOUBT = 0.85  # of that level: below, the picture is searched for a better pose before this one is believed
@@ -108,7 +108,7 @@ def step(
     """
     image = frame.image if frame.image.ndim == 3 else np.repeat(frame.image[:, :, None], 3, axis=2)
     rng = np.random.default_rng((state.seed, frame.sequence))
-    scene = _Scene(image, tracker, tone(image, tracker.colours, tracker.names))
+    scene = Scene(image, tracker, tone(image, tracker.colours, tracker.names))
     tracks, poses = list(state.tracks), []
     looked = frame.stamp - state.looked >= tracker.settings.look_around and state.waited >= _LOOK_EVERY
     complaint, worth, heard = state.complaint, state.worth, state.heard
@@ -120,11 +120,11 @@ def step(
         if command is not None and track.course is not None:
             track = replace(track, course=told(track.course, command, np.diag([1e-4] * 3 + [1e-3] * 3)))
         tracks[i], pose = _follow(track, frame.stamp, scene, i, others, looked, rng)
-        if pose.event.startswith(_SECOND) and len(others) < len(tracks) - 1:
+        if pose.event.startswith(SECOND) and len(others) < len(tracks) - 1:
             pose = replace(pose, event="")  # it may be a declared one that is not found yet
         poses.append(pose)
     if scene.whole is not None:
-        complaint, patience = _complaint(scene.whole, _turned_away(tracker, tracks))
+        complaint, patience = _complaint(scene.whole, turned_away(tracker, tracks))
         before, ago = (worth, frame.stamp - heard) if complaint == state.complaint else (0.0, 0.0)
         worth = before + ago / (patience * tracker.settings.look_around) if patience else 1.0
         heard = frame.stamp
@@ -147,7 +147,7 @@ def step(
 
 
 def _follow(
-    track: Track, stamp: float, scene: _Scene, index: int, others: list[Array], look: bool, rng: np.random.Generator
+    track: Track, stamp: float, scene: Scene, index: int, others: list[Array], look: bool, rng: np.random.Generator
 ) -> tuple[Track, WandPose]:
     """One ball, one frame."""
     tracker, s = scene.tracker, scene.tracker.settings
@@ -161,30 +161,30 @@ def _follow(
     if s.region is False and factor == 1:
         scene.whole = seen
     if s.proposal == "motion":
-        return _by_motion(track, stamp, motions, seen, scene, index, rng)
-    ahead = moved(_some(track.particles, _PREDICTED, rng), motions, rng)
+        return by_motion(track, stamp, motions, seen, scene, index, rng)
+    ahead = moved(some(track.particles, _PREDICTED, rng), motions, rng)
     p, R, _ = track.pose if track.pose is not None else (None, None, None)
     assert p is not None
     assert R is not None
     position = np.concatenate([p + motions.shift[:, :3], ahead.position])
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
-    found = _climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
+    found = climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
     found = _credible(found, track, motions, scene, index)
-    if not _good(found, s, track.level) or found.match[0] < _SURE or found.log_likelihood[0] < _DOUBT * track.level:
-        near = _credible(_from_spots(scene, index, seen, 6, others), track, motions, scene, index)
-        found = _joined(found, near, ball.radius)
+    if not good(found, s, track.level) or found.match[0] < SURE or found.log_likelihood[0] < _DOUBT * track.level:
+        near = _credible(from_spots(scene, index, seen, 6, others), track, motions, scene, index)
+        found = joined(found, near, ball.radius)
     event = ""
-    if not _good(found, s, track.level) or look or _doubtful(track):
-        far = _search(scene, index, others, track.turn)
+    if not good(found, s, track.level) or look or doubtful(track):
+        far = search(scene, index, others, track.turn)
         track = replace(track, turn=far.turn)
-        found = _joined(found, _credible(far, track, motions, scene, index), ball.radius)
-        first = found.peaks[0].position if _good(found, s, track.level) else None
+        found = joined(found, _credible(far, track, motions, scene, index), ball.radius)
+        first = found.peaks[0].position if good(found, s, track.level) else None
         track, event = _second(track, far, first, dt, scene, index)
-    if not _good(found, s, track.level):
+    if not good(found, s, track.level):
         return _unseen(track, stamp, dt, scene, index, rng, found)
     assert track.particles is not None
     assert track.course is not None
-    peaks = _as_peaks(found)
+    peaks = as_peaks(found)
     drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
     assert found.fields is not None
     m, edges = tracker.models[index], np.array([k.edges for k in found.peaks])
@@ -196,10 +196,10 @@ def _follow(
     particles = Particles(drawn.position, drawn.rotation, weight)
     p, R, sample = estimate(particles)
     followed = found.peaks[int(np.bincount(nearest, weight).argmax())]
-    wrong = _limited(followed.covariance)  # what this picture has, as far as it says so
+    wrong = limited(followed.covariance)  # what this picture has, as far as it says so
     pose = p, R, steadied(sample, count, followed.covariance)
-    if count < _REDRAW * len(weight):
-        particles = _some(particles, len(weight), rng)
+    if count < REDRAW * len(weight):
+        particles = some(particles, len(weight), rng)
     after = replace(
         track,
         phase=WandPhase.TRACKING,
@@ -216,7 +216,7 @@ def _follow(
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
 
 
-def _credible(found: _Found, track: Track, motions: Motions, scene: _Scene, index: int) -> _Found:
+def _credible(found: Found, track: Track, motions: Motions, scene: Scene, index: int) -> Found:
     """Of peaks, those that the ball can have moved to, or that are a ball and show as much of it as it did of late.
 
     One that starts all of a sudden is not half hidden as well: where a ball is hidden, other things of its colours are
@@ -232,15 +232,15 @@ def _credible(found: _Found, track: Track, motions: Motions, scene: _Scene, inde
             for d, S in zip(motions.shift, motions.covariance, strict=True)
         ]
         sudden = min(gaps[:2]) >= _REACHED
-        if min(gaps) < _REACHED and not (sudden and found.log_likelihood[i] < _HIDDEN_LEVEL * track.level):
+        if min(gaps) < _REACHED and not (sudden and found.log_likelihood[i] < HIDDEN_LEVEL * track.level):
             reached.append(i)
-        elif found.log_likelihood[i] >= _ELSEWHERE * track.level:
+        elif found.log_likelihood[i] >= ELSEWHERE * track.level:
             elsewhere.append(i)
     balls = _convincing(_part(found, elsewhere), scene, index).peaks
     return _part(found, [i for i, k in enumerate(found.peaks) if i in reached or any(k is b for b in balls)])
 
 
-def _level(track: Track, found: _Found) -> float:
+def _level(track: Track, found: Found) -> float:
     best = float(found.log_likelihood[0])
     return best if track.level == 0.0 else track.level + _LEVEL_GAIN * (best - track.level)
 
@@ -252,7 +252,7 @@ def _about(particles: Particles, peaks: Peaks, nearest: NDArray[np.int64]) -> ND
 
 
 def _unseen(
-    track: Track, stamp: float, dt: float, scene: _Scene, index: int, rng: np.random.Generator, found: _Found
+    track: Track, stamp: float, dt: float, scene: Scene, index: int, rng: np.random.Generator, found: Found
 ) -> tuple[Track, WandPose]:
     """The ball does not show: the particles go on unweighted, for a while."""
     assert track.particles is not None
@@ -278,22 +278,22 @@ def _unseen(
 
 
 def _acquire(
-    track: Track, stamp: float, scene: _Scene, index: int, others: list[Array], rng: np.random.Generator
+    track: Track, stamp: float, scene: Scene, index: int, others: list[Array], rng: np.random.Generator
 ) -> tuple[Track, WandPose]:
     """Find the ball in the whole picture: particles are injected at the peaks."""
     tracker, s, ball = scene.tracker, scene.tracker.settings, scene.tracker.balls[index]
-    found = _search(scene, index, others, track.turn)
+    found = search(scene, index, others, track.turn)
     track = replace(track, turn=found.turn)
     found = _convincing(found, scene, index)
-    least = _ELSEWHERE * track.level * np.exp(-(stamp - track.seen) / _REMEMBERED) if track.level else 0.0
-    if not _good(found, s) or found.log_likelihood[0] < least:
+    least = ELSEWHERE * track.level * np.exp(-(stamp - track.seen) / _REMEMBERED) if track.level else 0.0
+    if not good(found, s) or found.log_likelihood[0] < least:
         phase = track.phase
         match = float(found.match[0]) if found.peaks else 0.0
         return replace(track, stamp=stamp), WandPose(
             ball.name, None, None, None, phase, _missing(ball, track.seen), match
         )
     assert found.fields is not None
-    peaks = _as_peaks(found)
+    peaks = as_peaks(found)
     share, _ = normalised(peaks.log_mass)
     which = low_variance(share, s.particles, rng.random())
     root = np.linalg.cholesky(peaks.covariance)
@@ -313,10 +313,10 @@ def _acquire(
     level = float(found.log_likelihood[0])
     after = Track(
         WandPhase.TRACKING,
-        _some(particles, s.particles, rng),
+        some(particles, s.particles, rng),
         pose,
         begun(stamp, followed.position, followed.rotation, followed.covariance),
-        repeats=_limited(followed.covariance),
+        repeats=limited(followed.covariance),
         stamp=stamp,
         seen=stamp,
         level=level,

@@ -33,7 +33,8 @@ def made(tmp_path, monkeypatch):
     folder = tmp_path / "made"
     folder.mkdir()
     monkeypatch.setenv("TINY_MADE", str(folder))
-    monkeypatch.setitem(sys.modules, "spheremouse.experiments.tiny", tiny_experiment)
+    for room in ("experiments", "experiments.report"):
+        monkeypatch.setitem(sys.modules, f"spheremouse.{room}.tiny", tiny_experiment)
     monkeypatch.setattr(cli_experiments, "NAMES", ("tiny", "poses"))
     return folder
 

@@ -7,7 +7,7 @@ import pytest
 
 from spheremouse.experiments.kit.job import Figure, Request, Table
 from spheremouse.experiments.kit.plot import save
-from spheremouse.experiments.light import _decoded, _encoded, jobs, simulated
+from spheremouse.experiments.light import _encoded, decoded, jobs, simulated
 from spheremouse.experiments.report.light import section
 
 HERE = Request(False, Path("sets"))
@@ -58,7 +58,7 @@ def test_noise_makes_centres_and_rates_worse_and_the_picture_shows_it():
     assert cells["15"]["bound"]["rate_deg_s"]["combined"] > cells["1"]["bound"]["rate_deg_s"]["combined"]
     assert "shown" not in cells["1"]
     there = cells["15"]["shown"]
-    before, after = (_decoded(there["picture"][name]).astype(float) for name in ("before", "after"))
+    before, after = (decoded(there["picture"][name]).astype(float) for name in ("before", "after"))
     assert before.shape == (210, 280)
     assert np.median(after - before) == pytest.approx(50.0, abs=8.0)
     assert len(there["truth"]["t"]) == len(there["bound"]) == len(there["series"]["so3"]["t"]) == 40

@@ -26,7 +26,7 @@ def report(discs, error, tracked=10):
 
 
 def made(discs, error, bound=(0.1, 0.1, 0.1)):
-    trackers = {name: report(discs, error) for name in near_far._VARIANTS}
+    trackers = {name: report(discs, error) for name in near_far.VARIANTS}
     return {
         "frames": 10,
         "trackers": trackers,

@@ -44,7 +44,7 @@ def results_of(offset, area=80.0, n=40):
     rows = [[0.5, area, 100.0, 100.0, 100.0 + offset, 100.0 + offset, 0.03, 100.0, 100.0, 0.04]] * n
     at = (np.arange(50) + 0.5) * 0.1 - 2.5
     edges = {name: [ndtr(at / s).tolist(), np.ones(50).tolist()] for name, s in
-             (("ours", 0.3), ("Blender", 0.4), (renderer._LINEAR, 0.35))}  # fmt: skip
+             (("ours", 0.3), ("Blender", 0.4), (renderer.LINEAR, 0.35))}  # fmt: skip
     job = {"frames": 3, "rows": rows, "edges": edges, "geometry": [0.0, 0.0, 0.0], "levels": [[30, 40, 190, 200]]}
     return {"far26-0": json.loads(json.dumps(job))}
 

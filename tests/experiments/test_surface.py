@@ -101,10 +101,10 @@ def test_claims_grow_towards_the_limb_and_with_more_errors(results):
 def test_fed_with_the_thesis_covariances_table_13_comes_out(results):
     five = results["cap-far"]["table 13"]["as the thesis"]
     ours = np.array([p["correlation"] for p in five]).ravel()
-    theirs = np.array([c for _, c, _ in surface._TABLE_13]).ravel()
+    theirs = np.array([c for _, c, _ in surface.TABLE_13]).ravel()
     strong = np.abs(theirs) > 0.6
     assert np.array_equal(np.sign(ours[strong]), np.sign(theirs[strong]))
-    sigma = np.array([p["sigma"] for p in five]) / np.array([s for _, _, s in surface._TABLE_13])
+    sigma = np.array([p["sigma"] for p in five]) / np.array([s for _, _, s in surface.TABLE_13])
     assert 0.7 < np.sqrt(np.mean(sigma**2)) < 1.3
 
 

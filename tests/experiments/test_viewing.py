@@ -97,7 +97,7 @@ def test_a_thinned_film_is_the_film_at_the_slower_rate(film):
 
 
 def test_one_film_is_followed_at_every_rate_it_holds(monkeypatch):
-    monkeypatch.setattr(viewing, "_FASTEST", 60)  # a smaller film
+    monkeypatch.setattr(viewing, "FASTEST", 60)  # a smaller film
     found = json.loads(json.dumps(viewing.at_rates(1, 0.8, [30, 60])))["points"]
     assert [found[r]["rows"]["so3"]["frames"] for r in ("30", "60")] == [24, 48]
     assert set(found["30"]["rows"]) == set(KINDS["rate"].shown)

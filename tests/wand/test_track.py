@@ -210,8 +210,8 @@ def test_a_colour_that_a_followed_ball_turns_away_is_known(hand):
     tracker = build(camera, (replace(balls[0], discs=(*discs, pole)),))
     state = begin(tracker, poses={0: (shots[0].position[0], shots[0].rotation[0])})
     assert (shots[0].rotation[0] @ pole.direction) @ shots[0].position[0] > 0.0
-    assert complaints._turned_away(tracker, list(state.tracks)) == {"blue"}
-    assert complaints._turned_away(tracker, [replace(t, phase=WandPhase.LOST) for t in state.tracks]) == set()
+    assert complaints.turned_away(tracker, list(state.tracks)) == {"blue"}
+    assert complaints.turned_away(tracker, [replace(t, phase=WandPhase.LOST) for t in state.tracks]) == set()
 
 
 def test_two_balls_are_followed_and_a_second_one_that_is_not_declared_is_said():

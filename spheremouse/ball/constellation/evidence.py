@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.ball.constellation.hypotheses import _STEPS, Law
+from spheremouse.ball.constellation.hypotheses import STEPS, Law
 from spheremouse.geometry.matching import match
 from spheremouse.geometry.rotation import Array
 
@@ -115,7 +115,7 @@ def refine(
     """
     column = np.full(len(seen), -1)
     A, g, det = np.zeros((3, 3)), np.zeros(3), 0.0
-    for step in range(_STEPS):
+    for step in range(STEPS):
         p, visible = _sight(R, known, law)
         now = match(_worth(p, visible, seen, variance, first if step == 0 else 1.0, law))
         same = step > 1 and np.all(now == column)

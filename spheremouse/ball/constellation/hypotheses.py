@@ -14,7 +14,7 @@ from spheremouse.geometry.rotation import Array
 
 _BINS = 256  # of the cosine between two known directions
 _SMALL = 1e-6  # squared sine of half an angle: such a pair, or its opposite, fixes no attitude
-_STEPS = 12  # of pairing and adjustment; most end after four
+STEPS = 12  # of pairing and adjustment; most end after four
 
 
 class Law(NamedTuple):

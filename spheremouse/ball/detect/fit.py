@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.fit_model import (
-    _BESIDE,
-    _CLEAR,
-    _EDGE,
-    _UNKNOWNS,
-    _biweight,
+    BESIDE,
+    CLEAR,
+    EDGE,
+    UNKNOWNS,
     _ellipse,
-    _keep_near,
-    _normal_equations,
     _patch,
-    _plane,
-    _semi_axes,
-    _solve,
     _step,
+    biweight,
+    keep_near,
+    normal_equations,
+    plane,
+    semi_axes,
+    solve,
 )
 from spheremouse.geometry.rotation import Array
 
@@ -63,7 +63,7 @@ class FitSettings:
 
     reduction: int  # so many pixels squared are averaged to one before all else
     light: bool  # discs lighter than the ball
-    kernel: NDArray[np.float32]  # (2 _EDGE + 1,), the smoothing
+    kernel: NDArray[np.float32]  # (2 EDGE + 1,), the smoothing
     blur: float  # px, standard deviation of a rim's blur: pixels, lens and smoothing
     contrast: float  # least contrast over the background
     size_tolerance: float
@@ -134,8 +134,8 @@ def measure_into(
     reach = int(np.ceil(widest + _SURROUND)) + 1
     side = 2 * reach + 1
     most = side * side
-    raw = np.empty((side + 2 * _EDGE, side + 2 * _EDGE), dtype=np.float32)
-    across = np.empty((side + 2 * _EDGE, side), dtype=np.float32)
+    raw = np.empty((side + 2 * EDGE, side + 2 * EDGE), dtype=np.float32)
+    across = np.empty((side + 2 * EDGE, side), dtype=np.float32)
     patch = np.empty((side, side), dtype=np.float32)
     px, py = np.empty((n, most), dtype=np.float32), np.empty((n, most), dtype=np.float32)
     grey, weight = np.empty((n, most), dtype=np.float32), np.empty((n, most), dtype=np.float32)
@@ -143,8 +143,8 @@ def measure_into(
     d = np.empty((n, 3, most), dtype=np.float32)
     A, Aw = np.empty((10, most), dtype=np.float32), np.empty(most, dtype=np.float32)
     count = np.zeros(n, dtype=np.int64)
-    x = np.zeros((n, _UNKNOWNS))
-    N, g = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+    x = np.zeros((n, UNKNOWNS))
+    N, g = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     inverse = np.zeros((n, 3), dtype=np.float32)
     scale, gloss, minor = np.zeros(n), np.zeros(n), np.zeros(n)
     sizes, tell = np.zeros(n), 0
@@ -154,7 +154,7 @@ def measure_into(
         det = sxx * syy - sxy * sxy
         if not (det > 1e-3 and np.isfinite(place[k, 0] + place[k, 1])):
             continue
-        minor[k], major = _semi_axes(sxx, sxy, syy)
+        minor[k], major = semi_axes(sxx, sxy, syy)
         inverse[k, 0], inverse[k, 1], inverse[k, 2] = syy / det, -sxy / det, sxx / det
         # the ellipse whose axes are longer by the surround: same axes, so a combination of S and I
         lo, hi = minor[k] ** 2, major**2
@@ -186,7 +186,7 @@ def measure_into(
                 if gyy * dx * dx - 2.0 * gxy * dx * dy + gxx * dy * dy < gdet:
                     px[k, m], py[k, m], grey[k, m] = dx, dy, patch[i, j]
                     m += 1
-        if m < 2 * _UNKNOWNS:
+        if m < 2 * UNKNOWNS:
             continue
         q = inverse[k]
         _ellipse(
@@ -207,14 +207,14 @@ def measure_into(
         # the ball's shade beside the disc to begin with: a plane, twice, the second time without what lies off it
         beside = 0
         for i in range(m):
-            weight[k, i] = 1.0 if e[k, i] < _CLEAR else 0.0
-            beside += e[k, i] < _CLEAR
-        if beside < _UNKNOWNS:
+            weight[k, i] = 1.0 if e[k, i] < CLEAR else 0.0
+            beside += e[k, i] < CLEAR
+        if beside < UNKNOWNS:
             continue
         for _ in range(2):
-            _plane(m, px[k], py[k], grey[k], weight[k], x[k])
-            _keep_near(m, px[k], py[k], grey[k], e[k], x[k], np.float32(noise), weight[k])
-        _plane(m, px[k], py[k], grey[k], weight[k], x[k])
+            plane(m, px[k], py[k], grey[k], weight[k], x[k])
+            keep_near(m, px[k], py[k], grey[k], e[k], x[k], np.float32(noise), weight[k])
+        plane(m, px[k], py[k], grey[k], weight[k], x[k])
         above, sum_e = 0.0, 0.0
         for i in range(m):
             if e[k, i] > 0.3:
@@ -227,18 +227,18 @@ def measure_into(
         scale[k] = max(noise, _UNEVEN * a)
         # across a sliver a slope of the contrast and a shift of the centre look alike: there it is taken for even
         gloss[k] = _GLOSS / major * min(max((minor[k] - 2.0 * blur) / 1.5, 0.01), 1.0)
-        foreign = _BESIDE * a + 4.0 * noise
+        foreign = BESIDE * a + 4.0 * noise
         for i in range(m):
             r = grey[k, i] - x[k, 0] - x[k, 1] * px[k, i] - x[k, 2] * py[k, i]
-            weight[k, i] = 0.0 if e[k, i] < _CLEAR and abs(r) > foreign else 1.0
+            weight[k, i] = 0.0 if e[k, i] < CLEAR and abs(r) > foreign else 1.0
         if size_known > 0.0:  # what discs look like is known: no need to learn it from each
             x[k, 8] = size_known
             count[k] = m
             continue
         for turn in range(2):
             if turn > 0:
-                _biweight(m, px[k], py[k], grey[k], e[k], x[k], np.float32(0.5), np.float32(scale[k]), weight[k])
-            _normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
+                biweight(m, px[k], py[k], grey[k], e[k], x[k], np.float32(0.5), np.float32(scale[k]), weight[k])
+            normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
             _step(N, g, x[k], scale[k], gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
             _ellipse(
                 m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
@@ -266,8 +266,8 @@ def measure_into(
         size_sigma = _SIZE + _RIM_OFF / 3.0 / minor[k]
         moved = 1.0
         for turn in range(len(_LIMITS)):
-            _biweight(m, px[k], py[k], grey[k], e[k], x[k], _LIMITS[turn], np.float32(scale[k]), weight[k])
-            _normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
+            biweight(m, px[k], py[k], grey[k], e[k], x[k], _LIMITS[turn], np.float32(scale[k]), weight[k])
+            normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
             moved = _step(N, g, x[k], scale[k], gloss[k], size, size_sigma, 1.0 if turn < 2 else 0.5)
             _ellipse(
                 m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
@@ -276,7 +276,7 @@ def measure_into(
             if turn > 0 and moved < _STILL:
                 break
         fits, whole, inside, lost = 0.0, 1e-9, 0.0, 0.0
-        squares, freedom = 0.0, -float(_UNKNOWNS)
+        squares, freedom = 0.0, -float(UNKNOWNS)
         for i in range(m):
             slope = np.sqrt(d[k, 0, i] ** 2 + d[k, 1, i] ** 2)
             fits += weight[k, i] * slope
@@ -300,7 +300,7 @@ def measure_into(
         for j in range(2):
             g[:] = 0.0
             g[6 + j] = 1.0
-            _solve(N, g, _UNKNOWNS)
+            solve(N, g, UNKNOWNS)
             covariance[k, j, 0] = variance * g[6]
             covariance[k, j, 1] = variance * g[7]
             # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs

@@ -6,16 +6,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_CLEAR = 0.02  # part of a disc's darkness below which a pixel lies beside it
-_BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
+CLEAR = 0.02  # part of a disc's darkness below which a pixel lies beside it
+BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
 _SLOPE = 0.02  # 1/px: slope of the ball's shade, cos falls so fast 60 degrees off the light at 100 px radius
-_UNKNOWNS = 9
-_EDGE = 3  # px around a patch that the smoothing needs
+UNKNOWNS = 9
+EDGE = 3  # px around a patch that the smoothing needs
 
 
 def smoothing_kernel(sigma: float) -> NDArray[np.float32]:
     """Gaussian, (7,) float32, of up to one pixel of standard deviation."""
-    x = np.arange(-_EDGE, _EDGE + 1)
+    x = np.arange(-EDGE, EDGE + 1)
     g = np.exp(-0.5 * (x / max(sigma, 1e-3)) ** 2)
     return (g / g.sum()).astype(np.float32)
 
@@ -51,8 +51,8 @@ def _patch(image, light, f, top, left, h, w, kernel, raw, across, out):
     Beyond the picture's edge its last row and column are repeated.
     """
     height, width, channels = image.shape
-    rows, columns = h + 2 * _EDGE, w + 2 * _EDGE
-    y0, x0 = (top - _EDGE) * f, (left - _EDGE) * f
+    rows, columns = h + 2 * EDGE, w + 2 * EDGE
+    y0, x0 = (top - EDGE) * f, (left - EDGE) * f
     scale, base = np.float32(1.0 / (f * f)), np.float32(0.0)
     if light:
         scale, base = -scale, np.float32(255.0)
@@ -141,7 +141,7 @@ def _ellipse(n, px, py, xx, xy, yy, cx, cy, size, blur, smear, e, d):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
+def normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
     """Of n pixels: columns of the Jacobian into A, (9, n), weighted into Aw; N, (9, 9), and gradient g, (9,)."""
     b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
     a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
@@ -157,14 +157,14 @@ def _normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
         A[7, i] = -contrast * d[1, i]
         A[8, i] = -contrast * d[2, i]
         A[9, i] = grey[i] - (b0 + b1 * px[i] + b2 * py[i] - contrast * e[i])
-    for j in range(_UNKNOWNS):
+    for j in range(UNKNOWNS):
         for i in range(n):
             Aw[i] = A[j, i] * weight[i]
-        for k in range(j, _UNKNOWNS + 1):
+        for k in range(j, UNKNOWNS + 1):
             total = np.float32(0.0)
             for i in range(n):
                 total += Aw[i] * A[k, i]
-            if k < _UNKNOWNS:
+            if k < UNKNOWNS:
                 N[j, k] = total
                 N[k, j] = total
             else:
@@ -172,18 +172,18 @@ def _normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _biweight(n, px, py, grey, e, x, limit, scale, weight):
+def biweight(n, px, py, grey, e, x, limit, scale, weight):
     """Tukey's weights of n residuals: beyond `limit` of the contrast none, beside the disc sooner."""
     b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
     a0, a1, a2 = np.float32(x[3]), np.float32(x[4]), np.float32(x[5])
     floor = np.float32(4.685) * scale
     bound = max(limit * a0, floor)
-    beside = min(max(np.float32(_BESIDE) * a0, floor), bound)
+    beside = min(max(np.float32(BESIDE) * a0, floor), bound)
     # beside the disc no rim has to settle: what differs there is foreign
     near, far = np.float32(1.0) / (bound * bound), np.float32(1.0) / (beside * beside)
     for i in range(n):
         r = grey[i] - (b0 + b1 * px[i] + b2 * py[i] - (a0 + a1 * px[i] + a2 * py[i]) * e[i])
-        u = max(np.float32(1.0) - r * r * (far if e[i] < np.float32(_CLEAR) else near), np.float32(0.0))
+        u = max(np.float32(1.0) - r * r * (far if e[i] < np.float32(CLEAR) else near), np.float32(0.0))
         weight[i] = u * u
 
 
@@ -201,7 +201,7 @@ def _cholesky(N, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _solve(L, b, n):
+def solve(L, b, n):
     """b of L L' x = b becomes x."""
     for i in range(n):
         for k in range(i):
@@ -232,28 +232,28 @@ def _step(N, g, x, scale, gloss, size, size_sigma, damping):
         g[k + 3] -= gleam * x[k + 3]
     N[8, 8] += hold
     g[8] -= hold * (x[8] - size)
-    for k in range(_UNKNOWNS):
+    for k in range(UNKNOWNS):
         N[k, k] += 1e-6
-    _cholesky(N, _UNKNOWNS)
-    _solve(N, g, _UNKNOWNS)
+    _cholesky(N, UNKNOWNS)
+    solve(N, g, UNKNOWNS)
     g[6] = min(max(g[6], -1.0), 1.0)
     g[7] = min(max(g[7], -1.0), 1.0)
     g[8] = min(max(g[8], -0.2), 0.2)
-    for k in range(_UNKNOWNS):
+    for k in range(UNKNOWNS):
         x[k] += damping * g[k]
     x[8] = min(max(x[8], 0.3), 2.5)
     return max(abs(g[6]), abs(g[7]))
 
 
 @njit(cache=True, error_model="numpy")
-def _semi_axes(sxx, sxy, syy):
+def semi_axes(sxx, sxy, syy):
     """Minor and major semi-axis of an ellipse."""
     mean, half = 0.5 * (sxx + syy), np.hypot(0.5 * (sxx - syy), sxy)
     return np.sqrt(max(mean - half, 1e-6)), np.sqrt(max(mean + half, 1e-6))
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _plane(n, px, py, grey, weight, x):
+def plane(n, px, py, grey, weight, x):
     """Level and slopes of weighted grey values: into x[:3]."""
     sw, sx, sy, sg, sxx, sxy, syy, sxg, syg = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
@@ -279,7 +279,7 @@ def _plane(n, px, py, grey, weight, x):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _keep_near(n, px, py, grey, e, x, noise, weight):
+def keep_near(n, px, py, grey, e, x, noise, weight):
     """Weight 1 for what is beside the disc and within 1.5 mean deviations of the plane x[:3], else 0."""
     b0, b1, b2 = np.float32(x[0]), np.float32(x[1]), np.float32(x[2])
     total, count = np.float32(0.0), np.float32(1e-3)
@@ -288,5 +288,5 @@ def _keep_near(n, px, py, grey, e, x, noise, weight):
         count += weight[i]
     off = max(np.float32(1.5) * total / count, np.float32(2.0) * noise)
     for i in range(n):
-        near = abs(grey[i] - b0 - b1 * px[i] - b2 * py[i]) < off and e[i] < np.float32(_CLEAR)
+        near = abs(grey[i] - b0 - b1 * px[i] - b2 * py[i]) < off and e[i] < np.float32(CLEAR)
         weight[i] = np.float32(1.0) if near else np.float32(0.0)

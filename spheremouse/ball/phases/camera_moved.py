@@ -20,14 +20,14 @@ _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targe
 Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
 
 
-def _hidden(watch: Watch | None) -> bool:
+def hidden(watch: Watch | None) -> bool:
     """Are the targets out of sight that were in sight before?"""
     if watch is None or sum(patch is not None for patch in watch.patches) < 3:
         return False
     return int(np.count_nonzero(watch.seen)) < 3
 
 
-def _surprised(state: TrackState) -> bool:
+def surprised(state: TrackState) -> bool:
     """Did the last frame's discs say something that a bumped camera would say?"""
     if state.phase is not Phase.TRACKING or not isinstance(state.filter, So3State):
         return state.phase is Phase.LOST
@@ -35,7 +35,7 @@ def _surprised(state: TrackState) -> bool:
     return not state.holds or state.filter.level >= _LIVELY or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
 
 
-def _with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
+def with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
     """What the targets look like, where that is not known yet: all at the first frame, then in their turn."""
     which = np.array([k for k, patch in enumerate(watch.patches) if patch is None], dtype=np.intp)
     if len(which) and watch.due > -np.inf:
@@ -45,15 +45,15 @@ def _with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
     return watching.take(watch, frame.image, which, tracker.rig, tracker.settings.rings)
 
 
-def _out_of_sight(state: TrackState, stamp: float) -> bool:
+def out_of_sight(state: TrackState, stamp: float) -> bool:
     """No disc holds and the targets are not where they were: time to look for them in the whole picture?"""
     watch = state.watch
     if watch is None or state.holds or state.phase is Phase.SEARCHING:
         return False
-    return _hidden(watch) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
+    return hidden(watch) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
 
 
-def _relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
+def relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:
     """The tracker for the pose that the shifts of the targets, (n, 2) px, tell, and what that adds to the pose's
     covariance; None where they tell none. Measured on the rings, or else by correlation."""
     rig, settings = tracker.rig, tracker.settings

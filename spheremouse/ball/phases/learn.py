@@ -22,7 +22,7 @@ from spheremouse.geometry.rotation import Array
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
 
-def _first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
+def first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
     """Nothing has moved yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.

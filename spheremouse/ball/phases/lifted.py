@@ -14,7 +14,7 @@ from spheremouse.ball.state import (
     Phase,
     Tracker,
     TrackState,
-    _unused,
+    unused,
 )
 
 _PUSHED = 16.0  # level from which the filter may take for a turn what is none
@@ -24,7 +24,7 @@ _RESTS = 0.05  # rad/s, below which a ball brings nothing new
 _FRAME = 0.1  # s, the longest that one frame counts for
 
 
-def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
+def on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
     """What the followed frame says of the ball's centre: a frame that shows it off its place is set aside.
 
     A second one in a row is a ball that was lifted: lost, and nothing sent, until the discs fit a rotation again. A
@@ -52,7 +52,7 @@ def _on_its_bearings(state: TrackState, stamp: float, tracker: Tracker, predicte
         event = f"lost: the ball does not turn about its centre, off {by}: lifted, or out of round"
         return replace(
             state,
-            filter=_unused(blind),
+            filter=unused(blind),
             phase=Phase.LOST,
             holds=False,
             off=0,
@@ -97,7 +97,7 @@ def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Sh
     )
 
 
-def _back_on_bearings(state: TrackState, filter_state: FilterState, tracker: Tracker) -> bool:
+def back_on_bearings(state: TrackState, filter_state: FilterState, tracker: Tracker) -> bool:
     """Does a ball that was lifted turn about its centre again, at the attitude that its map tells?"""
     if state.lifted is None:
         return True

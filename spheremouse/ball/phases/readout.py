@@ -12,7 +12,7 @@ _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is told
 _READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
 
 
-def _tell_readout(state: TrackState, tracker: Tracker) -> TrackState:
+def tell_readout(state: TrackState, tracker: Tracker) -> TrackState:
     """Once play has shown how long a rolling shutter takes, say so, if it is one."""
     if not isinstance(state.filter, So3State) or state.filter.readout_sigma > _READOUT_SURE:
         return state

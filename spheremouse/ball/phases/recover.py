@@ -3,20 +3,20 @@
 from dataclasses import replace
 
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.phases.lifted import _back_on_bearings
+from spheremouse.ball.phases.lifted import back_on_bearings
 from spheremouse.ball.phases.recognise import _recognised
 from spheremouse.ball.state import (
     Phase,
     Sight,
     Tracker,
     TrackState,
-    _forget,
-    _tracking,
-    _unused,
+    forget,
+    tracking,
+    unused,
 )
 
 
-def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+def lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """No frame came for so long that the prediction is a guess: the map says where the ball is, or nothing does."""
     gap = stamp - state.filter.stamp
     if state.phase is not Phase.TRACKING or not state.moved or gap <= tracker.settings.loss.lost_after:
@@ -26,7 +26,7 @@ def _lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackSt
         phase=Phase.LOST,
         found=None,
         off=0,
-        filter=_unused(state.filter),
+        filter=unused(state.filter),
         event=f"lost: no frame for {gap:.1f} s",
     )
 
@@ -40,14 +40,14 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     state = replace(state, found=found)
     if isinstance(state.filter, So3State):
         recognised = _recognised(state, stamp, tracker)
-        if recognised is not None and _back_on_bearings(state, recognised[0], tracker):
+        if recognised is not None and back_on_bearings(state, recognised[0], tracker):
             filtered, pairs = recognised
             return replace(
-                _tracking(state, filtered, filtered.attitude, stamp),
+                tracking(state, filtered, filtered.attitude, stamp),
                 lifted=None,
                 off=0,
                 recent=() if state.moved else (Sight(stamp, state.detections, points, filtered.attitude),),
-                lookalikes=_forget(state.lookalikes),
+                lookalikes=forget(state.lookalikes),
                 event=f"tracking again: attitude kept, recognised by {pairs} discs",
             )
         if stamp - found < s.reset_after:
@@ -57,13 +57,13 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     attitude = state.filter.attitude
     anew = _anew(state, stamp, tracker)
     return replace(
-        _tracking(anew, anew.filter, attitude, stamp),
+        tracking(anew, anew.filter, attitude, stamp),
         moved=False,
         lifted=None,
         misfit=0.0,
         out_of_round=False,
         fitted=0.0,
-        lookalikes=_forget(state.lookalikes),
+        lookalikes=forget(state.lookalikes),
         event="tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted",
     )
 
@@ -75,14 +75,14 @@ def _anew(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     return replace(state, filter=filtered, found=None, recent=(Sight(stamp, state.detections, state.points, attitude),))
 
 
-def _recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+def recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """The ball is where the saved map says, once that is certain; never recognised, it is another ball's map."""
     points = state.points
     recognised = _recognised(state, stamp, tracker)
     if recognised is not None:
         filtered, pairs = recognised
         return replace(
-            _tracking(state, filtered, filtered.attitude, stamp),
+            tracking(state, filtered, filtered.attitude, stamp),
             moved=True,
             saved=False,
             absolute=True,

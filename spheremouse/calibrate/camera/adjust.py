@@ -12,22 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.calibrate.camera.bundle import (
-    _OPEN,
     FLOOR,
+    OPEN,
     BoardAdjustment,
+    Bundle,
     View,
-    _all_unknowns,
-    _Bundle,
     _camera,
     _columns,
     _kept,
     _poses,
     _rms,
-    _sigma_of,
     _spread,
+    all_unknowns,
     resected,
+    sigma_of,
 )
-from spheremouse.calibrate.camera.variances import _finished, _with_variances
+from spheremouse.calibrate.camera.variances import finished, with_variances
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_vector
 from spheremouse.geometry.rotation import Array, exp, log
@@ -55,21 +55,21 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
         )
     free = np.arange(9) < 4 + terms
     x = _start(views, size)
-    bundle = _Bundle(views, size, free)
+    bundle = Bundle(views, size, free)
     try:
         x = _begun(bundle, x)
     except CalibrationError:
         if _parallel(views, size, free, x):
-            raise CalibrationError(_OPEN) from None
+            raise CalibrationError(OPEN) from None
         raise
     spread = _spread(bundle, x)
     used = spread <= _OBVIOUS * np.median(spread)
     sigma = spread
     for _ in range(len(views)):
         part = bundle.only(used)
-        some, x[_columns(used)] = _with_variances(part, x[_columns(used)])
+        some, x[_columns(used)] = with_variances(part, x[_columns(used)])
         limit = FALSE_VIEW * max(float(np.median(some)), FLOOR)
-        sigma = _sigma_of(views, bundle.size, x, used, some)
+        sigma = sigma_of(views, bundle.size, x, used, some)
         worst = int(np.argmax(np.where(used, sigma, 0.0)))
         again = used | (sigma <= limit)  # a view that the first, coarse camera did not suit
         if sigma[worst] > limit and used.sum() > MIN_VIEWS:
@@ -77,7 +77,7 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
         if np.array_equal(again, used):
             break
         used = again
-    return _finished(bundle, x, used, sigma)
+    return finished(bundle, x, used, sigma)
 
 
 def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
@@ -89,7 +89,7 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
     result = np.full(len(views), np.nan)
     if len(index) <= MIN_VIEWS:
         return result
-    x = _all_unknowns(found)
+    x = all_unknowns(found)
     size = found.camera.width, found.camera.height
     for fold in range(min(_FOLDS, len(index))) if len(index) > _FOLDS else range(len(index)):
         out = index[fold :: min(_FOLDS, len(index))]
@@ -97,7 +97,7 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
         if len(rest) < MIN_VIEWS:
             continue
         kept = [_kept(views[v], found.kept[v]) for v in rest.tolist()]
-        bundle = _Bundle(kept, size, found.free)
+        bundle = Bundle(kept, size, found.free)
         mask = np.zeros(len(views), bool)
         mask[rest] = True
         try:
@@ -124,7 +124,7 @@ def _start(views: Sequence[View], size: tuple[int, int]) -> Array:
     for focal in _focals(views, size):
         camera = InteriorOrientation(width, height, focal, focal, cx, cy)
         poses = _poses(views, camera)
-        residual, _ = _Bundle(views, size, np.zeros(9, bool)).evaluate(
+        residual, _ = Bundle(views, size, np.zeros(9, bool)).evaluate(
             np.concatenate([interior_vector(camera), poses.ravel()]), np.ones(len(views))
         )
         misfit = float(np.median(np.abs(residual)))
@@ -138,7 +138,7 @@ def _start(views: Sequence[View], size: tuple[int, int]) -> Array:
 def _parallel(views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_], x: Array) -> bool:
     """Whether all boards face the same way, which any focal length explains."""
     try:
-        y = _Bundle(views, size, free & (np.arange(9) >= 4)).solve(x, np.ones(len(views)))
+        y = Bundle(views, size, free & (np.arange(9) >= 4)).solve(x, np.ones(len(views)))
     except CalibrationError:
         return False
     normals = exp(y[9:].reshape(-1, 2, 3)[:, 0])[:, :, 2]
@@ -146,7 +146,7 @@ def _parallel(views: Sequence[View], size: tuple[int, int], free: NDArray[np.boo
     return bool(np.all(normals @ normals[0] > np.cos(_PARALLEL)))
 
 
-def _begun(bundle: _Bundle, x: Array) -> Array:
+def _begun(bundle: Bundle, x: Array) -> Array:
     """A first adjustment of all views; of the few that suit most of the others, where all together do not agree."""
     n = len(bundle.views)
     try:

@@ -16,11 +16,11 @@ from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 FLOOR = 0.01  # px: 8 bits tell an edge 20 px long and 100 grey values high no better
-_OPEN = (
+OPEN = (
     "the views leave the focal length open: the board faces the camera the same way in all of them; tilt it by 20 to "
     "45 degrees, to the left, right, up and down in turn"
 )
-_KNEE = 2.5  # standard deviations, of Huber's function
+KNEE = 2.5  # standard deviations, of Huber's function
 _MOST = 200  # steps
 
 
@@ -82,13 +82,13 @@ class BoardAdjustment:
 
 def resected(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
     """Poses of a known camera: R_cam_board (v, 3, 3), translation (v, 3) m, and residuals (n, 2) px of each view."""
-    bundle = _Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
+    bundle = Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
     x = np.concatenate([interior_vector(camera), _poses(views, camera).ravel()])
     for v, view in enumerate(views):  # each for itself: quick, and none disturbs the others
         own = np.arange(len(views)) == v
         columns = _columns(own)
         with contextlib.suppress(CalibrationError):  # then it stays where it began, far off
-            x[columns] = _Bundle([view], bundle.size, bundle.free).solve(x[columns], np.ones(1))
+            x[columns] = Bundle([view], bundle.size, bundle.free).solve(x[columns], np.ones(1))
     r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
     return exp(r), t, bundle.residuals(x)
 
@@ -98,7 +98,7 @@ def _rms(residual: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
-class _Bundle:
+class Bundle:
     """Residuals and Jacobian of some views. Unknowns: the nine, then rotation vector and translation of each view."""
 
     def __init__(self, views: Sequence[View], size: tuple[int, int], free: NDArray[np.bool_]) -> None:
@@ -120,9 +120,9 @@ class _Bundle:
         ends = 2 * np.cumsum(self.counts)
         return [slice(int(e - 2 * n), int(e)) for e, n in zip(ends, self.counts, strict=True)]
 
-    def only(self, used: NDArray[np.bool_]) -> "_Bundle":
+    def only(self, used: NDArray[np.bool_]) -> "Bundle":
         """The adjustment of some views."""
-        return _Bundle([v for v, u in zip(self.views, used, strict=True) if u], self.size, self.free)
+        return Bundle([v for v, u in zip(self.views, used, strict=True) if u], self.size, self.free)
 
     def linear(self, x: Array) -> tuple[Array, Array]:
         """Computed minus seen, (n, 2) px, and its Jacobian (n, 2, 15) by the nine and by the view's own six."""
@@ -230,12 +230,12 @@ def _kept(view: View, mask: NDArray[np.bool_]) -> View:
     return View(view.points[mask], view.uv[mask])
 
 
-def _all_unknowns(found: BoardAdjustment) -> Array:
+def all_unknowns(found: BoardAdjustment) -> Array:
     poses = np.stack([np.array([log(R) for R in found.rotations]), found.translations], axis=1)
     return np.concatenate([interior_vector(found.camera), poses.ravel()])
 
 
-def _sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArray[np.bool_], some: Array) -> Array:
+def sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArray[np.bool_], some: Array) -> Array:
     """Standard deviation of a corner's coordinate in each view, (v,) px; x gets the poses of views not used."""
     sigma = np.empty(len(views))
     sigma[used] = some
@@ -244,15 +244,15 @@ def _sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDAr
         R, t, residuals = resected([views[v] for v in out.tolist()], _camera(x, size))
         for k, v in enumerate(out.tolist()):
             x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
-        sigma[out] = [_robust_sigma(r) for r in residuals]
+        sigma[out] = [robust_sigma(r) for r in residuals]
     return sigma
 
 
-def _robust_sigma(residual: Array) -> float:
+def robust_sigma(residual: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(residual))), FLOOR)
 
 
-def _spread(bundle: _Bundle, x: Array) -> Array:
+def _spread(bundle: Bundle, x: Array) -> Array:
     """Usual residual of each view, (v,) px."""
     return np.array([np.median(np.abs(r)) for r in bundle.residuals(x)])
 

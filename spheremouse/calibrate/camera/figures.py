@@ -41,7 +41,7 @@ def _used_corners(done: Calibrated) -> list[tuple[Array, Array]]:
     ]
 
 
-def _coverage_figure(done: Calibrated) -> "Figure":
+def coverage_figure(done: Calibrated) -> "Figure":
     from matplotlib.patches import Rectangle
 
     figure = _figure(4.6, 3.1)
@@ -74,7 +74,7 @@ def _coverage_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _tilt_figure(done: Calibrated) -> "Figure":
+def tilt_figure(done: Calibrated) -> "Figure":
     figure = _figure(4.6, 3.1)
     axes = figure.subplots()
     for angle in (15, 30, 45, 60):
@@ -93,7 +93,7 @@ def _tilt_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _views_figure(done: Calibrated) -> "Figure":
+def views_figure(done: Calibrated) -> "Figure":
     found, rms = done.found, done.found.view_rms()
     shown = [k for k in range(len(done.views)) if found.used[k]]
     figure = _figure(9.4, 2.6)
@@ -113,17 +113,17 @@ def _views_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _magnification(done: Calibrated) -> float:
+def magnification(done: Calibrated) -> float:
     """A round number that makes the RMS a fortieth of the picture's width."""
     wanted = done.found.camera.width / 40.0 / max(done.found.rms, 1e-6)
     power = 10.0 ** np.floor(np.log10(wanted))
     return float(power * max(d for d in (1.0, 2.0, 5.0) if d * power <= wanted))
 
 
-def _arrows_figure(done: Calibrated) -> "Figure":
+def arrows_figure(done: Calibrated) -> "Figure":
     figure = _figure(4.6, 3.1)
     axes = _image_axes(figure, done)
-    scale = _magnification(done)
+    scale = magnification(done)
     for uv, r in _used_corners(done):
         axes.quiver(
             uv[:, 0],
@@ -142,7 +142,7 @@ def _arrows_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _scatter_figure(done: Calibrated) -> "Figure":
+def scatter_figure(done: Calibrated) -> "Figure":
     figure = _figure(4.6, 3.1)
     axes = figure.subplots()
     every = np.concatenate([r for _, r in _used_corners(done)])
@@ -155,7 +155,7 @@ def _scatter_figure(done: Calibrated) -> "Figure":
     return figure
 
 
-def _stands_figure(done: Calibrated) -> "Figure":
+def stands_figure(done: Calibrated) -> "Figure":
     """Two oblique parallel projections, drawn by hand: board, pyramids of the cameras, their shadows on the plane."""
     figure = _figure(9.4, 4.2)
     for axes, (turn, rise) in zip(figure.subplots(1, 2), ((35.0, 22.0), (-60.0, 35.0)), strict=True):

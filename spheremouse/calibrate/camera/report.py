@@ -10,14 +10,14 @@ from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import Calibrated, false_views
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, bare, listed, unleant
 from spheremouse.calibrate.camera.figures import (
-    _arrows_figure,
-    _coverage_figure,
-    _magnification,
     _picture,
-    _scatter_figure,
-    _stands_figure,
-    _tilt_figure,
-    _views_figure,
+    arrows_figure,
+    coverage_figure,
+    magnification,
+    scatter_figure,
+    stands_figure,
+    tilt_figure,
+    views_figure,
 )
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
@@ -170,12 +170,12 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
             "What the views cover",
             page.beside(
                 page.figure(
-                    _coverage_figure(done),
+                    coverage_figure(done),
                     "All corners in the picture. The number in a region counts the views that show corners there; "
                     "where there are none, the lens is not known.",
                 ),
                 page.figure(
-                    _tilt_figure(done),
+                    tilt_figure(done),
                     "Where the printed face points, seen from the camera: the farther from the middle, the more the "
                     "board was tilted. Views in all four quarters are best.",
                 ),
@@ -184,18 +184,18 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
         page.section(
             "Reprojection errors",
             page.figure(
-                _views_figure(done),
+                views_figure(done),
                 "Root mean square distance of the corners seen from where the camera found puts them, per view; and "
                 "the same where the camera was calibrated without that view. Bars that stand out are bad photos.",
             ),
             page.beside(
                 page.figure(
-                    _arrows_figure(done),
-                    f"Residuals of all views in one picture, {_magnification(done):.0f} times enlarged. They should "
+                    arrows_figure(done),
+                    f"Residuals of all views in one picture, {magnification(done):.0f} times enlarged. They should "
                     "point anywhere; a common direction in one place is what the lens model does not explain.",
                 ),
                 page.figure(
-                    _scatter_figure(done),
+                    scatter_figure(done),
                     "All residuals from one origin, with the circle of the RMS. A round cloud is random error.",
                 ),
             ),
@@ -203,14 +203,14 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
         page.section(
             "Where the camera stood",
             page.figure(
-                _stands_figure(done),
+                stands_figure(done),
                 "The board and, in its frame, the camera's places and viewing directions, from two sides. "
                 "The coloured axes are three squares long.",
             ),
         ),
         page.section(
             "Values and standard deviations",
-            page.table(["", "value", "std. dev.", "value / std. dev."], _parameter_rows(done)),
+            page.table(["", "value", "std. dev.", "value / std. dev."], parameter_rows(done)),
             page.paragraph(
                 "From the inverse normal matrix of the adjustment, with the variances of the corners estimated in each "
                 "view."
@@ -227,8 +227,8 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
             "Views",
             page.table(
                 ["view", "RMS, px", "held out, px", "tilt, °", "distance, m", "remark"],
-                [row for row, _ in _view_rows(done)],
-                [not good for _, good in _view_rows(done)],
+                [row for row, _ in view_rows(done)],
+                [not good for _, good in view_rows(done)],
             ),
             page.sheet([_picture(done, k) for k in range(len(done.views))]),
         ),
@@ -257,7 +257,7 @@ def _held_out(done: Calibrated) -> float | None:
     return float(np.sqrt(np.mean(good**2))) if len(good) else None
 
 
-def _parameter_rows(done: Calibrated) -> list[list[str]]:
+def parameter_rows(done: Calibrated) -> list[list[str]]:
     camera, sigma = done.found.camera, done.found.deviations
     rows = []
     for name, v, s, free in zip(PARAMETERS, interior_vector(camera), sigma, done.found.free, strict=True):
@@ -276,7 +276,7 @@ def _parameter_rows(done: Calibrated) -> list[list[str]]:
     return rows
 
 
-def _view_rows(done: Calibrated) -> list[tuple[list[str], bool]]:
+def view_rows(done: Calibrated) -> list[tuple[list[str], bool]]:
     found, rms = done.found, done.found.view_rms()
     tilts, position = np.degrees(found.tilts()), found.camera_positions()
     false, rows = false_views(done), {}

@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from spheremouse.calibrate.camera.bundle import (
-    _KNEE,
-    _OPEN,
     FLOOR,
+    KNEE,
+    OPEN,
     BoardAdjustment,
-    _Bundle,
+    Bundle,
     _camera,
     _columns,
     _kept,
-    _robust_sigma,
-    _sigma_of,
+    robust_sigma,
+    sigma_of,
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors
@@ -30,26 +30,26 @@ _DRAWS = 1000
 _ROUNDS = 6  # of taking out false corners and estimating variances
 
 
-def _with_variances(bundle: _Bundle, x: Array) -> tuple[Array, Array]:
+def with_variances(bundle: Bundle, x: Array) -> tuple[Array, Array]:
     """Standard deviation of a corner's coordinate in each view, robustly, (v,) px, and the unknowns with them."""
     sigma = np.full(len(bundle.views), np.inf)
     for _ in range(12):
         before, residuals = sigma, bundle.residuals(x)
-        sigma = np.array([_robust_sigma(r) for r in residuals])
+        sigma = np.array([robust_sigma(r) for r in residuals])
         if np.all(np.abs(sigma / before - 1.0) < 0.02):
             break
-        x = bundle.solve(x, sigma, _KNEE)
+        x = bundle.solve(x, sigma, KNEE)
     return sigma, x
 
 
-def _finished(bundle: _Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) -> BoardAdjustment:
+def finished(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) -> BoardAdjustment:
     views, index = bundle.views, np.flatnonzero(used)
     kept = [np.ones(len(v.uv), bool) for v in views]
     sigma, x = sigma.copy(), x.copy()
     columns = _columns(used)
     y = x[columns]
     for _ in range(_ROUNDS):
-        part = _Bundle([_kept(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+        part = Bundle([_kept(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
         y = part.solve(y, sigma[index])
         residual, J = part.jacobian(y, sigma[index])
         Q = _cofactors(J)
@@ -68,7 +68,7 @@ def _finished(bundle: _Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) 
             here = slice(group.start // 2, group.stop // 2)
             bad = false[here] & (test[here] >= 0.25 * test[here].max())
             kept[v][np.flatnonzero(kept[v])[bad]] = False
-    part = _Bundle([_kept(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+    part = Bundle([_kept(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
     y = part.solve(y, sigma[index])
     residual, J = part.jacobian(y, sigma[index])
     Q = _cofactors(J)
@@ -83,7 +83,7 @@ def _finished(bundle: _Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) 
     covariance[np.ix_(is_open, is_open)] = doubt * _estimated_weights(N, part.counts) * factor * Q
     _into_cam(covariance, y)
     camera = replace(camera, covariance=covariance[:9, :9].copy())
-    _sigma_of(views, bundle.size, x, used, sigma[used])
+    sigma_of(views, bundle.size, x, used, sigma[used])
     r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
     sigma = sigma * np.sqrt(factor)
     residuals = bundle.residuals(x)
@@ -104,7 +104,7 @@ def _cofactors(J: Jacobian) -> Array:
     try:
         return cofactors(J)
     except np.linalg.LinAlgError:
-        raise CalibrationError(_OPEN) from None
+        raise CalibrationError(OPEN) from None
 
 
 def _on_the_camera(J: Jacobian, residual: Array, groups: Sequence[slice], nine: int) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.stats import chi2
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
-from spheremouse.calibrate.device.plans import _NAMES, ENOUGH, Advice, _work, length
+from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, _work, length
 from spheremouse.calibrate.device.what_if import (
     spread,
 )
@@ -67,7 +67,7 @@ def _verdict(calibration: DeviceCalibration, odd: bool) -> Advice:
     sigma = np.sqrt(np.diag(calibration.ball_covariance))
     worst = int(np.flatnonzero(sigma > 0.9 * sigma.max())[-1])  # of those about alike the radius, the last
     part = sigma[worst] / calibration.radius
-    known = f"{_NAMES[worst]} is the least certain, ± {length(sigma[worst], calibration)}"
+    known = f"{NAMES[worst]} is the least certain, ± {length(sigma[worst], calibration)}"
     if not calibration.scale_free:
         known += f", {100.0 * part:.2g} % of the radius"
     if part > ENOUGH:

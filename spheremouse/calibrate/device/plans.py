@@ -67,7 +67,7 @@ def _digits(value: float) -> str:
     return f"{value:.2f}" if value < 0.995 else f"{value:.1f}" if value < 99.5 else f"{value:.0f}"
 
 
-_NAMES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's depth (Z)", "the radius")
+NAMES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's depth (Z)", "the radius")
 _TARGETS, _DISC = "the targets' places", "the least certain disc"
 
 
@@ -118,12 +118,12 @@ def _said(option: _Option, now: Sigmas, c: DeviceCalibration, *, first: bool) ->
 
 
 def _value(s: Sigmas, what: str) -> float:
-    return {**dict(zip(_NAMES, s.ball, strict=True)), _TARGETS: s.targets, _DISC: s.disc}[what]
+    return {**dict(zip(NAMES, s.ball, strict=True)), _TARGETS: s.targets, _DISC: s.disc}[what]
 
 
 def _gain(now: Sigmas, after: Sigmas, enough: float) -> tuple[str, float]:
     """What is made better most, of what is bad enough to matter, and how many times; the radius first."""
-    values = {name: _value(now, name) for name in (*_NAMES[::-1], _TARGETS)}
+    values = {name: _value(now, name) for name in (*NAMES[::-1], _TARGETS)}
     large = max(values.values())
     gains = [(name, v / _value(after, name)) for name, v in values.items() if v >= 0.5 * large and v > 0.0]
     most = max(gain for _, gain in gains)

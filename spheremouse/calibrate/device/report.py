@@ -16,13 +16,13 @@ from spheremouse.calibrate.device.figures import certainty, magnification, overv
 from spheremouse.calibrate.device.plans import Advice
 from spheremouse.calibrate.device.results import (
     _advice,
-    _correlation,
-    _distance_rows,
-    _per_photo,
-    _points,
-    _px,
     _sigma,
     _unit,
+    correlation,
+    distance_rows,
+    per_photo,
+    points,
+    px,
 )
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import ConfigurationError
@@ -30,8 +30,8 @@ from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
 from spheremouse.geometry.rotation import Array
 
-_MARKS = {"good": ("✓", "green"), "note": ("·", "cyan"), "warning": ("!", "red")}
-_AXES = ("X", "Y", "Z")
+MARKS = {"good": ("✓", "green"), "note": ("·", "cyan"), "warning": ("!", "red")}
+AXES = ("X", "Y", "Z")
 
 
 # ---- for a program ----
@@ -86,7 +86,7 @@ def _headlines(c: DeviceCalibration) -> list[tuple[str, str, str]]:
         first,
         ("Ball's centre", f"± {f * float(ball[:3].max()):.{digits}f} {unit}", centre),
         ("Discs", str(len(c.discs)), f"on {100.0 * coverage(c.directions):.0f} % of the ball"),
-        ("Image points", f"{c.rms_px:.3f} px", f"RMS; {_points(c)}"),
+        ("Image points", f"{c.rms_px:.3f} px", f"RMS; {points(c)}"),
     ]
 
 
@@ -112,7 +112,7 @@ def _places(c: DeviceCalibration) -> str:
 
 def _ball_section(c: DeviceCalibration) -> str:
     unit, f, digits = _unit(c)
-    sigma, r = np.sqrt(np.diag(c.ball_covariance)), _correlation(c.ball_covariance)
+    sigma, r = np.sqrt(np.diag(c.ball_covariance)), correlation(c.ball_covariance)
     values = [*c.centre, c.radius]
     rows = [
         [name, f"{f * v:.{digits}f}", f"{f * s:.{digits}f}", *(f"{r[i, j]:+.3f}" if j < i else "" for j in range(3))]
@@ -149,7 +149,7 @@ def _target_section(c: DeviceCalibration) -> str:
         )
     ]
     text = "Centres of the targets as seen from the ball's centre: by these the camera knows where it is in play."
-    head = ["id", "code", *(f"{a} {unit}" for a in _AXES), *(f"sigma {a}" for a in _AXES), "photos"]
+    head = ["id", "code", *(f"{a} {unit}" for a in AXES), *(f"sigma {a}" for a in AXES), "photos"]
     return page.section("Targets", page.paragraph(text), page.table(head, rows, text=2))
 
 
@@ -159,24 +159,22 @@ def _distance_section(c: DeviceCalibration) -> str:
         "would be suspect. Checked: at 0 % nothing would contradict it whatever it says, at 100 % the others know it."
     )
     head = ["from - to", "tape mm", "sigma", "adjusted mm", "sigma", "residual mm", "over sigma", "checked"]
-    return page.section("Distances", page.paragraph(text), page.table(head, _distance_rows(c)))
+    return page.section("Distances", page.paragraph(text), page.table(head, distance_rows(c)))
 
 
 def _photo_section(c: DeviceCalibration, photos: Sequence[Photo]) -> str:
     unit, f, _ = _unit(c)
     rows, certain, pictures = [], [], []
-    for i, (k, pose, (used, rejected, rms)) in enumerate(zip(c.photos, c.poses, _per_photo(c), strict=True)):
+    for i, (k, pose, (used, rejected, rms)) in enumerate(zip(c.photos, c.poses, per_photo(c), strict=True)):
         name, number = photos[k].path.name, str(k + 1)
         place = [f"{f * v:.0f}" for v in pose.position]
-        rows.append([number, name, *place, str(used), str(rejected or "-"), _px(rms)])
+        rows.append([number, name, *place, str(used), str(rejected or "-"), px(rms)])
         certain.append([number, *_pose_sigma(c, np.diag(pose.covariance))])
         count = f"{used} points" + (f", {rejected} not used" if rejected else "")
-        pictures.append(
-            page.picture(photo_picture(c, i, image(photos[k])), f"{number}: {name}; {count}, {_px(rms)} px")
-        )
+        pictures.append(page.picture(photo_picture(c, i, image(photos[k])), f"{number}: {name}; {count}, {px(rms)} px"))
     certain.append(["RMS", *_pose_sigma(c, np.mean([np.diag(pose.covariance) for pose in c.poses], axis=0))])
-    head = ["", "photo", *(f"{a} {unit}" for a in _AXES), "points", "not used", "px RMS"]
-    spread = ["", *(f"sigma {a} {unit}" for a in _AXES), *(f"about {a} °" for a in _AXES)]
+    head = ["", "photo", *(f"{a} {unit}" for a in AXES), "points", "not used", "px RMS"]
+    spread = ["", *(f"sigma {a} {unit}" for a in AXES), *(f"about {a} °" for a in AXES)]
     times = magnification(c, photos[c.photos[0]].size[0])
     table = page.paragraph(
         "Where the camera stood in each photo, as seen from the ball's centre, how certain that is, and how certain "
@@ -209,7 +207,7 @@ def _disc_section(c: DeviceCalibration) -> str:
     block, rows = c.block("discs"), []
     for i, (place, seen) in enumerate(zip(c.discs, c.sightings, strict=True)):
         here = slice(block.start + 3 * i, block.start + 3 * i + 3)
-        sigma, r = np.sqrt(np.diag(c.covariance[here, here])), _correlation(c.covariance[here, here])
+        sigma, r = np.sqrt(np.diag(c.covariance[here, here])), correlation(c.covariance[here, here])
         rows.append(
             [
                 str(i + 1),
@@ -228,13 +226,13 @@ def _disc_section(c: DeviceCalibration) -> str:
     return page.section(
         "Discs",
         page.paragraph("Standard deviations of all discs, root mean square. (Wittich 2017, table 9.)"),
-        page.table(["", *(f"{a} {unit}" for a in _AXES)], mean),
+        page.table(["", *(f"{a} {unit}" for a in AXES)], mean),
         page.paragraph(
             "Each disc as seen from the ball's centre, how its coordinates go together, and how many photos show it: "
             "the fewer, the less is checked. In play the map is refined. (Wittich 2017, table 13.)"
         ),
         page.table(
-            ["", *(f"{a} {unit}" for a in _AXES), "rho XY", "XZ", "YZ", *(f"sigma {a}" for a in _AXES), "photos"], rows
+            ["", *(f"{a} {unit}" for a in AXES), "rho XY", "XZ", "YZ", *(f"sigma {a}" for a in AXES), "photos"], rows
         ),
     )
 

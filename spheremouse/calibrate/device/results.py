@@ -32,7 +32,7 @@ def device_json(
             "center": c.centre.tolist(),
             "radius": c.radius,
             "sigma": dict(zip("XYZR", ball.tolist(), strict=True)),
-            "correlation": _correlation(c.ball_covariance).tolist(),
+            "correlation": correlation(c.ball_covariance).tolist(),
         },
         "discs": [
             {"position": place.tolist(), "sigma": sigma.tolist(), "photos": int(seen)}
@@ -47,7 +47,7 @@ def device_json(
                 "rejected": rejected,
                 "rms_px": rms,
             }
-            for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, _per_photo(c), strict=True)
+            for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, per_photo(c), strict=True)
         ],
         "rms_px": c.rms_px,
         "variance_factors": dict(zip(("targets", "discs"), c.variance_factors, strict=True)),
@@ -93,7 +93,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _correlation(covariance: Array) -> Array:
+def correlation(covariance: Array) -> Array:
     """0 beside what is known exactly."""
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
@@ -102,17 +102,17 @@ def _correlation(covariance: Array) -> Array:
     return r
 
 
-def _px(rms: float | None) -> str:
+def px(rms: float | None) -> str:
     return "-" if rms is None else f"{rms:.3f}"
 
 
-def _points(c: DeviceCalibration) -> str:
+def points(c: DeviceCalibration) -> str:
     used = c.measured.used
     left = int(np.count_nonzero(~used))
     return f"{int(np.count_nonzero(used))} used" + (f", {left} not" if left else "")
 
 
-def _per_photo(c: DeviceCalibration) -> list[tuple[int, int, float | None]]:
+def per_photo(c: DeviceCalibration) -> list[tuple[int, int, float | None]]:
     """Of each photo used: image points used and not, and px RMS per axis of the used ones, None where none is."""
     m, found = c.measured, []
     for i in range(len(c.poses)):
@@ -140,7 +140,7 @@ def _adjusted_distances(c: DeviceCalibration) -> tuple[Array, Array, Array]:
     return np.array(length), c.distance_residuals, np.array(sigma)
 
 
-def _distance_rows(c: DeviceCalibration) -> list[list[str]]:
+def distance_rows(c: DeviceCalibration) -> list[list[str]]:
     number = distance_redundancy(c)
     return [
         [

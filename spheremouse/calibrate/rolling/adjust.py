@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spheremouse.calibrate.rolling.normal import _minimum, _Normal
+from spheremouse.calibrate.rolling.normal import Normal, _minimum
 from spheremouse.calibrate.rolling.problem import (
-    _GLOBAL,
-    _RATES,
-    _READOUT,
+    GLOBAL,
+    RATES,
+    READOUT,
     Rolled,
     Rolling,
     Sightings,
-    _whitening,
+    whitening,
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
@@ -95,7 +95,7 @@ def _in_largest(at: Rolling, s: Sightings) -> NDArray[np.bool_]:
     return mine == np.bincount(mine).argmax() if len(s) else np.zeros(0, dtype=bool)
 
 
-def _result(at: Rolling, s: Sightings, rejected: int, normal: _Normal, camera: InteriorOrientation) -> Rolled:
+def _result(at: Rolling, s: Sightings, rejected: int, normal: Normal, camera: InteriorOrientation) -> Rolled:
     equations = normal.equations
     Q, J = normal.cofactors(), normal.reduced()
     number = np.full(2 * len(s), 1.0 - (3.0 * len(at.attitude) + Q.shape[0] - 3.0) / (2.0 * len(s)))
@@ -110,12 +110,12 @@ def _result(at: Rolling, s: Sightings, rejected: int, normal: _Normal, camera: I
     T = np.zeros((4, len(C)))
     T[:3, :2] = tangent_basis(at.direction)
     T[3, 2] = at.ratio
-    residual = np.einsum("nij,nj->ni", np.linalg.inv(_whitening(s.covariance)), equations.residual)
+    residual = np.einsum("nij,nj->ni", np.linalg.inv(whitening(s.covariance)), equations.residual)
     return Rolled(
         at,
         T @ C @ T.T,
-        C[_GLOBAL:, _GLOBAL:],
-        float(np.hypot(np.sqrt(C[_READOUT, _READOUT]), _RATES * at.readout)),
+        C[GLOBAL:, GLOBAL:],
+        float(np.hypot(np.sqrt(C[READOUT, READOUT]), RATES * at.readout)),
         s,
         residual,
         rejected,

@@ -27,9 +27,9 @@ from spheremouse.geometry.camera import (
 )
 from spheremouse.geometry.rotation import Array, align, exp, left_jacobian, log
 
-_SIZE = 0.005, 0.002  # part by which printed rings may be off in size: all of them alike, and each by itself
-_RIM = 0.05, 0.02  # px, of a ring's radius as seen: colours that run do so alike on all
-_PLACE = 0.05  # px, of a ring's centre
+SIZE = 0.005, 0.002  # part by which printed rings may be off in size: all of them alike, and each by itself
+RIM = 0.05, 0.02  # px, of a ring's radius as seen: colours that run do so alike on all
+PLACE = 0.05  # px, of a ring's centre
 _MISFIT = 16.0  # square of normalised residuals, per degree of freedom, from which targets are not those of the rig
 _STEADY = 0.3  # s over which a turn is taken while a gesture lasts
 _SLOW = 0.1  # rad/s: slower turns have no direction
@@ -95,12 +95,12 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
             "of another device, or count from another place than the ball's centre"
         )
     _, x, used = best
-    J = _jacobian(lambda y: _target_residuals(y, used, rig, rolling, known), x)
+    J = jacobian(lambda y: _target_residuals(y, used, rig, rolling, known), x)
     Q = np.linalg.inv(J.T @ J)
-    by_targets = _jacobian(
+    by_targets = jacobian(
         lambda p: _target_residuals(x, used, _with_places(rig, p), rolling, known), rig.targets.position.ravel()
     )
-    by_direction = _jacobian(
+    by_direction = jacobian(
         lambda c: _target_residuals(x, used, rig, replace(rolling, direction=c), known), rolling.direction
     )
     by_lens = _by_lens(lambda c: _target_residuals(x, used, replace(rig, camera=c), rolling, known), rig.camera)
@@ -178,7 +178,7 @@ def _with_places(rig: Rig, places: Array) -> Rig:
     return replace(rig, targets=replace(rig.targets, position=places.reshape(-1, 3)))
 
 
-def _jacobian(f: Callable[[Array], Array], x: Array) -> Array:
+def jacobian(f: Callable[[Array], Array], x: Array) -> Array:
     """By central differences, (n, u)."""
     columns = []
     for k in range(len(x)):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from spheremouse.ball.device import Device
-from spheremouse.calibrate.rolling.axes import _PLACE, _RIM, _SIZE, Axes, Parts, _by_lens, _jacobian
+from spheremouse.calibrate.rolling.axes import PLACE, RIM, SIZE, Axes, Parts, _by_lens, jacobian
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, unproject
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
@@ -33,14 +33,14 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     at = {i: k for k, i in enumerate(ids)}
     uv = np.array([seen[code_of[i]][0] for i in ids])
     size = np.array([seen[code_of[i]][1] for i in ids])
-    alike = np.stack([np.full(len(ids), _SIZE[0]), _RIM[0] / size], axis=1)
-    alone = np.hypot(_SIZE[1], _RIM[1] / size)
+    alike = np.stack([np.full(len(ids), SIZE[0]), RIM[0] / size], axis=1)
+    alone = np.hypot(SIZE[1], RIM[1] / size)
     n = len(ids)
 
     def moved(x: Array, lens: InteriorOrientation = camera) -> Array:
         """Places, (n, 3), if observations were off by: two of the size of all, one of each size, two of each centre."""
         sizes = size * np.exp(-(alike @ x[:2]) - alone * x[2 : 2 + n])
-        return _by_size(uv + _PLACE * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
+        return _by_size(uv + PLACE * x[2 + n :].reshape(n, 2), sizes, at, device, lens)
 
     taped = [d for d in device.distances if d.start in at and d.end in at]
 
@@ -59,7 +59,7 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
         there = moved(y, lens)
         return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
 
-    by_x, seen_through = _jacobian(told, x), _by_lens(lambda c: told(x, c), camera)
+    by_x, seen_through = jacobian(told, x), _by_lens(lambda c: told(x, c), camera)
     pull = np.zeros((len(x), 9))  # of the lens on what tape distances correct
     J, r = np.eye(len(x)), residuals(x)
     for d in taped:

@@ -6,11 +6,11 @@ import numpy as np
 from scipy import sparse
 
 from spheremouse.calibrate.rolling.problem import (
-    _GLOBAL,
-    _READOUT,
+    GLOBAL,
+    READOUT,
+    Equations,
     Rolling,
     Sightings,
-    _Equations,
     _equations,
 )
 from spheremouse.errors import CalibrationError
@@ -22,11 +22,11 @@ _STILL = 1e-9  # rad: a step so short is the last
 _FIRM = 1e-7  # s: a readout known for sure is held so firmly
 
 
-class _Normal:
+class Normal:
     """Normal equations with the attitudes eliminated; the turn of the ball's axes, which nothing fixes, is held."""
 
     def __init__(
-        self, at: Rolling, s: Sightings, equations: _Equations, weight: Array, readout: tuple[float, float]
+        self, at: Rolling, s: Sightings, equations: Equations, weight: Array, readout: tuple[float, float]
     ) -> None:
         """`weight` (n,) of the sightings; `readout` the expected one and its standard deviation, s."""
         f = len(at.attitude)
@@ -54,14 +54,14 @@ class _Normal:
         b = self.shared.T @ r.ravel() - np.einsum("fik,fi->k", gain, self.by_frame)
         expected, sigma = readout
         hold = 1.0 / max(sigma, _FIRM) ** 2
-        N[_READOUT, _READOUT] += hold
-        b[_READOUT] += hold * (expected - at.readout)
+        N[READOUT, READOUT] += hold
+        b[READOUT] += hold * (expected - at.readout)
         scale = 1.0 / np.sqrt(np.diag(N))
         # the ball's axes may turn by any e, R follows: a disc moves by e x d. Held where its discs are on the mean
         free = np.zeros((len(b), 3))
-        free[_GLOBAL:] = -(tangent_basis(at.discs).transpose(0, 2, 1) @ hat(at.discs)).reshape(-1, 3)
+        free[GLOBAL:] = -(tangent_basis(at.discs).transpose(0, 2, 1) @ hat(at.discs)).reshape(-1, 3)
         self.free = np.linalg.qr(free)[0]
-        size = float(np.median(np.diag(N)[_GLOBAL:]))
+        size = float(np.median(np.diag(N)[GLOBAL:]))
         self.N, self.b, self.scale, self.held = N, b, scale, size * self.free @ self.free.T
 
     def step(self, damping: float) -> tuple[Array, Array]:
@@ -96,15 +96,15 @@ class _Normal:
 
 def _minimum(
     at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], knee: float
-) -> tuple[Rolling, _Normal]:
+) -> tuple[Rolling, Normal]:
     """Levenberg and Marquardt's way to the least sum of squares, or of Huber's function with its knee."""
-    damping, dx = 1e-6, np.full(_GLOBAL, np.inf)
+    damping, dx = 1e-6, np.full(GLOBAL, np.inf)
     equations = _equations(at, s, camera)
     for _ in range(_MOST):
         length = np.linalg.norm(equations.residual, axis=1)
         weight = np.minimum(1.0, knee / np.maximum(length, 1e-12))
         cost = _cost(length, knee, at.readout, readout)
-        normal = _Normal(at, s, equations, weight, readout)
+        normal = Normal(at, s, equations, weight, readout)
         dx, de = normal.step(damping)
         tried = _moved(at, dx, de)
         there = _equations(tried, s, camera) if tried.ratio > 1.0 else None
@@ -115,12 +115,12 @@ def _minimum(
             at, equations, damping = tried, there, max(0.1 * damping, 1e-9)
         else:
             damping = max(10.0 * damping, 1e-4)
-        if np.abs(np.delete(dx, _READOUT)).max() < _STILL or damping > 1e6:
+        if np.abs(np.delete(dx, READOUT)).max() < _STILL or damping > 1e6:
             break
     else:
         if np.abs(dx[:3]).max() > 1e-6:
             raise CalibrationError("the adjustment does not come to rest: roll the ball longer, and about more axes")
-    return at, _Normal(at, s, equations, np.ones(len(s)), readout)
+    return at, Normal(at, s, equations, np.ones(len(s)), readout)
 
 
 def _cost(length: Array, knee: float, readout: float, expected: tuple[float, float]) -> float:
@@ -133,12 +133,12 @@ def _cost(length: Array, knee: float, readout: float, expected: tuple[float, flo
 
 def _moved(at: Rolling, dx: Array, de: Array) -> Rolling:
     c = at.direction + tangent_basis(at.direction) @ dx[:2]
-    d = at.discs + np.einsum("mij,mj->mi", tangent_basis(at.discs), dx[_GLOBAL:].reshape(-1, 2))
+    d = at.discs + np.einsum("mij,mj->mi", tangent_basis(at.discs), dx[GLOBAL:].reshape(-1, 2))
     return replace(
         at,
         direction=c / np.linalg.norm(c),
         ratio=at.ratio * float(np.exp(np.clip(dx[2], -0.5, 0.5))),
-        readout=at.readout + float(dx[_READOUT]),
+        readout=at.readout + float(dx[READOUT]),
         discs=d / np.linalg.norm(d, axis=1, keepdims=True),
         attitude=exp(de) @ at.attitude,
     )

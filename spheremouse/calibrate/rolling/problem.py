@@ -9,8 +9,8 @@ from scipy import sparse
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, project, row_of
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 
-_RATES = 0.005  # part by which rates taken from attitudes a frame apart are off when a hand pushes
-_GLOBAL, _READOUT = 4, 3  # unknowns before the discs: direction 2, log ratio, readout
+RATES = 0.005  # part by which rates taken from attitudes a frame apart are off when a hand pushes
+GLOBAL, READOUT = 4, 3  # unknowns before the discs: direction 2, log ratio, readout
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Rolled:
 
 
 @dataclass(frozen=True, slots=True)
-class _Equations:
+class Equations:
     """Residuals and Jacobians of unit variance; shared unknowns: direction 2, log ratio, readout, discs 2 each."""
 
     residual: Array  # (n, 2)
@@ -73,7 +73,7 @@ class _Equations:
     camera: Array  # (n, 2, 9) by the interior orientation
 
 
-def _equations(at: Rolling, s: Sightings, camera: InteriorOrientation) -> _Equations:
+def _equations(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equations:
     """Of a point p = ratio c + R d, that a rolling shutter sees late: R = exp(readout row w) R_cam_ball."""
     n, m = len(s), len(at.discs)
     row = row_of(s.centre[:, 1], camera.height)
@@ -82,7 +82,7 @@ def _equations(at: Rolling, s: Sightings, camera: InteriorOrientation) -> _Equat
     d = np.einsum("nij,njk,nk->ni", late, at.attitude[s.frame], at.discs[s.disc])
     points = at.ratio * at.direction + d
     uv, by_point = project(points, camera)
-    W = _whitening(s.covariance)
+    W = whitening(s.covariance)
     residual = np.einsum("nij,nj->ni", W, s.centre - uv)
     A = W @ by_point
     basis = tangent_basis(at.discs)[s.disc]
@@ -98,13 +98,13 @@ def _equations(at: Rolling, s: Sightings, camera: InteriorOrientation) -> _Equat
         axis=2,
     )
     rows = np.arange(2 * n).reshape(n, 2, 1)
-    columns = np.broadcast_to(_GLOBAL + 2 * s.disc[:, None, None] + np.arange(2), (n, 2, 2))
-    places = np.concatenate([np.broadcast_to(np.arange(_GLOBAL), (n, 2, _GLOBAL)), columns], axis=2)
+    columns = np.broadcast_to(GLOBAL + 2 * s.disc[:, None, None] + np.arange(2), (n, 2, 2))
+    places = np.concatenate([np.broadcast_to(np.arange(GLOBAL), (n, 2, GLOBAL)), columns], axis=2)
     values = np.concatenate([by_global, by_disc], axis=2)
     shared = sparse.csr_array(
-        (values.ravel(), (np.broadcast_to(rows, places.shape).ravel(), places.ravel())), shape=(2 * n, _GLOBAL + 2 * m)
+        (values.ravel(), (np.broadcast_to(rows, places.shape).ravel(), places.ravel())), shape=(2 * n, GLOBAL + 2 * m)
     )
-    return _Equations(residual, shared, by_turn, W @ interior_jacobian(points[:, :2] / points[:, 2:], camera))
+    return Equations(residual, shared, by_turn, W @ interior_jacobian(points[:, :2] / points[:, 2:], camera))
 
 
 def _rates(at: Rolling) -> Array:
@@ -130,6 +130,6 @@ def _rates(at: Rolling) -> Array:
     return rate
 
 
-def _whitening(covariance: Array) -> Array:
+def whitening(covariance: Array) -> Array:
     """W with W' W the inverse, (n, 2, 2)."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=float)

@@ -14,7 +14,6 @@ from spheremouse.files.atomic import write_json
 
 if TYPE_CHECKING:
     from spheremouse.calibrate.camera.corners import Pattern
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -25,7 +24,7 @@ from spheremouse.calibrate.camera.calibrate import Calibrated
 
 if TYPE_CHECKING:
     pass
-from spheremouse.calibrate.camera.report import _held_out, _parameter_rows, _view_rows, advice
+from spheremouse.calibrate.camera.report import _held_out, advice, parameter_rows, view_rows
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
@@ -152,13 +151,13 @@ def camera_text(done: Calibrated) -> None:
     )
     for name in ("", "value", "std. dev."):
         table.add_column(name, justify="left" if not name else "right")
-    for row in _parameter_rows(done):
+    for row in parameter_rows(done):
         table.add_row(*row[:3])
     console.print(table)
     views = Table(box=None)
     for name in ("view", "rms, px", "held out, px", "tilt, °", "distance, m", ""):
         views.add_column(name, justify="left" if name in ("view", "") else "right")
-    for row, used in _view_rows(done):
+    for row, used in view_rows(done):
         views.add_row(*map(escape, row), style=None if used else "red")
     console.print(views)
     for kind, text in advice(done):

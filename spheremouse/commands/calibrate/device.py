@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from spheremouse.calibrate.device.plans import Advice
     from spheremouse.calibrate.photos import Photo
     from spheremouse.geometry.camera import InteriorOrientation
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -34,16 +31,16 @@ from rich.text import Text
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration
 from spheremouse.calibrate.device.plans import Advice
-from spheremouse.calibrate.device.report import _AXES, _MARKS
+from spheremouse.calibrate.device.report import AXES, MARKS
 from spheremouse.calibrate.device.results import (
     _advice,
-    _distance_rows,
-    _per_photo,
-    _points,
-    _px,
     _rms,
     _sigma,
     _unit,
+    distance_rows,
+    per_photo,
+    points,
+    px,
 )
 from spheremouse.calibrate.photos import Photo
 
@@ -189,20 +186,20 @@ def device_text(
     lines = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
     if not c.scale_free:
         lines.add_row("radius", f"{f * c.radius:.{digits}f} ± {f * ball[3]:.{digits}f} {unit}")
-    where = ", ".join(f"{a} ± {f * s:.{digits}f}" for a, s in zip(_AXES, ball, strict=False))
+    where = ", ".join(f"{a} ± {f * s:.{digits}f}" for a, s in zip(AXES, ball, strict=False))
     lines.add_row("ball's centre", f"{where} {unit} against the targets")
     lines.add_row("targets", f"{len(c.targets)}, ± {f * _rms(_sigma(c, 'targets')):.{digits}f} {unit}")
     often = int(np.count_nonzero(c.sightings >= 3))
     lines.add_row("discs", f"{len(c.discs)}, ± {f * _rms(_sigma(c, 'discs')):.{digits}f} {unit}; {often} in 3 photos +")
-    lines.add_row("image points", f"{_points(c)}; {c.rms_px:.3f} px RMS")
+    lines.add_row("image points", f"{points(c)}; {c.rms_px:.3f} px RMS")
     console.print(Padding(lines, (0, 0, 1, 0)))
     photos = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
     for head in ("photo", "points", "not used", "px RMS", f"place ± {unit}", "attitude ± °"):
         photos.add_column(head, justify="left" if head == "photo" else "right")
-    for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, _per_photo(c), strict=True):
+    for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, per_photo(c), strict=True):
         sigma = np.sqrt(np.diag(pose.covariance))
         photos.add_row(
-            Text(names[k]), str(used), str(rejected or "-"), _px(rms),
+            Text(names[k]), str(used), str(rejected or "-"), px(rms),
             f"{f * np.linalg.norm(sigma[:3]):.{digits}f}", f"{np.degrees(np.linalg.norm(sigma[3:])):.3f}",
         )  # fmt: skip
     console.print(Padding(photos, (0, 0, 1, 0)))
@@ -210,11 +207,11 @@ def device_text(
         tape = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
         for head in ("distance", "tape mm", "adjusted mm", "residual mm", "over sigma"):
             tape.add_column(head, justify="left" if head == "distance" else "right")
-        for row in _distance_rows(c):
+        for row in distance_rows(c):
             tape.add_row(*(row[i] for i in (0, 1, 3, 5, 6)))
         console.print(Padding(tape, (0, 0, 1, 0)))
     for a in _advice(c, names, advice):
-        mark, colour = _MARKS[a.kind]
+        mark, colour = MARKS[a.kind]
         line = Table.grid(padding=(0, 1, 0, 0))
         line.add_row(Text(mark, style=colour), Text(a.text))
         console.print(line)

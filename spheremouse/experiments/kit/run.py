@@ -26,7 +26,15 @@ _MOST_BYTES = 100_000_000  # of a job's result
 _WAND = "wand/"  # how keys of its jobs begin
 _FOR_A_READER = b"\n# ---- for a reader ----\n"  # what stands below only says and draws what jobs gave
 # Folders that no experiment's figure depends on.
-_SHELL = ("capture", "commands", "output/serial", "session/control", "session/process", "session/record")
+_SHELL = (
+    "capture",
+    "commands",
+    "experiments/report",
+    "output/serial",
+    "session/control",
+    "session/process",
+    "session/record",
+)
 
 
 @cache

@@ -20,27 +20,27 @@ NEAR = 0.1  # °, a good attitude: a millimetre of a ball of 0.6 m radius, one c
 SHARE = 0.05  # of the ball's own rate (RMS), a good rate
 FAR_OFF = 1.0  # °, an attitude that is lost
 FOLLOWED = 0.9  # share of the frames, less of which is a ball that is lost
-_NOISE = 3.0  # grey values
-_USUAL = 30  # frames per second
+NOISE = 3.0  # grey values
+USUAL = 30  # frames per second
 _AT_REST = 1e-3  # rad/s²: a filter takes no sigma of zero, and a hundredth of the usual one is as still
 _REST, _HASTE = 0.2, np.radians(72.0)  # s before the first turn; rad/s², mean rate of a turn over its length
-_AXES = ((1, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 1), (1, 0, -1), (1, 1, 1))  # of the turns, obj
+AXES = ((1, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 1), (1, 0, -1), (1, 1, 1))  # of the turns, obj
 
 
 def filmed(film: dict[str, Any], seed: int, seconds: float) -> kit.Film:
     """A film with the options `film` of the ball on a tour, with places of the discs of its own."""
-    plain = {"noise": _NOISE, "fps": float(_USUAL), "seed": seed, "seconds": seconds}
+    plain = {"noise": NOISE, "fps": float(USUAL), "seed": seed, "seconds": seconds}
     simulation = prepare(kit.options_of({**plain, **film}))
     return kit.made(replace(simulation, profile=tour(seed, seconds)), f"tour {seed}")
 
 
 def tour(seed: int, seconds: float) -> Gestures:
     """Turns from rest to rest about axes that leave no direction out, each as hasty as the others."""
-    rng = np.random.default_rng([seed, len(_AXES)])
-    length = (seconds - _REST) / len(_AXES)
+    rng = np.random.default_rng([seed, len(AXES)])
+    length = (seconds - _REST) / len(AXES)
     gestures = []
-    for k, i in enumerate(rng.permutation(len(_AXES))):
-        x, y, z = np.array(_AXES[i]) / np.linalg.norm(_AXES[i])
+    for k, i in enumerate(rng.permutation(len(AXES))):
+        x, y, z = np.array(AXES[i]) / np.linalg.norm(AXES[i])
         angle = _HASTE * length**2 * rng.choice([-1.0, 1.0])
         gestures.append(Gesture(_REST + k * length, length, (float(x), float(y), float(z)), float(angle)))
     return Gestures(tuple(gestures), seconds)

@@ -20,18 +20,18 @@ DASHES = {
 }  # fmt: skip
 
 
-_LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "D", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "v", "--")}
-_BESIDE = {who: 1.0 + 0.015 * k for k, who in enumerate(WHO)}  # lines that would hide each other: a little to the right
+LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "D", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "v", "--")}
+BESIDE = {who: 1.0 + 0.015 * k for k, who in enumerate(WHO)}  # lines that would hide each other: a little to the right
 Grouped = dict[tuple[float, ...], list[Result]]
 
 
-def _with_broken(good: Grouped, bad: Grouped) -> list[tuple[tuple[float, ...], list[Result], str]]:
+def with_broken(good: Grouped, bad: Grouped) -> list[tuple[tuple[float, ...], list[Result], str]]:
     """What there is to say of each group: its results, and how many of its jobs failed."""
     groups = sorted({*good, *bad})
     return [(k, good.get(k, []), films_cell(len(good.get(k, [])), len(bad.get(k, [])))) for k in groups]
 
 
-def _span(values: Sequence[float], digits: int = 0, nothing: str = "none") -> str:
+def span(values: Sequence[float], digits: int = 0, nothing: str = "none") -> str:
     low, high = (f"{v:.{digits}f}" for v in (min(values), max(values)))
     low, high = (nothing if float(v) == 0.0 else v for v in (low, high))
     return low if low == high else f"{low} – {high}"
@@ -73,7 +73,7 @@ def label_lines(ax: Any, x: float, ends: Sequence[tuple[float, str, str]], apart
 def _legend(canvas: Any, who: Sequence[str]) -> None:
     from matplotlib.lines import Line2D
 
-    looks: list[Any] = [dict(zip(("color", "marker", "linestyle"), _LOOK[w], strict=True)) for w in who]
+    looks: list[Any] = [dict(zip(("color", "marker", "linestyle"), LOOK[w], strict=True)) for w in who]
     handles = [Line2D([], [], label=w, **how) for w, how in zip(who, looks, strict=True)]
     canvas.legend(handles=handles, loc="outside lower center", ncols=5)
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.experiments.count import _FAR_OFF, ATTITUDE, LAYOUTS, RATE, STORED, _key
+from spheremouse.experiments.count import ATTITUDE, FAR_OFF, LAYOUTS, RATE, STORED, _key
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
@@ -148,7 +148,7 @@ def _too_few(balls: dict[int, list[Result]]) -> str:
     said = []
     for n, found in balls.items():
         off = {who: _rms(found, who, "attitude_deg") for who in TRACKERS}
-        lost = [who for who, x in off.items() if x is None or x > _FAR_OFF]
+        lost = [who for who, x in off.items() if x is None or x > FAR_OFF]
         used = [b["rows"]["so3"]["mean_discs"] or 0.0 for b in found]
         if lost:
             said.append(
@@ -157,7 +157,7 @@ def _too_few(balls: dict[int, list[Result]]) -> str:
     if not said:
         return ""
     return (
-        f"Too few discs for an attitude better than {_FAR_OFF:g}°: {'; '.join(said)}. A single disc in view leaves the "
+        f"Too few discs for an attitude better than {FAR_OFF:g}°: {'; '.join(said)}. A single disc in view leaves the "
         "turn about itself open, none leaves all."
     )
 

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.covers import (
-    _AFTER,
-    _ATTITUDE,
-    _FPS,
-    _GROWS,
-    _RATE,
-    _STAYS,
-    _TURNING,
+    AFTER,
+    ATTITUDE,
     COVERED,
+    FPS,
+    GROWS,
+    RATE,
+    STAYS,
+    TURNING,
 )
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Result, Results, Table
@@ -24,23 +24,23 @@ from spheremouse.experiments.kit.world import (
 )
 from spheremouse.experiments.limits import _degrees
 from spheremouse.experiments.report.cells import (
-    _BESIDE,
-    _LOOK,
+    BESIDE,
+    LOOK,
     Grouped,
     _legend,
-    _span,
-    _with_broken,
     label_lines,
     plain,
     rate_axis,
+    span,
+    with_broken,
 )
 
 
-def _cover_about(good: Results) -> str:
+def cover_about(good: Results) -> str:
     return (
-        f"An opaque cover grows over the ball, under the frame, from nothing to all within {_GROWS:g} s, while the "
+        f"An opaque cover grows over the ball, under the frame, from nothing to all within {GROWS:g} s, while the "
         "ball turns "
-        f"as in the thesis (up to 28 °/s), {_FPS:g} Hz. Shown is the share of the visible ball that was hidden when "
+        f"as in the thesis (up to 28 °/s), {FPS:g} Hz. Shown is the share of the visible ball that was hidden when "
         "discs "
         "last held the attitude, without pictures; in the table pictures beside it, in which covers cut discs."
         + _cover_check(good)
@@ -61,22 +61,22 @@ def _cover_check(good: Results) -> str:
     return f" Pictures differ from none by {np.median(off):.1f} % of the ball (median; at most {off.max():.0f} %)."
 
 
-def _cover_table(covers: Grouped, good: Results, bad: Grouped) -> Table:
+def cover_table(covers: Grouped, good: Results, bad: Grouped) -> Table:
     rows = []
-    for (discs,), results, made in _with_broken(covers, bad):
+    for (discs,), results, made in with_broken(covers, bad):
         if not results:
             rows.append((f"{discs:g}", made, *["–"] * 7))
             continue
         film = good.get(f"cover-{discs:g}-0-filmed")
         for kind in results[0]:
-            cells = [_span([100.0 * r[kind][who] for r in results], nothing="lost before") for who in TRACKERS]
+            cells = [span([100.0 * r[kind][who] for r in results], nothing="lost before") for who in TRACKERS]
             filmed_ = [f"{100.0 * film[kind][who]:.0f}" if film and kind in film else "" for who in TRACKERS]
             rows.append((f"{discs:g}", made, kind, *cells, *filmed_))
     head = ("discs", "balls", "cover comes", *(f"`{t}`" for t in TRACKERS), *(f"`{t}`, filmed" for t in TRACKERS))
     return Table(head, tuple(rows), "Share of the visible ball hidden when it is lost, % (of several balls: from – to)")
 
 
-def _cover_figure(covers: dict[tuple[float, ...], list[Result]]) -> Figure:
+def cover_figure(covers: dict[tuple[float, ...], list[Result]]) -> Figure:
     counts = [n for (n,) in covers]
     chosen = covers.get((float(DISCS),)) or next(iter(covers.values()))
     discs, kinds = float(DISCS) if (float(DISCS),) in covers else counts[0], list(chosen[0])
@@ -85,7 +85,7 @@ def _cover_figure(covers: dict[tuple[float, ...], list[Result]]) -> Figure:
         several = len(counts) > 1
         left, *rest = canvas.subplots(1, 2, width_ratios=(1.35, 1.0), sharey=True) if several else [canvas.subplots()]
         for k, who in enumerate(TRACKERS):
-            colour, mark, _ = _LOOK[who]
+            colour, mark, _ = LOOK[who]
             for j, kind in enumerate(kinds):
                 values = [100.0 * r[kind][who] for r in chosen]
                 x = j + 0.2 * (k - 1)
@@ -100,8 +100,8 @@ def _cover_figure(covers: dict[tuple[float, ...], list[Result]]) -> Figure:
             return
         (right,), ends = rest, []
         for who in TRACKERS:
-            colour, mark, dash = _LOOK[who]
-            middle, worst = ([_hidden(results, who, f) for results in covers.values()] for f in (np.median, np.min))
+            colour, mark, dash = LOOK[who]
+            middle, worst = ([hidden(results, who, f) for results in covers.values()] for f in (np.median, np.min))
             right.plot(counts, middle, color=colour, marker=mark, linestyle=dash)
             right.plot(counts, worst, color=colour, linestyle=dash, linewidth=0.7)
             ends.append((middle[-1], who, colour))
@@ -117,13 +117,13 @@ def _cover_figure(covers: dict[tuple[float, ...], list[Result]]) -> Figure:
     return Figure("limits-cover", caption, draw, (7.2, 3.2))
 
 
-def _hidden(results: list[Result], who: str, by: Callable[[list[float]], Any]) -> float:
+def hidden(results: list[Result], who: str, by: Callable[[list[float]], Any]) -> float:
     """% hidden, over covers and balls."""
     return float(by([100.0 * r[kind][who] for r in results for kind in r]))
 
 
-def _again_about(good: Results) -> str:
-    turned = np.degrees(_TURNING * COVERED)
+def again_about(good: Results) -> str:
+    turned = np.degrees(TURNING * COVERED)
     check = ""
     for key, film in good.items():
         if key.endswith("-filmed") and key.startswith("again-"):
@@ -140,11 +140,11 @@ def _again_about(good: Results) -> str:
                 " Without pictures it is the same." if said == bare else f" Without: {'; '.join(bare)}." if bare else ""
             )
     return (
-        f"The ball turns on at {_degrees(_TURNING):.0f} °/s while nothing of it is seen for {COVERED:g} s, by "
+        f"The ball turns on at {_degrees(TURNING):.0f} °/s while nothing of it is seen for {COVERED:g} s, by "
         f"{turned:.0f}°. "
-        f"From when the cover goes, as a whole: how long until the attitude is right again (to {_ATTITUDE:g}°, and "
+        f"From when the cover goes, as a whole: how long until the attitude is right again (to {ATTITUDE:g}°, and "
         "stays so "
-        f"for {_STAYS:g} s), and the rate (to {_degrees(_RATE):.0f} °/s). A cover goes when it likes: half a frame is "
+        f"for {STAYS:g} s), and the rate (to {_degrees(RATE):.0f} °/s). A cover goes when it likes: half a frame is "
         "added everywhere." + _gone_before(good) + check
     )
 
@@ -181,9 +181,9 @@ def _waits(results: list[Result], who: str, what: str) -> list[float]:
     return [np.inf if r[what] is None else r[what]["ms"] for r in kept]
 
 
-def _again_table(again: Grouped, bad: Grouped) -> Table:
+def again_table(again: Grouped, bad: Grouped) -> Table:
     rows = []
-    for (fps,), results, made in _with_broken(again, bad):
+    for (fps,), results, made in with_broken(again, bad):
         if not results:
             rows.append((f"{fps:g}", made, *["–"] * 3))
             continue
@@ -200,25 +200,25 @@ def _again_table(again: Grouped, bad: Grouped) -> Table:
     )
 
 
-def _again_figure(again: dict[tuple[float, ...], list[Result]]) -> Figure:
+def again_figure(again: dict[tuple[float, ...], list[Result]]) -> Figure:
     rates = [fps for (fps,) in again]
-    never = 1e3 * _AFTER
+    never = 1e3 * AFTER
 
     def draw(canvas: Any) -> None:
         for ax, what in zip(canvas.subplots(1, 2, sharey=True), ("attitude", "rate"), strict=True):
             ends = []
-            for who, (colour, mark, dash) in _LOOK.items():
+            for who, (colour, mark, dash) in LOOK.items():
                 known = [(f, _waits(r, who, what)) for (f,), r in again.items()]
                 known = [(f, [min(w + _half(f), never) for w in v]) for f, v in known if v]
                 if not known:
                     continue
-                x, spans = [f * _BESIDE[who] for f, _ in known], [v for _, v in known]
+                x, spans = [f * BESIDE[who] for f, _ in known], [v for _, v in known]
                 middle = [float(np.median(v)) for v in spans]
                 ax.plot(x, middle, color=colour, marker=mark, linestyle=dash)
                 ax.fill_between(x, [min(v) for v in spans], [max(v) for v in spans], color=colour, alpha=0.15, lw=0)
                 ends.append((middle[-1], who, colour))
             ax.axhline(never, color="0.5", **BOUND)
-            ax.text(rates[0], 1.06 * never, f"never (in {_AFTER:g} s)", color="0.5", fontsize=7.5, va="bottom")
+            ax.text(rates[0], 1.06 * never, f"never (in {AFTER:g} s)", color="0.5", fontsize=7.5, va="bottom")
             ax.set(yscale="log", ylim=(1.0, 2.2 * never), title=f"{what} right again")
             plain(ax.yaxis)
             rate_axis(ax, rates)

@@ -9,17 +9,17 @@ import numpy as np
 
 from spheremouse.evaluate.metrics import MIN_AREA
 from spheremouse.experiments.discs import (
-    _LINES,
-    _MISSING,
-    _NEARLY,
-    _NOISE,
-    _QUANTITIES,
-    _SETTLE,
-    _SURE,
     DISCS,
     HANDS,
     LAYOUTS,
+    LINES,
+    MISSING,
+    NEARLY,
+    NOISE,
+    QUANTITIES,
+    SETTLE,
     SIZES,
+    SURE,
 )
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
@@ -84,7 +84,7 @@ def section(request: Request, results: Results) -> Section:
     )
     seeds = max((len(c.films) for c in (*sizes, *layouts, *hands)), default=0)
     parts: list[str | Table | Figure] = [
-        f"{DISCS} discs before the far camera (640x480), noise of {_NOISE:g} grey values, the camera's pose found from "
+        f"{DISCS} discs before the far camera (640x480), noise of {NOISE:g} grey values, the camera's pose found from "
         f"each film; medians over up to {seeds} films with other places of the discs. A film counts as lost where the "
         f"tracker lost the ball, the attitude was off by more than {FAR_OFF:g}° (RMS), or less than "
         f"{100.0 * FOLLOWED:.0f} % of the frames were tracked. *Wholly in view* are, of the discs on the side towards "
@@ -172,14 +172,14 @@ def _table(
             rows += [(named(name), "failed", *["–"] * (len(columns) + 4))] if failed else []
             continue
         made = films_cell(len(case.films), failed)
-        for k, who in enumerate(_LINES):
+        for k, who in enumerate(LINES):
             about = (named(name), made, *(write(case) for _, write in columns))
             gone = 0 if who == "bound" else case.lost(who)
             errors = [
                 "lost"
                 if 2 * gone >= len(case.films)
                 else value({"x": case.median(who, quantity, key)}, "x", digits=digits)
-                for quantity, key, _, _, digits in _QUANTITIES
+                for quantity, key, _, _, digits in QUANTITIES
             ]
             rows.append(
                 (
@@ -189,7 +189,7 @@ def _table(
                     "" if who == "bound" else f"{gone} of {len(case.films)}",
                 )
             )
-    quantities = [f"{word}, {unit}" for _, _, word, unit, _ in _QUANTITIES]
+    quantities = [f"{word}, {unit}" for _, _, word, unit, _ in QUANTITIES]
     return Table((first, "films", *(name for name, _ in columns), "", *quantities, "lost"), tuple(rows))
 
 
@@ -197,7 +197,7 @@ def _held(cases: list[Case], who: str = "so3") -> dict[str, float]:
     """Attitude errors of the cases in which no film was lost."""
     held = {}
     for case in cases:
-        off = case.median(who, *_QUANTITIES[0][:2])
+        off = case.median(who, *QUANTITIES[0][:2])
         if off is not None and case.lost(who) == 0:
             held[case.name] = off
     return held
@@ -209,7 +209,7 @@ def _said_of_sizes(cases: list[Case]) -> str:
         return "With no size the ball was held in all films."
     by_name = {c.name: c for c in cases}
     best = min(held, key=lambda name: held[name])
-    near = [name for name, off in held.items() if off <= _NEARLY * held[best]]
+    near = [name for name, off in held.items() if off <= NEARLY * held[best]]
     smallest = min(held, key=float)
     said = [
         f"Of the radii tried `so3` holds the ball in all films with {', '.join(held)} mm ({smallest} mm are "
@@ -221,7 +221,7 @@ def _said_of_sizes(cases: list[Case]) -> str:
         said.append(f"`{who}`: {', '.join(theirs)} mm." if theirs else f"`{who}` loses some film with each.")
     largest = max(held, key=float)
     before, after = _centre(by_name[best]), _centre(by_name[largest])
-    if held[largest] > _NEARLY * held[best] and before and after:
+    if held[largest] > NEARLY * held[best] and before and after:
         said.append(
             f"With {largest} mm it is worse again ({held[largest]:.4f}°): the centres that are measured are off by "
             f"{after:.3f} px in place of {before:.3f} px, and "
@@ -231,7 +231,7 @@ def _said_of_sizes(cases: list[Case]) -> str:
     advised = min(near, key=float)
     said.append(
         f"Advice: a radius of {advised} mm, {by_name[advised].mean('diameter_px'):.1f} px across, is within "
-        f"{100.0 * (_NEARLY - 1.0):.0f} % of the best; for another camera or distance, keep the pixels."
+        f"{100.0 * (NEARLY - 1.0):.0f} % of the best; for another camera or distance, keep the pixels."
     )
     return " ".join(said)
 
@@ -250,8 +250,8 @@ def _said_of_layouts(cases: list[Case]) -> str:
     said.append(f"It is lost with: {', '.join(lost)}." if lost else "`so3` loses it with none.")
     if unsure:
         said.append(
-            f"One picture does not tell the attitude every time ({100.0 * _MISSING:.0f} % of the discs hidden, "
-            f"directions good to {np.degrees(_SURE):g}°) with: {', '.join(unsure)}."
+            f"One picture does not tell the attitude every time ({100.0 * MISSING:.0f} % of the discs hidden, "
+            f"directions good to {np.degrees(SURE):g}°) with: {', '.join(unsure)}."
         )
     advised = [c.name for c in cases if c.name in held and c.mean("recognised") >= _RECOGNISED]
     if advised:
@@ -277,7 +277,7 @@ def _said_of_hands(cases: list[Case]) -> str:
         else:
             said.append(f"{share}: {held[case.name]:.4f}°")
     text = (
-        f"Hands come after {_SETTLE:g} s and stay, and all is judged from half a second later on. Attitude of `so3`: "
+        f"Hands come after {SETTLE:g} s and stay, and all is judged from half a second later on. Attitude of `so3`: "
         f"{'; '.join(said)}."
         if said
         else ""
@@ -316,7 +316,7 @@ def _figure_sizes(cases: list[Case]) -> Figure:
 def _figure_layouts(cases: list[Case]) -> Figure:
     def draw(canvas: Any) -> None:
         axes = canvas.subplots(1, 2, sharey=True)
-        for ax, (quantity, key, word, unit, _) in zip(axes, _QUANTITIES, strict=True):
+        for ax, (quantity, key, word, unit, _) in zip(axes, QUANTITIES, strict=True):
             for row, case in enumerate(reversed(cases)):
                 for k, who in enumerate(kit.TRACKERS):
                     y, x = row + 0.18 * (1 - k), case.median(who, quantity, key)
@@ -358,8 +358,8 @@ def _figure_hands(cases: list[Case]) -> Figure:
 def _panels(canvas: Any, cases: list[Case], label: str, log: bool) -> Any:
     """Attitude and rate over x, a line per filter, and the bound."""
     axes = canvas.subplots(1, 2)
-    for ax, (quantity, key, word, unit, _) in zip(axes, _QUANTITIES, strict=True):
-        for k, who in enumerate(_LINES):
+    for ax, (quantity, key, word, unit, _) in zip(axes, QUANTITIES, strict=True):
+        for k, who in enumerate(LINES):
             known = [(c, c.values(who, quantity, key)) for c in cases]
             known = [(c, v) for c, v in known if v]
             x, y = [c.x for c, _ in known], [float(np.median(v)) for _, v in known]

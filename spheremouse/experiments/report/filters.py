@@ -4,7 +4,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from spheremouse.experiments.filters import _ENOUGH, _PUBLISHED, PACES, THESIS
+from spheremouse.experiments.filters import ENOUGH, PACES, PUBLISHED, THESIS
 from spheremouse.experiments.kit import r1
 from spheremouse.experiments.kit.film import TRACKERS, settings_of
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
@@ -75,8 +75,8 @@ def _good(result: Result | None) -> TypeGuard[Result]:
 
 
 def _label(name: str) -> str:
-    tracker = name.removesuffix(_PUBLISHED)
-    return f"`{tracker}`, published detector" if name.endswith(_PUBLISHED) else f"`{tracker}`"
+    tracker = name.removesuffix(PUBLISHED)
+    return f"`{tracker}`, published detector" if name.endswith(PUBLISHED) else f"`{tracker}`"
 
 
 def _table(request: Request, like_r1: Result | None, s1: Result | None, far26: Result | None) -> Table:
@@ -147,7 +147,7 @@ def acceleration(motion: profile.Profile) -> float:
 
 def _published(rows: Result) -> str:
     """The two filters with the published detector, and why they cannot be compared, if so."""
-    runs = [rows.get(name + _PUBLISHED) for name in ("ekf1", "ekf2")]
+    runs = [rows.get(name + PUBLISHED) for name in ("ekf1", "ekf2")]
     if any(run is None or run["rate_rmse_deg_s"]["combined"] is None for run in runs):
         return "With the published detector nothing is tracked."
     one, two = (run for run in runs if run is not None)
@@ -157,10 +157,10 @@ def _published(rows: Result) -> str:
         f"({value(ours, 'mean_discs', digits=1)} with ours; the thesis stores 4.9), with centres good to "
         f"{value(two, 'detection', 'centre_rms_px')} px ({value(ours, 'detection', 'centre_rms_px')}); "
         + (
-            f"in {value(two, 'few_share', digits=0, factor=100.0)} % of the frames it uses fewer than {_ENOUGH} "
+            f"in {value(two, 'few_share', digits=0, factor=100.0)} % of the frames it uses fewer than {ENOUGH} "
             f"({value(ours, 'few_share', digits=0, factor=100.0)} %), and then nothing holds the attitude."
             if (two["few_share"] or 0.0) >= _SOME
-            else f"it hardly ever uses fewer than {_ENOUGH}, so that it is not for want of discs."
+            else f"it hardly ever uses fewer than {ENOUGH}, so that it is not for want of discs."
         )
     )
     wrong = [run["attitude_rmse_deg"]["combined"] or 0.0 for run in (one, two)]

@@ -8,7 +8,7 @@ from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, THESIS
 from spheremouse.experiments.kit.report import failures, value
-from spheremouse.experiments.light import SIGMAS, THESIS_24, WORST, _decoded, _key
+from spheremouse.experiments.light import SIGMAS, THESIS_24, WORST, _key, decoded
 
 _AXES = ("C3", "C4", "C5")  # of angles and axes; C0 to C2 are the trackers'
 _CLEARLY = 1.25  # times: less than that is no growth
@@ -187,7 +187,7 @@ def _figure_picture(shown: Result) -> Figure:
     def draw(canvas: Any) -> None:
         axes = canvas.subplots(1, 2)
         for ax, name, title in zip(axes, ("before", "after"), ("as filmed", "as tracked"), strict=True):
-            ax.imshow(_decoded(picture[name]), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+            ax.imshow(decoded(picture[name]), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
             ax.set_title(title)
             ax.set_axis_off()
         for u, v in picture["used"]:

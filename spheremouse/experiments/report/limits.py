@@ -18,36 +18,36 @@ from spheremouse.experiments.kit.world import (
 )
 from spheremouse.experiments.limits import (
     _FILMED,
-    _WHOLE,
     ACCELERATIONS,
     FASTEST,
     HARDEST,
     LADDER,
     PUSH,
     SLOWEST,
+    WHOLE,
     _degrees,
 )
 from spheremouse.experiments.report.cells import (
-    _BESIDE,
-    _LOOK,
+    BESIDE,
+    LOOK,
     Grouped,
     _legend,
-    _span,
-    _with_broken,
     label_lines,
     plain,
     rate_axis,
+    span,
     those,
+    with_broken,
 )
 from spheremouse.experiments.report.covers import (
-    _again_about,
-    _again_figure,
-    _again_table,
-    _cover_about,
-    _cover_figure,
-    _cover_table,
-    _hidden,
     _waits,
+    again_about,
+    again_figure,
+    again_table,
+    cover_about,
+    cover_figure,
+    cover_table,
+    hidden,
 )
 from spheremouse.simulate.ball.film import default_scene
 
@@ -72,9 +72,9 @@ def section(request: Request, results: Results) -> Section:
             _film_table(films, _grouped(bad, "film")),
         ]
     if covers:
-        parts += [_cover_about(good), _cover_figure(covers), _cover_table(covers, good, _grouped(bad, "cover"))]
+        parts += [cover_about(good), cover_figure(covers), cover_table(covers, good, _grouped(bad, "cover"))]
     if again:
-        parts += [_again_about(good), _again_figure(again), _again_table(again, _grouped(bad, "again"))]
+        parts += [again_about(good), again_figure(again), again_table(again, _grouped(bad, "again"))]
     advice = _advice(fast, films, covers, again)
     parts += [advice] if advice else []
     failed = failures(results)
@@ -114,7 +114,7 @@ def _about() -> str:
 
 def _speed_table(fast: Grouped, bad: Grouped) -> Table:
     rows = []
-    for (fps,), results, made in _with_broken(fast, bad):
+    for (fps,), results, made in with_broken(fast, bad):
         if not results:
             rows.append((f"{fps:g}", made, *["–"] * 4))
             continue
@@ -184,9 +184,9 @@ def _speed_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
             strict=True,
         ):
             ends = []
-            for who, (colour, mark, dash) in _LOOK.items():
+            for who, (colour, mark, dash) in LOOK.items():
                 spans = [[max(unit * v, least) for v in _of(results, who, k)] for results in fast.values()]
-                middle, x = [float(np.median(v)) for v in spans], [f * _BESIDE[who] for f in rates]
+                middle, x = [float(np.median(v)) for v in spans], [f * BESIDE[who] for f in rates]
                 ax.plot(x, middle, color=colour, marker=mark, linestyle=dash)
                 ax.fill_between(x, [min(v) for v in spans], [max(v) for v in spans], color=colour, alpha=0.15, lw=0)
                 ends.append((middle[-1], who, colour))
@@ -213,7 +213,7 @@ def _map_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
     def draw(canvas: Any) -> None:
         axes = np.atleast_1d(canvas.subplots(1, len(fast), sharey=True))
         for ax, ((fps,), results) in zip(axes, fast.items(), strict=True):
-            for who, (colour, mark, dash) in _LOOK.items():
+            for who, (colour, mark, dash) in LOOK.items():
                 reached = [max(_degrees(_middle(results, who, k)), 20.0) for k in range(len(ACCELERATIONS))]
                 ax.plot(ACCELERATIONS, reached, color=colour, marker=mark, linestyle=dash)
                 ax.fill_between(ACCELERATIONS, 20.0, reached, color=colour, alpha=0.06, lw=0)
@@ -256,7 +256,7 @@ def _sharp(films: dict[tuple[float, ...], list[Result]]) -> str:
     pairs = [(who, *r["sharp"][who]) for results in films.values() for r in results if "sharp" in r for who in TRACKERS]
     if not pairs:
         return ""
-    most = 0.99 * _WHOLE
+    most = 0.99 * WHOLE
     kept = [who for who in TRACKERS if all(min(a, b) > most for w, a, b in pairs if w == who)]
     said = [
         f"`{who}` at {_degrees(a):.0f} °/s (without pictures {_degrees(b):.0f})"
@@ -264,14 +264,14 @@ def _sharp(films: dict[tuple[float, ...], list[Result]]) -> str:
         if who not in kept
     ]
     text = f" Where sharp pictures are taken all the way from rest, lost are {', '.join(said)}" if said else ""
-    ends = f"up to {_degrees(_WHOLE):.0f} °/s, the end of it, not: {', '.join(f'`{who}`' for who in kept)}"
+    ends = f"up to {_degrees(WHOLE):.0f} °/s, the end of it, not: {', '.join(f'`{who}`' for who in kept)}"
     return f"{text}; {ends}." if text and kept else f"{text}." if text else f" In sharp pictures lost are, {ends}."
 
 
 def _film_table(films: Grouped, bad: Grouped) -> Table:
     rows = []
-    for (fps, exposure), results, made in _with_broken(films, bad):
-        cells = [_span([_degrees(r[who]) for r in results]) if results else "–" for who in TRACKERS]
+    for (fps, exposure), results, made in with_broken(films, bad):
+        cells = [span([_degrees(r[who]) for r in results]) if results else "–" for who in TRACKERS]
         rows.append((f"{fps:g}", f"{exposure:g}", made, _smear(1e-3 * exposure), *cells))
     head = ("Hz", "exposure, ms", "balls", "smeared over a disc's width at, °/s", *(f"`{t}`" for t in TRACKERS))
     most = f"{_degrees(LADDER[-1]):.0f} is all that was filmed"
@@ -296,7 +296,7 @@ def _film_figure(films: dict[tuple[float, ...], list[Result]]) -> Figure:
         ax = canvas.subplots()
         ends = []
         for who in TRACKERS:
-            colour, mark, dash = _LOOK[who]
+            colour, mark, dash = LOOK[who]
             spans = [[max(_degrees(r[who]), 30.0) for r in films[60.0, e]] for e in exposures]
             middle = [float(np.median(v)) for v in spans]
             ax.plot(range(len(exposures)), middle, color=colour, marker=mark, linestyle=dash)
@@ -353,7 +353,7 @@ def _advice(
         some = f"exposures of {', '.join(f'{e:g}' for e in enough)} ms" if enough else "none of these"
         said.append(f"{_degrees(_FLICK):.0f} °/s, at an even rate, are followed with {with_all or some}.")
     if covers:
-        worst = {n: _hidden(r, "so3", np.min) for (n,), r in covers.items()}
+        worst = {n: hidden(r, "so3", np.min) for (n,), r in covers.items()}
         shares = [f"{share:.0f} % of the visible ball with {n:g} discs" for n, share in worst.items() if share]
         if shares:
             said.append(f"Whatever side it came from, a cover hid {', '.join(shares)} before `so3` lost it.")

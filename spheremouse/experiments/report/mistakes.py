@@ -6,25 +6,24 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND
+from spheremouse.experiments.kit.plot import BOUND, label_ends, plain_numbers
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.tour import FOLLOWED, is_lost
 from spheremouse.experiments.mistakes import (
-    _LENS,
-    _PER_UNIT,
-    _TOGETHER,
     ALONE,
     EVENING,
     FREE,
     KINDS,
+    LENS,
+    PER_UNIT,
     STEADY,
     STRAIGHT,
+    TOGETHER,
     TOLD,
     TRACKERS,
     Kind,
 )
 from spheremouse.experiments.report.cells import CLEARLY, COLOURS, films_cell
-from spheremouse.experiments.viewing import label_ends, plain_numbers
 
 
 def section(request: Request, results: Results) -> Section:
@@ -83,9 +82,9 @@ def _broken(results: Results, kind: Kind) -> dict[float | None, int]:
         if "error" not in result:
             continue
         value = float(rest[0]) if group == "lens" else None
-        names = {"lens": ("lens", "evening"), "alone": ALONE[:-1], **_TOGETHER}.get(group, ())
+        names = {"lens": ("lens", "evening"), "alone": ALONE[:-1], **TOGETHER}.get(group, ())
         if kind.name in names:
-            value = value / _LENS if kind.name == "evening" and value is not None else value
+            value = value / LENS if kind.name == "evening" and value is not None else value
             found[value] = found.get(value, 0) + 1
     return found
 
@@ -174,7 +173,7 @@ def limit_of(found: dict[float, list[Result]], who: str) -> float | None:
 
 
 def _shown(kind: Kind, value: float) -> str:
-    return f"{_PER_UNIT[kind.name] * value:g}"
+    return f"{PER_UNIT[kind.name] * value:g}"
 
 
 def _who(kind: Kind, free: bool) -> tuple[str, ...]:
@@ -290,7 +289,7 @@ def _said_of_evening(found: dict[float, list[Result]], free: bool) -> str:
         f"Everything at once: the focal length from a data sheet ({e['focal']:.0%}), the principal point in the "
         f"picture's middle ({e['principal']:g} px), a tape around the ball (radius to {1e3 * e['radius']:g} mm), its "
         f"centre ({1e3 * e['centre']:g} mm) and the targets ({1e3 * e['targets']:g} mm in each coordinate) by tape "
-        f"and eye, standard deviations all, and a lens with k1 = −{_LENS:g} of which "
+        f"and eye, standard deviations all, and a lens with k1 = −{LENS:g} of which "
         "nothing is known. `so3, told` has a rig that says how uncertain the lengths are."
     )
     if one is None:
@@ -434,7 +433,7 @@ def _panel(
 ) -> list[tuple[str, float, Any]]:
     """Draw the lines of a quantity; names, ends and colours."""
     ends: list[tuple[str, float, Any]] = []
-    scale = _PER_UNIT[kind.name]
+    scale = PER_UNIT[kind.name]
     for who in _who(kind, free):
         curve = [(scale * v, median(cells, who, what), cells) for v, cells in found.items()]
         known = [(x, y, cells) for x, y, cells in curve if y]

@@ -9,10 +9,10 @@ from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Se
 from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.kit.report import failures, value
 from spheremouse.experiments.parameters import (
-    _BEYOND,
-    _EXACT,
-    _PATHS,
     ATTITUDE,
+    BEYOND,
+    EXACT,
+    PATHS,
     R_R1,
     R_S1,
     RATE,
@@ -54,13 +54,13 @@ def section(request: Request, results: Results) -> Section:
         "speed": ("RMSE of the mouse speed, thesis in its px/s, ours in mm/s, S1 (table 18)", SPEED, 2),
     }
     for name, (title, thesis, digits) in titles.items():
-        parts.append(_table(title, thesis, films, _PATHS[name], digits))
+        parts.append(_table(title, thesis, films, PATHS[name], digits))
     if _good(s1):
         parts += [said for said in (_said_of_s1(s1),) if said]
         parts.append(_figure_s1(s1))
         both = {name: result for name, result in films.items() if _good(result)}
         for name, title, thesis in (("attitude", "attitude, °", ATTITUDE), ("rate", "rates, °/s", RATE)):
-            parts.append(_exact_table(title, thesis, both, _PATHS[name], 2))
+            parts.append(_exact_table(title, thesis, both, PATHS[name], 2))
         parts += [_said_of_exact(both), _figure_exact(*list(both.items())[-1])]
     known = {name: r for name, r in films.items() if _good(r) and r["published"]}
     if known:
@@ -87,7 +87,7 @@ def _table(title: str, thesis: Grid, films: dict[str, Result | None], path: tupl
     names = ("thesis", *films)
     head = ("σ_w, rad/s²", *(f"σ_b {b:g} px: {name}" for b in SIGMA_B for name in names))
     rows = []
-    for i, w in enumerate((*SIGMA_W, _BEYOND)):
+    for i, w in enumerate((*SIGMA_W, BEYOND)):
         row = [f"{w:g}"]
         for j, b in enumerate(SIGMA_B):
             row.append(f"{thesis[i][j]:.{min(digits, _printed(thesis))}f}" if i < len(SIGMA_W) else "–")
@@ -125,7 +125,7 @@ def _exact_table(title: str, thesis: Grid, films: dict[str, Result], path: tuple
         rows.append(tuple(row))
     head = ("σ_w, rad/s²", *(f"σ_b {b:g} px: {name}" for b in SIGMA_B for name in ("thesis", *films)))
     return Table(
-        head, tuple(rows), f"RMSE of the {title}, `ekf2` with an exact ball (euler.radial_sigma = {_EXACT:g} m)"
+        head, tuple(rows), f"RMSE of the {title}, `ekf2` with an exact ball (euler.radial_sigma = {EXACT:g} m)"
     )
 
 
@@ -136,10 +136,10 @@ def _said_of_exact(films: dict[str, Result]) -> str:
         off = {what: (_off(exact, what), _off(ours, what)) for what in ("rate", "attitude")}
         by_pixels = [
             statistics.median(
-                max(g) / min(g) for g in _grouped(_shared(_numbers(cells, *_PATHS["rate"])), by_acceleration)
+                max(g) / min(g) for g in _grouped(_shared(_numbers(cells, *PATHS["rate"])), by_acceleration)
             )
             for cells in (exact, ours)
-            if _numbers(cells, *_PATHS["rate"])
+            if _numbers(cells, *PATHS["rate"])
         ]
         nearer += [statistics.median(a) < statistics.median(b) for a, b in off.values() if a and b]
         told = [
@@ -163,7 +163,7 @@ def _said_of_exact(films: dict[str, Result]) -> str:
     )
     return (
         "In a scene that was modelled the ball is exact, and a point on it (eq. 120) then has no variance along the "
-        f"radius. Our `ekf2` gives it {1e3 * _usual_radial():g} mm. With {1e3 * _EXACT:g} mm (chosen beforehand, on "
+        f"radius. Our `ekf2` gives it {1e3 * _usual_radial():g} mm. With {1e3 * EXACT:g} mm (chosen beforehand, on "
         "our S1, among powers of ten) "
         f"{'we come nearer to the thesis' if nearer and all(nearer) else 'we are off the thesis'}. The factor between "
         f"ours and the thesis', median of the cells: {'; '.join(said)}.{why} What the thesis took is not written "
@@ -173,7 +173,7 @@ def _said_of_exact(films: dict[str, Result]) -> str:
 
 def _off(cells: Result, what: str) -> list[float]:
     """Factors between our errors and the thesis', cell by cell."""
-    ours, theirs = _numbers(cells, *_PATHS[what]), _typed({"rate": RATE, "attitude": ATTITUDE}[what])
+    ours, theirs = _numbers(cells, *PATHS[what]), _typed({"rate": RATE, "attitude": ATTITUDE}[what])
     return [max(ours[k] / x, x / ours[k]) for k, x in theirs.items() if ours.get(k)]
 
 
@@ -183,12 +183,12 @@ def _usual_radial() -> float:
 
 def _published_table(films: dict[str, Result]) -> Table:
     rows = []
-    for i, w in enumerate((*SIGMA_W, _BEYOND)):
+    for i, w in enumerate((*SIGMA_W, BEYOND)):
         row = [f"{w:g}", f"{RATE[i][0]:.2f}" if i < len(SIGMA_W) else "–"]
         for result in films.values():
             row += [
-                value(_cell(result, w, SIGMA_B[0]), *_PATHS["rate"]),
-                value(result["published"][f"{w:g}"], *_PATHS["rate"]),
+                value(_cell(result, w, SIGMA_B[0]), *PATHS["rate"]),
+                value(result["published"][f"{w:g}"], *PATHS["rate"]),
             ]
         rows.append(tuple(row))
     detectors = ("our detector", "published detector")
@@ -200,7 +200,7 @@ def _published_table(films: dict[str, Result]) -> Table:
 def _said_of_published(films: dict[str, Result]) -> str:
     said, trust = [], []
     for name, result in films.items():
-        cells = {w: result["published"][f"{w:g}"] for w in (*SIGMA_W, _BEYOND)}
+        cells = {w: result["published"][f"{w:g}"] for w in (*SIGMA_W, BEYOND)}
         theirs, ours = _best(cells), _best({w: _cell(result, w, SIGMA_B[0]) or {} for w in cells})
         if theirs is None or ours is None:
             said.append(f"{name}: {'the published detector' if theirs is None else 'ours'} tracks nothing")
@@ -302,10 +302,10 @@ def _said_of_r1(result: Result) -> str:
 
 
 def _said_of_s1(result: Result) -> str:
-    rate, attitude = (_shared(_numbers(result["cells"], *_PATHS[name])) for name in ("rate", "attitude"))
+    rate, attitude = (_shared(_numbers(result["cells"], *PATHS[name])) for name in ("rate", "attitude"))
     if not rate or not attitude:
         return ""
-    scaled = _numbers(result["scaled"], *_PATHS["rate"])
+    scaled = _numbers(result["scaled"], *PATHS["rate"])
     lost = sum(n > 0 for n in _shared(_numbers(result["cells"], "lost_episodes")).values())
     theirs = _typed(RATE)
     ratio, same = (
@@ -323,8 +323,8 @@ def _said_of_s1(result: Result) -> str:
         "the reason is tried below. Among the 12 cells our rates are best at "
         f"σ_w = {best_rate[0]:g}, σ_b = {best_rate[1]:g} ({rate[best_rate]:.2f} °/s; thesis: 1.09 at 0.1, 0.1), the "
         f"attitude at {best_attitude[0]:g}, {best_attitude[1]:g} ({attitude[best_attitude]:.3f}°; thesis: 0.11 at 1, "
-        f"0.1). `so3`: {value(result['so3'], *_PATHS['rate'])} °/s and "
-        f"{value(result['so3'], *_PATHS['attitude'], digits=3)}°."
+        f"0.1). `so3`: {value(result['so3'], *PATHS['rate'])} °/s and "
+        f"{value(result['so3'], *PATHS['attitude'], digits=3)}°."
     )
 
 
@@ -338,11 +338,11 @@ def _draw_errors(canvas: Any, result: Result, cells: str, ratio: bool = True) ->
     """Errors of attitude and rate side by side, ours and the thesis', with the bound; their axes."""
     axes = canvas.subplots(1, 2)
     for ax, (name, (limit, label, thesis)) in zip(axes, _PANELS.items(), strict=True):
-        _draw_cells(ax, _numbers(result[cells], *_PATHS[name]), _typed(thesis), ratio=ratio)
+        _draw_cells(ax, _numbers(result[cells], *PATHS[name]), _typed(thesis), ratio=ratio)
         ax.set(yscale="log", ylabel=label)
         plain_numbers(ax.yaxis)
         if result["bound"] is not None:
-            least, so3 = result["bound"][limit]["combined"], result["so3"][_PATHS[name][0]]["combined"]
+            least, so3 = result["bound"][limit]["combined"], result["so3"][PATHS[name][0]]["combined"]
             lower = cells == "cells" and so3 is not None and least < so3
             _level(ax, least, "Cramér-Rao bound", BOUND, side="right", below=lower)
     _legend(canvas, axes[0])
@@ -352,7 +352,7 @@ def _draw_errors(canvas: Any, result: Result, cells: str, ratio: bool = True) ->
 def _figure_s1(result: Result) -> Figure:
     def draw(canvas: Any) -> None:
         for ax, name in zip(_draw_errors(canvas, result, "cells"), _PANELS, strict=True):
-            so3, least = result["so3"][_PATHS[name][0]]["combined"], result["bound"]
+            so3, least = result["so3"][PATHS[name][0]]["combined"], result["bound"]
             higher = least is not None and so3 is not None and so3 <= least[_PANELS[name][0]]["combined"]
             _level(ax, so3, "so3", _SO3, below=higher)
 

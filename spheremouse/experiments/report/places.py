@@ -10,13 +10,13 @@ from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Se
 from spheremouse.experiments.kit.plot import BOUND
 from spheremouse.experiments.kit.report import failures, value
 from spheremouse.experiments.places import (
-    _DISCS,
-    _FAR,
-    _FOCAL,
-    _LENSES,
-    _NEAR_BEST,
-    _NOISE,
-    _TOP,
+    DISCS,
+    FAR,
+    FOCAL,
+    LENSES,
+    NEAR_BEST,
+    NOISE,
+    TOP,
     Place,
     Size,
     _lens,
@@ -39,8 +39,8 @@ def section(request: Request, results: Results) -> Section:
     first = next((r for k, r in results.items() if "noise" in r), None)
     frames = jobs(request)[0].parameters["frames"]
     parts: list[str | Table | Figure] = [
-        f"{_DISCS} discs, the device's frame, 640x480 pixels, the first {frames} frames of the thesis' motion, noise "
-        f"of {_NOISE:g} grey values. What is mapped is the Cramér-Rao bound, by geometry alone: the discs that are "
+        f"{DISCS} discs, the device's frame, 640x480 pixels, the first {frames} frames of the thesis' motion, noise "
+        f"of {NOISE:g} grey values. What is mapped is the Cramér-Rao bound, by geometry alone: the discs that are "
         "wholly in view, and how well centres of their size are measured. The camera looks at the middle of ball and "
         "frame. "
         "At some places films were rendered and tracked; their own bound has the noise of their own centres."
@@ -78,13 +78,13 @@ def _said_of_directions(entries: list[Result]) -> str:
     """The best direction, how much it matters, and where the targets are seen."""
     seen = [e for e in entries if e["targets"] >= _POSED]
     best, worst = (pick(entries, key=lambda e: e["attitude_deg"]) for pick in (min, max))
-    share = np.mean([e["attitude_deg"] <= _NEAR_BEST * best["attitude_deg"] for e in entries])
+    share = np.mean([e["attitude_deg"] <= NEAR_BEST * best["attitude_deg"] for e in entries])
     text = (
-        f"Over all {len(entries)} directions at {_FAR:g} m the bound of the attitude goes from "
+        f"Over all {len(entries)} directions at {FAR:g} m the bound of the attitude goes from "
         f"{best['attitude_deg']:.4f}° ({_direction(best)}; {best['discs']:.1f} discs in view) to "
         f"{worst['attitude_deg']:.4f}° ({_direction(worst)}; {worst['discs']:.1f}), that of the rate from "
         f"{min(e['rate_deg_s'] for e in entries):.3f} to {max(e['rate_deg_s'] for e in entries):.3f} °/s; "
-        f"{100.0 * share:.0f} % of them are within {100.0 * (_NEAR_BEST - 1.0):.0f} % of the best attitude. "
+        f"{100.0 * share:.0f} % of them are within {100.0 * (NEAR_BEST - 1.0):.0f} % of the best attitude. "
     )
     if not seen:
         return text + "From none of them three targets are seen."
@@ -116,17 +116,17 @@ def _direction(entry: Result) -> str:
 def _said_of_distances(entries: list[Result]) -> str:
     """What distance does, with a lens that stays and with one that is chosen for it."""
     said = []
-    for lens in _LENSES:
+    for lens in LENSES:
         here = _with_lens(entries, lens)
         if here:
             best = min(here, key=lambda e: e["attitude_deg"])
-            near = [e["place"][2] for e in here if e["attitude_deg"] <= _NEAR_BEST * best["attitude_deg"]]
+            near = [e["place"][2] for e in here if e["attitude_deg"] <= NEAR_BEST * best["attitude_deg"]]
             said.append(
                 f"{_lens_named(lens)} the attitude is best from {best['place'][2]:g} m ({best['attitude_deg']:.4f}°, "
-                f"{best['discs']:.1f} discs in view) and within {100.0 * (_NEAR_BEST - 1.0):.0f} % of that from "
+                f"{best['discs']:.1f} discs in view) and within {100.0 * (NEAR_BEST - 1.0):.0f} % of that from "
                 f"{', '.join(f'{d:g}' for d in sorted(near))} m"
             )
-    ranges = [e["place"][2] for e in _with_lens(entries, _LENSES[1]) if e["targets"] >= _POSED]
+    ranges = [e["place"][2] for e in _with_lens(entries, LENSES[1]) if e["targets"] >= _POSED]
     from_ = ", ".join(f"{r:g}" for r in sorted(ranges))
     seen = f" With a lens that fits, three targets are in the picture from {from_} m." if ranges else ""
     return "; ".join(said) + "." + seen
@@ -134,8 +134,8 @@ def _said_of_distances(entries: list[Result]) -> str:
 
 def _lens_named(lens: str) -> str:
     return (
-        f"With the same lens ({_FOCAL:g} px)"
-        if lens == _LENSES[0]
+        f"With the same lens ({FOCAL:g} px)"
+        if lens == LENSES[0]
         else "with a lens with which the ball fills the picture"
     )
 
@@ -252,7 +252,7 @@ def _figure_directions(entries: list[Result], rows: list[tuple[Place, Result]]) 
         azimuth, elevation = (sorted({e["place"][i] for e in entries}) for i in (0, 1))
         by_place = {(e["place"][0], e["place"][1]): e for e in entries}
         grid = [[by_place.get((a, e)) for a in azimuth] for e in elevation]
-        films = [(p, r["true pose"]) for p, r in rows if p.distance == _FAR and p.focal == _FOCAL]
+        films = [(p, r["true pose"]) for p, r in rows if p.distance == FAR and p.focal == FOCAL]
         for ax, (quantity, key, word, unit, digits) in zip(axes, _QUANTITIES, strict=True):
             values = np.array([[np.nan if c is None else c[quantity] for c in line] for line in grid])
             found = [(p, r[key]["combined"]) for p, r in films if r[key]["combined"] is not None]
@@ -286,7 +286,7 @@ def _figure_directions(entries: list[Result], rows: list[tuple[Place, Result]]) 
 
     return Figure(
         "places-directions",
-        f"The bound of attitude and rate by the direction of the camera, {_FAR:g} m from the ball's centre (azimuth "
+        f"The bound of attitude and rate by the direction of the camera, {FAR:g} m from the ball's centre (azimuth "
         "0°, elevation 0°: straight before the frame). Outlined: three targets or more are seen: the pose can be "
         "found. Circles and numbers: the error of `so3` on films from there, the pose being known.",
         draw,
@@ -327,7 +327,7 @@ def _figure_distances(entries: list[Result], rows: list[tuple[Place, Result]]) -
 
         axes = canvas.subplots(1, 2)
         for ax, (quantity, key, word, unit, _) in zip(axes, _QUANTITIES, strict=True):
-            for k, lens in enumerate(_LENSES):
+            for k, lens in enumerate(LENSES):
                 here = sorted(_with_lens(entries, lens), key=lambda e: e["place"][2])
                 ax.plot([e["place"][2] for e in here], [e[quantity] for e in here], color=f"C{k}", **BOUND)
                 films = [
@@ -344,7 +344,7 @@ def _figure_distances(entries: list[Result], rows: list[tuple[Place, Result]]) -
             ax.set(
                 xscale="log", yscale="log", xlabel="distance from the ball's centre, m", ylabel=f"{word} error, {unit}"
             )
-            ax.set_ylim(top=_TOP * min(e[quantity] for e in entries))
+            ax.set_ylim(top=TOP * min(e[quantity] for e in entries))
             ax.set_xticks([1, 1.5, 2, 3, 4], ["1", "1.5", "2", "3", "4"])
             ax.minorticks_off()
             ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -352,8 +352,8 @@ def _figure_distances(entries: list[Result], rows: list[tuple[Place, Result]]) -
 
     return Figure(
         "places-distances",
-        f"Errors against the distance, straight before the frame, with a lens of {_FOCAL:g} px and with one with which "
-        f"the ball fills the picture. Lines: the bound by geometry; marks: `so3` on films. More than {_TOP:g} times "
+        f"Errors against the distance, straight before the frame, with a lens of {FOCAL:g} px and with one with which "
+        f"the ball fills the picture. Lines: the bound by geometry; marks: `so3` on films. More than {TOP:g} times "
         "the least is not drawn: there hardly a disc is in view.",
         draw,
         (7.2, 3.4),
@@ -363,6 +363,6 @@ def _figure_distances(entries: list[Result], rows: list[tuple[Place, Result]]) -
 def _handles() -> list[Any]:
     from matplotlib.lines import Line2D
 
-    lines = [Line2D([], [], color=f"C{k}", label=f"bound, {lens}", **BOUND) for k, lens in enumerate(_LENSES)]
+    lines = [Line2D([], [], color=f"C{k}", label=f"bound, {lens}", **BOUND) for k, lens in enumerate(LENSES)]
     marks = (("o", "so3, true pose"), ("x", "so3, own pose"))
     return [*lines, *(Line2D([], [], color="0.5", marker=m, linestyle="", label=name) for m, name in marks)]

@@ -9,12 +9,11 @@ from spheremouse.experiments.kit.plot import BOUND
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.world import DISCS
 from spheremouse.experiments.pointer import (
-    _JUMP,
-    _TRACKED,
     DEFAULT,
     EXACT,
     FIXED,
     FRAMES,
+    JUMP,
     MORE,
     NEAR,
     NEXT,
@@ -23,6 +22,7 @@ from spheremouse.experiments.pointer import (
     SHOWN,
     SPEED,
     STOPPED,
+    TRACKED,
     latency,
 )
 from spheremouse.experiments.report.cells import films_cell, label_lines, plain, rate_axis, those
@@ -267,7 +267,7 @@ def _stop_figure(stops: dict[float, Result]) -> Figure:
 def _jumped(stops: dict[float, Result]) -> str:
     """Where the tracker itself said too much, and the pointer with it."""
     most = {fps: max(b for d in STOPPED for b in _beyond(r, NONE, d)) for fps, r in sorted(stops.items())}
-    said = [f"{m:.0f} counts at {fps:g} Hz" for fps, m in most.items() if m > _JUMP]
+    said = [f"{m:.0f} counts at {fps:g} Hz" for fps, m in most.items() if m > JUMP]
     if not said:
         return ""
     return (
@@ -294,7 +294,7 @@ def _film(good: Results) -> str:
 
 def _lost(good: Results) -> str:
     """Where `so3` itself did not follow; the first frame is one."""
-    lost = [f"{k} ({100.0 * (1.0 - r['tracked']):.0f} %)" for k, r in good.items() if r.get("tracked", 1.0) < _TRACKED]
+    lost = [f"{k} ({100.0 * (1.0 - r['tracked']):.0f} %)" for k, r in good.items() if r.get("tracked", 1.0) < TRACKED]
     return f"Discs did not hold the attitude in part of the frames of {', '.join(lost)}." if lost else ""
 
 

@@ -11,7 +11,7 @@ from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Se
 from spheremouse.experiments.kit.plot import THESIS
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.thesis import THESIS_TABLES
-from spheremouse.experiments.poses import _BLANK, _NAMES, _NOISE, _STRONG, _VIEWS, _VIEWS_USED
+from spheremouse.experiments.poses import BLANK, NAMES, NOISE, STRONG, VIEWS, VIEWS_USED
 
 _CLEAR = 0.1  # a correlation whose sign means something
 
@@ -19,8 +19,8 @@ _CLEAR = 0.1  # a correlation whose sign means something
 def section(request: Request, results: Results) -> Section:
     """Three tables of the thesis, how honest standard deviations are, and what more views bring."""
     parts: list[str | Table | Figure] = [
-        f"Four ring targets on the device's frame give the pose of the camera. The tables use {_VIEWS_USED} views of a "
-        f"still scene with noise of {_NOISE:g} grey values. Ours, in brackets the thesis' value. Angles are the "
+        f"Four ring targets on the device's frame give the pose of the camera. The tables use {VIEWS_USED} views of a "
+        f"still scene with noise of {NOISE:g} grey values. Ours, in brackets the thesis' value. Angles are the "
         "thesis' ω, φ, κ. Standard deviations and correlations are those of a camera where the thesis' stands; errors "
         "are RMS over all cameras, which stand up to some centimetres away from it.",
     ]
@@ -35,13 +35,13 @@ def section(request: Request, results: Results) -> Section:
         where = {} if own is None else {k: own[k] for k in ("sigma", "correlation")}
         numbers[f"table {table}"] = {**_summary(entries), **where}
         rows = _rows(entries, own, THESIS_TABLES[table], _failed(results, view))
-        parts.append(Table(("", *_NAMES), rows, f"Table {table}. {about}"))
+        parts.append(Table(("", *NAMES), rows, f"Table {table}. {about}"))
     parts += ["\n\n".join(_why(results)), _honest(results, numbers), _of_drawn(numbers)]
     if "far26" in results:
         parts.append(_far26(results["far26"], numbers))
     else:
         parts.append("The shared Blender recording was not at hand: its rows are left out.")
-    curves = {view: _curves(results, view) for view in _VIEWS}
+    curves = {view: _curves(results, view) for view in VIEWS}
     numbers["error against views"] = curves
     if any(curves.values()):
         parts.append(_gain(curves))
@@ -49,7 +49,7 @@ def section(request: Request, results: Results) -> Section:
             Figure(
                 "poses-views",
                 "Error of the camera's position (length of the error vector, RMS over cameras) and its claimed "
-                f"standard deviation against the number of views of a still scene, with noise of {_STRONG:g} grey "
+                f"standard deviation against the number of views of a still scene, with noise of {STRONG:g} grey "
                 "values. Were views independent, the standard deviation would follow the dotted line: from noise "
                 "alone, falling with the root of their number.",
                 lambda figure: _draw(figure, curves, _far26_curve(results.get("far26"))),
@@ -62,7 +62,7 @@ def section(request: Request, results: Results) -> Section:
     return Section(tuple(p for p in parts if p), numbers)
 
 
-def _entries(results: Results, view: str, kind: str, film: str = "table", views: int = _VIEWS_USED) -> list[Result]:
+def _entries(results: Results, view: str, kind: str, film: str = "table", views: int = VIEWS_USED) -> list[Result]:
     """Of all cameras that film; those that failed are missing."""
     found = [r[film]["counts"].get(str(views), {}) for r in _cameras(results, view)]
     return [f[kind] for f in found if kind in f]
@@ -71,7 +71,7 @@ def _entries(results: Results, view: str, kind: str, film: str = "table", views:
 def _own(results: Results, view: str, kind: str) -> Result | None:
     """Of the camera that stands where the thesis' does; None where that one failed."""
     found = results.get(f"{view}-0", {})
-    return found["table"]["counts"].get(str(_VIEWS_USED), {}).get(kind) if "table" in found else None
+    return found["table"]["counts"].get(str(VIEWS_USED), {}).get(kind) if "table" in found else None
 
 
 def _failed(results: Results, view: str) -> int:
@@ -121,7 +121,7 @@ def _rows(
     else:
         for i, printed in enumerate(thesis["correlation"], start=1):
             cells = [f"{own['correlation'][i][j]:z.3f} ({printed[j]:.3f})" for j in range(i)]
-            rows.append((f"correlation {_NAMES[i]}", *cells, *[""] * (6 - i)))
+            rows.append((f"correlation {NAMES[i]}", *cells, *[""] * (6 - i)))
         rows.append(line("standard deviation", own["sigma"], thesis["sigma"]))
     some = f", {failed} failed" if failed else ""
     rows.append(line(f"error, {s['cameras']} cameras{some}", s["error_rms"], thesis.get("error")))
@@ -136,12 +136,12 @@ def _why(results: Results) -> list[str]:
     """Where we differ, from what was measured."""
     floor = PoseSettings().target_sigma
     said = []
-    found = {v: _centre_errors(results, v) for v in _VIEWS}
+    found = {v: _centre_errors(results, v) for v in VIEWS}
     centres = {v: c for v, c in found.items() if c is not None}
-    if len(centres) == len(_VIEWS):
+    if len(centres) == len(VIEWS):
         common = ", ".join(f"{c[0]:.3f} px ({v})" for v, c in centres.items())
         scatter = ", ".join(f"{c[1]:.3f} px ({v})" for v, c in centres.items())
-        share = {v: np.sqrt(_summary(_entries(results, v, "exact"))["chi_square"]) for v in _VIEWS}
+        share = {v: np.sqrt(_summary(_entries(results, v, "exact"))["chi_square"]) for v in VIEWS}
         shares = ", ".join(f"{s:.2f} ({v})" for v, s in share.items())
         reason = (
             f". {floor:g} px are assumed for what no averaging removes (print, lens, sampling), and a rendered target "
@@ -182,7 +182,7 @@ def _other_signs(ours: Result) -> str:
     if not other:
         return ""
     told = " and ".join(
-        f"{_NAMES[j]} ({ours['correlation'][5][j]:+.2f} against {r1[j]:+.2f}; table 21: {s2[j]:+.2f})" for j in other
+        f"{NAMES[j]} ({ours['correlation'][5][j]:+.2f} against {r1[j]:+.2f}; table 21: {s2[j]:+.2f})" for j in other
     )
     same = all(s2[j] * ours["correlation"][5][j] > 0 for j in other)
     return f" The correlation of κ0 has the other sign with {told}" + (
@@ -194,7 +194,7 @@ def _other_signs(ours: Result) -> str:
 
 def _of_drawn(numbers: dict[str, Any]) -> str:
     """Why drawn centres give less than 1, if they do."""
-    found = {v: numbers[k]["chi_square"] for v in _VIEWS if (k := f"{v}, centres drawn, targets calibrated") in numbers}
+    found = {v: numbers[k]["chi_square"] for v in VIEWS if (k := f"{v}, centres drawn, targets calibrated") in numbers}
     if not found:
         return ""
     told = ", ".join(f"{x:.2f} ({v})" for v, x in found.items())
@@ -226,7 +226,7 @@ def _worst(table: str) -> float:
 def _honest(results: Results, numbers: dict[str, Any]) -> Table:
     """Errors squared over covariance: 1 per degree of freedom is honest."""
     rows = []
-    for view in _VIEWS:
+    for view in VIEWS:
         cases = [
             ("rendered, targets exact", _entries(results, view, "exact")),
             ("rendered, targets calibrated", _entries(results, view, "calibrated")),
@@ -234,7 +234,7 @@ def _honest(results: Results, numbers: dict[str, Any]) -> Table:
         ]
         for name, entries in cases:
             if not entries:
-                rows.append((f"{view}, {name}", "0", "failed", _BLANK, _BLANK, _BLANK))
+                rows.append((f"{view}, {name}", "0", "failed", BLANK, BLANK, BLANK))
                 continue
             s = _summary(entries)
             numbers[f"{view}, {name}"] = {k: s[k] for k in ("cameras", "chi_square", "band", "largest")}
@@ -244,19 +244,19 @@ def _honest(results: Results, numbers: dict[str, Any]) -> Table:
             band = f"{low:.2f} to {high:.2f}"
             rows.append((f"{view}, {name}", str(s["cameras"]), f"{chi:.3f}", band, verdict, f"{s['largest']:.1f}"))
     for table, name in (("21", "far"), ("22", "near")):
-        rows.append((f"{name}, thesis, table {table}", "1", _BLANK, _BLANK, _BLANK, f"{_worst(table):.1f}"))
+        rows.append((f"{name}, thesis, table {table}", "1", BLANK, BLANK, BLANK, f"{_worst(table):.1f}"))
     head = ("", "cameras", "chi-square / 6", "95 % band of 1", "", "largest error / standard deviation")
     return Table(head, tuple(rows), "How honest the covariances are")
 
 
 def _far26(result: Result, numbers: dict[str, Any]) -> Table:
     """The shared recording beside table 21."""
-    head = ("", *_NAMES)
+    head = ("", *NAMES)
     title = "far26, the shared Blender recording of the far camera, with the same noise (in brackets: table 21)"
     if "error" in result:
         return Table(head, (("error", *["failed"] * 6),), title)
     film, thesis = result["table"], THESIS_TABLES["21"]
-    found = film["counts"][str(_VIEWS_USED)]["exact"]
+    found = film["counts"][str(VIEWS_USED)]["exact"]
     numbers["far26"] = {**found, "common_px": film["common_px"], "scatter_px": film["scatter_px"]}
     units, digits = ["mm"] * 3 + ["°"] * 3, [3] * 3 + [4] * 3
     rows = [
@@ -319,7 +319,7 @@ def _gain(curves: dict[str, dict[str, list[float]]]) -> str:
             f"{known[-1]:.2f} mm"
         )
     return (
-        f"More views remove noise and nothing else. With noise of {_STRONG:g} grey values the position is off, RMS "
+        f"More views remove noise and nothing else. With noise of {STRONG:g} grey values the position is off, RMS "
         "over cameras, by\n\n" + "\n".join(lines) + "\n\nWhat sampling, lens, print and calibration are off by stays."
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
 from spheremouse.experiments.kit.report import failures
-from spheremouse.experiments.renderer import _AREAS, _ASKED, _GREY, _LINEAR, _REACH, _RINGS, _STEP
+from spheremouse.experiments.renderer import AREAS, ASKED, GREY, LINEAR, REACH, RINGS, STEP
 from spheremouse.geometry.rotation import Array
 
 _WORST = 3  # discs
@@ -25,7 +25,7 @@ def section(request: Request, results: Results) -> Section:
     if not good:
         return Section(("No frame could be compared.", *said), {})
     rows = np.array([[np.nan if x is None else x for x in row] for r in good for row in r["rows"]]).reshape(-1, 10)
-    edges = {name: _profile(np.sum([r["edges"][name] for r in good], axis=0)) for name in (*_GREY, _LINEAR)}
+    edges = {name: _profile(np.sum([r["edges"][name] for r in good], axis=0)) for name in (*GREY, LINEAR)}
     blur = {name: blur_of(*edges[name]) for name in edges}
     middle = {name: middle_of(*edges[name]) for name in edges}
     geometry = [r["geometry"] for r in good if r["geometry"]]
@@ -40,8 +40,8 @@ def section(request: Request, results: Results) -> Section:
         "blur_px": blur,
         "edge_px": middle,
         "geometry": np.max(geometry, axis=0).tolist() if geometry else None,
-        "rings": _by(both, 0, tuple(pairwise(_RINGS))),
-        "areas": _by(both, 1, _AREAS),
+        "rings": _by(both, 0, tuple(pairwise(RINGS))),
+        "areas": _by(both, 1, AREAS),
     }
     head = (
         "discs",
@@ -58,7 +58,7 @@ def section(request: Request, results: Results) -> Section:
     parts: list[str | Table | Figure] = [
         f"{frames} frames of far26 were rendered anew from its description and its true attitudes. Over the "
         f"{len(both)} discs that both pictures show whole and the default detector finds in both ({len(rows)} are "
-        f"shown) its centres differ by {whole:.3f} px RMS per axis; {_ASKED:g} px are asked. "
+        f"shown) its centres differ by {whole:.3f} px RMS per axis; {ASKED:g} px are asked. "
         f"{_verdict(numbers, both)}",
         _about_geometry(numbers["geometry"]),
         table,
@@ -114,10 +114,10 @@ def _verdict(numbers: dict[str, Any], rows: Array) -> str:
     """Where it is reached, and where not."""
     if not numbers["areas"]:
         return "No disc was found in both."
-    if numbers["difference_px"] <= _ASKED:
+    if numbers["difference_px"] <= ASKED:
         return "It is reached."
-    reached = [a for a in numbers["areas"] if a["between"] <= _ASKED]
-    missed = [a for a in numbers["areas"] if a["between"] > _ASKED]
+    reached = [a for a in numbers["areas"] if a["between"] <= ASKED]
+    missed = [a for a in numbers["areas"] if a["between"] > ASKED]
     return (
         "It is missed for discs of "
         + ", ".join(f"{a['name']} ({a['between']:.3f} px)" for a in missed)
@@ -153,7 +153,7 @@ def _about_geometry(geometry: list[float] | None) -> str:
 def _profile(sums: Array) -> tuple[list[float], list[float]]:
     """Distances (px) and mean shares of cells in which there are pixels."""
     full = np.flatnonzero(sums[1] > 0)
-    at = (full + 0.5) * _STEP - _REACH
+    at = (full + 0.5) * STEP - REACH
     return at.tolist(), (sums[0][full] / sums[1][full]).tolist()
 
 
@@ -182,7 +182,7 @@ def middle_of(at: Sequence[float], share: Sequence[float]) -> float | None:
 
 def _about_edges(blur: dict[str, float | None], middle: dict[str, float | None], levels: Array) -> str:
     said = []
-    values = [blur[n] for n in (*_GREY, _LINEAR)] + [middle[n] for n in (*_GREY, _LINEAR)]
+    values = [blur[n] for n in (*GREY, LINEAR)] + [middle[n] for n in (*GREY, LINEAR)]
     if all(v is not None for v in values):
         a, b, f, c, d, e = (float(v or 0.0) for v in values)
         said.append(
@@ -209,8 +209,8 @@ def _draw(figure: Any, rings: list[Result], edges: dict[str, tuple[list[float], 
         ("Blender", "Blender - truth", "C1", "D"),
     ):
         left.plot(at, [r[key] for r in rings], color=colour, marker=mark, label=label)
-    left.axhline(_ASKED, color="C3", **THESIS)
-    left.annotate("asked", (0.02, _ASKED), (0, 3), textcoords="offset points", color="C3")
+    left.axhline(ASKED, color="C3", **THESIS)
+    left.annotate("asked", (0.02, ASKED), (0, 3), textcoords="offset points", color="C3")
     left.set(
         xlabel="place on the ball's picture (0 middle, 1 limb)",
         ylabel="centres, px RMS per axis",
@@ -219,8 +219,8 @@ def _draw(figure: Any, rings: list[Result], edges: dict[str, tuple[list[float], 
     )
     plain_numbers(left.yaxis)
     left.legend(loc="upper center")
-    for name, colour in zip(_GREY, ("C2", "C1"), strict=True):
+    for name, colour in zip(GREY, ("C2", "C1"), strict=True):
         right.plot(*edges[name], color=colour, label=name)
-    right.plot(*edges[_LINEAR], color="C1", label=_LINEAR, **BOUND)
+    right.plot(*edges[LINEAR], color="C1", label=LINEAR, **BOUND)
     right.set(xlabel="distance from the edge, px (inside negative)", ylabel="grey value, 0 disc, 1 ball")
     right.legend(loc="lower right")

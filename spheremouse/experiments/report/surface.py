@@ -9,14 +9,14 @@ from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Se
 from spheremouse.experiments.kit.plot import THESIS, plain_numbers
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.surface import (
-    _FIGURE_39,
-    _LEVELS,
-    _RADIUS,
-    _RINGS,
-    _SIGMA_B,
-    _TABLE_13,
-    _TURN,
-    _VIEWS,
+    FIGURE_39,
+    LEVELS,
+    RADIUS,
+    RINGS,
+    SIGMA_B,
+    TABLE_13,
+    TURN,
+    VIEWS,
     visible_cap,
 )
 
@@ -26,7 +26,7 @@ _CIRCLES = (20, 40)  # deg, on the map
 
 def section(request: Request, results: Results) -> Section:
     """Table 13, the maps, the scatter, and the area."""
-    caps = {view: results[f"cap-{view}"] for view in _VIEWS if "bins" in results.get(f"cap-{view}", {})}
+    caps = {view: results[f"cap-{view}"] for view in VIEWS if "bins" in results.get(f"cap-{view}", {})}
     numbers: dict[str, Any] = {
         view: {k: c[k] for k in ("sights", "bins", "chi_square_image", "chi_square_total")} for view, c in caps.items()
     }
@@ -64,7 +64,7 @@ def section(request: Request, results: Results) -> Section:
 def _table_13(five: Result | None, numbers: dict[str, Any]) -> Table:
     head = ("", "X, Y, Z, mm", "ρ XY", "ρ XZ", "ρ YZ", "σ X, mm", "σ Y, mm", "σ Z, mm")
     rows = []
-    for i, (place, correlation, sigma) in enumerate(_TABLE_13):
+    for i, (place, correlation, sigma) in enumerate(TABLE_13):
         where = ", ".join(f"{x:.0f}" for x in place)
         rows.append((f"{i + 1}, thesis", where, *(f"{x:.2f}" for x in correlation), *(f"{x:.1f}" for x in sigma)))
         for name, title in (("as the thesis", "with the thesis' pose and ball"), ("ours", "with our calibration")):
@@ -81,15 +81,15 @@ def _about_13(caps: dict[str, Result]) -> str:
     five = caps.get("far", {}).get("table 13")
     if not five:
         return ""
-    theirs = _rms([s for _, _, s in _TABLE_13])
+    theirs = _rms([s for _, _, s in TABLE_13])
     fed, ours, apart = (_rms([p["sigma"] for p in five[name]]) for name in ("as the thesis", "ours", "uncorrelated"))
     a, b = (
-        np.array(x).ravel() for x in ([p["correlation"] for p in five["as the thesis"]], [c for _, c, _ in _TABLE_13])
+        np.array(x).ravel() for x in ([p["correlation"] for p in five["as the thesis"]], [c for _, c, _ in TABLE_13])
     )
     strong = np.abs(b) > 0.6
     same = int(np.count_nonzero(np.sign(a[strong]) == np.sign(b[strong])))
     return (
-        f"Fed with the thesis' covariances of pose and ball (tables 11 and 12) and its {_SIGMA_B:g} px, our "
+        f"Fed with the thesis' covariances of pose and ball (tables 11 and 12) and its {SIGMA_B:g} px, our "
         f"propagation gives {fed:.1f} mm RMS where the thesis has {theirs:.1f} mm, and {same} of its "
         f"{int(np.count_nonzero(strong))} correlations above 0.6 with their sign; where the real camera stood "
         f"is not published, ours is that of S2. With our own calibration it is {ours:.1f} mm: pose and ball are known "
@@ -105,7 +105,7 @@ def _rms(values: Any) -> float:
 def _scatter_table(caps: dict[str, Result]) -> Table:
     head = ("camera", "discs seen", "image alone: chi-square / 2", "with pose and ball: chi-square / 2")
     rows = []
-    for view in _VIEWS:
+    for view in VIEWS:
         c = caps.get(view)
         if c is None:
             rows.append((view, "failed", "", ""))
@@ -153,7 +153,7 @@ def _area_parts(area: Result, numbers: dict[str, Any]) -> list[str | Table | Fig
     )  # fmt: skip
     title = "Visible area of the ball (Wittich 2017, fig. 39)"
     if "views" not in area:
-        return [Table(head, tuple((v, *["failed"] * 8) for v in _VIEWS), title)]
+        return [Table(head, tuple((v, *["failed"] * 8) for v in VIEWS), title)]
     numbers["area"] = area
     rows, left = [], {}
     for view, a in area["views"].items():
@@ -163,23 +163,23 @@ def _area_parts(area: Result, numbers: dict[str, Any]) -> list[str | Table | Fig
             (
                 view,
                 f"{a['distance']:.2f}",
-                f"{_FIGURE_39[view][1]:.2f}",
-                f"{visible_cap(a['distance'], _RADIUS):.2f}",
+                f"{FIGURE_39[view][1]:.2f}",
+                f"{visible_cap(a['distance'], RADIUS):.2f}",
                 f"{a['alone']:.2f}",
                 f"{100 * (1 - of_frame / a['alone']):.0f} %",
                 f"{100 * (1 - a['one hand'] / of_frame):.0f} %",
                 f"{100 * (1 - a['two hands'] / of_frame):.0f} %",
-                f"{50 * of_frame / (4.0 * np.pi * _RADIUS**2):.1f}",
+                f"{50 * of_frame / (4.0 * np.pi * RADIUS**2):.1f}",
             )
         )
     v = area["views"]
     hides = {view: 100 * (1 - a["behind frame"] / a["alone"]) for view, a in v.items()}
     bare, kept = v["far"]["alone"] / v["near"]["alone"], left["far"] / left["near"]
     pairs = [*zip(area["distance"], area["alone"], strict=True), *((a["distance"], a["alone"]) for a in v.values())]
-    off = max(abs(counted / visible_cap(d, _RADIUS) - 1.0) for d, counted in pairs if d > _RADIUS)
+    off = max(abs(counted / visible_cap(d, RADIUS) - 1.0) for d, counted in pairs if d > RADIUS)
     text = (
         "The thesis' areas are too large: from 2.35 m no more than "
-        f"{visible_cap(2.35, _RADIUS):.2f} m² of a ball of {_RADIUS:g} m radius can be seen. Counting which of many "
+        f"{visible_cap(2.35, RADIUS):.2f} m² of a ball of {RADIUS:g} m radius can be seen. Counting which of many "
         f"points the renderer's rays meet first differs from the formula by at most {100 * off:.1f} %. The far camera "
         f"sees {_more(bare)} of the bare ball than the near one and, in the frame of the reference recordings, "
         f"{_more(kept)} of what the frame leaves: it hides {hides['near']:.0f} % before the near camera and "
@@ -214,25 +214,25 @@ def _draw_maps(figure: Any, caps: dict[str, Result]) -> None:
     from matplotlib.patheffects import withStroke
 
     axes = figure.subplots(2, len(caps), squeeze=False)
-    norm = BoundaryNorm(_LEVELS, colormaps["cividis"].N, extend="max")
+    norm = BoundaryNorm(LEVELS, colormaps["cividis"].N, extend="max")
     filled = None
     for column, (view, c) in zip(axes.T, caps.items(), strict=True):
-        angle, turn = np.meshgrid(np.linspace(0.0, c["map"]["limb_deg"] - 1.0, _RINGS), _TURN)
+        angle, turn = np.meshgrid(np.linspace(0.0, c["map"]["limb_deg"] - 1.0, RINGS), TURN)
         for ax, name in zip(column, ("worst", "best"), strict=True):
             x, y = angle * np.cos(turn), -angle * np.sin(turn)
-            filled = ax.contourf(x, y, np.array(c["map"][name]), _LEVELS, norm=norm, extend="max")
+            filled = ax.contourf(x, y, np.array(c["map"][name]), LEVELS, norm=norm, extend="max")
             ax.set(title=f"{view} camera, {name} direction", xticks=[], yticks=[], aspect="equal")
             ax.grid(visible=False)
             for side in ax.spines.values():
                 side.set_visible(False)
             edge = c["map"]["seen_to_deg"]
-            ax.plot(edge * np.cos(_TURN), edge * np.sin(_TURN), color="#202020", **THESIS)
+            ax.plot(edge * np.cos(TURN), edge * np.sin(TURN), color="#202020", **THESIS)
             for ring in _CIRCLES:
-                x, y = ring * np.cos(_TURN), ring * np.sin(_TURN)
+                x, y = ring * np.cos(TURN), ring * np.sin(TURN)
                 ax.plot(x, y, color="w", linestyle="-", linewidth=0.6, alpha=0.8)
                 text = ax.text(0.0, ring, f"{ring}°", color="w", fontsize=7, ha="center", va="center")
                 text.set_path_effects([withStroke(linewidth=2.5, foreground="#202020")])
-    figure.colorbar(filled, ax=axes, label="standard deviation, mm", shrink=0.6, ticks=_LEVELS, format="{x:g}")
+    figure.colorbar(filled, ax=axes, label="standard deviation, mm", shrink=0.6, ticks=LEVELS, format="{x:g}")
 
 
 def _draw_scatter(figure: Any, caps: dict[str, Result]) -> None:
@@ -266,10 +266,10 @@ def _draw_scatter(figure: Any, caps: dict[str, Result]) -> None:
 
 def _draw_area(figure: Any, area: Result) -> None:
     ax = figure.subplots()
-    d = np.linspace(_RADIUS, 3.1, 200)
-    ax.plot(d, [visible_cap(x, _RADIUS) for x in d], color="C0", linestyle="-")
+    d = np.linspace(RADIUS, 3.1, 200)
+    ax.plot(d, [visible_cap(x, RADIUS) for x in d], color="C0", linestyle="-")
     ax.plot(area["distance"], area["alone"], color="C0", linestyle="", marker="o")
-    ax.text(2.85, visible_cap(2.85, _RADIUS) + 0.07, "formula, counted (dots)", color="C0", ha="right")
+    ax.text(2.85, visible_cap(2.85, RADIUS) + 0.07, "formula, counted (dots)", color="C0", ha="right")
     for view, a in area["views"].items():
         x = a["distance"]
         ax.plot([x, x], [a["two hands"], a["behind frame"]], color="C2", linestyle="-", linewidth=1.0)
@@ -277,10 +277,10 @@ def _draw_area(figure: Any, area: Result) -> None:
         ax.plot([x], [a["two hands"]], color="C2", linestyle="", marker="v")
         ax.annotate("behind the frame", (x, a["behind frame"]), (8, -2), textcoords="offset points", color="C2")
         ax.annotate("and two hands", (x, a["two hands"]), (8, -2), textcoords="offset points", color="C2")
-        where, printed = _FIGURE_39[view]
+        where, printed = FIGURE_39[view]
         ax.plot([where], [printed], color="C1", linestyle="", marker="x", markersize=7)
         ax.annotate(f"thesis, {view}", (where, printed), (8, -3), textcoords="offset points", color="C1")
-    limit = 2.0 * np.pi * _RADIUS**2
+    limit = 2.0 * np.pi * RADIUS**2
     ax.axhline(limit, color="C1", **THESIS)
     ax.annotate("half the ball", (0.6, limit), (2, 3), textcoords="offset points", color="C1")
     ax.set(xlabel="distance of the camera from the ball's centre, m", ylabel="area seen, m²", ylim=(0.0, 3.0))

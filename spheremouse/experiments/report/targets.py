@@ -10,18 +10,18 @@ from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Se
 from spheremouse.experiments.kit.plot import BOUND, THESIS, decades
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.targets import (
-    _ABOUT,
-    _MATCH,
-    _NEARLY,
-    _NUMBER,
-    _REFINED,
-    _STRAY,
-    _SURE,
-    _USUAL,
+    ABOUT,
     CONDITIONS,
     FAMILIES,
     KINDS,
+    MATCH,
+    NEARLY,
+    NUMBER,
+    REFINED,
     REFINEMENTS,
+    STRAY,
+    SURE,
+    USUAL,
     key,
 )
 
@@ -33,12 +33,12 @@ def section(request: Request, results: Results) -> Section:
     some += f" ({len(results) - len(cameras)} more failed)" if len(results) > len(cameras) else ""
     parts: list[str | Table | Figure] = [
         f"{some} near the thesis' far one (640x480), turned about their axes by up to "
-        f"{np.degrees(_STRAY[2]):.0f}°; targets known exactly; {CONDITIONS['plain'].views} views each, noise of "
+        f"{np.degrees(STRAY[2]):.0f}°; targets known exactly; {CONDITIONS['plain'].views} views each, noise of "
         f"{CONDITIONS['plain'].noise:g} grey values unless it says otherwise. A tag is as large as a ring target: its "
         "side is the outer diameter. Tags are found by OpenCV, their corners refined by it "
-        f"({' or '.join(_REFINED)}: whichever finds more of them). Errors are lengths of error vectors, RMS over "
+        f"({' or '.join(REFINED)}: whichever finds more of them). Errors are lengths of error vectors, RMS over "
         "the cameras that had a pose (*poses*); of centres and corners those within "
-        f"{_MATCH:g} px of a true one."
+        f"{MATCH:g} px of a true one."
     ]
     if cameras:
         numbers, sizes = _tried_of(cameras, "numbers"), _tried_of(cameras, "sizes")
@@ -47,7 +47,7 @@ def section(request: Request, results: Results) -> Section:
         if len(numbers) > 1:
             parts.append(_figure_numbers(cameras, numbers))
         parts += [
-            _table_of_poses("targets", cameras, "numbers", {str(n): (n, _USUAL, "plain") for n in numbers}),
+            _table_of_poses("targets", cameras, "numbers", {str(n): (n, USUAL, "plain") for n in numbers}),
             "### Size and kind",
             _said_of_sizes(cameras, sizes, scale),
         ]
@@ -72,7 +72,7 @@ def _tried_of(cameras: list[Result], group: str) -> list[int]:
 
 def _conditions(cameras: list[Result]) -> dict[str, tuple[int, float, str]]:
     tried = {k.split("/")[3] for c in cameras for k in c["sizes"]}
-    return {_ABOUT[c]: (_NUMBER, _USUAL, c) for c in CONDITIONS if c in tried}
+    return {ABOUT[c]: (NUMBER, USUAL, c) for c in CONDITIONS if c in tried}
 
 
 def _entries(cameras: list[Result], group: str, kind: str, case: tuple[int, float, str]) -> list[Result]:
@@ -142,8 +142,8 @@ def _least(cameras: list[Result], kind: str, condition: str, sizes: list[int]) -
     """mm, the smallest size from which on all targets are found."""
     least = None
     for size in reversed(sizes):
-        share = _share(_entries(cameras, "sizes", kind, (_NUMBER, size, condition)))
-        if share is None or share < _SURE:
+        share = _share(_entries(cameras, "sizes", kind, (NUMBER, size, condition)))
+        if share is None or share < SURE:
             break
         least = size
     return least
@@ -152,15 +152,15 @@ def _least(cameras: list[Result], kind: str, condition: str, sizes: list[int]) -
 def _table_of_sizes(cameras: list[Result], sizes: list[int], scale: float) -> Table:
     rows = []
     for condition in CONDITIONS:
-        if not _entries(cameras, "sizes", "rings", (_NUMBER, sizes[-1], condition)):
+        if not _entries(cameras, "sizes", "rings", (NUMBER, sizes[-1], condition)):
             continue
         cells = []
         for kind in ("rings", *FAMILIES):
             least = _least(cameras, kind, condition, sizes)
             cells.append("none of these" if least is None else f"{scale * least:.0f} px ({least} mm)")
-        rows.append((_ABOUT[condition], *cells))
+        rows.append((ABOUT[condition], *cells))
     head = ("", *(KINDS[k] for k in ("rings", *FAMILIES)))
-    title = f"Least size across at which {100.0 * _SURE:.0f} % are found (outer radius in brackets)"
+    title = f"Least size across at which {100.0 * SURE:.0f} % are found (outer radius in brackets)"
     return Table(head, tuple(rows), title)
 
 
@@ -175,7 +175,7 @@ def _table_of_refinements(cameras: list[Result]) -> Table:
         rows.append((name, f"{100.0 * np.mean([f['found'] for f in found]):.0f} %", *cells))
     head = ("refinement", "found", "corner RMS per axis, px", "mean error u, px", "mean error v, px")
     title = (
-        f"Corners of ArUco tags of {_USUAL} mm by OpenCV's refinements; half a pixel was taken off AprilTag's, which "
+        f"Corners of ArUco tags of {USUAL} mm by OpenCV's refinements; half a pixel was taken off AprilTag's, which "
         "count from the corner of a pixel"
     )
     return Table(head, tuple(rows), title)
@@ -184,41 +184,39 @@ def _table_of_refinements(cameras: list[Result]) -> Table:
 def _said_of_numbers(cameras: list[Result], numbers: list[int]) -> str:
     said = []
     for kind in ("rings", *FAMILIES):
-        errors = {n: _rms(_entries(cameras, "numbers", kind, (n, _USUAL, "plain")), "position_mm") for n in numbers}
+        errors = {n: _rms(_entries(cameras, "numbers", kind, (n, USUAL, "plain")), "position_mm") for n in numbers}
         known = {n: e for n, e in errors.items() if e is not None}
         if len(known) > 1:
             low, high = min(known), max(known)
             said.append(f"{KINDS[kind]} {known[low]:.2f} mm with {low}, {known[high]:.2f} mm with {high}")
     text = f"Error of the camera's position: {'; '.join(said)}." if said else ""
-    three = _entries(cameras, "numbers", "rings", (3, _USUAL, "plain"))
+    three = _entries(cameras, "numbers", "rings", (3, USUAL, "plain"))
     if three:
         posed = sum("error" not in e for e in three)
         text += f" Three rings give a pose from {posed} of {len(three)} cameras."
-    sigmas = {
-        n: _rms(_entries(cameras, "numbers", "rings", (n, _USUAL, "plain")), "sigma_position_mm") for n in numbers
-    }
+    sigmas = {n: _rms(_entries(cameras, "numbers", "rings", (n, USUAL, "plain")), "sigma_position_mm") for n in numbers}
     claimed = {n: sigma for n, sigma in sigmas.items() if sigma is not None}
     if len(claimed) > 1:
         best = min(claimed.values())
-        advised = min(n for n, sigma in claimed.items() if sigma <= _NEARLY * best)
+        advised = min(n for n, sigma in claimed.items() if sigma <= NEARLY * best)
         said = [f"{sigma:.2f} mm with {n}" for n, sigma in claimed.items()]
         text += (
             f" The claimed standard deviation of rings: {', '.join(said)}. Advice: {advised} targets, which are within "
-            f"{100.0 * (_NEARLY - 1.0):.0f} % of the best; with one more, one may be hidden."
+            f"{100.0 * (NEARLY - 1.0):.0f} % of the best; with one more, one may be hidden."
         )
     return text
 
 
 def _said_of_sizes(cameras: list[Result], sizes: list[int], scale: float) -> str:
     said = []
-    usual = (_NUMBER, _USUAL, "plain")
+    usual = (NUMBER, USUAL, "plain")
     rings = _rms(_entries(cameras, "sizes", "rings", usual), "position_mm")
     for kind, word in KINDS.items():
         other = _rms(_entries(cameras, "sizes", kind, usual), "position_mm")
         if rings and other and kind != "rings":
             said.append(f"{word} {other / rings:.1f} times")
     text = (
-        f"With {_NUMBER} of {_USUAL} mm ({scale * _USUAL:.0f} px across) the position error of the rings is "
+        f"With {NUMBER} of {USUAL} mm ({scale * USUAL:.0f} px across) the position error of the rings is "
         f"{rings:.2f} mm; {', '.join(said)} that. "
         if rings and said
         else ""
@@ -227,7 +225,7 @@ def _said_of_sizes(cameras: list[Result], sizes: list[int], scale: float) -> str
     named = [f"{KINDS[k]} from {scale * v:.0f} px across" for k, v in least.items() if v is not None]
     if named:
         text += f"All are found: {', '.join(named)}. "
-    tried = [c for c in CONDITIONS if _entries(cameras, "sizes", "rings", (_NUMBER, sizes[-1], c))]
+    tried = [c for c in CONDITIONS if _entries(cameras, "sizes", "rings", (NUMBER, sizes[-1], c))]
     hard = {c: _least(cameras, "rings", c, sizes) for c in tried}
     enough, bad = [v for v in hard.values() if v is not None], [c for c, v in hard.items() if v is None]
     if enough:
@@ -239,7 +237,7 @@ def _said_of_sizes(cameras: list[Result], sizes: list[int], scale: float) -> str
         found = {k: _least(cameras, k, condition, sizes) for k in FAMILIES}
         others = [f"{KINDS[k]} from {scale * v:.0f} px" for k, v in found.items() if v is not None]
         text += (
-            f"No size tried is enough for rings under {_ABOUT[condition]} (tags are found: "
+            f"No size tried is enough for rings under {ABOUT[condition]} (tags are found: "
             f"{', '.join(others) or 'none'}): mind the light. "
         )
     claimed = _rms(_entries(cameras, "sizes", "rings", usual), "sigma_position_mm")
@@ -292,7 +290,7 @@ def _figure_numbers(cameras: list[Result], numbers: list[int]) -> Figure:
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
         for k, kind in enumerate(KINDS):
-            entries = [_entries(cameras, "numbers", kind, (n, _USUAL, "plain")) for n in numbers]
+            entries = [_entries(cameras, "numbers", kind, (n, USUAL, "plain")) for n in numbers]
             _line(ax, [float(n) for n in numbers], entries, kind, k)
         _finish(ax)
         ax.set(xlabel="targets", ylabel="position of the camera, mm", xticks=numbers)
@@ -314,7 +312,7 @@ def _figure_sizes(cameras: list[Result], sizes: list[int], scale: float) -> Figu
         left, right = canvas.subplots(1, 2)
         across = [scale * s for s in sizes]
         for k, kind in enumerate(KINDS):
-            entries = [_entries(cameras, "sizes", kind, (_NUMBER, s, "plain")) for s in sizes]
+            entries = [_entries(cameras, "sizes", kind, (NUMBER, s, "plain")) for s in sizes]
             _line(left, across, entries, kind, k)
             if kind.endswith("centres"):
                 continue
@@ -331,7 +329,7 @@ def _figure_sizes(cameras: list[Result], sizes: list[int], scale: float) -> Figu
 
     return Figure(
         "targets-size",
-        f"Left: error of the camera's position from {_NUMBER} targets against their size in the picture, its claimed "
+        f"Left: error of the camera's position from {NUMBER} targets against their size in the picture, its claimed "
         "standard deviation (dashed), and the bound with centres as good as they were (dotted); hollow: not all "
         "cameras had a pose. Right: share of the targets that is found.",
         draw,

@@ -11,20 +11,20 @@ from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Se
 from spheremouse.experiments.kit.plot import BOUND, label_ends, plain_numbers
 from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.tour import (
-    _AXES,
-    _NOISE,
-    _USUAL,
+    AXES,
     ESTIMATED,
     FAR_OFF,
     FOLLOWED,
     IGNORED,
     KNOWN,
     NEAR,
+    NOISE,
     SHARE,
+    USUAL,
     is_lost,
 )
 from spheremouse.experiments.report.cells import CLEARLY, COLOURS, DASHES, MARKS, films_cell
-from spheremouse.experiments.viewing import _FASTEST, KINDS, Kind
+from spheremouse.experiments.viewing import FASTEST, KINDS, Kind
 
 
 def section(request: Request, results: Results) -> Section:
@@ -76,9 +76,9 @@ def _intro(films: list[Result]) -> str:
     peak = max(f["moved"]["peak"] for f in films)
     speeds = [f["moved"]["rms"] for f in films]
     return (
-        f"The far camera, 26 discs, noise of {_NOISE:g} grey values; the ball turns from rest to rest about "
-        f"{len(_AXES)} axes one after the other, with {np.median(speeds):.0f} °/s (RMS) and {peak:.0f} °/s at most. "
-        f"Unless a film is about that: {_USUAL} frames per second, 640x480, a short exposure, all rows at once. Each "
+        f"The far camera, 26 discs, noise of {NOISE:g} grey values; the ball turns from rest to rest about "
+        f"{len(AXES)} axes one after the other, with {np.median(speeds):.0f} °/s (RMS) and {peak:.0f} °/s at most. "
+        f"Unless a film is about that: {USUAL} frames per second, 640x480, a short exposure, all rows at once. Each "
         "point is the median over films with other places of the discs and another order of the axes, and the shade is "
         "from the best to the worst of them. `ekf1` and `ekf2` are told the true acceleration as σ_w, "
         f"{np.median([f['moved']['acceleration'] for f in films]):.1f} rad/s² (RMS per axis); the thesis' is "
@@ -184,7 +184,7 @@ def _said_of_rate(found: dict[str, list[Result]]) -> str:
                 worse.append(f"{name} ({rates[fast] / rates[best]:.1f} times)")
     there = f"Worse at {fast} than at their best: {', '.join(worse)}." if worse else f"None is worse at {fast}."
     return (
-        f"All are the same film at {_FASTEST} frames per second, of which each second, third, ... is taken. The error "
+        f"All are the same film at {FASTEST} frames per second, of which each second, third, ... is taken. The error "
         f"of the rate, °/s, is least: {'; '.join(said)}. The thesis expected better results of a higher frame rate, at "
         f"the price of time. {there} The light that a fast camera lacks is not in these films: the noise is the same."
     )
@@ -220,7 +220,7 @@ def _said_of_blur(found: dict[str, list[Result]]) -> str:
         return f"Only {sharp} ms were filmed."
     kind = KINDS["blur"]
     return (
-        f"At {_USUAL} frames per second a frame lasts {1e3 / _USUAL:.0f} ms. Error with an exposure of {open_} ms over "
+        f"At {USUAL} frames per second a frame lasts {1e3 / USUAL:.0f} ms. Error with an exposure of {open_} ms over "
         f"that with {sharp} ms: rate {_by_all(found, kind, 'rate', sharp, open_)}; attitude "
         f"{_by_all(found, kind, 'attitude', sharp, open_)}. A stamp is mid-exposure, so that a smear has its centre "
         "where the disc was then."
@@ -320,11 +320,11 @@ def _figure(kind: Kind, found: dict[str, list[Result]]) -> Figure:
 
 
 def _to_share(ms: Any) -> Any:
-    return ms * _USUAL / 10.0
+    return ms * USUAL / 10.0
 
 
 def _from_share(percent: Any) -> Any:
-    return percent * 10.0 / _USUAL
+    return percent * 10.0 / USUAL
 
 
 def _x(kind: Kind, word: str) -> float:

@@ -10,7 +10,7 @@ from spheremouse.experiments import wand_films as wand
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import plain_numbers
 from spheremouse.experiments.kit.report import failures
-from spheremouse.experiments.wand import _SPEEDS
+from spheremouse.experiments.wand import SPEEDS
 from spheremouse.geometry.rotation import log
 
 _SHOWN = "drive-01"  # the film whose errors are drawn frame by frame
@@ -41,9 +41,9 @@ _HEAD = (
 
 def section(request: Request, results: Results) -> Section:
     """What is to be reached, what each film gave, and how fast it was."""
-    timed = results.get(_SPEEDS, {})
+    timed = results.get(SPEEDS, {})
     timed = {} if "error" in timed else timed
-    table = wand.rows(request.quick, {key: r for key, r in results.items() if key != _SPEEDS})
+    table = wand.rows(request.quick, {key: r for key, r in results.items() if key != SPEEDS})
     reached = wand.verdicts(table, timed)
     failed = failures(results)
     parts = (

@@ -25,7 +25,7 @@ _SHORT = 1e-5  # standard deviations of the residuals by which the last step mov
 _DAMPING = 1e-10  # least, of the scaled normal matrix: what photos hardly fix has pivots of 1e-6
 _STUCK = 1e12  # damping at which no step is left
 _FIRM = 1e-12  # least pivot of the scaled normal matrix: below, an unknown hangs in the air
-_PRIOR = 10.0  # redundancy that the assumed variance is worth beside the one found
+PRIOR = 10.0  # redundancy that the assumed variance is worth beside the one found
 
 
 @dataclass(frozen=True, slots=True)

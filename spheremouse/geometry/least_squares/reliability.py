@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.geometry.least_squares.adjust import _PRIOR, Jacobian
+from spheremouse.geometry.least_squares.adjust import PRIOR, Jacobian
 from spheremouse.geometry.rotation import Array
 
 
@@ -38,10 +38,10 @@ def variance_factors(
 
     `residual` and redundancy `number` are of an adjustment in which the variances had these `factors` already (None:
     1). Sum of squares over sum of redundancy numbers (Förstner 1979), held near 1 where little redundancy tells it: the
-    mean of the inverse gamma distribution that `_PRIOR` earlier observations of variance 1 and these leave, so that
+    mean of the inverse gamma distribution that `PRIOR` earlier observations of variance 1 and these leave, so that
     errors over the covariances that follow are 1 in the mean though the variance was estimated.
     """
     before = np.ones(len(groups)) if factors is None else factors
     squares = np.array([np.sum(residual[g] ** 2) for g in groups])
     freedom = np.array([np.sum(number[g]) for g in groups])
-    return (before * squares + _PRIOR) / (freedom + _PRIOR - 2.0)
+    return (before * squares + PRIOR) / (freedom + PRIOR - 2.0)

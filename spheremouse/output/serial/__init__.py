@@ -25,7 +25,7 @@ from spheremouse.output import Passage
 from spheremouse.output.counts import Motion
 from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import VERSION, Flags, Identity, Status
-from spheremouse.output.serial.ports import Port, PortGoneError, _example_port, _foreign, _nobody, find_board
+from spheremouse.output.serial.ports import Port, PortGoneError, _foreign, example_port, find_board, nobody
 from spheremouse.output.sparing import Sparing
 
 BAUD, SLOWEST = 115200, 38400
@@ -226,7 +226,7 @@ class Serial:
                 if self._link.foreign is not None:
                     raise OutputError(f"serial: {self._port.name}: {_foreign(self._link.foreign)}")
                 if now > until:
-                    raise OutputError(f"serial: {self._port.name}: {_nobody(self._link.damaged)}")
+                    raise OutputError(f"serial: {self._port.name}: {nobody(self._link.damaged)}")
                 self._turn(self._port)
         except PortGoneError as e:
             raise OutputError(f"serial: the port went away ({e}); plug the board in again") from None
@@ -330,7 +330,7 @@ def open(argument: str) -> Serial:
     given = options(rest, {"baud": int, "third": str, "id": str}, whole, OutputError)
     baud, third, identifier = int(given.get("baud", BAUD)), str(given.get("third", "none")), given.get("id")
     if not name or "=" in name:
-        raise OutputError(f"{whole}: names no port; write serial:auto or serial:{_example_port()}")
+        raise OutputError(f"{whole}: names no port; write serial:auto or serial:{example_port()}")
     if third not in THIRD:
         raise OutputError(f"serial: third={third}; write third= with one of {', '.join(THIRD)}")
     if not SLOWEST <= baud <= 4_000_000:

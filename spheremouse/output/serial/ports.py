@@ -217,7 +217,7 @@ def _reason(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def _nobody(damaged: int) -> str:
+def nobody(damaged: int) -> str:
     if damaged:
         return (
             "something answers, but garbled; use shorter wires, see that GND is connected and that both ends have the "
@@ -229,5 +229,5 @@ def _nobody(damaged: int) -> str:
     )
 
 
-def _example_port() -> str:
+def example_port() -> str:
     return "COM5" if os.name == "nt" else "/dev/ttyACM1"

@@ -19,7 +19,7 @@ class Limits:
     events: int = 1000  # that may wait to be sent to watchers
 
 
-class _Pace:
+class Pace:
     """So many per second, and so many at once; debts are paid off before anything more is done."""
 
     def __init__(self, rate: float, burst: float) -> None:

@@ -22,7 +22,7 @@ from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files.yaml import one_line
 from spheremouse.output.sparing import Sparing
 from spheremouse.session.control import socket as control_socket
-from spheremouse.session.control.limits import Limits, _Pace
+from spheremouse.session.control.limits import Limits, Pace
 from spheremouse.session.control.protocol import (
     MAX_LINE,
     BadRequestError,
@@ -91,8 +91,8 @@ class ControlServer:
         self._count = 0
         self._watchers = False
         self._complain = Sparing(say, 10.0, lambda _: "")  # of whatever kind: a log is not to be filled from outside
-        self._paces = {trusted: _Pace(self._limits.pace, self._limits.burst) for trusted in (True, False)}
-        self._connections = _Pace(self._limits.pace, self._limits.burst)
+        self._paces = {trusted: Pace(self._limits.pace, self._limits.burst) for trusted in (True, False)}
+        self._connections = Pace(self._limits.pace, self._limits.burst)
         self._accept_again = 0.0
         self._ending = threading.Event()
         self._lock = control_socket.lock(path)
@@ -237,7 +237,7 @@ class ControlServer:
             events = select.POLLIN if wanted and not client.paced else 0
             self._poll.register(client.connection, events | (select.POLLOUT if client.unsent else 0))
 
-    def _pace(self, client: _Client) -> _Pace:
+    def _pace(self, client: _Client) -> Pace:
         """The owner does not stand behind members."""
         return self._paces[client.trusted]
 

@@ -17,7 +17,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import Epoch
-from spheremouse.session.overlay.pen import _EPOCHS, WHITE, Image, Mark, Pen, canvas_of
+from spheremouse.session.overlay.pen import EPOCHS, WHITE, Image, Mark, Pen, canvas_of
 
 
 def target_marks(rig: Rig, pose: Pose, seen: Resection | None) -> tuple[Mark, ...]:
@@ -38,7 +38,7 @@ class Overlay:
         """`scale` enlarges the frame before anything is drawn on it."""
         self._tracker, self._targets, self._scale = tracker, targets, scale
         self._outline = ball_outline(tracker.rig, tracker.pose)
-        self._trace: deque[Array] = deque(maxlen=_EPOCHS)  # (m, 2) px each, the newest last
+        self._trace: deque[Array] = deque(maxlen=EPOCHS)  # (m, 2) px each, the newest last
 
     def remember(self, state: TrackState) -> None:
         """The predicted discs of an epoch, for the traces; `draw` does not."""

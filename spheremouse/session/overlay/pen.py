@@ -14,7 +14,7 @@ Colour = tuple[int, int, int]  # blue, green, red
 WHITE, GREEN, RED, BLUE, OUTLINE = (255, 255, 255), (90, 220, 60), (40, 40, 255), (230, 150, 60), (200, 200, 120)  # BGR
 SHADOW = (40, 40, 40)
 _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel
-_EPOCHS = 15  # epochs that fade: half a second
+EPOCHS = 15  # epochs that fade: half a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Pen:
         """Dots at (m, 2) px of each epoch, the newest last: older ones smaller and fainter."""
         alpha = np.zeros(self._canvas.shape[:2], np.uint8)
         for age, points in reversed(list(enumerate(reversed(epochs)))):
-            freshness = 1.0 - age / _EPOCHS
+            freshness = 1.0 - age / EPOCHS
             radius = (0.9 + 1.9 * freshness) * self.width
             level = round(255 * (1.0 if age == 0 else 0.15 + 0.6 * freshness))
             for p in self._fixed(points):

@@ -137,7 +137,7 @@ def test_a_charuco_board_tells_when_it_is_another():
 def test_jacobian_is_the_finite_difference():
     rng = np.random.default_rng(8)
     R, t = places(3, rng)
-    bundle = bundle_module._Bundle(views(R, t, rng, 0.5), SIZE, np.ones(9, bool))
+    bundle = bundle_module.Bundle(views(R, t, rng, 0.5), SIZE, np.ones(9, bool))
     x = np.concatenate([TRUTH, np.stack([[log(r) for r in R], t], axis=1).ravel()])
     _, J = bundle.evaluate(x, np.array([0.1, 0.2, 0.3]))
     steps = np.concatenate([np.full(4, 1e-3), np.full(5, 1e-6), np.full(18, 1e-6)])
@@ -159,7 +159,7 @@ def test_values_and_deviations_are_opencvs():
     )
     matrix, dist, deviations = theirs[1], np.ravel(theirs[2]), np.ravel(theirs[5])
     values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *dist[:5]])
-    bundle = bundle_module._Bundle(given, SIZE, np.ones(9, bool))
+    bundle = bundle_module.Bundle(given, SIZE, np.ones(9, bool))
     equal = bundle.solve(adjustment._start(given, SIZE), np.ones(12))
     assert np.all(np.abs(equal[:9] - values) < 0.01 * found.deviations)
     assert np.all(np.abs(nine(found.camera) - values) < 0.4 * found.deviations)
