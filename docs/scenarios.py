@@ -29,10 +29,9 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output.counts import Motion
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulatedFrame, SimulationOptions, prepare, simulate
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Motion
 
 Mask = NDArray[np.bool_]
 

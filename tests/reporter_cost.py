@@ -21,11 +21,11 @@ import numpy as np
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import step
-from spheremouse.output.counts import Motion
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import Reporter
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.tracker import Motion
 
 FPS = 60.0
 HEAD = ("at work", "Hz", "switch interval", "of a core", "reports/s", "give to send", "late", "a mere sleep is late")

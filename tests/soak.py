@@ -35,13 +35,12 @@ from spheremouse.ball.track import advance, step
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
-from spheremouse.output.counts import Motion
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import HandVisit, Renderer, default_scene
 from spheremouse.simulate.ball.hands import PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.scene import spread_directions
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Motion
 
 DT = 1.0 / 30.0
 RESUMED = 2.0  # s after a fault, by the stamps, until the ball must be tracked again

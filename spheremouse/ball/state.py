@@ -18,7 +18,8 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.output.counts import Motion, Remainder
+from spheremouse.output.counts import Remainder
+from spheremouse.tracker import Frame, Motion
 
 _SURE = 10  # sightings from which a disc is worth keeping
 
@@ -126,3 +127,18 @@ def no_motion(stamp: float) -> Motion:
 
 def no_points(tracker: Tracker) -> SpherePoints:
     return intersect(no_detections(), tracker.rig, tracker.pose)
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """One tracked frame."""
+
+    frame: Frame
+    state: TrackState
+    motion: Motion
+    seconds: dict[str, float]  # wall time per stage: detect, filter
+
+    @property
+    def used(self) -> Array:
+        """(k, 2) px, centres of the discs that took part in the filter's update."""
+        return self.state.detections.centre[self.state.points.index[self.state.filter.used]]

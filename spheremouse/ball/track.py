@@ -41,8 +41,8 @@ from spheremouse.ball.state import (
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
-from spheremouse.output.counts import Motion, to_counts
-from spheremouse.tracker import Frame
+from spheremouse.output.counts import to_counts
+from spheremouse.tracker import Frame, Motion
 
 Seek = Callable[[Frame, Tracker], Moved | None]
 

@@ -20,7 +20,7 @@ from spheremouse.ball.build import build
 from spheremouse.ball.pose import describe
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase, Tracker
+from spheremouse.ball.state import Epoch, Phase, Tracker
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
@@ -29,7 +29,7 @@ from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import open_output
-from spheremouse.session.offline import Epoch, Start, initialise, track
+from spheremouse.session.offline import Start, initialise, track
 from spheremouse.session.overlay.ball import Overlay, target_marks
 from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.pen import Image

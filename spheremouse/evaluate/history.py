@@ -5,13 +5,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.state import TrackState
+from spheremouse.ball.state import Epoch, TrackState
 from spheremouse.evaluate.metrics import Run
 from spheremouse.evaluate.wand import WandRun
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.offline import Epoch
-from spheremouse.session.wand.offline import WandEpoch
-from spheremouse.wand.state import WandPose
+from spheremouse.wand.state import WandEpoch, WandPose
 
 
 @dataclass(slots=True)

@@ -18,11 +18,11 @@ from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output.counts import Motion, Remainder, to_counts
+from spheremouse.output.counts import Remainder, to_counts
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Motion
 
 TITLE = "The pointer between frames: delay, distance, smoothness, overshoot"
 

@@ -4,7 +4,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from spheremouse.ball.constellation import hypotheses as kernel
 from spheremouse.geometry.rotation import Array
 
 
@@ -16,7 +15,7 @@ def assign(cost: Array, gate: float) -> tuple[NDArray[np.intp], NDArray[np.intp]
     if cost.size == 0:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     worth = gate - cost
-    column = kernel.match(np.where(worth > 0.0, worth, -1.0))  # nan: no pair
+    column = match(np.where(worth > 0.0, worth, -1.0))  # nan: no pair
     rows = np.flatnonzero(column >= 0)
     return rows, column[rows]
 

@@ -10,7 +10,7 @@ from typing import Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import resolve
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
 

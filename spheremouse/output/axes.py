@@ -12,8 +12,8 @@ from typing import TextIO
 import numpy as np
 
 from spheremouse.output import text
-from spheremouse.output.counts import Motion
 from spheremouse.output.text import Text
+from spheremouse.tracker import Motion
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.state import WandPhase, WandPose
 

@@ -60,16 +60,6 @@ class MotionSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """What one frame adds."""
-
-    stamp: float  # s
-    counts: tuple[int, int, int]  # x, y and third axis
-    rotation: Array  # (3,) rad, rotation vector in obj since the last motion
-    rate: Array  # (3,) rad/s, w_obj
-
-
-@dataclass(frozen=True, slots=True)
 class Remainder:
     """Fractions of counts not sent yet, each in (-1, 1), and in [-1/2, 1/2] after a report on that axis."""
 

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import options
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 THIRD = ("none", "wheel")
 NOTCH = 120  # counts, as of the other outputs' fine wheels

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output.counts import Motion, Remainder, to_counts
-from spheremouse.session.wand.offline import WandEpoch
+from spheremouse.output.counts import Remainder, to_counts
 from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
+from spheremouse.tracker import Motion
 from spheremouse.wand.course import between
-from spheremouse.wand.state import WandPhase, WandPose
+from spheremouse.wand.state import WandEpoch, WandPhase, WandPose
 
 _NOISE = 3.0  # standard deviations by which a pose may be off, besides what a hand does
 

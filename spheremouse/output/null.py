@@ -4,7 +4,7 @@ from types import TracebackType
 from typing import Self
 
 from spheremouse.errors import OutputError
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 
 class Null:

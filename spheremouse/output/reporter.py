@@ -20,10 +20,10 @@ from math import floor
 import numpy as np
 
 from spheremouse.output import Acknowledged, Output, OutputClosed, Passage, pointer
-from spheremouse.output.counts import Motion
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import Counts, PointerSettings, Resampler, minus, plus
 from spheremouse.output.text import Text
+from spheremouse.tracker import Motion
 
 BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 LATE = 0.25  # s in the queue after which a frame's counts are not wanted any more: an output hung

@@ -17,7 +17,7 @@ from typing import Self, TextIO
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import open_to_write
 from spheremouse.output import OutputClosed
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 NAMES = "# stamp dx dy dz rx ry rz wx wy wz"
 HEADER = f"{NAMES} (s, counts, rotation since the last line in rad and rate in rad/s, both in obj)"

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import options
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 NAME = "spheremouse"
 BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1

@@ -20,13 +20,11 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
-from spheremouse.geometry.rotation import Array
-from spheremouse.output.counts import Motion
 from spheremouse.tracker import Frame
 
 _PATIENCE = 4.0  # s until whoever waits is told why
@@ -39,21 +37,6 @@ class Start:
     pose: Pose
     resection: Resection | None  # None where the pose was known beforehand
     frames: Iterator[Frame]
-
-
-@dataclass(frozen=True, slots=True)
-class Epoch:
-    """One tracked frame."""
-
-    frame: Frame
-    state: TrackState
-    motion: Motion
-    seconds: dict[str, float]  # wall time per stage: detect, filter
-
-    @property
-    def used(self) -> Array:
-        """(k, 2) px, centres of the discs that took part in the filter's update."""
-        return self.state.detections.centre[self.state.points.index[self.state.filter.used]]
 
 
 def initialise(

@@ -18,9 +18,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.ball.state import Phase
+from spheremouse.ball.state import Epoch, Phase
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.session.offline import Epoch
 from spheremouse.session.timing import FrameTimes
 
 _REFRESH = 0.1  # s between two pictures of the table

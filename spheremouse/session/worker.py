@@ -17,18 +17,16 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import Resection, describe, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase, Tracker, TrackState, current
+from spheremouse.ball.state import Epoch, Phase, Tracker, TrackState, current
 from spheremouse.ball.track import posed_anew, retuned, shows_targets, step, wants_colour
 from spheremouse.capture.newest import Arrival
 from spheremouse.capture.owned import Owned
 from spheremouse.errors import DamagedFrameError, PoseError, SourceError, SpheremouseError
 from spheremouse.geometry.camera import Pose
-from spheremouse.output.counts import Motion
 from spheremouse.session.looking import Elsewhere, FirstPose, Seeker, at_once
-from spheremouse.session.offline import Epoch
 from spheremouse.session.process.threads import Work
 from spheremouse.session.timing import FrameTimes
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Motion
 
 _FAULTS, _FAULTS_WITHIN = 5, 60.0  # errors of our own in so many s that end the process: it is begun anew from outside
 _DAMAGED = 1.0  # s of nothing but damaged frames that are told

@@ -7,6 +7,7 @@ import numpy as np
 
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
+from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.course import Course
 from spheremouse.wand.model import Model
@@ -89,3 +90,13 @@ class WandState:
     worth: float = 0.0  # at 1, it is worth a word though all balls are followed
     heard: float = -np.inf  # s, of the last search
     seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WandEpoch:
+    """One tracked frame."""
+
+    frame: Frame
+    poses: tuple[WandPose, ...]
+    state: WandState
+    seconds: float  # wall time of the step

@@ -18,9 +18,8 @@ from spheremouse.ball.track import advance, posed_anew, retuned, step, wants_col
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
-from spheremouse.output.counts import Motion
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Motion
 
 CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
 POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from spheremouse.errors import OutputError
 from spheremouse.output import OutputClosed
 from spheremouse.output.axes import HEADER, NAMES, AxesOutput, AxesText
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 from spheremouse.wand.axes import UPRIGHT, attitude, axes_of, wrapped
 from spheremouse.wand.state import WandPhase, WandPose
 

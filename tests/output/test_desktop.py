@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from spheremouse.errors import OutputError
 from spheremouse.output import desktop, open_output
-from spheremouse.output.counts import Motion
 from spheremouse.output.desktop import Desktop
+from spheremouse.tracker import Motion
 
 REPOSITORY = Path(__file__).parents[2]
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output, text, uinput
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 REPOSITORY = Path(__file__).parents[2]
 

@@ -13,9 +13,9 @@ import pytest
 from spheremouse.errors import OutputError
 from spheremouse.output import OutputClosed, open_output
 from spheremouse.output import reporter as module
-from spheremouse.output.counts import Motion
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import Reporter
+from spheremouse.tracker import Motion
 
 PATIENCE = 20.0  # s, for what takes milliseconds
 EXACT = PointerSettings(horizon=0.0)

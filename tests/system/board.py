@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from spheremouse.output import open_output
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes

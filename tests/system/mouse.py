@@ -12,7 +12,7 @@ import pytest
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output, uinput
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes

@@ -21,11 +21,11 @@ from spheremouse.session.overlay.wand import WandOverlay
 from spheremouse.session.plan import Plan, Request
 from spheremouse.session.screen import Tally
 from spheremouse.session.wand.messages import Told
-from spheremouse.session.wand.offline import WandEpoch, track_wand
+from spheremouse.session.wand.offline import track_wand
 from spheremouse.session.wand.plan import Outputs, open_given, wand_outputs, wand_tracker
 from spheremouse.session.wand.screen import WandBoard
 from spheremouse.session.wand.service import WandLive
-from spheremouse.wand.state import WandTracker
+from spheremouse.wand.state import WandEpoch, WandTracker
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import Epoch
 from spheremouse.ball.track import advance
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.evaluate.bound import Bound, posterior_bound
@@ -31,7 +32,7 @@ from spheremouse.evaluate.metrics import (
 from spheremouse.experiments.kit.film import Film
 from spheremouse.experiments.kit.job import Result
 from spheremouse.geometry.camera import Pose
-from spheremouse.session.offline import Epoch, initialise
+from spheremouse.session.offline import initialise
 
 
 @dataclass(frozen=True, slots=True)

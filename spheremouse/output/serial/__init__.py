@@ -8,25 +8,23 @@ back to a port that went away. Messages and, at the end, round-trip times go to 
 """
 
 import contextlib
-import os
 import secrets
-import select
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from spheremouse.errors import OutputError
 from spheremouse.files.spec import options
 from spheremouse.output import Passage
-from spheremouse.output.counts import Motion
 from spheremouse.output.serial.link import Link
-from spheremouse.output.serial.messages import VERSION, Flags, Identity, Status
+from spheremouse.output.serial.messages import Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, _foreign, example_port, find_board, nobody
 from spheremouse.output.sparing import Sparing
+from spheremouse.tracker import Motion
 
 BAUD, SLOWEST = 115200, 38400
 THIRD = ("none", "wheel", "pan")

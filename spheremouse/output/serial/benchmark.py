@@ -8,9 +8,9 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
-from spheremouse.output.counts import Motion
 from spheremouse.output.serial import Serial, Statistics
 from spheremouse.output.serial.simulator import Simulator
+from spheremouse.tracker import Motion
 
 
 @dataclass(frozen=True, slots=True)

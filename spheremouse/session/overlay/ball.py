@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import appearance, ball_outline
 from spheremouse.ball.pose import Resection, predict_targets
 from spheremouse.ball.rig import Rig, directions_at
-from spheremouse.ball.state import Phase, Tracker, TrackState, current
+from spheremouse.ball.state import Epoch, Phase, Tracker, TrackState, current
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.offline import Epoch
 from spheremouse.session.overlay.pen import EPOCHS, WHITE, Image, Mark, Pen, canvas_of
 
 

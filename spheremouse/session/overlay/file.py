@@ -8,11 +8,10 @@ from typing import Self
 
 import cv2
 
-from spheremouse.ball.state import Tracker
+from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 from spheremouse.files.folders import NewFolder
-from spheremouse.session.offline import Epoch
 from spheremouse.session.overlay.ball import Overlay
 from spheremouse.session.overlay.pen import Image, Mark
 

@@ -12,10 +12,9 @@ from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.conics import sphere_outline
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.session.overlay.pen import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
-from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.state import WandPhase, WandPose, WandTracker
+from spheremouse.wand.state import WandEpoch, WandPhase, WandPose, WandTracker
 
 _STEPS = 96  # points along a rim
 _TRACE = 0.5  # s

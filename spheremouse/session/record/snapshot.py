@@ -3,9 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from spheremouse.ball.state import Tracker, current
+from spheremouse.ball.state import Epoch, Tracker, current
 from spheremouse.errors import OutputError
-from spheremouse.session.offline import Epoch
 from spheremouse.session.overlay.ball import Overlay, target_marks
 from spheremouse.session.overlay.file import write_picture
 from spheremouse.session.record.places import FILE

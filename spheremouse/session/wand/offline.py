@@ -5,29 +5,18 @@ The shell's part of the wand's use phase, as `session` is for the ball in its fr
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 from spheremouse.errors import SourceError
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import told_why
 from spheremouse.tracker import Frame
-from spheremouse.wand.state import WandPose, WandState, WandTracker
+from spheremouse.wand.state import WandEpoch, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 from spheremouse.wand.warm import warm_up
 
 _NO_HUE = ("dark", "light")  # colours that grey frames show as well
 
 Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by their index
-
-
-@dataclass(frozen=True, slots=True)
-class WandEpoch:
-    """One tracked frame."""
-
-    frame: Frame
-    poses: tuple[WandPose, ...]
-    state: WandState
-    seconds: float  # wall time of the step
 
 
 def make_wand_ready() -> None:

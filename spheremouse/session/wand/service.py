@@ -18,7 +18,6 @@ from spheremouse.capture.newest import Arrival, Newest
 from spheremouse.capture.owned import Owned
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.output.counts import Motion
 from spheremouse.output.hand import Hand, Moved
 from spheremouse.output.reporter import Reporter
 from spheremouse.output.sparing import Sparing
@@ -26,10 +25,10 @@ from spheremouse.session.process import realtime, threads
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.messages import Told
-from spheremouse.session.wand.offline import WandEpoch, check_wand_frame, make_wand_ready
+from spheremouse.session.wand.offline import check_wand_frame, make_wand_ready
 from spheremouse.session.wand.plan import Outputs
-from spheremouse.tracker import Frame
-from spheremouse.wand.state import WandState, WandTracker
+from spheremouse.tracker import Frame, Motion
+from spheremouse.wand.state import WandEpoch, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 
 _TICK = 0.25  # s; the longest wait for a shot

@@ -43,9 +43,9 @@ from spheremouse.files.rig import load_rig, save_rig
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
 from spheremouse.output import text
-from spheremouse.output.counts import Motion
 from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.record.settings import RecordSettings
+from spheremouse.tracker import Motion
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"

@@ -14,12 +14,12 @@ from serial.tools import list_ports
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
-from spheremouse.output.counts import Motion
 from spheremouse.output.serial import Serial
 from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.messages import STOP, Flags, encode
 from spheremouse.output.serial.ports import find_board
+from spheremouse.tracker import Motion
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402

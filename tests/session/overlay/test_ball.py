@@ -12,12 +12,11 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.ball.filters.so3 import So3State
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase
+from spheremouse.ball.state import Epoch, Phase
 from spheremouse.ball.track import step
 from spheremouse.errors import OutputError
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import tangent_basis
-from spheremouse.session.offline import Epoch
 from spheremouse.session.overlay.ball import Overlay, target_marks
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.pen import GREEN, OUTLINE, RED, WHITE

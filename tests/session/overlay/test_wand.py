@@ -15,12 +15,11 @@ from spheremouse.geometry.conics import sphere_outline
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.overlay.pen import GREEN, WHITE
 from spheremouse.session.overlay.wand import WandOverlay, pin, rims
-from spheremouse.session.wand.offline import WandEpoch
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.tracker import Frame
 from spheremouse.wand.ball import grzonka_ball
-from spheremouse.wand.state import WandPhase, WandPose
+from spheremouse.wand.state import WandEpoch, WandPhase, WandPose
 from spheremouse.wand.track import begin, build
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 505.0, 322.0, 238.0, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
