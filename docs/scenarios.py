@@ -30,7 +30,8 @@ from spheremouse.files import config
 from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.session.offline import initialise
-from spheremouse.simulate.ball.film import SimulatedFrame, SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.render import SimulatedFrame
 from spheremouse.tracker import Frame, Motion
 
 Mask = NDArray[np.bool_]

@@ -25,8 +25,9 @@ from spheremouse.output.counts import MotionSettings
 from spheremouse.session.control.client import Client
 from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.service import Daemon
-from spheremouse.simulate.ball.film import Renderer, default_scene
 from spheremouse.simulate.ball.profile import Gesture, Gestures
+from spheremouse.simulate.ball.render import Renderer
+from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Frame
 
 DT = 1.0 / 30.0  # s between two stamps

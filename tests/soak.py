@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
-from spheremouse.ball.filters.so3 import So3State
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Phase, Tracker, TrackState
@@ -36,10 +36,10 @@ from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.session.offline import initialise
-from spheremouse.simulate.ball.film import HandVisit, Renderer, default_scene
-from spheremouse.simulate.ball.hands import PlacedHand, draw_hand, place_hand
+from spheremouse.simulate.ball.hands import HandVisit, PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Gesture, Gestures
-from spheremouse.simulate.ball.scene import spread_directions
+from spheremouse.simulate.ball.render import Renderer
+from spheremouse.simulate.ball.scene import default_scene, spread_directions
 from spheremouse.tracker import Frame, Motion
 
 DT = 1.0 / 30.0

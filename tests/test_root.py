@@ -453,7 +453,7 @@ def test_installing_the_firmware_writes_through_nothing_on_the_drive(root, state
 def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
     """/dev/stdout and /dev/fd/N, when they are files too: for root, /dev/stdout itself could be replaced."""
     out = root / "out"
-    code = "from pathlib import Path; from spheremouse.files.yaml import write_atomically as w; print('one'); "
+    code = "from pathlib import Path; from spheremouse.files.atomic import write_atomically as w; print('one'); "
     code += "w(Path('/dev/fd/1'), 'two\\n'); print('three')"
     with out.open("w") as file:
         subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)

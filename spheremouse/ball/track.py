@@ -21,11 +21,11 @@ from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
 from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
-from spheremouse.ball.phases.follow import _follow, look
+from spheremouse.ball.phases.follow import follow_discs, look
 from spheremouse.ball.phases.learn import first_motion
 from spheremouse.ball.phases.lifted import on_its_bearings
 from spheremouse.ball.phases.readout import tell_readout
-from spheremouse.ball.phases.recover import _recover, lost_in_a_gap, recognise_saved
+from spheremouse.ball.phases.recover import lost_in_a_gap, recognise_saved, recovered
 from spheremouse.ball.points import intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
@@ -260,13 +260,13 @@ def advance(
     )
     state = lost_in_a_gap(state, stamp, tracker)
     if state.phase is Phase.LOST:
-        state = _recover(state, stamp, tracker)
+        state = recovered(state, stamp, tracker)
     elif state.saved:
         state = recognise_saved(state, stamp, tracker)
     elif not state.moved:
         state = first_motion(state, stamp, tracker, carried)
     else:
-        state = on_its_bearings(_follow(state, stamp, tracker, carried), stamp, tracker, carried)
+        state = on_its_bearings(follow_discs(state, stamp, tracker, carried), stamp, tracker, carried)
     state = _judge_phase(state, stamp, tracker)
     if tracker.rig.readout_sigma_s > 0.0 and not state.readout_told:
         state = tell_readout(state, tracker)

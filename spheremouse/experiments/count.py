@@ -27,7 +27,7 @@ def jobs(request: Request) -> list[Job]:
     """One per ball."""
     counts, layouts, frames = (tuple(STORED), (0,), 90) if request.quick else (COUNTS, LAYOUTS, 300)
     return [
-        Job(_key(n, k), with_discs, {"discs": n, "layout": k, "frames": frames}, cost=(0.02 + 0.0003 * n) * frames)
+        Job(key_of(n, k), with_discs, {"discs": n, "layout": k, "frames": frames}, cost=(0.02 + 0.0003 * n) * frames)
         for n in counts
         for k in layouts
     ]
@@ -55,5 +55,5 @@ def _where_known(limit: Bound | None) -> Bound | None:
     return limit.take(np.flatnonzero(known)) if np.count_nonzero(known) > 1 else None
 
 
-def _key(discs: int, layout: int) -> str:
+def key_of(discs: int, layout: int) -> str:
     return f"{discs}-{layout}"

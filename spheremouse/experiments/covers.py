@@ -18,11 +18,11 @@ from spheremouse.experiments.kit.world import (
     Course,
     SpedUp,
     World,
-    _axis,
-    _begun,
-    _error,
-    _started,
-    _tracker,
+    after_rest,
+    course_begun,
+    random_axis,
+    rotation_error,
+    tracker_for,
     world,
 )
 from spheremouse.geometry.camera import project
@@ -92,10 +92,12 @@ def covered(discs: int, layout: int, pictures: bool, kinds: Sequence[str]) -> Re
     """Share of the visible ball that was hidden when discs last held the attitude, by cover and tracker."""
     there, motion = world(discs, layout), thesis()
     eye = Eye(there, pictures, layout)
-    trackers = {who: _tracker(who, there) for who in TRACKERS}
-    started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
+    trackers = {who: tracker_for(who, there) for who in TRACKERS}
+    started = {who: after_rest(who, tracker, there) for who, tracker in trackers.items()}
     orders = {kind: growing(there, kind) for kind in kinds}
-    going: dict[tuple[str, str], Course] = {(kind, who): _begun(started[who]) for kind in kinds for who in TRACKERS}
+    going: dict[tuple[str, str], Course] = {
+        (kind, who): course_begun(started[who]) for kind in kinds for who in TRACKERS
+    }
     found: Result = {kind: dict.fromkeys(TRACKERS, 0.0) for kind in kinds}
     for t in np.arange(1.0, motion.seconds * FPS) / FPS:
         share = float(np.clip((t - _BEFORE) / GROWS, 0.0, 1.0))
@@ -123,10 +125,10 @@ ATTITUDE, RATE, STAYS = 1.0, 0.1, 0.2  # °, rad/s: right again; s, for which it
 
 def found_again(fps: float, seed: int, pictures: bool) -> Result:
     """By tracker: frames and ms from when the cover goes until attitude and rate are right again, None: never."""
-    there, motion = world(DISCS, seed), SpedUp(_axis(seed), _GENTLY, TURNING)
+    there, motion = world(DISCS, seed), SpedUp(random_axis(seed), _GENTLY, TURNING)
     eye = Eye(there, pictures, seed)
-    trackers = {who: _tracker(who, there) for who in WHO}
-    started = {who: _started(who, tracker, there) for who, tracker in trackers.items()}
+    trackers = {who: tracker_for(who, there) for who in WHO}
+    started = {who: after_rest(who, tracker, there) for who, tracker in trackers.items()}
     states, end = dict(started), _AT + COVERED
     t = np.arange(1.0, (end + AFTER) * fps + 0.5) / fps
     off: dict[str, list[tuple[Array, float, bool]]] = {who: [] for who in WHO}
@@ -137,7 +139,7 @@ def found_again(fps: float, seed: int, pictures: bool) -> Result:
             state = shown(states[who], started[who].filter.stamp + float(s), sight, trackers[who])
             states[who] = state
             rate = float(np.linalg.norm(state.filter.rate - w))
-            off[who].append((_error(state, R), rate, state.phase is Phase.TRACKING))
+            off[who].append((rotation_error(state, R), rate, state.phase is Phase.TRACKING))
     return {who: _waited(t, off[who], end) for who in WHO}
 
 

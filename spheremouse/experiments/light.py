@@ -40,11 +40,11 @@ def jobs(request: Request) -> list[Job]:
     found = []
     for level in levels:
         what = {"level": level, "sigmas": list(sigmas), "frames": frames}
-        found.append(Job(_key("s1", level), simulated, what, cost=0.02 * frames * (1 + len(sigmas))))
+        found.append(Job(key_of("s1", level), simulated, what, cost=0.02 * frames * (1 + len(sigmas))))
         if request.datasets is not None and not request.quick:
             path = str(request.datasets / "far26")
             found.append(
-                Job(_key("far26", level), recorded, {"path": path, **what}, cost=0.02 * frames * (1 + len(sigmas)))
+                Job(key_of("far26", level), recorded, {"path": path, **what}, cost=0.02 * frames * (1 + len(sigmas)))
             )
     return found
 
@@ -138,5 +138,5 @@ def _plain(values: Array) -> list[Any]:
     return np.round(values, 5).tolist()
 
 
-def _key(film: str, level: int) -> str:
+def key_of(film: str, level: int) -> str:
     return f"{film}{level:+d}"

@@ -31,10 +31,10 @@ from spheremouse.experiments.kit.world import (
     Course,
     SpedUp,
     World,
-    _axis,
-    _begun,
-    _started,
-    _tracker,
+    after_rest,
+    course_begun,
+    random_axis,
+    tracker_for,
     world,
 )
 from spheremouse.geometry.rotation import Array
@@ -52,7 +52,7 @@ EXPOSURE = 0.004  # s: as long as a camera of 240 Hz can
 EXPOSURES = (0.0, 0.002, EXPOSURE, 0.008, 0.016)  # s
 WHOLE = 8.0  # rad/s, up to which all of the way is filmed
 LADDER = tuple(float(2.0 ** (0.5 * k)) for k in range(10))  # rad/s, that are filmed
-_FILMED, _BLIND = 0.1, 0.05  # s of a filmed trial; at its end discs must have held the attitude as late as that
+FILMED_SECONDS, _BLIND = 0.1, 0.05  # s of a filmed trial; at its end discs must have held the attitude as late as that
 
 
 # ---- what is seen ----
@@ -93,7 +93,7 @@ class Trial:
 
     def sped_up(self, acceleration: float, most: float) -> list[Course]:
         """The start and all frames in which a ball that is sped up evenly to `most` rad/s is followed."""
-        begun = _begun(self.start)
+        begun = course_begun(self.start)
         return [begun, *self.course(begun, SpedUp(self.axis, acceleration, most), self.times(most / acceleration))]
 
     def fastest(self, acceleration: float) -> float:
@@ -116,7 +116,7 @@ class Trial:
 
         def holds(acceleration: float) -> bool:
             t = self.times(rate / acceleration + HOLD)
-            return len(self.course(_begun(self.start), SpedUp(self.axis, acceleration, rate), t)) == len(t)
+            return len(self.course(course_begun(self.start), SpedUp(self.axis, acceleration, rate), t)) == len(t)
 
         return _bisected(holds, 1.0, HARDEST)
 
@@ -185,8 +185,8 @@ def speeds(fps: float, seed: int) -> Result:
     there = world(DISCS, seed)
     found: Result = {}
     for who in WHO:
-        tracker = _tracker(who, there)
-        trial = Trial(tracker, there, _started(who, tracker, there), _axis(seed), fps, seed)
+        tracker = tracker_for(who, there)
+        trial = Trial(tracker, there, after_rest(who, tracker, there), random_axis(seed), fps, seed)
         found[who] = {
             "rate": [trial.fastest(a) for a in ACCELERATIONS],
             "acceleration": trial.hardest(PUSH),
@@ -200,11 +200,11 @@ def filmed(fps: float, exposure: float, seed: int) -> Result:
     The ball is brought there gently without pictures, about an axis across the view; then all see the same ones. With
     sharp pictures also the rate at which each is lost when all of the way there is filmed, and without pictures.
     """
-    there, axis = world(DISCS, seed, exposure), _axis(seed, across=True)
+    there, axis = world(DISCS, seed, exposure), random_axis(seed, across=True)
     trials = {}
     for who in TRACKERS:
-        tracker = _tracker(who, there)
-        trials[who] = Trial(tracker, there, _started(who, tracker, there), axis, fps, seed)
+        tracker = tracker_for(who, there)
+        trials[who] = Trial(tracker, there, after_rest(who, tracker, there), axis, fps, seed)
     courses = {who: trial.sped_up(ACCELERATIONS[0], LADDER[-1]) for who, trial in trials.items()}
     found: Result = _climbed(trials, courses, Eye(there, True, seed))
     if exposure == 0.0:
@@ -217,7 +217,7 @@ def _lost_at(trials: dict[str, Trial], eye: "Eye") -> dict[str, float]:
     """The rate, rad/s, up to which each follows a ball that is sped up gently from rest, to WHOLE at most."""
     one = next(iter(trials.values()))
     motion = SpedUp(one.axis, ACCELERATIONS[0], WHOLE)
-    going, found = {who: _begun(trial.start) for who, trial in trials.items()}, dict.fromkeys(trials, 0.0)
+    going, found = {who: course_begun(trial.start) for who, trial in trials.items()}, dict.fromkeys(trials, 0.0)
     for s in one.times(WHOLE / ACCELERATIONS[0]):
         view, R = eye.at(motion, float(s)), motion.attitude(np.array([s]))[0]
         for who, course in list(going.items()):
@@ -236,7 +236,7 @@ def _climbed(trials: dict[str, Trial], courses: dict[str, list[Course]], eye: "E
     for rate in LADDER:
         motion, end = SpedUp(one.axis, gentle, rate), rate / gentle
         done = len(one.times(end))
-        t = one.times(end + max(_FILMED, 5.0 / one.fps))[done:]
+        t = one.times(end + max(FILMED_SECONDS, 5.0 / one.fps))[done:]
         going = [who for who in going if done < len(courses[who])]
         if not going:
             break
@@ -266,7 +266,7 @@ def _follows(trial: Trial, course: Course, t: Array, attitudes: Array, pictures:
 # ---- found again ----
 
 
-def _degrees(rate: float) -> float:
+def in_degrees(rate: float) -> float:
     return float(np.degrees(rate))
 
 

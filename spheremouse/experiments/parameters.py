@@ -98,7 +98,7 @@ def _grid(film: Film, judge: Any) -> Result:
         noisy = sights.with_sigma(seen, b)
         for w in (*SIGMA_W, BEYOND):
             settings = settings_of(["tracker=ekf2", f"euler.acceleration_sigma={w}"])
-            cells[_key(w, b)] = judge(sights.filtered(noisy, settings, film))
+            cells[key_of(w, b)] = judge(sights.filtered(noisy, settings, film))
     best = tracked(film, settings_of())
     so3 = judge(best.run)
     noise = so3["detection"]["centre_rms_px"]
@@ -115,7 +115,7 @@ def _exact(film: Film, judge: Any) -> Result:
             settings = settings_of(
                 ["tracker=ekf2", f"euler.acceleration_sigma={w}", f"euler.radial_sigma={EXACT}"],
             )
-            cells[_key(w, b)] = judge(sights.filtered(noisy, settings, film))
+            cells[key_of(w, b)] = judge(sights.filtered(noisy, settings, film))
     return cells
 
 
@@ -132,7 +132,7 @@ def _scaled(film: Film, judge: Any) -> Result:
                 "radial_sigma": k * usual.radial_sigma,
             }
             settings = settings_of(["tracker=ekf2", *(f"euler.{name}={x}" for name, x in assumed.items())])
-            cells[_key(k * w, b)] = judge(sights.filtered(noisy, settings, film))
+            cells[key_of(k * w, b)] = judge(sights.filtered(noisy, settings, film))
     return cells
 
 
@@ -147,5 +147,5 @@ def _agreement(found: r1.Agreement | None) -> Result:
     return {} if found is None else {"r": found.r, "lag_s": found.lag, "scale": found.scale}
 
 
-def _key(w: float, b: float) -> str:
+def key_of(w: float, b: float) -> str:
     return f"{w:g}/{b:g}"

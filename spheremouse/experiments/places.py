@@ -78,7 +78,7 @@ def fitted(distance: float) -> float:
     return float(0.5 * _FILL * 480.0 * np.sqrt((distance / 0.6) ** 2 - 1.0))
 
 
-def _lens(name: str, distance: float) -> float:
+def lens_of(name: str, distance: float) -> float:
     return FOCAL if name == LENSES[0] else fitted(distance)
 
 
@@ -87,7 +87,7 @@ def _checked(quick: bool) -> tuple[list[Place], list[Place]]:
     if quick:
         return [Place(0, 10, FAR, FOCAL)], []
     far = [Place(a, e, FAR, FOCAL) for a, e in _CHECKED]
-    return far, [Place(0, 0, d, _lens(lens, d)) for lens, found in _CHECKED_DISTANCES.items() for d in found]
+    return far, [Place(0, 0, d, lens_of(lens, d)) for lens, found in _CHECKED_DISTANCES.items() for d in found]
 
 
 def jobs(request: Request) -> list[Job]:
@@ -114,7 +114,7 @@ def _maps(quick: bool, around: list[Place], along: list[Place]) -> list[tuple[st
     halves = [
         [Place(a, e, FAR, FOCAL) for e in rows for a in AZIMUTHS] for rows in (ELEVATIONS[:half], ELEVATIONS[half:])
     ]
-    distances_ = [Place(0, 0, d, _lens(lens, d)) for lens in LENSES for d in DISTANCES]
+    distances_ = [Place(0, 0, d, lens_of(lens, d)) for lens in LENSES for d in DISTANCES]
     return [("directions-0", halves[0], around), ("directions-1", halves[1], []), ("distances", distances_, along)]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.pictures import PictureWriter
-from spheremouse.files.dataset.wand import WAND_COLUMNS, _columns, wand_description
+from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_description
 from spheremouse.files.dataset.write import (
     DatasetWriter,
     device_description,
@@ -101,7 +101,7 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
         pictures = PictureWriter(folder, (camera.width, camera.height), film.fps)
         with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file, lineterminator="\n")
-            columns = [name for k in range(len(film.scene.balls)) for name in _columns(k)]
+            columns = [name for k in range(len(film.scene.balls)) for name in columns_of(k)]
             rows.writerow([*WAND_COLUMNS[:2], *columns])
             for shot in simulate_wand(film):
                 pictures.add(shot.frame.image)

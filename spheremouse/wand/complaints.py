@@ -12,8 +12,8 @@ from spheremouse.wand.peaks import (
     SURE,
     Found,
     Scene,
-    _convincing,
-    _part,
+    passes_without_prior,
+    some_peaks,
 )
 from spheremouse.wand.state import Track, WandPhase, WandTracker
 
@@ -35,7 +35,7 @@ def turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
     return away
 
 
-def _complaint(whole: Fields, away: set[str]) -> tuple[str, float]:
+def complaint_of(whole: Fields, away: set[str]) -> tuple[str, float]:
     """What is wrong with the colours, in words, and for how long it should be before a word: in searches.
 
     `away`: colours that are turned away, or else their bounds are wrong and the pose is one that does without.
@@ -56,7 +56,9 @@ def doubtful(track: Track) -> bool:
     return track.second is not None and track.second[0] < _SIGHTINGS
 
 
-def _second(track: Track, found: Found, first: Array | None, dt: float, scene: Scene, index: int) -> tuple[Track, str]:
+def second_ball(
+    track: Track, found: Found, first: Array | None, dt: float, scene: Scene, index: int
+) -> tuple[Track, str]:
     """The track with what a search of the whole picture says of a second ball like it, and words where it is there.
 
     `first` is where the ball is. A second one lies beside it in the picture, shows half as much, and is a ball wherever
@@ -67,7 +69,7 @@ def _second(track: Track, found: Found, first: Array | None, dt: float, scene: S
         return replace(track, second=None), ""
     least = max(s.evidence, 0.5 * found.log_likelihood[0])
     good = [i for i in range(len(found.peaks)) if found.log_likelihood[i] >= least and found.match[i] >= SURE]
-    for k in _convincing(_part(found, good), scene, index).peaks:
+    for k in passes_without_prior(some_peaks(found, good), scene, index).peaks:
         apart = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
         if apart < ball.radius / k.position[2] + ball.radius / first[2]:
             continue
@@ -79,7 +81,7 @@ def _second(track: Track, found: Found, first: Array | None, dt: float, scene: S
     return replace(track, second=None), ""
 
 
-def _missing(ball: WandBall, seen: float) -> str:
+def lost_text(ball: WandBall, seen: float) -> str:
     if np.isfinite(seen):
         return f"{ball.name} is lost: hold it into the picture"
     return f"no ball like {ball.name} in view: hold it into the picture, or check its colours and size"

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from spheremouse.geometry.camera import distorted
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand.colour import FIELD_SIGMA, Fields
-from spheremouse.wand.model import NONE, ONE, Model, _normal, turn
+from spheremouse.wand.model import NONE, ONE, Model, normals, turn
 
 # Of the field's range. A rim goes through pixels anywhere: 0.29 px each, over the 4 px along it that the kernel takes
 # together 0.14, at a slope of a third per pixel 0.05; 0.04 more for print, gloss and motion
@@ -318,12 +318,12 @@ def expected_field(along, outward, facing, scale, inside, width, bend, offset):
     # a blurred rim of curvature k moves inward by k s² / 2
     moved = min(_HALF_SIGMA * facing * bend * per_root * per_root * per_root / scale, _MOST_MOVED)
     moved -= offset * _PER_SIGMA
-    disc, g = _normal(inside * across - moved)
-    beyond, slope = _normal(width * across - moved)
+    disc, g = normals(inside * across - moved)
+    beyond, slope = normals(width * across - moved)
     disc, g = max(disc + beyond - ONE, NONE), g + slope
     # the ball ends at its limb: two half planes, two Gaussian variables; exact where the point lies on both edges
     aside = np.sqrt(max(ONE - facing * facing, _TINY))
-    ball, _ = _normal(scale * (ONE - aside) * _PER_SIGMA)
+    ball, _ = normals(scale * (ONE - aside) * _PER_SIGMA)
     w = turn(outward / aside * per_root)
     both, slope = disc * ball, g * ball
     same_way = min(disc, ball) if w > NONE else max(disc + ball - ONE, NONE)

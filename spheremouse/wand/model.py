@@ -104,7 +104,7 @@ def _within(u: Array, ball: WandBall, margin: float, colour: str | None) -> bool
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _normal(x):
+def normals(x):
     """Gaussian distribution function and density, to 0.02 %, without a call.
 
     The logistic of a cubic (Bowling et al. 2009), its hyperbolic tangent as a continued fraction.

@@ -19,17 +19,17 @@ _STAYS = 0.8  # part of a motion's probability that lives on to the next frame
 _REACH = 0.5  # radii around the ball that the region of interest keeps free, besides the motion
 
 
-def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
+def possible_motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     """Rest, go on, free, over dt."""
     s = tracker.settings
-    rest = _rest(dt, s)
+    rest = rest_covariance(dt, s)
     camera = tracker.camera
     volume = camera.width * camera.height / (camera.fx * camera.fy) * (s.farthest**3 - s.nearest**3) / 3.0
     birth = _BIRTH / (volume * 8.0 * np.pi**2)
     if not s.adaptive or s.proposal == "motion":
         return Motions(np.zeros((1, 6)), rest[None], np.array([1.0 - _BIRTH]), birth)
     assert track.course is not None
-    on = dt**2 * speed_covariance(track.course, track.stamp + dt, _acceleration(s))
+    on = dt**2 * speed_covariance(track.course, track.stamp + dt, accelerations(s))
     leap = np.array([min(0.01 + s.fastest * dt, 0.5)] * 3 + [min(0.05 + s.fastest_turn * dt, 1.2)] * 3)
     shift = np.zeros((3, 6))
     shift[1] = track.velocity * dt
@@ -41,13 +41,13 @@ def _motions(track: Track, dt: float, tracker: WandTracker) -> Motions:
     return Motions(shift, covariance, track.motion * (1.0 - _BIRTH), birth)
 
 
-def _rest(dt: float, s: WandSettings) -> Array:
+def rest_covariance(dt: float, s: WandSettings) -> Array:
     """Covariance of the random walk of a ball at rest, (6, 6)."""
     walk = np.array([s.sigma_x, s.sigma_y, s.sigma_z, s.sigma_pitch, s.sigma_yaw, s.sigma_roll])
     return np.diag(walk**2 * (dt / _THESIS_DT))
 
 
-def _acceleration(s: WandSettings) -> Array:
+def accelerations(s: WandSettings) -> Array:
     return np.array([s.acceleration] * 3 + [s.turn_acceleration] * 3)
 
 
@@ -58,7 +58,7 @@ def limited(covariance: Array) -> Array:
     return covariance * np.outer(scale, scale)
 
 
-def _region(track: Track, motions: Motions, tracker: WandTracker, radius: float) -> tuple[Region, int]:
+def search_region(track: Track, motions: Motions, tracker: WandTracker, radius: float) -> tuple[Region, int]:
     """Where to look, and how much to reduce the picture there."""
     assert track.pose is not None
     camera, (p, _, covariance) = tracker.camera, track.pose
@@ -76,7 +76,7 @@ def _region(track: Track, motions: Motions, tracker: WandTracker, radius: float)
     return region, reduction(2.0 * camera.fx * radius / depth)
 
 
-def _motion(track: Track, pose: tuple[Array, Array, Array], motions: Motions) -> Array:
+def motion_probabilities(track: Track, pose: tuple[Array, Array, Array], motions: Motions) -> Array:
     """Probabilities of the motions after a frame, (3,), by Bayes' rule."""
     assert track.pose is not None
     if len(motions.probability) < 3:

@@ -65,7 +65,7 @@ class Found:
     turn: int = 0  # spot with which the next search begins
 
 
-def _part(found: Found, kept: list[int]) -> Found:
+def some_peaks(found: Found, kept: list[int]) -> Found:
     """Some of its peaks."""
     return replace(
         found,
@@ -75,7 +75,7 @@ def _part(found: Found, kept: list[int]) -> Found:
     )
 
 
-def _convincing(found: Found, scene: Scene, index: int) -> Found:
+def passes_without_prior(found: Found, scene: Scene, index: int) -> Found:
     """Those of its peaks that would be a ball if nothing led to them."""
     tracker, kept = scene.tracker, []
     if found.fields is None:
@@ -87,7 +87,7 @@ def _convincing(found: Found, scene: Scene, index: int) -> Found:
         )  # fmt: skip
         if discs >= _DISCS and bare >= tracker.settings.match:
             kept.append(i)
-    return _part(found, kept)
+    return some_peaks(found, kept)
 
 
 def _weighed(peaks: list[Peak], index: int, tracker: WandTracker, seen: Fields) -> tuple[Array, Array]:

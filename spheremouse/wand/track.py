@@ -15,11 +15,18 @@ from spheremouse.tracker import Frame
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, tone
-from spheremouse.wand.complaints import SECOND, _complaint, _missing, _second, doubtful, turned_away
+from spheremouse.wand.complaints import SECOND, complaint_of, doubtful, lost_text, second_ball, turned_away
 from spheremouse.wand.course import begun, between, measured, predicted, told
 from spheremouse.wand.likelihood import counts, log_likelihood
 from spheremouse.wand.model import model
-from spheremouse.wand.motions import _acceleration, _motion, _motions, _region, _rest, limited
+from spheremouse.wand.motions import (
+    accelerations,
+    limited,
+    motion_probabilities,
+    possible_motions,
+    rest_covariance,
+    search_region,
+)
 from spheremouse.wand.particles import (
     Motions,
     Particles,
@@ -39,14 +46,14 @@ from spheremouse.wand.peaks import (
     SURE,
     Found,
     Scene,
-    _convincing,
-    _part,
     as_peaks,
     climb,
     from_spots,
     good,
     joined,
+    passes_without_prior,
     search,
+    some_peaks,
 )
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
@@ -124,7 +131,7 @@ def step(
             pose = replace(pose, event="")  # it may be a declared one that is not found yet
         poses.append(pose)
     if scene.whole is not None:
-        complaint, patience = _complaint(scene.whole, turned_away(tracker, tracks))
+        complaint, patience = complaint_of(scene.whole, turned_away(tracker, tracks))
         before, ago = (worth, frame.stamp - heard) if complaint == state.complaint else (0.0, 0.0)
         worth = before + ago / (patience * tracker.settings.look_around) if patience else 1.0
         heard = frame.stamp
@@ -155,8 +162,8 @@ def _follow(
     if track.phase != WandPhase.TRACKING or track.particles is None:
         return _acquire(track, stamp, scene, index, others, rng)
     dt = max(stamp - track.stamp, 1e-4)
-    motions = _motions(track, dt, tracker)
-    region, factor = _region(track, motions, tracker, ball.radius)
+    motions = possible_motions(track, dt, tracker)
+    region, factor = search_region(track, motions, tracker, ball.radius)
     seen = scene.part(region if s.region else None, factor)
     if s.region is False and factor == 1:
         scene.whole = seen
@@ -179,7 +186,7 @@ def _follow(
         track = replace(track, turn=far.turn)
         found = joined(found, _credible(far, track, motions, scene, index), ball.radius)
         first = found.peaks[0].position if good(found, s, track.level) else None
-        track, event = _second(track, far, first, dt, scene, index)
+        track, event = second_ball(track, far, first, dt, scene, index)
     if not good(found, s, track.level):
         return _unseen(track, stamp, dt, scene, index, rng, found)
     assert track.particles is not None
@@ -205,8 +212,8 @@ def _follow(
         phase=WandPhase.TRACKING,
         particles=particles,
         pose=pose,
-        course=measured(track.course, stamp, followed.position, followed.rotation, wrong, _acceleration(s)),
-        motion=_motion(track, pose, motions),
+        course=measured(track.course, stamp, followed.position, followed.rotation, wrong, accelerations(s)),
+        motion=motion_probabilities(track, pose, motions),
         stamp=stamp,
         seen=stamp,
         unseen_frames=0,
@@ -236,8 +243,8 @@ def _credible(found: Found, track: Track, motions: Motions, scene: Scene, index:
             reached.append(i)
         elif found.log_likelihood[i] >= ELSEWHERE * track.level:
             elsewhere.append(i)
-    balls = _convincing(_part(found, elsewhere), scene, index).peaks
-    return _part(found, [i for i, k in enumerate(found.peaks) if i in reached or any(k is b for b in balls)])
+    balls = passes_without_prior(some_peaks(found, elsewhere), scene, index).peaks
+    return some_peaks(found, [i for i, k in enumerate(found.peaks) if i in reached or any(k is b for b in balls)])
 
 
 def _level(track: Track, found: Found) -> float:
@@ -262,14 +269,14 @@ def _unseen(
     match = float(found.match[0]) if found.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
         lost = Track(WandPhase.LOST, stamp=stamp, seen=track.seen, level=track.level)
-        return lost, WandPose(ball.name, None, None, None, WandPhase.LOST, _missing(ball, track.seen), match)
-    particles = moved(track.particles, Motions(np.zeros((1, 6)), _rest(dt, s)[None], np.ones(1), 0.0), rng)
+        return lost, WandPose(ball.name, None, None, None, WandPhase.LOST, lost_text(ball, track.seen), match)
+    particles = moved(track.particles, Motions(np.zeros((1, 6)), rest_covariance(dt, s)[None], np.ones(1), 0.0), rng)
     pose = estimate(particles)
     after = replace(
         track,
         particles=particles,
         pose=pose,
-        course=predicted(track.course, stamp, _acceleration(s)),
+        course=predicted(track.course, stamp, accelerations(s)),
         repeats=np.zeros((6, 6)),  # no picture, nothing that the next one repeats
         stamp=stamp,
         unseen_frames=frames,
@@ -284,13 +291,13 @@ def _acquire(
     tracker, s, ball = scene.tracker, scene.tracker.settings, scene.tracker.balls[index]
     found = search(scene, index, others, track.turn)
     track = replace(track, turn=found.turn)
-    found = _convincing(found, scene, index)
+    found = passes_without_prior(found, scene, index)
     least = ELSEWHERE * track.level * np.exp(-(stamp - track.seen) / _REMEMBERED) if track.level else 0.0
     if not good(found, s) or found.log_likelihood[0] < least:
         phase = track.phase
         match = float(found.match[0]) if found.peaks else 0.0
         return replace(track, stamp=stamp), WandPose(
-            ball.name, None, None, None, phase, _missing(ball, track.seen), match
+            ball.name, None, None, None, phase, lost_text(ball, track.seen), match
         )
     assert found.fields is not None
     peaks = as_peaks(found)
@@ -321,5 +328,5 @@ def _acquire(
         seen=stamp,
         level=level,
     )
-    after, event = _second(after, found, found.peaks[0].position, 0.0, scene, index)
+    after, event = second_ball(after, found, found.peaks[0].position, 0.0, scene, index)
     return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)

@@ -13,7 +13,8 @@ import numpy as np
 
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.session.offline import initialise, track
-from spheremouse.ball.track import Settings, build
+from spheremouse.ball.build import build
+from spheremouse.ball.settings import Settings
 from spheremouse.ball.warm import warm_up
 
 

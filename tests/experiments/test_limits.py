@@ -16,7 +16,7 @@ from spheremouse.experiments.limits import ACCELERATIONS, FASTEST, TRACKERS, Tri
 from spheremouse.experiments.report.limits import section
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import log
-from spheremouse.simulate.ball.film import Renderer, RenderOptions
+from spheremouse.simulate.ball.render import Renderer, RenderOptions
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 
@@ -29,8 +29,8 @@ def there():
 @pytest.fixture(scope="module")
 def trial(there):
     """`ekf2` at 30 Hz."""
-    tracker = world_module._tracker("ekf2", there)
-    return Trial(tracker, there, world_module._started("ekf2", tracker, there), world_module._axis(0), 30.0, 0)
+    tracker = world_module.tracker_for("ekf2", there)
+    return Trial(tracker, there, world_module.after_rest("ekf2", tracker, there), world_module.random_axis(0), 30.0, 0)
 
 
 # ---- what is seen ----
@@ -38,8 +38,8 @@ def trial(there):
 
 def test_the_same_discs_are_seen_as_in_pictures_and_as_well(there):
     renderer, rng = Renderer(there.scene, RenderOptions(noise=world_module.NOISE)), np.random.default_rng(0)
-    detector = world_module._tracker("so3", there).detector
-    motion = SpedUp(world_module._axis(1), 1.0, 1.0)
+    detector = world_module.tracker_for("so3", there).detector
+    motion = SpedUp(world_module.random_axis(1), 1.0, 1.0)
     matched, seen, found, claims = 0, 0, 0, []
     for t in np.arange(1.0, 13.0):
         here = there.see(motion.attitude(np.array([t]))[0], rng)
@@ -115,14 +115,14 @@ def test_what_is_reached_is_followed_and_more_is_not(trial):
     def followed(most):
         t = trial.times(most / ACCELERATIONS[0] + world_module.HOLD)
         motion = SpedUp(trial.axis, ACCELERATIONS[0], most)
-        return len(trial.course(world_module._begun(trial.start), motion, t)) == len(t)
+        return len(trial.course(world_module.course_begun(trial.start), motion, t)) == len(t)
 
     assert followed(0.7 * rate)
     assert not followed(1.5 * rate)
 
 
 def test_a_course_ends_where_what_was_turned_is_wrong_or_the_ball_is_lost(trial):
-    begun = world_module._begun(trial.start)
+    begun = world_module.course_begun(trial.start)
     small, large = (SpedUp(trial.axis, 1e9, a).attitude(np.array([1.0]))[0] for a in np.radians((2.0, 4.0)))
     assert begun.then(trial.start, small.T) is not None
     assert begun.then(trial.start, large.T) is None
@@ -130,8 +130,8 @@ def test_a_course_ends_where_what_was_turned_is_wrong_or_the_ball_is_lost(trial)
 
 def test_so3_follows_what_ekf2_loses(there, trial):
     """A ball new to it: what it knows of it before would be of use."""
-    tracker = world_module._tracker(NEW, there)
-    ours = replace(trial, tracker=tracker, start=world_module._started(NEW, tracker, there))
+    tracker = world_module.tracker_for(NEW, there)
+    ours = replace(trial, tracker=tracker, start=world_module.after_rest(NEW, tracker, there))
     hard = trial.hardest(limits.PUSH)
     assert 1.0 < hard < limits.HARDEST
     assert ours.hardest(limits.PUSH) > 1.5 * hard

@@ -16,7 +16,7 @@ from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, wrong
 from spheremouse.experiments.report import mistakes as mistakes_module
 from spheremouse.experiments.report.mistakes import section
 from spheremouse.geometry.camera import project
-from spheremouse.simulate.ball.film import default_scene
+from spheremouse.simulate.ball.scene import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 RIG = default_scene().rig()

@@ -13,8 +13,8 @@ from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.places import Place, Size, expected, fitted, jobs, scene_from, targets_in_view
 from spheremouse.experiments.report import places as places_module
 from spheremouse.experiments.report.places import section
-from spheremouse.simulate.ball.film import Renderer
 from spheremouse.simulate.ball.profile import thesis
+from spheremouse.simulate.ball.render import Renderer
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 FRONT = Place(0, 0, 2.35, 640.0)

@@ -14,7 +14,7 @@ from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import poses as poses_module
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
-from spheremouse.simulate.ball.film import default_scene
+from spheremouse.simulate.ball.scene import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

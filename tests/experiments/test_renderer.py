@@ -12,7 +12,7 @@ from spheremouse.experiments import renderer
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import renderer as renderer_module
-from spheremouse.simulate.ball.film import default_scene
+from spheremouse.simulate.ball.scene import default_scene
 
 FINE = 9  # parts of a pixel's side in painted ellipses
 

@@ -10,7 +10,7 @@ from spheremouse.experiments import surface
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import surface as surface_module
-from spheremouse.simulate.ball.film import default_scene
+from spheremouse.simulate.ball.scene import default_scene
 
 QUICK = Request(True, None)
 

@@ -14,7 +14,7 @@ from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import targets as targets_module
 from spheremouse.experiments.report.targets import section
 from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of
-from spheremouse.simulate.ball.film import default_scene
+from spheremouse.simulate.ball.scene import default_scene
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

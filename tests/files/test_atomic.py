@@ -19,7 +19,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are other
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from spheremouse.files.yaml import write_atomically
+from spheremouse.files.atomic import write_atomically
 os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
 write_atomically(Path(sys.argv[1]), "half")
 """

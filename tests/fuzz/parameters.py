@@ -20,7 +20,7 @@ from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import gather, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Phase, Tracker, TrackState
-from spheremouse.ball.track import Motion, retuned, step
+from spheremouse.ball.track import retuned, step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
@@ -28,7 +28,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.output.hand import Pointing, point, pointing_rate
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.wand.film import WandFilm, WandOptions, prepare_wand, simulate_wand
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Motion
 from spheremouse.wand import state as state_module
 from spheremouse.wand import track as wand
 from spheremouse.wand.warm import warm_up as warm_up_wand

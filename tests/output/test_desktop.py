@@ -124,7 +124,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from spheremouse.errors import OutputError
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 from spheremouse.output import open_output
 
 try:

@@ -98,7 +98,7 @@ def test_a_full_disk_is_an_error_and_leaving_stays_possible():
 PROGRAM = """
 import numpy as np
 from spheremouse.errors import OutputError
-from spheremouse.output.counts import Motion
+from spheremouse.tracker import Motion
 from spheremouse.output import open_output
 sent = 0
 try:

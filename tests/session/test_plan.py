@@ -10,7 +10,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.rig import rig_text
 from spheremouse.session.plan import Plan, Request, read_plan, without_map
 from spheremouse.session.settings import Configuration
-from spheremouse.simulate.ball.film import default_scene
+from spheremouse.simulate.ball.scene import default_scene
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.track import WandSettings, build
+from spheremouse.wand.settings import WandSettings; from spheremouse.wand.track import build
 from spheremouse.output.hand import PointingSettings
 from spheremouse.wand.warm import warm_up
-from spheremouse.session.wand.offline import Hand, track_wand
+from spheremouse.output.hand import Hand
+from spheremouse.session.wand.offline import track_wand
 
 
 def compiled():

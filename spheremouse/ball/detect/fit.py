@@ -21,10 +21,10 @@ from spheremouse.ball.detect.fit_model import (
     CLEAR,
     EDGE,
     UNKNOWNS,
-    _ellipse,
-    _patch,
-    _step,
     biweight,
+    cut_patch,
+    ellipse_of,
+    gauss_newton_step,
     keep_near,
     normal_equations,
     plane,
@@ -169,7 +169,7 @@ def measure_into(
         h, w = 2 * half_h + 1, 2 * half_w + 1
         if h > side or w > side:
             continue
-        _patch(image, light, f, top, left, h, w, kernel, raw, across, patch)
+        cut_patch(image, light, f, top, left, h, w, kernel, raw, across, patch)
         m = 0
         for i in range(h):
             y = top + i
@@ -189,7 +189,7 @@ def measure_into(
         if m < 2 * UNKNOWNS:
             continue
         q = inverse[k]
-        _ellipse(
+        ellipse_of(
             m,
             px[k],
             py[k],
@@ -239,8 +239,8 @@ def measure_into(
             if turn > 0:
                 biweight(m, px[k], py[k], grey[k], e[k], x[k], np.float32(0.5), np.float32(scale[k]), weight[k])
             normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
-            _step(N, g, x[k], scale[k], gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
-            _ellipse(
+            gauss_newton_step(N, g, x[k], scale[k], gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
+            ellipse_of(
                 m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
                 smear[k], e[k], d[k],
             )  # fmt: skip
@@ -268,8 +268,8 @@ def measure_into(
         for turn in range(len(_LIMITS)):
             biweight(m, px[k], py[k], grey[k], e[k], x[k], _LIMITS[turn], np.float32(scale[k]), weight[k])
             normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
-            moved = _step(N, g, x[k], scale[k], gloss[k], size, size_sigma, 1.0 if turn < 2 else 0.5)
-            _ellipse(
+            moved = gauss_newton_step(N, g, x[k], scale[k], gloss[k], size, size_sigma, 1.0 if turn < 2 else 0.5)
+            ellipse_of(
                 m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
                 smear[k], e[k], d[k],
             )  # fmt: skip

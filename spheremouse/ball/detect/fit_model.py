@@ -45,7 +45,7 @@ def noise_of(image, top, bottom, left, right):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _patch(image, light, f, top, left, h, w, kernel, raw, across, out):
+def cut_patch(image, light, f, top, left, h, w, kernel, raw, across, out):
     """Smoothed grey of a window of h x w px from row `top` and column `left` of the reduced picture: into `out`.
 
     Beyond the picture's edge its last row and column are repeated.
@@ -114,7 +114,7 @@ def _phi(x):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _ellipse(n, px, py, xx, xy, yy, cx, cy, size, blur, smear, e, d):
+def ellipse_of(n, px, py, xx, xy, yy, cx, cy, size, blur, smear, e, d):
     """e of n pixels, and its derivatives by centre and size: rows of d, (3, n).
 
     With rho² = (x - c)' S^-1 (x - c) the rim lies (s - rho) / |grad rho| ahead and (s + rho) / |grad rho| behind;
@@ -214,7 +214,7 @@ def solve(L, b, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _step(N, g, x, scale, gloss, size, size_sigma, damping):
+def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
     """One Gauss-Newton step of x, (9,), times `damping` (weights that come and go let a full step swing).
 
     N becomes its factor. Returns the length of the centre's full step, px.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
-from spheremouse.ball.filters.so3_settings import So3Settings, _squares, _usual, usual_acceleration
+from spheremouse.ball.filters.so3_settings import So3Settings, prior_of_levels, squared_levels, usual_acceleration
 from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import assign
@@ -66,7 +66,7 @@ class So3Filter:
         """
         dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
         s = self.settings
-        usual = _usual(s.levels)
+        usual = prior_of_levels(s.levels)
         attitude, rate, acceleration, joint, weights, process = so3_predict.predict(
             state.attitude,
             state.rate,
@@ -113,8 +113,8 @@ class So3Filter:
         each weighed by the likelihood of all pairs together, and the update takes their mean (Bar-Shalom, Li,
         Kirubarajan 2001, section 11.6, with one filter for all of them).
         """
-        squares = _squares(self.settings.levels)
-        weights = (state.weights if len(state.weights) else _usual(self.settings.levels)).copy()
+        squares = squared_levels(self.settings.levels)
+        weights = (state.weights if len(state.weights) else prior_of_levels(self.settings.levels)).copy()
         joint, s = state.joint.copy(), self.settings
         ordinary, rows, columns, dx, square, nis = kernel.update(
             state.attitude,
@@ -198,7 +198,7 @@ class So3Filter:
 
     def _expected(self, state: So3State) -> float:
         """Mean square of the level, before the innovations are seen."""
-        return float(state.weights @ _squares(self.settings.levels)) if len(state.weights) else 1.0
+        return float(state.weights @ squared_levels(self.settings.levels)) if len(state.weights) else 1.0
 
     def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
         rows, columns = pairing.rows, pairing.columns
@@ -211,8 +211,8 @@ class So3Filter:
         H, HP, z, S = pairing.innovation or self._innovation(state, points, rows, columns, _STILL)
         if state.process[3, 3] > 0.0:
             weights = weights.copy()
-            kernel.weigh(z, S, H, state.process, _squares(self.settings.levels), weights)
-            square = float(weights @ _squares(self.settings.levels))
+            kernel.weigh(z, S, H, state.process, squared_levels(self.settings.levels), weights)
+            square = float(weights @ squared_levels(self.settings.levels))
         joint, more = state.joint.copy(), (square - 1.0) * state.process
         joint[:CORE, :CORE] += more
         HP[:, :CORE] += H @ more

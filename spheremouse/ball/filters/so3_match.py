@@ -11,7 +11,7 @@ _NEARBY = 0.9  # cosine: what is further off than 26 degrees is none, whenever i
 
 
 @njit(cache=True, error_model="numpy")
-def _axes(attitude, rate, acceleration, delay, basis, disc, R, p, E):
+def place_and_axes(attitude, rate, acceleration, delay, basis, disc, R, p, E):
     """Place p, (3,), and axes E, (3, 2), in obj of a disc as the camera sees it `delay` after the stamp."""
     if delay != 0.0:
         turn, more = np.empty(3), np.empty((3, 3))
@@ -30,7 +30,7 @@ def _axes(attitude, rate, acceleration, delay, basis, disc, R, p, E):
 
 
 @njit(cache=True, error_model="numpy")
-def _turning(E, p, H):
+def turning_jacobian(E, p, H):
     """H, (2, 3) = d z / d rotation error: a turn e moves p by e x p."""
     for a in range(2):
         H[a, 0] = E[2, a] * p[1] - E[1, a] * p[2]
@@ -45,8 +45,8 @@ def places(attitude, discs, basis, P, which, more, centre_sigma):
     zero = np.zeros(3)
     for i in range(len(which)):
         m = which[i]
-        _axes(attitude, zero, zero, 0.0, basis[m], discs[m], R, p, E)
-        _turning(E, p, H)
+        place_and_axes(attitude, zero, zero, 0.0, basis[m], discs[m], R, p, E)
+        turning_jacobian(E, p, H)
         S = _disc_covariance(P, H, FIRST + 2 * m, more)
         mean, half = 0.5 * (S[0, 0] + S[1, 1]), np.hypot(0.5 * (S[0, 0] - S[1, 1]), S[0, 1])
         centre_sigma[i] = np.sqrt(max(mean + half, 0.0))
@@ -75,11 +75,11 @@ def _row(H, E, t, rate, row, by_pose, by_ball, radius, J):
             J[a, c] = H[a, c]
             J[a, 3 + c] = H[a, c] * t
             J[a, 6 + c] = 0.5 * H[a, c] * t * t
-    _considered(H, E, rate, row, by_pose, by_ball, radius, J[:, CORE:])
+    considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J[:, CORE:])
 
 
 @njit(cache=True, error_model="numpy")
-def _considered(H, E, rate, row, by_pose, by_ball, radius, J):
+def considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J):
     """Of one point: d z / d (pose, ball, readout) into J, (2, FIRST - CORE)."""
     for a in range(2):
         for c in range(CONSIDER):
@@ -147,16 +147,16 @@ def distances(
         k = which[m]
         hits = 0
         before = 0.0
-        _axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
-        _turning(E, p, H)
+        place_and_axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
+        turning_jacobian(E, p, H)
         S = _disc_covariance(P, H, FIRST + 2 * k, more)
         for i in range(len(seen)):
             b = seen[i]
             cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
             if delay[i] != before and cosine > _NEARBY:
                 before = delay[i]
-                _axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
-                _turning(E, p, H)
+                place_and_axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
+                turning_jacobian(E, p, H)
                 cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
             if cosine < 0.0:
                 out[i, m] = np.inf

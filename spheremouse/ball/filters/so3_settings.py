@@ -72,12 +72,12 @@ class So3Settings:
 
 
 @cache
-def _squares(levels: tuple[float, ...]) -> Array:
+def squared_levels(levels: tuple[float, ...]) -> Array:
     return np.square(np.array(levels))
 
 
 @cache
-def _usual(levels: tuple[float, ...]) -> Array:
+def prior_of_levels(levels: tuple[float, ...]) -> Array:
     """Probabilities of the levels before anything is seen: the livelier the rarer."""
     usual = 1.0 / np.array(levels)
     return usual / usual.sum()
@@ -85,4 +85,6 @@ def _usual(levels: tuple[float, ...]) -> Array:
 
 def usual_acceleration(settings: So3Settings) -> float:
     """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
-    return settings.acceleration_sigma * float(np.sqrt(_squares(settings.levels) @ _usual(settings.levels)))
+    return settings.acceleration_sigma * float(
+        np.sqrt(squared_levels(settings.levels) @ prior_of_levels(settings.levels))
+    )

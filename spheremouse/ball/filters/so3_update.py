@@ -8,7 +8,13 @@ tangent axes (rad). Functions with an upper-case P work on the joint covariance 
 import numpy as np
 from numba import njit
 
-from spheremouse.ball.filters.so3_match import _axes, _considered, _turning, agreeing, distances
+from spheremouse.ball.filters.so3_match import (
+    agreeing,
+    considered_jacobian,
+    distances,
+    place_and_axes,
+    turning_jacobian,
+)
 from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT
 from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
@@ -32,9 +38,9 @@ def innovation(
         any_considered = any_considered or P[i, i] > 0.0
     for i in range(k):
         t = delay[i]
-        _axes(attitude, rate, acceleration, t, basis[columns[i]], discs[columns[i]], R, p, E)
+        place_and_axes(attitude, rate, acceleration, t, basis[columns[i]], discs[columns[i]], R, p, E)
         axes[i] = E
-        _turning(E, p, turning)
+        turning_jacobian(E, p, turning)
         before, along = turning, turning
         if t != 0.0:
             for c in range(3):
@@ -43,7 +49,7 @@ def innovation(
             left_jacobian_into(turn, later)
             before, along = turning @ R, turning @ later
         if any_considered:
-            _considered(turning, E, rate, row[i], by_pose[i], by_ball[i], radius, considered[2 * i : 2 * i + 2])
+            considered_jacobian(turning, E, rate, row[i], by_pose[i], by_ball[i], radius, considered[2 * i : 2 * i + 2])
         for a in range(2):
             at_z = 2 * i + a
             z[at_z] = E[0, a] * seen[i, 0] + E[1, a] * seen[i, 1] + E[2, a] * seen[i, 2]

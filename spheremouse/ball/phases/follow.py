@@ -13,7 +13,7 @@ from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, augment
-from spheremouse.ball.phases.recognise import _recognised
+from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import (
     Phase,
@@ -53,19 +53,19 @@ def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterSta
     return found.joined(other), hunt
 
 
-def _follow(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
+def follow_discs(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
     """Filter the points; candidates that have moved with the ball may found discs."""
     points, centre = state.points, state.detections.centre[state.points.index]
     rig, pose, settings = tracker.rig, tracker.pose, tracker.settings.static
     proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
     posterior = tracker.filter.update(predicted, points, proven)
-    held = _holds(posterior, len(points), predicted, tracker)
+    held = attitude_holds(posterior, len(points), predicted, tracker)
     if held and len(posterior.used) == len(points) and not len(state.lookalikes.place):
         return replace(state, filter=posterior, holds=True)
     state = replace(state, filter=posterior)
     other = np.ones(len(points), dtype=bool)
     if not held:
-        found = _recognised(state, stamp, tracker)
+        found = recognised_attitude(state, stamp, tracker)
         if found is not None:
             return replace(state, filter=found[0], holds=True)
         posterior = tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool))
@@ -104,7 +104,7 @@ def _with_discs(
     return filter_state
 
 
-def _holds(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
+def attitude_holds(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
     """Does the last frame, with so many points, hold the attitude?
 
     Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many

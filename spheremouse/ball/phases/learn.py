@@ -9,7 +9,7 @@ from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.filters import FilterState
-from spheremouse.ball.phases.follow import _holds
+from spheremouse.ball.phases.follow import attitude_holds
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import (
     Sight,
@@ -28,7 +28,7 @@ def first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: F
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
     """
     naive = replace(state, filter=tracker.filter.update(predicted, state.points))
-    naive = replace(naive, holds=_holds(naive.filter, len(state.points), predicted, tracker))
+    naive = replace(naive, holds=attitude_holds(naive.filter, len(state.points), predicted, tracker))
     if len(state.points) == 0 and not state.recent:
         return naive
     recent = (*state.recent, Sight(stamp, state.detections, state.points, naive.filter.attitude))

@@ -14,7 +14,7 @@ from spheremouse.ball.state import (
 from spheremouse.geometry.rotation import rotation_between
 
 
-def _recognised(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, int] | None:
+def recognised_attitude(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, int] | None:
     """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
 
     After a short gap the rate is that from the last attitude held; after a long one it is unknown.

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.lifted import back_on_bearings
-from spheremouse.ball.phases.recognise import _recognised
+from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.state import (
     Phase,
     Sight,
@@ -31,7 +31,7 @@ def lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> TrackSta
     )
 
 
-def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
+def recovered(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
     points, s = state.points, tracker.settings.loss
     if len(points) < 2:
@@ -39,7 +39,7 @@ def _recover(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     found = stamp if state.found is None else min(state.found, stamp)  # a clock that starts again
     state = replace(state, found=found)
     if isinstance(state.filter, So3State):
-        recognised = _recognised(state, stamp, tracker)
+        recognised = recognised_attitude(state, stamp, tracker)
         if recognised is not None and back_on_bearings(state, recognised[0], tracker):
             filtered, pairs = recognised
             return replace(
@@ -78,7 +78,7 @@ def _anew(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
 def recognise_saved(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
     """The ball is where the saved map says, once that is certain; never recognised, it is another ball's map."""
     points = state.points
-    recognised = _recognised(state, stamp, tracker)
+    recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None:
         filtered, pairs = recognised
         return replace(

@@ -17,15 +17,15 @@ from spheremouse.calibrate.camera.bundle import (
     BoardAdjustment,
     Bundle,
     View,
-    _camera,
-    _columns,
-    _kept,
-    _poses,
-    _rms,
-    _spread,
     all_unknowns,
+    camera_of,
+    kept_views,
+    poses_of,
     resected,
+    rms_of,
     sigma_of,
+    spread_of,
+    unknowns_of,
 )
 from spheremouse.calibrate.camera.variances import finished, with_variances
 from spheremouse.errors import CalibrationError
@@ -62,12 +62,12 @@ def calibrate_board(views: Sequence[View], size: tuple[int, int], terms: int = 5
         if _parallel(views, size, free, x):
             raise CalibrationError(OPEN) from None
         raise
-    spread = _spread(bundle, x)
+    spread = spread_of(bundle, x)
     used = spread <= _OBVIOUS * np.median(spread)
     sigma = spread
     for _ in range(len(views)):
         part = bundle.only(used)
-        some, x[_columns(used)] = with_variances(part, x[_columns(used)])
+        some, x[unknowns_of(used)] = with_variances(part, x[unknowns_of(used)])
         limit = FALSE_VIEW * max(float(np.median(some)), FLOOR)
         sigma = sigma_of(views, bundle.size, x, used, some)
         worst = int(np.argmax(np.where(used, sigma, 0.0)))
@@ -96,17 +96,17 @@ def held_out(views: Sequence[View], found: BoardAdjustment) -> Array:
         rest = np.setdiff1d(index, out)
         if len(rest) < MIN_VIEWS:
             continue
-        kept = [_kept(views[v], found.kept[v]) for v in rest.tolist()]
+        kept = [kept_views(views[v], found.kept[v]) for v in rest.tolist()]
         bundle = Bundle(kept, size, found.free)
         mask = np.zeros(len(views), bool)
         mask[rest] = True
         try:
-            without = bundle.solve(x[_columns(mask)], found.sigma[rest])
+            without = bundle.solve(x[unknowns_of(mask)], found.sigma[rest])
         except CalibrationError:
             continue
-        left = [_kept(views[v], found.kept[v]) for v in out.tolist()]
-        _, _, residuals = resected(left, _camera(without, size))
-        result[out] = [_rms(r) for r in residuals]
+        left = [kept_views(views[v], found.kept[v]) for v in out.tolist()]
+        _, _, residuals = resected(left, camera_of(without, size))
+        result[out] = [rms_of(r) for r in residuals]
     return result
 
 
@@ -123,7 +123,7 @@ def _start(views: Sequence[View], size: tuple[int, int]) -> Array:
     best, least = None, np.inf
     for focal in _focals(views, size):
         camera = InteriorOrientation(width, height, focal, focal, cx, cy)
-        poses = _poses(views, camera)
+        poses = poses_of(views, camera)
         residual, _ = Bundle(views, size, np.zeros(9, bool)).evaluate(
             np.concatenate([interior_vector(camera), poses.ravel()]), np.ones(len(views))
         )
@@ -151,7 +151,7 @@ def _begun(bundle: Bundle, x: Array) -> Array:
     n = len(bundle.views)
     try:
         found = bundle.solve(x, np.ones(n))
-        spread = _spread(bundle, found)
+        spread = spread_of(bundle, found)
         agree = spread.max() <= FALSE_VIEW * np.median(spread) and np.median(spread) < _COARSE
         if agree or n < _FEW:
             return found
@@ -163,13 +163,13 @@ def _begun(bundle: Bundle, x: Array) -> Array:
     for _ in range(_TRIES):
         few = np.isin(np.arange(n), rng.choice(n, _FEW, replace=False))
         try:
-            y = bundle.only(few).solve(x[_columns(few)], np.ones(_FEW))
-            R, t, _ = resected(bundle.views, _camera(y, bundle.size))
+            y = bundle.only(few).solve(x[unknowns_of(few)], np.ones(_FEW))
+            R, t, _ = resected(bundle.views, camera_of(y, bundle.size))
         except CalibrationError:
             continue
         tried = np.concatenate([y[:9], np.stack([[log(r) for r in R], t], axis=1).ravel()])
-        if np.median(_spread(bundle, tried)) < np.median(spread):
-            found, spread = tried, _spread(bundle, tried)
+        if np.median(spread_of(bundle, tried)) < np.median(spread):
+            found, spread = tried, spread_of(bundle, tried)
     if found is None:
         raise CalibrationError(
             "no camera explains the views together; are the photos of one camera, one zoom, one board?"

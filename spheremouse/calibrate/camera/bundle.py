@@ -52,11 +52,13 @@ class BoardAdjustment:
     def rms(self) -> float:
         """Root mean square distance in px of all corners that took part from where they were computed."""
         took_part = [r[k] for r, k, u in zip(self.residuals, self.kept, self.used, strict=True) if u]
-        return _rms(np.concatenate(took_part))
+        return rms_of(np.concatenate(took_part))
 
     def view_rms(self) -> Array:
         """The same of each view, (v,) px; of views not used, of all their corners."""
-        return np.array([_rms(r[k] if u else r) for r, k, u in zip(self.residuals, self.kept, self.used, strict=True)])
+        return np.array(
+            [rms_of(r[k] if u else r) for r, k, u in zip(self.residuals, self.kept, self.used, strict=True)]
+        )
 
     @property
     def deviations(self) -> Array:
@@ -83,17 +85,17 @@ class BoardAdjustment:
 def resected(views: Sequence[View], camera: InteriorOrientation) -> tuple[Array, Array, tuple[Array, ...]]:
     """Poses of a known camera: R_cam_board (v, 3, 3), translation (v, 3) m, and residuals (n, 2) px of each view."""
     bundle = Bundle(views, (camera.width, camera.height), np.zeros(9, bool))
-    x = np.concatenate([interior_vector(camera), _poses(views, camera).ravel()])
+    x = np.concatenate([interior_vector(camera), poses_of(views, camera).ravel()])
     for v, view in enumerate(views):  # each for itself: quick, and none disturbs the others
         own = np.arange(len(views)) == v
-        columns = _columns(own)
+        columns = unknowns_of(own)
         with contextlib.suppress(CalibrationError):  # then it stays where it began, far off
             x[columns] = Bundle([view], bundle.size, bundle.free).solve(x[columns], np.ones(1))
     r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
     return exp(r), t, bundle.residuals(x)
 
 
-def _rms(residual: Array) -> float:
+def rms_of(residual: Array) -> float:
     """Of distances, from residuals (n, 2)."""
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
@@ -126,7 +128,7 @@ class Bundle:
 
     def linear(self, x: Array) -> tuple[Array, Array]:
         """Computed minus seen, (n, 2) px, and its Jacobian (n, 2, 15) by the nine and by the view's own six."""
-        camera = _camera(x, self.size)
+        camera = camera_of(x, self.size)
         r, t = x[9:].reshape(-1, 2, 3).transpose(1, 0, 2)
         turned = np.einsum("nij,nj->ni", exp(r)[self.of], self.points)
         cam = turned + t[self.of]
@@ -217,16 +219,16 @@ def _of_columns(jacobian: Jacobian, columns: NDArray[np.bool_]) -> Jacobian:
     return jacobian if columns.all() else sparse.csr_array(jacobian.tocsc()[:, np.flatnonzero(columns)])
 
 
-def _columns(used: NDArray[np.bool_]) -> NDArray[np.intp]:
+def unknowns_of(used: NDArray[np.bool_]) -> NDArray[np.intp]:
     views = np.flatnonzero(used)
     return np.concatenate([np.arange(9), (9 + 6 * views[:, None] + np.arange(6)).ravel()])
 
 
-def _camera(x: Array, size: tuple[int, int]) -> InteriorOrientation:
+def camera_of(x: Array, size: tuple[int, int]) -> InteriorOrientation:
     return with_interior(InteriorOrientation(*size, 1.0, 1.0, 0.0, 0.0), x[:9])
 
 
-def _kept(view: View, mask: NDArray[np.bool_]) -> View:
+def kept_views(view: View, mask: NDArray[np.bool_]) -> View:
     return View(view.points[mask], view.uv[mask])
 
 
@@ -241,7 +243,7 @@ def sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArr
     sigma[used] = some
     out = np.flatnonzero(~used)
     if len(out):
-        R, t, residuals = resected([views[v] for v in out.tolist()], _camera(x, size))
+        R, t, residuals = resected([views[v] for v in out.tolist()], camera_of(x, size))
         for k, v in enumerate(out.tolist()):
             x[9 + 6 * v : 15 + 6 * v] = np.concatenate([log(R[k]), t[k]])
         sigma[out] = [robust_sigma(r) for r in residuals]
@@ -252,12 +254,12 @@ def robust_sigma(residual: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(residual))), FLOOR)
 
 
-def _spread(bundle: Bundle, x: Array) -> Array:
+def spread_of(bundle: Bundle, x: Array) -> Array:
     """Usual residual of each view, (v,) px."""
     return np.array([np.median(np.abs(r)) for r in bundle.residuals(x)])
 
 
-def _poses(views: Sequence[View], camera: InteriorOrientation) -> Array:
+def poses_of(views: Sequence[View], camera: InteriorOrientation) -> Array:
     """Rotation vector and translation of each view, (v, 2, 3)."""
     found = np.empty((len(views), 2, 3))
     for i, view in enumerate(views):

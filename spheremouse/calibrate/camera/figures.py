@@ -209,7 +209,7 @@ def _draw_axes(axes: "Axes", flat: Any, length: float) -> None:
         axes.annotate(name, line[1], color=colour, fontsize=9, fontweight="bold", zorder=5)
 
 
-def _picture(done: Calibrated, k: int) -> str:
+def small_picture(done: Calibrated, k: int) -> str:
     """A small photo with its corners, those left out in red."""
     photo = done.photos[done.index[k]]
     small = np.ascontiguousarray(thumbnail(image(photo), _THUMB))

@@ -10,11 +10,11 @@ from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import Calibrated, false_views
 from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, bare, listed, unleant
 from spheremouse.calibrate.camera.figures import (
-    _picture,
     arrows_figure,
     coverage_figure,
     magnification,
     scatter_figure,
+    small_picture,
     stands_figure,
     tilt_figure,
     views_figure,
@@ -128,7 +128,7 @@ def camera_json(done: Calibrated) -> dict[str, Any]:
             "correlation": found.correlation()[:9, :9].tolist(),
         },
         "rms_px": found.rms,
-        "held_out_px": _held_out(done),
+        "held_out_px": held_out_rms(done),
         "contradiction": found.contradiction,
         "coverage": {
             "regions": done.coverage.regions.tolist(),
@@ -148,7 +148,7 @@ def write_camera_report(path: Path, done: Calibrated, provenance: Mapping[str, A
 
 def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
     found, camera = done.found, done.found.camera
-    sigma, held = found.deviations, _held_out(done)
+    sigma, held = found.deviations, held_out_rms(done)
     pattern, used = done.pattern, int(found.used.sum())
     kind = "chessboard" if pattern.marker is None else "ChArUco board"
     distance = np.linalg.norm(found.camera_positions()[found.used], axis=1)
@@ -230,7 +230,7 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
                 [row for row, _ in view_rows(done)],
                 [not good for _, good in view_rows(done)],
             ),
-            page.sheet([_picture(done, k) for k in range(len(done.views))]),
+            page.sheet([small_picture(done, k) for k in range(len(done.views))]),
         ),
         page.section(
             "Poses",
@@ -251,7 +251,7 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
 _POSE_HEAD = ["view", "x, mm", "y, mm", "z, mm", "± mm", "r x, °", "r y, °", "r z, °", "± °"]
 
 
-def _held_out(done: Calibrated) -> float | None:
+def held_out_rms(done: Calibrated) -> float | None:
     """RMS over all views held out, px."""
     good = done.held_out[np.isfinite(done.held_out)]
     return float(np.sqrt(np.mean(good**2))) if len(good) else None

@@ -13,11 +13,11 @@ from spheremouse.calibrate.camera.bundle import (
     OPEN,
     BoardAdjustment,
     Bundle,
-    _camera,
-    _columns,
-    _kept,
+    camera_of,
+    kept_views,
     robust_sigma,
     sigma_of,
+    unknowns_of,
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors
@@ -46,10 +46,10 @@ def finished(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) ->
     views, index = bundle.views, np.flatnonzero(used)
     kept = [np.ones(len(v.uv), bool) for v in views]
     sigma, x = sigma.copy(), x.copy()
-    columns = _columns(used)
+    columns = unknowns_of(used)
     y = x[columns]
     for _ in range(_ROUNDS):
-        part = Bundle([_kept(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+        part = Bundle([kept_views(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
         y = part.solve(y, sigma[index])
         residual, J = part.jacobian(y, sigma[index])
         Q = _cofactors(J)
@@ -68,7 +68,7 @@ def finished(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) ->
             here = slice(group.start // 2, group.stop // 2)
             bad = false[here] & (test[here] >= 0.25 * test[here].max())
             kept[v][np.flatnonzero(kept[v])[bad]] = False
-    part = Bundle([_kept(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
+    part = Bundle([kept_views(views[v], kept[v]) for v in index.tolist()], bundle.size, bundle.free)
     y = part.solve(y, sigma[index])
     residual, J = part.jacobian(y, sigma[index])
     Q = _cofactors(J)
@@ -77,7 +77,7 @@ def finished(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) ->
     N, g = _on_the_camera(J, residual / np.sqrt(factor), part.groups, int(bundle.free.sum()))
     doubt = contradiction(N, g)
     x[columns] = y
-    camera = _camera(x, bundle.size)
+    camera = camera_of(x, bundle.size)
     covariance = np.zeros((9 + 6 * len(index),) * 2)
     is_open = np.concatenate([bundle.free, np.ones(6 * len(index), bool)])
     covariance[np.ix_(is_open, is_open)] = doubt * _estimated_weights(N, part.counts) * factor * Q

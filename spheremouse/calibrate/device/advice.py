@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.stats import chi2
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
-from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, _work, length
+from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, length, work_of
 from spheremouse.calibrate.device.what_if import (
     spread,
 )
@@ -27,7 +27,7 @@ _GROUPS = ("target", "disc")
 def advise(calibration: DeviceCalibration, names: Sequence[str] | None = None) -> list[Advice]:
     """How good it is, what is wrong, and at most three things to do, by their gain; `names` of all photos given."""
     found = list(_findings(calibration, _Names(calibration, names)))
-    work = _work(calibration)
+    work = work_of(calibration)
     return [_verdict(calibration, any(a.kind == "warning" for a in found)), *found, *work]
 
 

@@ -71,7 +71,7 @@ NAMES = ("the ball's place sideways (X)", "the ball's height (Y)", "the ball's d
 _TARGETS, _DISC = "the targets' places", "the least certain disc"
 
 
-def _work(c: DeviceCalibration) -> list[Advice]:
+def work_of(c: DeviceCalibration) -> list[Advice]:
     """The best plans, each on top of those before it."""
     net = network(c)
     known = len(c.discs)

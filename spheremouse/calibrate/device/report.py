@@ -15,14 +15,14 @@ from spheremouse.calibrate.device.advice import coverage
 from spheremouse.calibrate.device.figures import certainty, magnification, overview, photo_picture, side_views
 from spheremouse.calibrate.device.plans import Advice
 from spheremouse.calibrate.device.results import (
-    _advice,
-    _sigma,
-    _unit,
+    advice_or_made,
     correlation,
     distance_rows,
     per_photo,
     points,
     px,
+    sigma_of,
+    unit_of,
 )
 from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import ConfigurationError
@@ -58,7 +58,7 @@ def write_device_report(
     names = [p.path.name for p in photos]
     blocks = [
         page.numbers(_headlines(c)),
-        page.advice([(a.kind, a.text) for a in _advice(c, names, advice)]),
+        page.advice([(a.kind, a.text) for a in advice_or_made(c, names, advice)]),
         _places(c),
         _ball_section(c),
         _target_section(c),
@@ -74,7 +74,7 @@ def write_device_report(
 
 
 def _headlines(c: DeviceCalibration) -> list[tuple[str, str, str]]:
-    unit, f, digits = _unit(c)
+    unit, f, digits = unit_of(c)
     ball = np.sqrt(np.diag(c.ball_covariance))
     centre = f"X {f * ball[0]:.{digits}f}, Y {f * ball[1]:.{digits}f}, Z {f * ball[2]:.{digits}f} {unit}"
     first = (
@@ -111,7 +111,7 @@ def _places(c: DeviceCalibration) -> str:
 
 
 def _ball_section(c: DeviceCalibration) -> str:
-    unit, f, digits = _unit(c)
+    unit, f, digits = unit_of(c)
     sigma, r = np.sqrt(np.diag(c.ball_covariance)), correlation(c.ball_covariance)
     values = [*c.centre, c.radius]
     rows = [
@@ -134,7 +134,7 @@ def _ball_section(c: DeviceCalibration) -> str:
 
 
 def _target_section(c: DeviceCalibration) -> str:
-    unit, f, digits = _unit(c)
+    unit, f, digits = unit_of(c)
     point = c.measured.point[c.measured.used]
     rows = [
         [
@@ -145,7 +145,7 @@ def _target_section(c: DeviceCalibration) -> str:
             str(int(np.count_nonzero(point == i))),
         ]
         for i, (id_, code, place, sigma) in enumerate(
-            zip(c.device.ids, c.device.codes, c.targets, _sigma(c, "targets"), strict=True)
+            zip(c.device.ids, c.device.codes, c.targets, sigma_of(c, "targets"), strict=True)
         )
     ]
     text = "Centres of the targets as seen from the ball's centre: by these the camera knows where it is in play."
@@ -163,7 +163,7 @@ def _distance_section(c: DeviceCalibration) -> str:
 
 
 def _photo_section(c: DeviceCalibration, photos: Sequence[Photo]) -> str:
-    unit, f, _ = _unit(c)
+    unit, f, _ = unit_of(c)
     rows, certain, pictures = [], [], []
     for i, (k, pose, (used, rejected, rms)) in enumerate(zip(c.photos, c.poses, per_photo(c), strict=True)):
         name, number = photos[k].path.name, str(k + 1)
@@ -191,7 +191,7 @@ def _photo_section(c: DeviceCalibration, photos: Sequence[Photo]) -> str:
 
 
 def _pose_sigma(c: DeviceCalibration, variance: Array) -> list[str]:
-    _, f, digits = _unit(c)
+    _, f, digits = unit_of(c)
     sigma = np.sqrt(variance)
     return [*(f"{f * s:.{digits}f}" for s in sigma[:3]), *(f"{np.degrees(s):.3f}" for s in sigma[3:])]
 
@@ -203,7 +203,7 @@ def _left_out(c: DeviceCalibration, photos: Sequence[Photo]) -> str:
 
 
 def _disc_section(c: DeviceCalibration) -> str:
-    unit, f, digits = _unit(c)
+    unit, f, digits = unit_of(c)
     block, rows = c.block("discs"), []
     for i, (place, seen) in enumerate(zip(c.discs, c.sightings, strict=True)):
         here = slice(block.start + 3 * i, block.start + 3 * i + 3)
@@ -221,7 +221,7 @@ def _disc_section(c: DeviceCalibration) -> str:
     alone = np.sqrt(np.diag(c.solution.covariance)[columns]) / c.unit
     mean = [
         [name, *(f"{f * v:.{digits}f}" for v in np.sqrt(np.mean(s**2, axis=0)))]
-        for name, s in (("from the photos alone", alone), ("on the ball, from its centre", _sigma(c, "discs")))
+        for name, s in (("from the photos alone", alone), ("on the ball, from its centre", sigma_of(c, "discs")))
     ]
     return page.section(
         "Discs",

@@ -25,7 +25,7 @@ def device_json(
         "targets": [
             {"id": id_, "code": code, "position": place.tolist(), "sigma": sigma.tolist()}
             for id_, code, place, sigma in zip(
-                c.device.ids, c.device.codes, c.targets, _sigma(c, "targets"), strict=True
+                c.device.ids, c.device.codes, c.targets, sigma_of(c, "targets"), strict=True
             )
         ],
         "ball": {
@@ -36,7 +36,7 @@ def device_json(
         },
         "discs": [
             {"position": place.tolist(), "sigma": sigma.tolist(), "photos": int(seen)}
-            for place, sigma, seen in zip(c.discs, _sigma(c, "discs"), c.sightings, strict=True)
+            for place, sigma, seen in zip(c.discs, sigma_of(c, "discs"), c.sightings, strict=True)
         ],
         "photos": [
             {
@@ -69,27 +69,28 @@ def device_json(
         "skipped": [{"file": names[k], "why": why} for k, why in c.skipped],
         "doubtful": [{"file": names[k], "why": why} for k, why in c.doubtful],
         "advice": [
-            {"kind": a.kind, "text": a.text, "gain": a.gain, "improves": a.improves} for a in _advice(c, names, advice)
+            {"kind": a.kind, "text": a.text, "gain": a.gain, "improves": a.improves}
+            for a in advice_or_made(c, names, advice)
         ],
     }
 
 
-def _advice(c: DeviceCalibration, names: Sequence[str], given: Sequence[Advice] | None) -> Sequence[Advice]:
+def advice_or_made(c: DeviceCalibration, names: Sequence[str], given: Sequence[Advice] | None) -> Sequence[Advice]:
     return advise(c, names) if given is None else given
 
 
-def _unit(c: DeviceCalibration) -> tuple[str, float, int]:
+def unit_of(c: DeviceCalibration) -> tuple[str, float, int]:
     """What lengths are shown in, what makes them so, and decimals."""
     return ("R/1000", 1e3, 3) if c.scale_free else ("mm", 1e3, 2)
 
 
-def _sigma(c: DeviceCalibration, name: str) -> Array:
+def sigma_of(c: DeviceCalibration, name: str) -> Array:
     """Standard deviations of the coordinates of `targets` or `discs`, (n, 3)."""
     here = c.block(name)
     return np.sqrt(np.diag(c.covariance)[here]).reshape(-1, 3)
 
 
-def _rms(values: Array) -> float:
+def rms_of(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -118,7 +119,7 @@ def per_photo(c: DeviceCalibration) -> list[tuple[int, int, float | None]]:
     for i in range(len(c.poses)):
         mine = m.photo == i
         used = mine & m.used
-        rms = _rms(m.residual[used]) if np.any(used) else None
+        rms = rms_of(m.residual[used]) if np.any(used) else None
         found.append((int(np.count_nonzero(used)), int(np.count_nonzero(mine & ~m.used)), rms))
     return found
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spheremouse.calibrate.rolling.normal import Normal, _minimum
+from spheremouse.calibrate.rolling.normal import Normal, minimised
 from spheremouse.calibrate.rolling.problem import (
     GLOBAL,
     RATES,
@@ -51,7 +51,7 @@ def adjust_rolling(
     """
     known = start.readout, readout_sigma
     at, used = _compact(start, sightings)
-    at, normal = _minimum(at, used, camera, known, _KNEE)
+    at, normal = minimised(at, used, camera, known, _KNEE)
     robust = True
     while True:
         test = snooped(normal.equations.residual, normal.residual_cofactors())
@@ -61,7 +61,7 @@ def adjust_rolling(
         if not robust and fits.all():
             break
         at, used = _compact(at, used.take(fits))
-        at, normal = _minimum(at, used, camera, known, np.inf)
+        at, normal = minimised(at, used, camera, known, np.inf)
         robust = False
     return _result(at, used, len(sightings) - len(used), normal, camera)
 

@@ -103,7 +103,7 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     by_direction = jacobian(
         lambda c: _target_residuals(x, used, rig, replace(rolling, direction=c), known), rolling.direction
     )
-    by_lens = _by_lens(lambda c: _target_residuals(x, used, replace(rig, camera=c), rolling, known), rig.camera)
+    by_lens = changes_by_lens(lambda c: _target_residuals(x, used, replace(rig, camera=c), rolling, known), rig.camera)
     r = _target_residuals(x, used, rig, rolling, known)
     shared = by_targets @ rig.targets.covariance @ by_targets.T
     weight = np.linalg.inv(np.eye(len(r)) + shared + by_lens @ by_lens.T)
@@ -188,7 +188,7 @@ def jacobian(f: Callable[[Array], Array], x: Array) -> Array:
     return np.asarray(np.stack(columns, axis=1), dtype=float)
 
 
-def _by_lens(f: Callable[[InteriorOrientation], Array], camera: InteriorOrientation) -> Array:
+def changes_by_lens(f: Callable[[InteriorOrientation], Array], camera: InteriorOrientation) -> Array:
     """How f changes per standard deviation along each column of `lens_root`, (n, 9)."""
     L, h = lens_root(camera), 1e-2
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from spheremouse.ball.device import Device
-from spheremouse.calibrate.rolling.axes import PLACE, RIM, SIZE, Axes, Parts, _by_lens, jacobian
+from spheremouse.calibrate.rolling.axes import PLACE, RIM, SIZE, Axes, Parts, changes_by_lens, jacobian
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, unproject
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
@@ -59,7 +59,7 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
         there = moved(y, lens)
         return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
 
-    by_x, seen_through = jacobian(told, x), _by_lens(lambda c: told(x, c), camera)
+    by_x, seen_through = jacobian(told, x), changes_by_lens(lambda c: told(x, c), camera)
     pull = np.zeros((len(x), 9))  # of the lens on what tape distances correct
     J, r = np.eye(len(x)), residuals(x)
     for d in taped:

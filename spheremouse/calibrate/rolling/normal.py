@@ -11,7 +11,7 @@ from spheremouse.calibrate.rolling.problem import (
     Equations,
     Rolling,
     Sightings,
-    _equations,
+    equations_of,
 )
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
@@ -94,12 +94,12 @@ class Normal:
         return np.eye(2) - own - (J.reshape(-1, J.shape[2]) @ Q).reshape(J.shape) @ J.transpose(0, 2, 1)
 
 
-def _minimum(
+def minimised(
     at: Rolling, s: Sightings, camera: InteriorOrientation, readout: tuple[float, float], knee: float
 ) -> tuple[Rolling, Normal]:
     """Levenberg and Marquardt's way to the least sum of squares, or of Huber's function with its knee."""
     damping, dx = 1e-6, np.full(GLOBAL, np.inf)
-    equations = _equations(at, s, camera)
+    equations = equations_of(at, s, camera)
     for _ in range(_MOST):
         length = np.linalg.norm(equations.residual, axis=1)
         weight = np.minimum(1.0, knee / np.maximum(length, 1e-12))
@@ -107,7 +107,7 @@ def _minimum(
         normal = Normal(at, s, equations, weight, readout)
         dx, de = normal.step(damping)
         tried = _moved(at, dx, de)
-        there = _equations(tried, s, camera) if tried.ratio > 1.0 else None
+        there = equations_of(tried, s, camera) if tried.ratio > 1.0 else None
         better = there is not None and (
             _cost(np.linalg.norm(there.residual, axis=1), knee, tried.readout, readout) <= cost * (1.0 + 1e-12)
         )

@@ -73,7 +73,7 @@ class Equations:
     camera: Array  # (n, 2, 9) by the interior orientation
 
 
-def _equations(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equations:
+def equations_of(at: Rolling, s: Sightings, camera: InteriorOrientation) -> Equations:
     """Of a point p = ratio c + R d, that a rolling shutter sees late: R = exp(readout row w) R_cam_ball."""
     n, m = len(s), len(at.discs)
     row = row_of(s.centre[:, 1], camera.height)

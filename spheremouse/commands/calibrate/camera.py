@@ -24,7 +24,7 @@ from spheremouse.calibrate.camera.calibrate import Calibrated
 
 if TYPE_CHECKING:
     pass
-from spheremouse.calibrate.camera.report import _held_out, advice, parameter_rows, view_rows
+from spheremouse.calibrate.camera.report import advice, held_out_rms, parameter_rows, view_rows
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
@@ -143,7 +143,7 @@ def camera_text(done: Calibrated) -> None:
     if not console.is_terminal:
         console.width = 1000
     table = Table(box=None, title_justify="left", title_style="")
-    held = _held_out(done)
+    held = held_out_rms(done)
     table.title = (
         f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
         f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"

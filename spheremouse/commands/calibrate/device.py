@@ -33,14 +33,14 @@ from spheremouse.calibrate.device.adjust import DeviceCalibration
 from spheremouse.calibrate.device.plans import Advice
 from spheremouse.calibrate.device.report import AXES, MARKS
 from spheremouse.calibrate.device.results import (
-    _advice,
-    _rms,
-    _sigma,
-    _unit,
+    advice_or_made,
     distance_rows,
     per_photo,
     points,
     px,
+    rms_of,
+    sigma_of,
+    unit_of,
 )
 from spheremouse.calibrate.photos import Photo
 
@@ -181,16 +181,18 @@ def device_text(
     """Print the figures that matter, and the advice; `names` of all photos."""
     c = calibration
     console = console or Console(highlight=False)
-    unit, f, digits = _unit(c)
+    unit, f, digits = unit_of(c)
     ball = np.sqrt(np.diag(c.ball_covariance))
     lines = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
     if not c.scale_free:
         lines.add_row("radius", f"{f * c.radius:.{digits}f} ± {f * ball[3]:.{digits}f} {unit}")
     where = ", ".join(f"{a} ± {f * s:.{digits}f}" for a, s in zip(AXES, ball, strict=False))
     lines.add_row("ball's centre", f"{where} {unit} against the targets")
-    lines.add_row("targets", f"{len(c.targets)}, ± {f * _rms(_sigma(c, 'targets')):.{digits}f} {unit}")
+    lines.add_row("targets", f"{len(c.targets)}, ± {f * rms_of(sigma_of(c, 'targets')):.{digits}f} {unit}")
     often = int(np.count_nonzero(c.sightings >= 3))
-    lines.add_row("discs", f"{len(c.discs)}, ± {f * _rms(_sigma(c, 'discs')):.{digits}f} {unit}; {often} in 3 photos +")
+    lines.add_row(
+        "discs", f"{len(c.discs)}, ± {f * rms_of(sigma_of(c, 'discs')):.{digits}f} {unit}; {often} in 3 photos +"
+    )
     lines.add_row("image points", f"{points(c)}; {c.rms_px:.3f} px RMS")
     console.print(Padding(lines, (0, 0, 1, 0)))
     photos = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
@@ -210,7 +212,7 @@ def device_text(
         for row in distance_rows(c):
             tape.add_row(*(row[i] for i in (0, 1, 3, 5, 6)))
         console.print(Padding(tape, (0, 0, 1, 0)))
-    for a in _advice(c, names, advice):
+    for a in advice_or_made(c, names, advice):
         mark, colour = MARKS[a.kind]
         line = Table.grid(padding=(0, 1, 0, 0))
         line.add_row(Text(mark, style=colour), Text(a.text))

@@ -97,11 +97,11 @@ class SpedUp:
         return np.minimum(self.acceleration * np.asarray(t), self.most)[:, None] * self.axis
 
 
-def _tracker(who: str, world: World) -> Tracker:
+def tracker_for(who: str, world: World) -> Tracker:
     return build(world.rig, world.scene.pose, settings_of([f"tracker={who.split(',', maxsplit=1)[0]}"]))
 
 
-def _started(who: str, tracker: Tracker, world: World) -> TrackState:
+def after_rest(who: str, tracker: Tracker, world: World) -> TrackState:
     """After a second of rest; `so3` was shown the ball from all sides before, which is of no use to the others."""
     return known_ball(tracker, world) if who == "so3" else _looked_at(tracker, world, still(1.0))
 
@@ -119,7 +119,7 @@ def _looked_at(tracker: Tracker, world: World, motion: Profile) -> TrackState:
     return state
 
 
-def _error(state: TrackState, attitude: Array) -> Array:
+def rotation_error(state: TrackState, attitude: Array) -> Array:
     """Rotation (3, 3) from the true attitude to the one told."""
     return state.filter.attitude @ attitude.T
 
@@ -134,7 +134,7 @@ class Course:
 
     def then(self, state: TrackState, attitude: Array) -> "Course | None":
         """One frame later; None where the ball is lost, or what it turned within the last HOLD is wrong."""
-        now, error = state.filter.stamp, _error(state, attitude)
+        now, error = state.filter.stamp, rotation_error(state, attitude)
         recent = self.time >= now - HOLD
         cosine = 0.5 * (np.sum(self.error[recent] * error, axis=(1, 2)) - 1.0)
         if state.phase is not Phase.TRACKING or np.any(cosine < np.cos(np.radians(WRONG))):
@@ -142,11 +142,11 @@ class Course:
         return Course(state, np.append(self.time[recent], now), np.concatenate([self.error[recent], error[None]]))
 
 
-def _begun(state: TrackState) -> Course:
-    return Course(state, np.array([state.filter.stamp]), _error(state, np.eye(3))[None])
+def course_begun(state: TrackState) -> Course:
+    return Course(state, np.array([state.filter.stamp]), rotation_error(state, np.eye(3))[None])
 
 
-def _axis(seed: int, across: bool = False) -> Array:
+def random_axis(seed: int, across: bool = False) -> Array:
     """At random; or `across` the camera's view, where discs move fastest in pictures."""
     v = np.random.default_rng([seed, 3]).standard_normal(3) * (1.0, 1.0, 0.0 if across else 1.0)
     return np.asarray(v / np.sqrt(v @ v), dtype=float)

@@ -70,7 +70,7 @@ def label_lines(ax: Any, x: float, ends: Sequence[tuple[float, str, str]], apart
         ax.text(1.03, y - over, name, transform=ax.transAxes, color=colour, fontsize=8.0, va="center", clip_on=False)
 
 
-def _legend(canvas: Any, who: Sequence[str]) -> None:
+def legend_below(canvas: Any, who: Sequence[str]) -> None:
     from matplotlib.lines import Line2D
 
     looks: list[Any] = [dict(zip(("color", "marker", "linestyle"), LOOK[w], strict=True)) for w in who]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.experiments.count import ATTITUDE, FAR_OFF, LAYOUTS, RATE, STORED, _key
+from spheremouse.experiments.count import ATTITUDE, FAR_OFF, LAYOUTS, RATE, STORED, key_of
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
@@ -77,7 +77,7 @@ def _table_20(results: Results) -> Table:
     for n, stored in STORED.items():
         typed = (*ATTITUDE[n], *RATE[n])
         rows.append((str(n), "thesis, EKF2", f"{stored:.1f}", *(f"{x:.3f}" for x in typed)))
-        result = results.get(_key(n, LAYOUTS[0]))
+        result = results.get(key_of(n, LAYOUTS[0]))
         for who in TRACKERS:
             row = result if result is None or "error" in result else result["rows"][who]
             attitude = (value(row, "attitude_rmse_deg", axis, digits=4) for axis in "xyz")

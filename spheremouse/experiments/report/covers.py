@@ -22,13 +22,13 @@ from spheremouse.experiments.kit.world import (
     DISCS,
     WHO,
 )
-from spheremouse.experiments.limits import _degrees
+from spheremouse.experiments.limits import in_degrees
 from spheremouse.experiments.report.cells import (
     BESIDE,
     LOOK,
     Grouped,
-    _legend,
     label_lines,
+    legend_below,
     plain,
     rate_axis,
     span,
@@ -96,7 +96,7 @@ def cover_figure(covers: dict[tuple[float, ...], list[Result]]) -> Figure:
         left.set(ylabel="hidden when it is lost, %", ylim=(0.0, 102.0), title=f"{discs:g} discs")
         left.grid(visible=False, axis="x")
         if not rest:
-            _legend(canvas, TRACKERS)
+            legend_below(canvas, TRACKERS)
             return
         (right,), ends = rest, []
         for who in TRACKERS:
@@ -140,11 +140,11 @@ def again_about(good: Results) -> str:
                 " Without pictures it is the same." if said == bare else f" Without: {'; '.join(bare)}." if bare else ""
             )
     return (
-        f"The ball turns on at {_degrees(TURNING):.0f} °/s while nothing of it is seen for {COVERED:g} s, by "
+        f"The ball turns on at {in_degrees(TURNING):.0f} °/s while nothing of it is seen for {COVERED:g} s, by "
         f"{turned:.0f}°. "
         f"From when the cover goes, as a whole: how long until the attitude is right again (to {ATTITUDE:g}°, and "
         "stays so "
-        f"for {STAYS:g} s), and the rate (to {_degrees(RATE):.0f} °/s). A cover goes when it likes: half a frame is "
+        f"for {STAYS:g} s), and the rate (to {in_degrees(RATE):.0f} °/s). A cover goes when it likes: half a frame is "
         "added everywhere." + _gone_before(good) + check
     )
 
@@ -175,7 +175,7 @@ def _wait(result: Result, what: str, fps: float) -> str:
     )
 
 
-def _waits(results: list[Result], who: str, what: str) -> list[float]:
+def waits_of(results: list[Result], who: str, what: str) -> list[float]:
     """ms, inf: never; those lost before are left out."""
     kept = [r[who] for r in results if "error" not in r[who]]
     return [np.inf if r[what] is None else r[what]["ms"] for r in kept]
@@ -208,7 +208,7 @@ def again_figure(again: dict[tuple[float, ...], list[Result]]) -> Figure:
         for ax, what in zip(canvas.subplots(1, 2, sharey=True), ("attitude", "rate"), strict=True):
             ends = []
             for who, (colour, mark, dash) in LOOK.items():
-                known = [(f, _waits(r, who, what)) for (f,), r in again.items()]
+                known = [(f, waits_of(r, who, what)) for (f,), r in again.items()]
                 known = [(f, [min(w + _half(f), never) for w in v]) for f, v in known if v]
                 if not known:
                     continue

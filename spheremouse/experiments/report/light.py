@@ -8,7 +8,7 @@ from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
 from spheremouse.experiments.kit.plot import BOUND, THESIS
 from spheremouse.experiments.kit.report import failures, value
-from spheremouse.experiments.light import SIGMAS, THESIS_24, WORST, _key, decoded
+from spheremouse.experiments.light import SIGMAS, THESIS_24, WORST, decoded, key_of
 
 _AXES = ("C3", "C4", "C5")  # of angles and axes; C0 to C2 are the trackers'
 _CLEARLY = 1.25  # times: less than that is no growth
@@ -49,14 +49,14 @@ def _length(results: Results) -> str:
 
 
 def _cell(results: Results, film: str, level: int, sigma: int) -> Result | None:
-    result = results.get(_key(film, level))
+    result = results.get(key_of(film, level))
     return result if result is None or "error" in result else result["cells"].get(str(sigma))
 
 
 def _table(results: Results, film: str, name: str, quick: bool) -> Table:
     rows = []
     for level, thesis in THESIS_24.items():
-        if quick and results.get(_key(film, level)) is None:
+        if quick and results.get(key_of(film, level)) is None:
             continue
         typed = ("targets not found" if x is None else f"{x:.2f}" for x in thesis)
         rows.append((f"{level:+d}", "thesis, EKF2", *typed))

@@ -17,22 +17,22 @@ from spheremouse.experiments.kit.world import (
     WRONG,
 )
 from spheremouse.experiments.limits import (
-    _FILMED,
     ACCELERATIONS,
     FASTEST,
+    FILMED_SECONDS,
     HARDEST,
     LADDER,
     PUSH,
     SLOWEST,
     WHOLE,
-    _degrees,
+    in_degrees,
 )
 from spheremouse.experiments.report.cells import (
     BESIDE,
     LOOK,
     Grouped,
-    _legend,
     label_lines,
+    legend_below,
     plain,
     rate_axis,
     span,
@@ -40,7 +40,6 @@ from spheremouse.experiments.report.cells import (
     with_broken,
 )
 from spheremouse.experiments.report.covers import (
-    _waits,
     again_about,
     again_figure,
     again_table,
@@ -48,6 +47,7 @@ from spheremouse.experiments.report.covers import (
     cover_figure,
     cover_table,
     hidden,
+    waits_of,
 )
 from spheremouse.simulate.ball.film import default_scene
 
@@ -98,9 +98,8 @@ def _about() -> str:
         f"A ball of {DISCS} discs before the far camera is sped up evenly from rest about an axis drawn at random. "
         "It is "
         f"followed as long as it is not lost and what it turned within the last {HOLD:g} s is right to {WRONG:g}°; "
-        "limits "
-        f"are found by bisection, up to {_degrees(FASTEST):.0f} °/s and {HARDEST:g} rad/s²: a limit is the first that "
-        "is met, and beyond it some rates may hold again. `so3` has seen the ball "
+        f"limits are found by bisection, up to {in_degrees(FASTEST):.0f} °/s and {HARDEST:g} rad/s²: a limit is the first "
+        "that is met, and beyond it some rates may hold again. `so3` has seen the ball "
         "from all "
         "sides, or it is new to it; the published filters remember no disc that is out of view. Rates and "
         "accelerations "
@@ -119,12 +118,12 @@ def _speed_table(fast: Grouped, bad: Grouped) -> Table:
             rows.append((f"{fps:g}", made, *["–"] * 4))
             continue
         for k, who in enumerate(WHO):
-            rate, push = _degrees(_middle(results, who, 0)), _middle(results, who, None)
+            rate, push = in_degrees(_middle(results, who, 0)), _middle(results, who, None)
             rows.append(
                 (
                     *((f"{fps:g}", made) if k == 0 else ("", "")),
                     f"`{who}`",
-                    _limit(rate, _degrees(SLOWEST), _degrees(FASTEST)),
+                    _limit(rate, in_degrees(SLOWEST), in_degrees(FASTEST)),
                     _limit(push, _SOFTEST, HARDEST),
                     f"{PUSH * fps:.0f}" if k == 0 else "",
                 )
@@ -132,7 +131,7 @@ def _speed_table(fast: Grouped, bad: Grouped) -> Table:
     head = (
         *("Hz", "balls", ""),
         f"rate, °/s, at {ACCELERATIONS[0]:g} rad/s²",
-        f"acceleration, rad/s², to {_degrees(PUSH):.0f} °/s",
+        f"acceleration, rad/s², to {in_degrees(PUSH):.0f} °/s",
         "which is between two frames from, rad/s²",
     )
     return Table(head, tuple(rows), "Highest rate and highest acceleration that are followed (medians)")
@@ -151,14 +150,14 @@ def _softest(fast: Grouped) -> str:
         for who in WHO:
             rate = _middle(results, who, 0)
             if _middle(results, who, None) <= 0.0 and rate >= PUSH:
-                said.append(f"`{who}` at {fps:g} Hz ({_degrees(rate):.0f} °/s)")
+                said.append(f"`{who}` at {fps:g} Hz ({in_degrees(rate):.0f} °/s)")
     if not said:
         return ""
     turned = PUSH**2 / (2.0 * _SOFTEST)
     return (
-        f"Lost at {_SOFTEST:g} rad/s² does not mean lost at all others: on that way to {_degrees(PUSH):.0f} °/s the "
+        f"Lost at {_SOFTEST:g} rad/s² does not mean lost at all others: on that way to {in_degrees(PUSH):.0f} °/s the "
         f"ball turns by {turned:.1f} rad, and a gap between discs may end it. At {ACCELERATIONS[0]:g} rad/s² more than "
-        f"these {_degrees(PUSH):.0f} °/s are reached (medians) by {', '.join(said)}."
+        f"these {in_degrees(PUSH):.0f} °/s are reached (medians) by {', '.join(said)}."
     )
 
 
@@ -178,8 +177,8 @@ def _speed_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
         for ax, (k, unit, label, least, most) in zip(
             canvas.subplots(1, 2),
             (
-                (0, _degrees(1.0), f"highest rate at {ACCELERATIONS[0]:g} rad/s², °/s", 20.0, _degrees(FASTEST)),
-                (None, 1.0, f"highest acceleration to {_degrees(PUSH):.0f} °/s, rad/s²", 1.0, HARDEST),
+                (0, in_degrees(1.0), f"highest rate at {ACCELERATIONS[0]:g} rad/s², °/s", 20.0, in_degrees(FASTEST)),
+                (None, 1.0, f"highest acceleration to {in_degrees(PUSH):.0f} °/s, rad/s²", 1.0, HARDEST),
             ),
             strict=True,
         ):
@@ -214,26 +213,26 @@ def _map_figure(fast: dict[tuple[float, ...], list[Result]]) -> Figure:
         axes = np.atleast_1d(canvas.subplots(1, len(fast), sharey=True))
         for ax, ((fps,), results) in zip(axes, fast.items(), strict=True):
             for who, (colour, mark, dash) in LOOK.items():
-                reached = [max(_degrees(_middle(results, who, k)), 20.0) for k in range(len(ACCELERATIONS))]
+                reached = [max(in_degrees(_middle(results, who, k)), 20.0) for k in range(len(ACCELERATIONS))]
                 ax.plot(ACCELERATIONS, reached, color=colour, marker=mark, linestyle=dash)
                 ax.fill_between(ACCELERATIONS, 20.0, reached, color=colour, alpha=0.06, lw=0)
             ax.plot(
-                ACCELERATIONS, [_degrees(a / fps) for a in ACCELERATIONS], color="0.5", linestyle="--", linewidth=0.7
+                ACCELERATIONS, [in_degrees(a / fps) for a in ACCELERATIONS], color="0.5", linestyle="--", linewidth=0.7
             )
             ax.axvline(_STOP, color="0.5", **BOUND)
-            ax.axhline(_degrees(_FLICK), color="0.5", **BOUND)
-            ax.set(xscale="log", yscale="log", ylim=(20.0, 1.5 * _degrees(FASTEST)), title=f"{fps:g} Hz")
+            ax.axhline(in_degrees(_FLICK), color="0.5", **BOUND)
+            ax.set(xscale="log", yscale="log", ylim=(20.0, 1.5 * in_degrees(FASTEST)), title=f"{fps:g} Hz")
             ax.set_xticks(ACCELERATIONS, [f"{a:g}" for a in ACCELERATIONS])
             ax.minorticks_off()
             plain(ax.yaxis)
         axes[0].set_ylabel("rate reached, °/s")
         axes[len(axes) // 2].set_xlabel("acceleration, rad/s²")
-        _legend(canvas, WHO)
+        legend_below(canvas, WHO)
 
     caption = (
         "Below a line a ball is followed: what rate it may be sped up to at what acceleration, by frame rate "
         "(medians). "
-        f"Dotted: a flick of {_degrees(_FLICK):.0f} °/s, and the {_STOP:g} rad/s² of a stop by hand. Below "
+        f"Dotted: a flick of {in_degrees(_FLICK):.0f} °/s, and the {_STOP:g} rad/s² of a stop by hand. Below "
         "the thin dashed line all of the way from rest is between two frames."
     )
     return Figure("limits-map", caption, draw, (7.2, 2.9))
@@ -244,8 +243,8 @@ def _film_about(films: dict[tuple[float, ...], list[Result]]) -> str:
         "With motion blur the detector limits, so that this is filmed: the ball is brought to a rate without "
         "pictures, about "
         "an axis across the view, where discs move fastest, and "
-        f"then filmed at it for {_FILMED:g} s, noise of {NOISE:g} grey values, at rates a factor of √2 apart. It is "
-        "followed "
+        f"then filmed at it for {FILMED_SECONDS:g} s, noise of {NOISE:g} grey values, at rates a factor of √2 apart. It "
+        "is followed "
         "when it is right to the end and discs have held its attitude to the last."
         " A filter that loses the ball before that rate counts as lost." + _sharp(films)
     )
@@ -259,27 +258,27 @@ def _sharp(films: dict[tuple[float, ...], list[Result]]) -> str:
     most = 0.99 * WHOLE
     kept = [who for who in TRACKERS if all(min(a, b) > most for w, a, b in pairs if w == who)]
     said = [
-        f"`{who}` at {_degrees(a):.0f} °/s (without pictures {_degrees(b):.0f})"
+        f"`{who}` at {in_degrees(a):.0f} °/s (without pictures {in_degrees(b):.0f})"
         for who, a, b in pairs
         if who not in kept
     ]
     text = f" Where sharp pictures are taken all the way from rest, lost are {', '.join(said)}" if said else ""
-    ends = f"up to {_degrees(WHOLE):.0f} °/s, the end of it, not: {', '.join(f'`{who}`' for who in kept)}"
+    ends = f"up to {in_degrees(WHOLE):.0f} °/s, the end of it, not: {', '.join(f'`{who}`' for who in kept)}"
     return f"{text}; {ends}." if text and kept else f"{text}." if text else f" In sharp pictures lost are, {ends}."
 
 
 def _film_table(films: Grouped, bad: Grouped) -> Table:
     rows = []
     for (fps, exposure), results, made in with_broken(films, bad):
-        cells = [span([_degrees(r[who]) for r in results]) if results else "–" for who in TRACKERS]
+        cells = [span([in_degrees(r[who]) for r in results]) if results else "–" for who in TRACKERS]
         rows.append((f"{fps:g}", f"{exposure:g}", made, _smear(1e-3 * exposure), *cells))
     head = ("Hz", "exposure, ms", "balls", "smeared over a disc's width at, °/s", *(f"`{t}`" for t in TRACKERS))
-    most = f"{_degrees(LADDER[-1]):.0f} is all that was filmed"
+    most = f"{in_degrees(LADDER[-1]):.0f} is all that was filmed"
     return Table(head, tuple(rows), f"Highest rate followed in pictures, °/s ({most}; of several balls: from – to)")
 
 
 def _smear(exposure: float) -> str:
-    return "–" if exposure == 0.0 else f"{_degrees(_width(exposure)):.0f}"
+    return "–" if exposure == 0.0 else f"{in_degrees(_width(exposure)):.0f}"
 
 
 def _width(exposure: float) -> float:
@@ -297,7 +296,7 @@ def _film_figure(films: dict[tuple[float, ...], list[Result]]) -> Figure:
         ends = []
         for who in TRACKERS:
             colour, mark, dash = LOOK[who]
-            spans = [[max(_degrees(r[who]), 30.0) for r in films[60.0, e]] for e in exposures]
+            spans = [[max(in_degrees(r[who]), 30.0) for r in films[60.0, e]] for e in exposures]
             middle = [float(np.median(v)) for v in spans]
             ax.plot(range(len(exposures)), middle, color=colour, marker=mark, linestyle=dash)
             low, high = ([f(v) for v in spans] for f in (min, max))
@@ -306,13 +305,13 @@ def _film_figure(films: dict[tuple[float, ...], list[Result]]) -> Figure:
             for (fps, e), results in films.items():
                 if fps != 60.0 and e in place:
                     x = place[e] + (0.12 if fps > 60.0 else -0.12)
-                    y = max(float(np.median([_degrees(r[who]) for r in results])), 30.0)
+                    y = max(float(np.median([in_degrees(r[who]) for r in results])), 30.0)
                     ax.plot([x], [y], color=colour, marker=mark, markerfacecolor="none", linestyle="")
-        smeared = [(place[e], _degrees(_width(1e-3 * e))) for e in exposures if e]
+        smeared = [(place[e], in_degrees(_width(1e-3 * e))) for e in exposures if e]
         ax.plot([x for x, _ in smeared], [y for _, y in smeared], color="0.5", **BOUND)
         if smeared:
             ends.append((smeared[-1][1], "smear: a disc's width", "0.5"))
-        ax.axhline(_degrees(LADDER[-1]), color="0.5", linewidth=0.6)
+        ax.axhline(in_degrees(LADDER[-1]), color="0.5", linewidth=0.6)
         ax.set(yscale="log", xlabel="exposure, ms", ylabel="highest rate followed, °/s", ylim=(30.0, 4000.0))
         ax.set_xticks(range(len(exposures)), [f"{e:g}" for e in exposures])
         plain(ax.yaxis)
@@ -341,17 +340,18 @@ def _advice(
             said.append((who, those(enough, [fps for (fps,) in fast])))
         text = "; ".join(f"`{who}` {when}" for who, when in said)
         said = [
-            f"A flick to {_degrees(_FLICK):.0f} °/s at {ACCELERATIONS[k]:g} rad/s² is followed, on every ball: {text}."
+            f"A flick to {in_degrees(_FLICK):.0f} °/s at {ACCELERATIONS[k]:g} rad/s² is followed, on every ball: "
+            f"{text}."
         ]
     if films:
-        at = {e: _degrees(min(x["so3"] for x in r)) for (fps, e), r in films.items() if fps == 60.0}
-        at = at or {e: _degrees(min(x["so3"] for x in r)) for (_, e), r in films.items()}
+        at = {e: in_degrees(min(x["so3"] for x in r)) for (fps, e), r in films.items() if fps == 60.0}
+        at = at or {e: in_degrees(min(x["so3"] for x in r)) for (_, e), r in films.items()}
         each = ", ".join(f"{rate:.0f} °/s with {e:g} ms" for e, rate in at.items())
         said.append(f"In pictures `so3` follows, on every ball, {each} of exposure.")
-        enough = [e for e, rate in at.items() if rate >= _degrees(_FLICK)]
+        enough = [e for e, rate in at.items() if rate >= in_degrees(_FLICK)]
         with_all = f"every exposure tried, to {max(at):g} ms" if len(enough) == len(at) else ""
         some = f"exposures of {', '.join(f'{e:g}' for e in enough)} ms" if enough else "none of these"
-        said.append(f"{_degrees(_FLICK):.0f} °/s, at an even rate, are followed with {with_all or some}.")
+        said.append(f"{in_degrees(_FLICK):.0f} °/s, at an even rate, are followed with {with_all or some}.")
     if covers:
         worst = {n: hidden(r, "so3", np.min) for (n,), r in covers.items()}
         shares = [f"{share:.0f} % of the visible ball with {n:g} discs" for n, share in worst.items() if share]
@@ -359,7 +359,7 @@ def _advice(
             said.append(f"Whatever side it came from, a cover hid {', '.join(shares)} before `so3` lost it.")
         said += [f"{n:g} discs are too few: it is lost without a cover." for n, s in worst.items() if not s]
     if again:
-        waits = [w for results in again.values() for w in _waits(results, "so3", "attitude")]
+        waits = [w for results in again.values() for w in waits_of(results, "so3", "attitude")]
         if waits and np.isfinite(max(waits)):
             frames = max(r["so3"]["attitude"]["frames"] for rs in again.values() for r in rs if "error" not in r["so3"])
             said.append(

@@ -20,7 +20,7 @@ from spheremouse.experiments.parameters import (
     SIGMA_W,
     SPEED,
     Grid,
-    _key,
+    key_of,
 )
 from spheremouse.simulate.ball.film import SimulationOptions
 
@@ -108,7 +108,7 @@ def _printed(grid: Grid) -> int:
 
 def _cell(result: Result | None, w: float, b: float) -> Result | None:
     cells = _part(result, "cells")
-    return cells if cells is None or "error" in cells else cells.get(_key(w, b))
+    return cells if cells is None or "error" in cells else cells.get(key_of(w, b))
 
 
 def _part(result: Result | None, name: str) -> Result | None:
@@ -121,7 +121,7 @@ def _exact_table(title: str, thesis: Grid, films: dict[str, Result], path: tuple
         row = [f"{w:g}"]
         for j, b in enumerate(SIGMA_B):
             row.append(f"{thesis[i][j]:.{_printed(thesis)}f}")
-            row += [value(result["exact"][_key(w, b)], *path, digits=digits) for result in films.values()]
+            row += [value(result["exact"][key_of(w, b)], *path, digits=digits) for result in films.values()]
         rows.append(tuple(row))
     head = ("σ_w, rad/s²", *(f"σ_b {b:g} px: {name}" for b in SIGMA_B for name in ("thesis", *films)))
     return Table(

@@ -19,8 +19,8 @@ from spheremouse.experiments.places import (
     TOP,
     Place,
     Size,
-    _lens,
     jobs,
+    lens_of,
 )
 
 _POSED = 3  # targets that make a pose
@@ -141,7 +141,7 @@ def _lens_named(lens: str) -> str:
 
 
 def _with_lens(entries: list[Result], lens: str) -> list[Result]:
-    return [e for e in entries if abs(e["place"][3] - _lens(lens, e["place"][2])) < 0.5]
+    return [e for e in entries if abs(e["place"][3] - lens_of(lens, e["place"][2])) < 0.5]
 
 
 def _table(rows: list[tuple[Place, Result]], results: Results) -> Table:
@@ -333,7 +333,7 @@ def _figure_distances(entries: list[Result], rows: list[tuple[Place, Result]]) -
                 films = [
                     (p, r)
                     for p, r in rows
-                    if p.azimuth == p.elevation == 0 and abs(p.focal - _lens(lens, p.distance)) < 0.5
+                    if p.azimuth == p.elevation == 0 and abs(p.focal - lens_of(lens, p.distance)) < 0.5
                 ]
                 for name, mark in (("true pose", "o"), ("own pose", "x")):
                     points = [(p.distance, r[name][key]["combined"]) for p, r in films if key in r[name]]

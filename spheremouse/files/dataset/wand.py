@@ -149,18 +149,18 @@ def _ball(path: Path, wand: _Wand) -> WandBall:
 # ---- truth.csv ----
 
 
-def _columns(ball: int) -> tuple[str, ...]:
+def columns_of(ball: int) -> tuple[str, ...]:
     """Of a pose in truth.csv."""
     return tuple(name if ball == 0 else f"{name}_{ball}" for name in WAND_COLUMNS[2:])
 
 
 def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
-    table = read_columns(path, (*WAND_COLUMNS[:2], *(c for k in range(balls) for c in _columns(k))), most=frames)
+    table = read_columns(path, (*WAND_COLUMNS[:2], *(c for k in range(balls) for c in columns_of(k))), most=frames)
     check_frames(path, table, frames)
     check_times(path, table["t"])
     truths = []
     for k in range(balls):
-        position, matrix = _columns(k)[:3], _columns(k)[3:]
+        position, matrix = columns_of(k)[:3], columns_of(k)[3:]
         rotation = np.stack([table.pop(c) for c in matrix], axis=1).reshape(-1, 3, 3)
         for i in range(frames):
             if not is_rotation(rotation[i]):

@@ -22,7 +22,7 @@ from spheremouse.files.spec import options
 from spheremouse.output import Passage
 from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import Flags, Identity, Status
-from spheremouse.output.serial.ports import Port, PortGoneError, _foreign, example_port, find_board, nobody
+from spheremouse.output.serial.ports import Port, PortGoneError, example_port, find_board, foreign_text, nobody
 from spheremouse.output.sparing import Sparing
 from spheremouse.tracker import Motion
 
@@ -138,7 +138,7 @@ class Serial:
         if self._link.running and self._link.ack is not None and not self._link.ack.flags & Flags.USB_READY:
             return NOT_TAKEN
         if self._link.foreign is not None:
-            return _foreign(self._link.foreign)
+            return foreign_text(self._link.foreign)
         return f"{self._port.name}: the board does not answer; plug it in again"
 
     def statistics(self) -> Statistics:
@@ -222,7 +222,7 @@ class Serial:
                 assert self._port is not None
                 now = time.perf_counter()
                 if self._link.foreign is not None:
-                    raise OutputError(f"serial: {self._port.name}: {_foreign(self._link.foreign)}")
+                    raise OutputError(f"serial: {self._port.name}: {foreign_text(self._link.foreign)}")
                 if now > until:
                     raise OutputError(f"serial: {self._port.name}: {nobody(self._link.damaged)}")
                 self._turn(self._port)
@@ -310,7 +310,7 @@ class Serial:
         found, port, running = self._link.identity, self._port, self._link.running
         if not running and self._link.foreign not in (None, self._told_foreign):
             self._told_foreign = self._link.foreign
-            self._say(_foreign(self._told_foreign or 0))
+            self._say(foreign_text(self._told_foreign or 0))
         if found is not None and port is not None and running:
             if self._missed or self._greeted is None or found.first != self._greeted.first:
                 self._say(f"{found} at {port.name}{' is back' if self._missed else ''}")

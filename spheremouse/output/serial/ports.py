@@ -184,7 +184,7 @@ def _data_port(board: list[Any]) -> Any | None:
     return None if alone else port
 
 
-def _foreign(version: int) -> str:
+def foreign_text(version: int) -> str:
     advice = (
         "update spheremouse"
         if version > VERSION

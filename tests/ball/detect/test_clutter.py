@@ -15,7 +15,8 @@ from spheremouse.ball.pose import PoseSettings, Sighting, find_pose, predict_tar
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import PoseError
 from spheremouse.session.worker import Worker
-from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.scene import default_scene
 from tests.ball.detect.test_rings import INK, RADII, SETTINGS, blank, photo, target
 from tests.session.test_worker import SETTINGS as TWO_VIEWS
 from tests.session.test_worker import Shot

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.detect.fit import Fits, FitSettings, measure
-from spheremouse.ball.detect.fit_model import _ellipse, noise_of, smoothing_kernel
+from spheremouse.ball.detect.fit_model import ellipse_of, noise_of, smoothing_kernel
 
 LENS = 0.4  # px of the whole picture, the blur of an ordinary lens
 BALL, PRINT = 150.0, 40.0  # grey values
@@ -263,7 +263,7 @@ def model(side, shape, centre, size, blur, smear=(0.0, 0.0)):
     q = np.linalg.inv(shape).astype(np.float32)
     e, d = np.empty(side**2, np.float32), np.empty((3, side**2), np.float32)
     cx, cy, s, b = (np.float32(v) for v in (*centre, size, blur))
-    _ellipse(side**2, px, py, q[0, 0], q[0, 1], q[1, 1], cx, cy, s, b, np.array(smear), e, d)
+    ellipse_of(side**2, px, py, q[0, 0], q[0, 1], q[1, 1], cx, cy, s, b, np.array(smear), e, d)
     return e, d
 
 

@@ -19,7 +19,7 @@ from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_tar
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
 from spheremouse.calibrate.rolling.normal import _cost, _moved
 from spheremouse.calibrate.rolling.placed import known_with_ball, placed, rescaled_targets, with_rolled
-from spheremouse.calibrate.rolling.problem import Rolling, Sightings, _equations, _rates
+from spheremouse.calibrate.rolling.problem import Rolling, Sightings, _rates, equations_of
 from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
@@ -105,7 +105,7 @@ def test_the_jacobian_is_that_of_the_residuals():
     truth, s = rolled(3, frames=12, discs=12, readout=0.02)
     at = disturbed(truth, 3)
     at = replace(at, readout=0.01)
-    equations = _equations(at, s, CAMERA)
+    equations = equations_of(at, s, CAMERA)
     shared = equations.shared.toarray().reshape(len(s), 2, -1)
     m, f, h = len(at.discs), len(at.attitude), 1e-6
     nothing, still = np.zeros(4 + 2 * m), np.zeros((f, 3))
@@ -115,14 +115,14 @@ def test_the_jacobian_is_that_of_the_residuals():
     for k in (0, 1, 2, 3, first, first + 1):
         dx = nothing.copy()
         dx[k] = h
-        plus, minus = (_equations(_moved(at, sign * dx, still), s, CAMERA).residual for sign in (1, -1))
+        plus, minus = (equations_of(_moved(at, sign * dx, still), s, CAMERA).residual for sign in (1, -1))
         assert np.abs((minus - plus) / (2 * h) - shared[:, :, k]).max() < 1e-4 * np.abs(shared[:, :, k]).max()
     quick = replace(at, readout=0.0)
-    turn = _equations(quick, s, CAMERA).turn
+    turn = equations_of(quick, s, CAMERA).turn
     for k in range(3):
         de = still.copy()
         de[:, k] = h
-        plus, minus = (_equations(_moved(quick, nothing, sign * de), s, CAMERA).residual for sign in (1, -1))
+        plus, minus = (equations_of(_moved(quick, nothing, sign * de), s, CAMERA).residual for sign in (1, -1))
         assert np.abs((minus - plus) / (2 * h) - turn[:, :, k]).max() < 1e-4 * np.abs(turn).max()
 
 

@@ -4,6 +4,7 @@ import importlib.util
 import subprocess
 import sys
 import time
+import webbrowser
 from itertools import combinations
 from pathlib import Path
 
@@ -300,7 +301,7 @@ def test_without_a_daemon_a_click_says_so(world):
 def test_a_page_that_is_none_is_not_opened(world, monkeypatch):
     path, link, shown = world
     opened = []
-    monkeypatch.setattr(tray_live.webbrowser, "open", opened.append)
+    monkeypatch.setattr(webbrowser, "open", opened.append)
     with Daemon(path):
         until(lambda: shown[-1][0].state == "tracking")
         link.do("page")

@@ -226,7 +226,7 @@ def test_frames_of_every_length(board, length):
     rng = random.Random(length)
     content = bytes(rng.randrange(256) for _ in range(length))
     before = answers(board.turn(messages.encode(messages.ASK_STATUS, 1), 1))[0].damaged
-    board.turn(host.cobs.encode(content) + b"\0", 1)
+    board.turn(messages.cobs.encode(content) + b"\0", 1)
     (status,) = answers(board.turn(messages.encode(messages.ASK_STATUS, 2), 1))
     assert status.damaged == before + 1
     assert status.lost == 0

@@ -61,7 +61,7 @@ def test_types_and_lengths_are_those_of_the_page():
     assert {int(code, 16): int(body) for code, _, body, _, _ in rows} == messages._BODY
     for code, name, body, content, line in rows:
         constant = "ASK_STATUS" if name == "STATUS?" else name
-        assert getattr(host, constant) == getattr(BOARD, constant) == int(code, 16)
+        assert getattr(messages, constant) == getattr(BOARD, constant) == int(code, 16)
         assert int(content) == int(body) + 8 <= messages.MOST
         for fill in (b"\0", b"\x07", b"\xff"):
             assert len(messages.encode(int(code, 16), 0, fill * int(body))) == int(line) == int(content) + 2

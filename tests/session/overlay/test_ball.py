@@ -10,7 +10,7 @@ import pytest
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import ball_outline
-from spheremouse.ball.filters.so3 import So3State
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch, Phase
 from spheremouse.ball.track import step
@@ -20,7 +20,7 @@ from spheremouse.geometry.rotation import tangent_basis
 from spheremouse.session.overlay.ball import Overlay, target_marks
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.session.overlay.pen import GREEN, OUTLINE, RED, WHITE
-from spheremouse.simulate.ball.film import default_scene
+from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Frame
 
 SIZES = ((640, 480), (1280, 720), (1920, 1080))

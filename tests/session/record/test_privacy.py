@@ -19,7 +19,8 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import initialise, track
 from spheremouse.session.record.privacy import kept, masked
-from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.scene import default_scene
 
 FILMS = {
     "play": SimulationOptions(motion="play", seconds=2.0, noise=4.0, seed=1),

@@ -34,7 +34,8 @@ from spheremouse.session.record.privacy import kept, masked
 from spheremouse.session.record.recorder import Recorder
 from spheremouse.session.record.settings import RecordSettings
 from spheremouse.session.record.snapshot import snapshot
-from spheremouse.simulate.ball.film import SimulationOptions, default_scene, prepare, simulate
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Frame
 
 PATIENCE = 60.0  # s, for what takes a moment

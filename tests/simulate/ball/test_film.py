@@ -17,23 +17,13 @@ from spheremouse.geometry.conics import project_circle, project_sphere
 from spheremouse.geometry.rotation import hat, to_euler
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.caps import BallView, Caps
-from spheremouse.simulate.ball.events import bumped, displaced, facing
-from spheremouse.simulate.ball.film import (
-    MOST_FRAMES,
-    Dimming,
-    Flicker,
-    HandVisit,
-    Lift,
-    Renderer,
-    RenderOptions,
-    SimulationOptions,
-    default_scene,
-    prepare,
-    simulate,
-)
+from spheremouse.simulate.ball.events import Dimming, Lift, bumped, displaced, facing
+from spheremouse.simulate.ball.film import MOST_FRAMES, Flicker, SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.hands import HandVisit
 from spheremouse.simulate.ball.layers import render_layers
 from spheremouse.simulate.ball.profile import creep, flick, play, rest, roll, still, thesis
-from spheremouse.simulate.ball.scene import spread_directions
+from spheremouse.simulate.ball.render import Renderer, RenderOptions
+from spheremouse.simulate.ball.scene import default_scene, spread_directions
 from spheremouse.simulate.light import develop, reflectance
 from spheremouse.simulate.to_dataset import write_simulation
 

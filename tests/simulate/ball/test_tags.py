@@ -9,8 +9,8 @@ import pytest
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.ball.backdrop import render_backdrop
-from spheremouse.simulate.ball.film import default_scene
 from spheremouse.simulate.ball.furniture import frame
+from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.simulate.ball.tags import painted, ring_sheet, tag_cells, tag_corners, tag_sheet
 
 FAMILY = cv2.aruco.DICT_4X4_50
