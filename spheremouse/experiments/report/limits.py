@@ -98,8 +98,8 @@ def _about() -> str:
         f"A ball of {DISCS} discs before the far camera is sped up evenly from rest about an axis drawn at random. "
         "It is "
         f"followed as long as it is not lost and what it turned within the last {HOLD:g} s is right to {WRONG:g}°; "
-        f"limits are found by bisection, up to {in_degrees(FASTEST):.0f} °/s and {HARDEST:g} rad/s²: a limit is the first "
-        "that is met, and beyond it some rates may hold again. `so3` has seen the ball "
+        f"limits are found by bisection, up to {in_degrees(FASTEST):.0f} °/s and {HARDEST:g} rad/s²: a limit is the "
+        "first that is met, and beyond it some rates may hold again. `so3` has seen the ball "
         "from all "
         "sides, or it is new to it; the published filters remember no disc that is out of view. Rates and "
         "accelerations "
@@ -243,8 +243,8 @@ def _film_about(films: dict[tuple[float, ...], list[Result]]) -> str:
         "With motion blur the detector limits, so that this is filmed: the ball is brought to a rate without "
         "pictures, about "
         "an axis across the view, where discs move fastest, and "
-        f"then filmed at it for {FILMED_SECONDS:g} s, noise of {NOISE:g} grey values, at rates a factor of √2 apart. It "
-        "is followed "
+        f"then filmed at it for {FILMED_SECONDS:g} s, noise of {NOISE:g} grey values, at rates a factor of √2 apart. "
+        "It is followed "
         "when it is right to the end and discs have held its attitude to the last."
         " A filter that loses the ball before that rate counts as lost." + _sharp(films)
     )
