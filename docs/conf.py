@@ -28,6 +28,7 @@ source_suffix = {".md": "markdown"}
 myst_enable_extensions = ["deflist", "colon_fence"]
 myst_heading_anchors = 3
 nitpicky = False
+suppress_warnings = ["ref.python"]  # two rooms may each have a View; annotations in quotes are no links then
 
 html_theme = "furo"
 html_title = "spheremouse"
