@@ -177,9 +177,11 @@ warm() {
     command -v runuser >/dev/null || return 0
     say "compiling for this machine, a minute or more"
     # what it finds in its cache is its own affair; without our terminal it cannot type there
-    setsid -w runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse "$prefix/$1/bin/python" \
-        -m spheremouse.ball.warm 2>&1 | printable ||
+    # and what it leaves behind can hold up neither us (a pipe, a clock) nor the next installation (the lock, 9)
+    timeout -k 10 "$patience" setsid -w runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse \
+        "$prefix/$1/bin/python" -m spheremouse.ball.warm </dev/null >"$work/said" 2>&1 9>&- ||
         say "compiling beforehand did not work; the first start will do it"
+    printable <"$work/said"
 }
 
 back_to() { # back_to NAME
@@ -200,7 +202,7 @@ as_owner() {
         "$@"
     else
         getent passwd "$uid" >/dev/null || groups=--clear-groups
-        setsid -w setpriv --reuid "$uid" --regid "$gid" "$groups" "$@"
+        setsid -w setpriv --reuid "$uid" --regid "$gid" "$groups" "$@" 9>&-
     fi
 }
 
@@ -213,7 +215,7 @@ as_builder() {
         drop=(setsid -w setpriv --reuid "$builder" --regid "$builder" --clear-groups --no-new-privs
             env "HOME=$room/build" "TMPDIR=$room/build")
     fi
-    (cd "$room/build" && "${drop[@]}" "$@")
+    (cd "$room/build" && "${drop[@]}" "$@" 9>&-)
 }
 
 # The room, in the temporary folder, since a builder need not be able to enter the prefix: a virtual environment of root's
@@ -312,10 +314,13 @@ build_wheelhouse() {
     (cd "$work/wheels" && sha256sum -- *.whl >SHA256SUMS)
     kind >"$work/wheels/BUILT-FOR"
     cp "$here/install.sh" "$work/wheels/"
-    local there=$build
+    local to there
+    to=$(realpath -m "$build") # a link leads nowhere that its owner may not write
+    there=$to
     while [ ! -e "$there" ]; do there=$(dirname "$there"); done
-    as_owner "$there" mkdir -p "$build"
-    tar -C "$work/wheels" -c . | as_owner "$there" tar -C "$build" --no-same-owner -x
+    if [ "$(stat -c %u "$there")" = 0 ]; then service='' roots_own "$build"; fi
+    as_owner "$there" mkdir -p "$to"
+    tar -C "$work/wheels" -c . | as_owner "$there" tar -C "$to" --no-same-owner -x
     say "$build: $(grep -c . "$work/wheels/SHA256SUMS") wheels, $(du -sh "$work/wheels" | cut -f1), for $(kind)"
     say "its SHA256SUMS has $(sha256sum "$work/wheels/SHA256SUMS" | cut -d' ' -f1)"
     say "carry it to the other machine, then there: sudo bash $(basename "$build")/install.sh"

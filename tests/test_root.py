@@ -458,3 +458,48 @@ def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
     with out.open("w") as file:
         subprocess.run([sys.executable, "-c", code], stdout=file, check=True, timeout=60)
     assert out.read_text() == "one\ntwo\nthree\n"
+
+
+# ---- folders that another can exchange, or fill ----
+
+
+def test_a_folder_is_exchangeable_where_a_group_or_a_links_owner_has_a_say(root, own, nobody, no_sudo):
+    place = root / "place"
+    place.mkdir()
+    assert not atomic.exchangeable(place)
+    os.chown(place, 0, nobody.pw_gid)
+    place.chmod(0o775)
+    assert atomic.exchangeable(place)
+    place.chmod(0o1775)  # with the sticky bit nobody moves what is another's
+    assert not atomic.exchangeable(place)
+    place.chmod(0o755)
+    theirs = root / "theirs"
+    theirs.mkdir()
+    (theirs / "link").symlink_to(place)
+    (root / "first").symlink_to(theirs / "link")
+    assert not atomic.exchangeable(root / "first")
+    own(theirs)
+    assert atomic.exchangeable(theirs / "link")
+    assert atomic.exchangeable(root / "first")  # by a link of root's to a link of another's
+
+
+def test_folders_too_deep_for_a_recursion_are_removed(root, state, secret):
+    at = os.open(state, os.O_RDONLY)
+    for _ in range(2500):  # more than Python recurses, and than descriptors may be open
+        os.mkdir("d", dir_fd=at)
+        os.symlink(secret, "link", dir_fd=at)
+        down = os.open("d", os.O_RDONLY, dir_fd=at)
+        os.close(at)
+        at = down
+    os.close(at)
+    with limited(60):
+        atomic.remove_tree(state)
+    assert not state.exists()
+    assert secret.read_text() == SECRET
+
+
+def test_a_board_that_is_none_does_not_steer_roots_terminal(tmp_path):
+    (tmp_path / "boot_out.txt").write_text(
+        "Adafruit CircuitPython 9.1.0 on 2024-07-10; \x1b[31mx\nBoard ID:\x1b]52;c;A\x07b\n"
+    )
+    assert firmware.read_drive(tmp_path).board.isprintable()

@@ -7,9 +7,7 @@ import numpy as np
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import Epoch, TrackState
 from spheremouse.evaluate.metrics import Run
-from spheremouse.evaluate.wand import WandRun
 from spheremouse.geometry.rotation import Array
-from spheremouse.wand.state import WandEpoch, WandPose
 
 
 @dataclass(slots=True)
@@ -46,37 +44,3 @@ def _innovations(states: list[TrackState]) -> Array | None:
     """Normalised innovation squared of every frame's update, (n,); None for a filter that does not give it."""
     values = [s.filter.nis for s in states if isinstance(s.filter, So3State)]
     return np.array(values, dtype=float) if len(values) == len(states) else None
-
-
-@dataclass(slots=True)
-class WandHistory:
-    """What a run said, without the pictures."""
-
-    stamps: list[float] = field(default_factory=list)
-    poses: list[tuple[WandPose, ...]] = field(default_factory=list)
-    seconds: list[float] = field(default_factory=list)
-
-    def add(self, epoch: WandEpoch) -> None:
-        """One more."""
-        self.stamps.append(epoch.frame.stamp)
-        self.poses.append(epoch.poses)
-        self.seconds.append(epoch.seconds)
-
-    def run(self, ball: int = 0) -> WandRun:
-        """Of one ball, as the metrics take it."""
-        n = len(self.stamps)
-        position, rotation = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-        covariance = np.full((n, 6, 6), np.nan)
-        for i, poses in enumerate(self.poses):
-            pose = poses[ball]
-            if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
-                position[i], rotation[i], covariance[i] = pose.position, pose.rotation, pose.covariance
-        return WandRun(np.array(self.stamps), position, rotation, covariance, np.array(self.seconds))
-
-    def events(self) -> list[tuple[int, str]]:
-        """What the tracker told, each once in a row, with the frame it began in."""
-        found: list[tuple[int, str]] = []
-        for i, poses in enumerate(self.poses):
-            before = {p.event for p in self.poses[i - 1]} if i else set()
-            found += [(i, p.event) for p in poses if p.event and p.event not in before]
-        return found

@@ -5,7 +5,7 @@ R_est R_true^T. What a run or a recording does not have is None. Compared with G
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.stats import chi2
 from spheremouse.evaluate.metrics import mean_nees
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.wand.ball import WandBall
+from spheremouse.wand.state import WandEpoch, WandPose
 from spheremouse.wand.truth import WandTruth
 
 # Beside the ball, or another side of it taken for this one (the pattern repeats after 90 degrees, but for its colours)
@@ -240,3 +241,37 @@ def _times(runs: Sequence[WandRun]) -> dict[str, float | None]:
 
 def _number(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+@dataclass(slots=True)
+class WandHistory:
+    """What a run said, without the pictures."""
+
+    stamps: list[float] = field(default_factory=list)
+    poses: list[tuple[WandPose, ...]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def add(self, epoch: WandEpoch) -> None:
+        """One more."""
+        self.stamps.append(epoch.frame.stamp)
+        self.poses.append(epoch.poses)
+        self.seconds.append(epoch.seconds)
+
+    def run(self, ball: int = 0) -> WandRun:
+        """Of one ball, as the metrics take it."""
+        n = len(self.stamps)
+        position, rotation = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+        covariance = np.full((n, 6, 6), np.nan)
+        for i, poses in enumerate(self.poses):
+            pose = poses[ball]
+            if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
+                position[i], rotation[i], covariance[i] = pose.position, pose.rotation, pose.covariance
+        return WandRun(np.array(self.stamps), position, rotation, covariance, np.array(self.seconds))
+
+    def events(self) -> list[tuple[int, str]]:
+        """What the tracker told, each once in a row, with the frame it began in."""
+        found: list[tuple[int, str]] = []
+        for i, poses in enumerate(self.poses):
+            before = {p.event for p in self.poses[i - 1]} if i else set()
+            found += [(i, p.event) for p in poses if p.event and p.event not in before]
+        return found

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.evaluate.history import WandHistory
-from spheremouse.evaluate.wand import RECOVERED, WandRun, errors, followed, found_from, is_lost
+from spheremouse.evaluate.wand import RECOVERED, WandHistory, WandRun, errors, followed, found_from, is_lost
 from spheremouse.files.dataset.wand import open_wand, read_wand_frames
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.wand.offline import track_wand

@@ -17,6 +17,7 @@ from typing import Any
 from spheremouse.errors import ServiceError, SpheremouseError
 
 PATIENCE = 60.0  # s: seconds would do, but that user can hold the work up, for ever
+_KILLED = 5.0  # s, more than any process needs to end that can
 _MOST = 10_000_000  # bytes of an answer
 
 
@@ -45,7 +46,7 @@ def as_owner(folder: Path, work: Callable[[], Any], patience: float = PATIENCE) 
         os.close(there)
         with contextlib.suppress(OSError):
             os.kill(child, signal.SIGKILL)  # it has answered, or will not
-        os.waitpid(child, 0)
+        _bury(child)
     try:
         done, answer = json.loads(told)
     except ValueError:
@@ -53,6 +54,13 @@ def as_owner(folder: Path, work: Callable[[], Any], patience: float = PATIENCE) 
     if not done:
         raise ServiceError(str(answer))
     return answer
+
+
+def _bury(child: int) -> None:
+    """Wait for it, though not for ever: what hangs in that user's file system cannot be killed."""
+    end = time.monotonic() + _KILLED
+    while os.waitpid(child, os.WNOHANG)[0] == 0 and time.monotonic() < end:
+        time.sleep(0.01)
 
 
 def _work(uid: int, gid: int, work: Callable[[], Any], here: int) -> None:

@@ -35,6 +35,7 @@ OLD = 3600.0  # s since the last byte: longer than any file of ours takes betwee
 _LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789_"
 _RANDOM = 8  # of them: 41 bits
 _LEFT = re.compile(rf"\.(?P<name>.+)\.[{_LETTERS}]{{{_RANDOM}}}\.new", re.S)
+_PATIENCE = 60.0  # s until a folder is empty
 _LINKS = 40  # in one path, as the kernel has it
 _STREAMS = {"stdin": 0, "stdout": 1, "stderr": 2}
 _STREAM = re.compile(r"/dev/(stdin|stdout|stderr)|/(?:dev|proc/self)/fd/(\d{1,9})")
@@ -96,7 +97,12 @@ def remove_tree(folder: Path) -> None:
         return
     place, name = _reach(folder, follow=False)
     try:
-        shutil.rmtree(name, dir_fd=place)
+        top = os.open(name, os.O_RDONLY | os.O_DIRECTORY | _NO_LINK | _CLOSED, dir_fd=place)
+        try:
+            _empty(top)
+        finally:
+            os.close(top)
+        os.rmdir(name, dir_fd=place)
     finally:
         os.close(place)
 
@@ -108,11 +114,15 @@ def exchangeable(folder: Path) -> bool:
     """
     if not _root():
         return False
-    trusted = ("0", os.environ.get("SUDO_UID"))
-    folder = folder.resolve()
-    found = [there.stat() for there in (folder, *folder.parents)]
-    to_all = any(s.st_mode & stat.S_IWOTH and not s.st_mode & stat.S_ISVTX for s in found)
-    return to_all or any(str(s.st_uid) not in trusted for s in found)
+    users, groups = ("0", os.environ.get("SUDO_UID")), ("0", os.environ.get("SUDO_GID"))
+    return any(
+        str(s.st_uid) not in users
+        or (
+            not s.st_mode & stat.S_ISVTX
+            and (s.st_mode & stat.S_IWOTH or (s.st_mode & stat.S_IWGRP and str(s.st_gid) not in groups))
+        )
+        for s in (there.stat() for there in _passed(folder))
+    )
 
 
 def clear_left(folder: Path, name: str | None = None) -> int:
@@ -128,6 +138,51 @@ def clear_left(folder: Path, name: str | None = None) -> int:
                 with contextlib.suppress(OSError):
                     removed += _removed(there if place is not None else str(folder / there), place)
     return removed
+
+
+def _passed(folder: Path) -> set[Path]:
+    """The folders that a path goes through, its links' among them."""
+    found, left = set[Path](), [folder.absolute()]
+    while left:
+        path = left.pop()
+        for there in (path, *path.parents):
+            if there not in found and there.is_symlink() and len(found) < _LINKS * _LINKS:
+                left.append(there.parent / there.readlink())
+            found.add(there)
+    return found
+
+
+def _empty(top: int) -> None:
+    """Remove all in an open folder: what is in a folder of it comes up first, so that none is too deep.
+
+    OSError where that cannot be, or somebody goes on putting things there.
+    """
+    until = time.monotonic() + _PATIENCE
+    while names := os.listdir(top):
+        for name in names:
+            if time.monotonic() > until:
+                raise OSError(errno.ENOTEMPTY, "somebody goes on writing there")
+            if _unlinked(name, top):
+                continue
+            inner = os.open(name, os.O_RDONLY | os.O_DIRECTORY | _NO_LINK | _CLOSED, dir_fd=top)
+            try:
+                for there in os.listdir(inner):
+                    if not _unlinked(there, inner):
+                        os.rename(there, secrets.token_hex(16), src_dir_fd=inner, dst_dir_fd=top)
+            finally:
+                os.close(inner)
+            os.rmdir(name, dir_fd=top)
+
+
+def _unlinked(name: str, place: int) -> bool:
+    """Whether a name in a folder is gone now; a folder's stays."""
+    try:
+        os.unlink(name, dir_fd=place)
+    except FileNotFoundError:
+        return True
+    except (IsADirectoryError, PermissionError):  # what Linux and others say of a folder
+        return False
+    return True
 
 
 class NewFile:

@@ -211,8 +211,6 @@ def without_schema(document: Document) -> Document:
     """The document less its `schema` key, which must be the version this program reads."""
     if not isinstance(document.data, dict):
         raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {SCHEMA}`")])
-    pass
-
     document = converted(document)
     data = dict(document.data)
     version = data.pop("schema", None)

@@ -112,8 +112,6 @@ def read_log(path: Path) -> "MouseLog":
     """Read a log; DatasetError says file and line. Columns wheel and lost may be missing, # lines are passed over."""
     import numpy as np
 
-    pass
-
     rows, first, last, count = array("d"), 0.0, -math.inf, 0
     places: list[int] = []
     width = 0

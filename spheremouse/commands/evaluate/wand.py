@@ -13,8 +13,7 @@ from rich.console import Console
 from spheremouse.commands.complaint import complain
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
-from spheremouse.evaluate.history import WandHistory
-from spheremouse.evaluate.wand import followed, wand_report
+from spheremouse.evaluate.wand import WandHistory, followed, wand_report
 from spheremouse.files import config
 from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_frames
 from spheremouse.files.rig import load_camera

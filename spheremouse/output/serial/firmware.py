@@ -85,7 +85,10 @@ def read_drive(path: Path) -> Drive:
         raise OutputError(
             f"{path}: no {MARK} in it, so this is no board with CircuitPython; name the drive called CIRCUITPY"
         )
-    text = told.decode("utf-8", "replace")
+    # said on a terminal: a stick that is no board shall not steer it
+    text = "".join(
+        c if c.isprintable() or c in "\r\n\t" else "\N{REPLACEMENT CHARACTER}" for c in told.decode("utf-8", "replace")
+    )
     found = _IDENTITY.search(text)
     if found is None:
         raise OutputError(f"{path / MARK}: says nothing of CircuitPython; install CircuitPython on the board first")

@@ -466,7 +466,9 @@ class ControlServer:
             if client.unsent or (client.asked is None and client.interval is None):
                 raise TimeoutError
             if client.asked is not None:
-                client.asked, client.heard = None, now
+                if client.reply is not None:
+                    client.reply.gone = True  # who was told that nothing came does not want it later
+                client.asked, client.reply, client.heard = None, None, now
                 self._send(client, refused(f"no answer within {self._limits.answer:g} s", client.id))
             client.status_asked = None
         finished = client.ended and client.asked is None and client.interval is None and not self._has_request(client)

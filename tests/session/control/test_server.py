@@ -361,9 +361,11 @@ def test_who_has_sent_all_still_gets_the_answers(serve, path):
 
 
 def test_a_daemon_that_does_not_answer_is_said_not_to(serve, path):
-    serve(lambda request, reply: None, Limits(answer=0.05))
+    asked = []
+    serve(lambda request, reply: asked.append(reply), Limits(answer=0.05))
     wire = Wire(path)
     assert wire.ask(STATUS) == {"ok": False, "error": "no answer within 0.05 s"}
+    assert asked[0].gone  # and what was asked is not wanted any more
 
 
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(serve, path):
