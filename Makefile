@@ -52,8 +52,10 @@ picture: demo
 	mkdir -p docs/images
 	$(BIN)/python -c "import cv2; cv2.imwrite('docs/images/overlay.jpg', cv2.imread('demo/overlay.png'), [1, 88])"
 
+# Compiled by one process before the tests are several; a test process that crashes ends them all, and is told.
 test: $(STAMP)
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
+	$(BIN)/python -m spheremouse.wand.warm
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --max-worker-restart 0 $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
 
 # The environments that the locked one is not: what a later lock may hold, and what the ranges promise.
 test-oldest: OTHER := --python $(OLDEST_PYTHON)
@@ -64,7 +66,7 @@ test-oldest test-newest: $(STAMP)
 	$(BIN)/uv venv --quiet --clear --no-python-downloads $(OTHER) $(VENV)/$@
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[plot,metrics,tray,desktop]'
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
-	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses auto --dist loadfile $(SHORT_TESTS)
+	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses auto --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 
 # Three lists from one resolution: all that make installs; what a machine gets as wheels; and what there are no wheels
 # of, which service/install.sh builds without root's rights. No address of an index is in them.

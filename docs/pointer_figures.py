@@ -13,12 +13,14 @@ import numpy as np
 
 from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase
 from spheremouse.files.atomic import write_atomically
+from spheremouse.files.report.style import BLUE, MUTED, RED, styled
 from spheremouse.geometry.rotation import Array
+from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.session.offline import initialise, track
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.tracker import Status
 
 PAGE = Path(__file__).with_name("pointer.md")
 PICTURE = Path(__file__).parent / "images" / "pointer.svg"
@@ -78,13 +80,15 @@ def filmed(options: SimulationOptions) -> Told:
     rig = simulation.scene.rig()
     start = initialise((made.frame for made in simulate(simulation)), rig, settings)
     tracker = build(rig, start.pose, settings)
-    epochs = [(e.motion, e.state.phase is Phase.TRACKING) for e in track(start.frames, tracker, None)]
+    epochs = [(e.motion, e.state.status is Status.TRACKING) for e in track(start.frames, tracker, None)]
     stamp = np.array([m.stamp for m, _ in epochs])
     clock = np.arange(stamp[0], stamp[-1], 1e-3)
-    speed = simulation.profile.rate(clock) @ tracker.counts.T
+    matrix = MotionSettings().matrix(rig.radius_m)
+    speed = simulation.profile.rate(clock) @ matrix.T
     place = np.cumsum(np.vstack([np.zeros(3), speed[:-1]]), axis=0) * 1e-3
-    counts = np.array([m.counts for m, _ in epochs], dtype=float)
-    rate = np.array([m.rate for m, _ in epochs]) @ tracker.counts.T
+    counter = Counter(matrix)
+    reports = [counter.report(m) for m, _ in epochs]
+    counts, rate = np.array([r.counts for r in reports], dtype=float), np.array([r.rate for r in reports])
     return Told(stamp, counts, rate, np.array([t for _, t in epochs]), clock, place)
 
 
@@ -149,28 +153,25 @@ PANELS = {"a stop within 0.1 s, and on": STOP, "a reversal": REVERSAL}
 
 def draw() -> None:
     """The figure."""
-    import matplotlib as mpl
+    with styled():
+        from matplotlib.figure import Figure
 
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    mpl.rcParams["svg.hashsalt"] = "spheremouse"
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
-    for axis, (title, stretches) in zip(axes, PANELS.items(), strict=True):
-        told = exact(stretches)
-        axis.plot(told.clock, told.place[:, 0], color="0.6", linewidth=4.0, label="the ball")
-        for label, colour, settings in (
-            ("horizon 0", "tab:orange", PointerSettings(horizon=0.0)),
-            ("the default", "tab:blue", PointerSettings()),
-        ):
-            times, places = pointer(told, LATENCY[30.0], settings)
-            shown = times < told.clock[-1]
-            axis.step(times[shown], places[shown, 0], where="post", color=colour, linewidth=1.2, label=label)
-        axis.set(title=title, xlabel="s", xlim=(0.0, 1.5))
-    axes[0].set_ylabel("counts")
-    axes[0].legend(frameon=False)
-    figure.savefig(PICTURE, metadata={"Date": None})
-    plt.close(figure)
+        figure = Figure(figsize=(9.0, 4.0), layout="constrained")
+        axes = figure.subplots(1, 2)
+        for axis, (title, stretches) in zip(axes, PANELS.items(), strict=True):
+            told = exact(stretches)
+            axis.plot(told.clock, told.place[:, 0], color=MUTED, alpha=0.6, linewidth=4.0, label="the ball")
+            for label, colour, settings in (
+                ("horizon 0", RED, PointerSettings(horizon=0.0)),
+                ("the default", BLUE, PointerSettings()),
+            ):
+                times, places = pointer(told, LATENCY[30.0], settings)
+                shown = times < told.clock[-1]
+                axis.step(times[shown], places[shown, 0], where="post", color=colour, linewidth=1.2, label=label)
+            axis.set(title=title, xlabel="s", xlim=(0.0, 1.5))
+        axes[0].set_ylabel("counts")
+        axes[0].legend()
+        figure.savefig(PICTURE, metadata={"Date": None}, facecolor="white")
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from spheremouse.session.record.recorder import Recorder
-from spheremouse.session.record.settings import RecordSettings
+from spheremouse.session.settings.record import RecordSettings
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame
 

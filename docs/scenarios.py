@@ -22,17 +22,19 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase, Tracker
+from spheremouse.ball.state import Tracker
 from spheremouse.ball.track import step
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.errors import SpheremouseError
 from spheremouse.files import config
 from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import Array, log
+from spheremouse.output.counts import Counter, MotionSettings
+from spheremouse.session import messages
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.render import SimulatedFrame
-from spheremouse.tracker import Frame, Motion
+from spheremouse.tracker import Frame, Motion, Status
 
 Mask = NDArray[np.bool_]
 
@@ -137,7 +139,7 @@ class Truth:
 class Said:
     """What the tracker made of it."""
 
-    phase: Phase
+    status: Status
     event: str
     attitude: Array  # (3, 3)
     rate: Array  # (3,) rad/s
@@ -178,10 +180,10 @@ def run(scenario: Scenario, settings: Settings, pose: str) -> tuple[Tracker, lis
     for frame in start.frames:
         state = state or begin(tracker, frame.stamp)
         began = time.perf_counter()
-        state, motion = step(state, frame, tracker)
+        state, motion, events = step(state, frame, tracker)
         took = time.perf_counter() - began
         kept.append(frame.sequence)
-        said.append(Said(state.phase, state.event, state.filter.attitude, state.filter.rate, motion, took))
+        said.append(Said(state.status, messages.line(events), state.filter.attitude, state.filter.rate, motion, took))
     return tracker, [truths[k] for k in kept], said
 
 
@@ -190,12 +192,13 @@ def run(scenario: Scenario, settings: Settings, pose: str) -> tuple[Tracker, lis
 
 def measure(tracker: Tracker, truths: list[Truth], said: list[Said]) -> dict[str, Any]:
     """The figures of one run; None where there is nothing to measure."""
-    tracking = np.array([s.phase is Phase.TRACKING for s in said])
+    tracking = np.array([s.status is Status.TRACKING for s in said])
     off = attitude_errors(truths, said, tracking)
     good = tracking & (off < WRONG)
     rate = np.linalg.norm([s.rate - t.rate for s, t in zip(said, truths, strict=True)], axis=1)
     true = np.array([np.zeros(3), *(true_counts(tracker, a, b) for a, b in pairwise(truths))])
-    sent = np.array([s.motion.counts for s in said], dtype=float)
+    counter = Counter(matrix(tracker))
+    sent = np.array([counter.report(s.motion).counts for s in said], dtype=float)
     resting = at_rest(truths)
     blind, to_the_end = longest_blind(truths, good)
     kept = np.flatnonzero(tracking & np.isfinite(off))
@@ -243,7 +246,12 @@ def true_counts(tracker: Tracker, before: Truth, after: Truth) -> Array:
     """Counts, (3,), that the ball's motion from frame to frame is worth; another ball's place is no motion."""
     if before.film != after.film:
         return np.zeros(3)
-    return tracker.counts @ log(after.attitude @ before.attitude.T)
+    return matrix(tracker) @ log(after.attitude @ before.attitude.T)
+
+
+def matrix(tracker: Tracker) -> Array:
+    """Counts per radian, (3, 3)."""
+    return MotionSettings().matrix(tracker.rig.radius_m)
 
 
 def at_rest(truths: list[Truth]) -> Mask:

@@ -19,8 +19,8 @@ from spheremouse.commands.tray.view import NO_DAEMON  # noqa: E402
 from spheremouse.session.control.protocol import Request  # noqa: E402
 from spheremouse.session.control.reply import Reply  # noqa: E402
 from spheremouse.session.control.server import ControlServer  # noqa: E402
-from spheremouse.session.control.settings import ControlSettings  # noqa: E402
 from spheremouse.session.control.status import STATES  # noqa: E402
+from spheremouse.session.settings.control import ControlSettings  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 

@@ -1,6 +1,11 @@
 """Errors a user can act on: one line that says what is wrong and what to do. The command line prints them bare."""
 
 
+def printable(thing: object) -> str:
+    """Text of a thing for a message: names that others gave to files and devices do not steer the terminal."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(thing))
+
+
 class SpheremouseError(Exception):
     """Base of all errors that are the user's to mend."""
 

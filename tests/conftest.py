@@ -11,6 +11,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from spheremouse import commands as cli
+from spheremouse.session.process import realtime
 
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, name)]
 
@@ -35,7 +36,13 @@ def far26() -> Path:
 
 @pytest.fixture
 def spheremouse(monkeypatch, capfd):
-    """Runs the program in this process: (*words) -> exit code, standard output, standard error."""
+    """Runs the program in this process: (*words) -> exit code, standard output, standard error.
+
+    What it would ask of the system for the whole process is not for the tests after it: real-time scheduling, locked
+    memory, code folded up.
+    """
+    monkeypatch.setattr(realtime, "prepare", lambda wanted=True: "as it is")
+    monkeypatch.setattr(realtime, "claim", lambda _: False)
     before = {s: signal.getsignal(s) for s in _SIGNALS}
 
     def run(*words):

@@ -21,7 +21,7 @@ from pathlib import Path
 from spheremouse.errors import ControlError
 from spheremouse.session import service as run
 from spheremouse.session.control.client import Client
-from tests.daemon_world import Film, Shot, World
+from tests.daemon_world import Film, RawFrame, World
 from tests.soak import resident
 
 FPS = 30.0
@@ -56,7 +56,7 @@ class Paced(World):
 
     due = 0.0
 
-    def next(self, timeout: float) -> Shot | None:
+    def next(self, timeout: float) -> RawFrame | None:
         self.due = max(self.due + 1.0 / FPS, time.monotonic() - 1.0 / FPS)
         time.sleep(max(0.0, self.due - time.monotonic()))
         self._free.set()  # the driver has buffers

@@ -43,7 +43,7 @@ class Camera:
         self._sequence += 1
         n = len(self._pictures) - 1
         place = abs((self._sequence // 2) % (2 * n) - n)
-        return Shot(Frame(self._pictures[place].copy(), time.monotonic(), self._sequence))
+        return RawFrame(Frame(self._pictures[place].copy(), time.monotonic(), self._sequence))
 
     def describe(self):
         return "a film"
@@ -55,7 +55,7 @@ class Camera:
         return None
 
 
-class Shot:
+class RawFrame:
     """One of them."""
 
     def __init__(self, frame):

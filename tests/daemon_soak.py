@@ -5,9 +5,10 @@ comes a fault: a camera that goes, freezes, loses frames or is not waited for; d
 size, without targets, with stamps that jump; an error as if of our own; an output that fails or hangs. Meanwhile
 somebody asks it things: status, reinit, pause, reload, set, snapshots, recordings.
 
-What must hold, always: nothing is sent while the state is not tracking. Every shot was looked at or counted as skipped,
-every damaged or lost frame is counted, every count was sent or is in the ledger. Over every spell of ordinary play,
-2 s after the fault before it, the counts are the integral of the true motion. Memory, threads and open files stay.
+What must hold, always: nothing is sent while the state is not tracking. Every frame was looked at or counted as
+skipped, every damaged or lost frame is counted, every count was sent or is in the ledger. Over every spell of ordinary
+play, 2 s after the fault before it, the counts are the integral of the true motion. Memory, threads and open files
+stay.
 """
 
 import argparse
@@ -30,8 +31,9 @@ from spheremouse.output import reporter
 from spheremouse.output.reporter import ReporterStatus
 from spheremouse.session import service as run
 from spheremouse.session import worker
+from spheremouse.session.ball import follower as ball
 from spheremouse.session.control.client import Client
-from tests.daemon_world import DT, Film, Shot, World, left_over, matrix
+from tests.daemon_world import DT, Film, RawFrame, World, left_over, matrix
 from tests.soak import resident
 
 FAULTS = {  # frames from, to
@@ -103,7 +105,7 @@ class Cabinet(World):
             self._begin_spell()
         return self
 
-    def next(self, timeout: float) -> Shot | None:
+    def next(self, timeout: float) -> RawFrame | None:
         if self._now != "rush" and not self._free.wait(timeout):
             return None
         if self._left <= 0:
@@ -124,7 +126,7 @@ class Cabinet(World):
         self._left -= 1
         return self._made()
 
-    def _made(self) -> Shot:
+    def _made(self) -> RawFrame:
         if self._rest:
             self._rest -= 1
         else:
@@ -165,20 +167,20 @@ class Cabinet(World):
             raise OutputError(self.broken)
         return _Sink(self)
 
-    def tracked_frame(self, made: Any) -> None:
+    def tracked_frame(self, made: Any, _: Any) -> None:
         """In the worker's thread."""
         assert self.daemon is not None
-        motion, state = made.epoch.motion, self.daemon._state
+        motion, counts, state = made.epoch.motion, made.report.counts, self.daemon._state
         self.tracked += 1
-        self.given += motion.counts
+        self.given += counts
         self._state_of[motion.stamp] = str(state)
         while len(self._state_of) > 500:
             self._state_of.popitem(last=False)
         with self._lock:
             spell, place, judged = self._spell_of[motion.stamp]
-        if not judged or made.epoch.state.phase != "tracking":
+        if not judged or made.epoch.state.status != "tracking":
             if judged:
-                self.fail(f"{made.epoch.state.phase} in an ordinary spell: {made.epoch.state.event}")
+                self.fail(f"{made.epoch.state.status} in an ordinary spell: {made.epoch.events}")
             self._judged = None
             return
         if self._judged is None or self._judged[0] != spell:
@@ -187,7 +189,7 @@ class Cabinet(World):
         else:
             before = self._judged[1]
             true = np.zeros(3) if before == place else self._turn(before, place)
-            self._error = self._error + motion.counts - true
+            self._error = self._error + counts - true
             self._path += float(np.abs(true).sum())
             off = float(np.abs(self._error).max()) - CLOSE_SHARE * self._path
             self.worst = max(self.worst, off)
@@ -204,19 +206,19 @@ class Cabinet(World):
         R = self.film.attitude
         return self._matrix @ log(R[place] @ R[before].T)
 
-    def received(self, motion: Any) -> None:
+    def received(self, report: Any) -> None:
         """In the reporter's thread."""
-        if not any(motion.counts):
+        if not any(report.counts):
             return
-        self.total += motion.counts
+        self.total += report.counts
         self.reports += 1
         for _ in range(1000):  # a frame is given before it is shown
-            state = self._state_of.get(motion.stamp)
+            state = self._state_of.get(report.motion.stamp)
             if state is not None:
                 break
             time.sleep(0.001)
         if state != "tracking":
-            self.fail(f"{motion.counts} were sent while {state}")
+            self.fail(f"{report.counts} were sent while {state}")
 
     def fail(self, text: str) -> None:
         if len(self.failures) < 50:
@@ -224,7 +226,7 @@ class Cabinet(World):
             self.failures.append(f"frame {self.produced}, {self._now or 'no fault'}: {text}\n         before: {before}")
 
 
-class _Counted(Shot):
+class _Counted(RawFrame):
     def frame(self, colour: bool) -> Any:
         world: Any = self._world
         if self._fault == "damaged":
@@ -236,15 +238,15 @@ class _Sink:
     def __init__(self, cabinet: Cabinet) -> None:
         self._cabinet = cabinet
 
-    def send(self, motion: Any) -> None:
+    def send(self, report: Any) -> None:
         gate = self._cabinet.gate
         if gate is not None:
             gate.wait(5.0)
         if self._cabinet.broken:
             raise OutputError(self._cabinet.broken)
-        self._cabinet.received(motion)
+        self._cabinet.received(report)
 
-    def describe(self, motion: Any) -> str:
+    def describe(self, report: Any) -> str:
         return ""
 
     def __enter__(self) -> "_Sink":
@@ -310,7 +312,7 @@ def _remove(folder: Path) -> None:
 def soak(frames: int, seed: int) -> list[str]:
     """Play so many frames; what was wrong."""
     film = Film.render()
-    run.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
+    ball.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
     capture.PATIENCE = run.PATIENCE = 0.3
     capture.Capture.__init__.__defaults__ = (lambda _: None, 0.3)
     capture.BACK_OFF = reporter.BACK_OFF = (0.005, 0.01)

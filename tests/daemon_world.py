@@ -8,7 +8,7 @@ attributes, changed while it runs.
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from spheremouse.errors import DamagedFrameError, OutputError, SourceError
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import MotionSettings
+from spheremouse.session.ball.setup import BallSetup
 from spheremouse.session.control.client import Client
 from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.service import Daemon
@@ -73,7 +74,7 @@ class Film:
         return cls(colour, grey, np.array([m.attitude for m in made]), scene.rig())
 
 
-class Shot:
+class RawFrame:
     """A frame of the film, as the camera gave it."""
 
     def __init__(self, world: "World", stamp: float, sequence: int, place: int, fault: str) -> None:
@@ -82,7 +83,7 @@ class Shot:
 
     def frame(self, colour: bool) -> Frame:
         """The picture, or what the fault has left of it."""
-        assert self._out, "a shot that was given back is looked at"
+        assert self._out, "a raw frame that was given back is looked at"
         if self._fault == "damaged":
             raise DamagedFrameError("half of it is missing")
         if self._fault == "internal":
@@ -120,11 +121,11 @@ class World:
         # what was
         self.place, self._way, self.moves = 0, 1, 0
         self.sequence = 0
-        self.produced = 0  # shots
+        self.produced = 0  # raw frames
         self.shown: dict[float, int] = {}  # stamp -> place in the film
         self.cameras = 0  # open now
         self.opened = 0
-        self.out = 0  # shots not given back
+        self.out = 0  # raw frames not given back
         self._free = threading.Event()
         self._free.set()
         self.stamp = time.monotonic()
@@ -154,7 +155,7 @@ class World:
             raise SourceError(self.missing)
         return self
 
-    def next(self, timeout: float) -> Shot | None:
+    def next(self, timeout: float) -> RawFrame | None:
         """The next frame, once the one before was looked at."""
         if self.hang is not None:
             self.hang.wait(PATIENCE)
@@ -178,10 +179,10 @@ class World:
         self._free.clear()
         with self._lock:
             self.out += 1
-        return Shot(self, self.stamp, self.sequence, self.place, self.fault)
+        return RawFrame(self, self.stamp, self.sequence, self.place, self.fault)
 
     def given_back(self) -> None:
-        """Of a shot."""
+        """Of a raw frame."""
         with self._lock:
             self.out -= 1
             if self.out == 0:
@@ -214,20 +215,20 @@ class World:
 
     # ---- the daemon ----
 
-    def start(self, assignments: tuple[str, ...] = (), watch: Callable[[Any], None] | None = None) -> Daemon:
+    def start(self, assignments: tuple[str, ...] = (), watch: Callable[[Any, Any], None] | None = None) -> Daemon:
         """The daemon, in a thread; what is counted begins with it."""
         self.produced, self.sent, self.outputs, self.states, self.frames = 0, [], [], {}, []
         request = Request(self.config, assignments)
 
-        def show(made: Any) -> None:
+        def show(made: Any, _: Any) -> None:
             assert self.daemon is not None
-            self.states[made.epoch.motion.stamp] = self.daemon.status()["state"]
-            self.frames.append(made.epoch.motion.counts)
+            self.states[made.report.motion.stamp] = self.daemon.status()["state"]
+            self.frames.append(made.report.counts)
 
         self.daemon = Daemon(
             request,
             read_plan(request),
-            None,
+            BallSetup(),
             self.open_camera,
             lambda plan: self.open_camera,
             say=self.said.append,
@@ -306,10 +307,10 @@ class World:
     def check_laws(self) -> None:
         """Nothing moved in any state but tracking; what frames gave was sent, or was counted as unsent."""
         assert self.daemon is not None
-        for motion in self.sent:
-            state = self.states.get(motion.stamp)
-            assert state in (None, "tracking") or not any(motion.counts), f"{motion.counts} while {state}"
-            assert state is not None or self.carried or not any(motion.counts), "a report that belongs to no frame"
+        for sent in self.sent:
+            state = self.states.get(sent.motion.stamp)
+            assert state in (None, "tracking") or not any(sent.counts), f"{sent.counts} while {state}"
+            assert state is not None or self.carried or not any(sent.counts), "a report that belongs to no frame"
         report = self.daemon._reporter.status()
         reports, unsent = self.daemon._past
         given = np.sum(self.frames, axis=0) if self.frames else np.zeros(3)
@@ -327,15 +328,15 @@ class Sink:
 
     world: World
 
-    def send(self, motion: Any) -> None:
+    def send(self, report: Any) -> None:
         gate = self.world.gate
         if gate is not None:
             gate.wait(PATIENCE)
         if self.world.broken:
             raise OutputError(self.world.broken)
-        self.world.sent.append(replace(motion))
+        self.world.sent.append(report)
 
-    def describe(self, motion: Any) -> str:
+    def describe(self, report: Any) -> str:
         return ""
 
     def __enter__(self) -> "Sink":
@@ -350,7 +351,7 @@ class Sink:
 
 def left_over(daemon: Daemon) -> Array:
     """(3,) counts still in the reporter's queue when it was closed."""
-    return np.sum([g.motion.counts for g in daemon._reporter._given] or [(0, 0, 0)], axis=0)
+    return np.sum([g.report.counts for g in daemon._reporter._given] or [(0, 0, 0)], axis=0)
 
 
 def matrix(rig: Rig) -> Array:

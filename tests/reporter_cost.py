@@ -17,15 +17,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from reporting import report
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.track import step
+from spheremouse.output import Report
 from spheremouse.output.pointer import PointerSettings
-from spheremouse.output.reporter import Reporter
+from spheremouse.output.reporter import OutputThread
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.tracker import Motion
 
 FPS = 60.0
 HEAD = ("at work", "Hz", "switch interval", "of a core", "reports/s", "give to send", "late", "a mere sleep is late")
@@ -39,7 +40,7 @@ late.sort()
 print(late[len(late) // 2], late[len(late) * 99 // 100])
 """
 
-Give = Callable[[Motion, tuple[float, float, float], bool], None]
+Give = Callable[[Report], None]
 
 
 @dataclass
@@ -51,15 +52,15 @@ class Sink:
     given: dict[float, float] = field(default_factory=dict)  # s of `give`, by stamp
     waited: list[float] = field(default_factory=list)
 
-    def send(self, motion):
+    def send(self, report):
         now = time.monotonic()
-        gave = self.given.pop(motion.stamp, None)
+        gave = self.given.pop(report.motion.stamp, None)
         self.times.append(now)
         self.frames.append(gave is not None)
         if gave is not None:
             self.waited.append(now - gave)
 
-    def describe(self, motion):
+    def describe(self, report):
         return ""
 
     def __enter__(self):
@@ -71,12 +72,12 @@ class Sink:
 
 def roll(give: Give, until: float, work: Callable[[], None] = lambda: None) -> None:
     """A ball that rolls on at 1200 counts/s; `work` is done for every frame before it is given."""
-    nothing, rate = np.zeros(3), (20.0 * FPS, -20.0 * FPS, 0.0)
+    rate = (20.0 * FPS, -20.0 * FPS, 0.0)
     start, k = time.monotonic(), 0
     while (then := start + k / FPS) < until:
         time.sleep(max(0.0, then - time.monotonic()))
         work()
-        give(Motion(then, (20, -20, 0), nothing, nothing), rate, True)
+        give(report(20, -20, stamp=then, counts_rate=rate))
         k += 1
 
 
@@ -91,7 +92,7 @@ def with_tracker() -> Callable[[Give, float], None]:
         while True:
             state = begin(tracker, frames[0].stamp)
             for frame in frames:
-                state, _ = step(state, frame, tracker)
+                state = step(state, frame, tracker).state
                 yield
 
     endless = steps()
@@ -127,11 +128,11 @@ WORK = {
 def measure(camera: Callable[[Give, float], None], rate: float, seconds: float) -> list[str]:
     """Cells of a row."""
     sink = Sink()
-    reporter = Reporter(lambda: sink, PointerSettings(rate=rate), lambda text: print(text, file=sys.stderr))
+    reporter = OutputThread(lambda: sink, PointerSettings(rate=rate), lambda text: print(text, file=sys.stderr))
 
-    def give(motion: Motion, speed: tuple[float, float, float], tracking: bool) -> None:
-        sink.given[motion.stamp] = time.monotonic()
-        reporter.give(motion, speed, motion.stamp, tracking)
+    def give(report: Report) -> None:
+        sink.given[report.motion.stamp] = time.monotonic()
+        reporter.give(report, report.motion.stamp)
 
     thread = threading.Thread(target=camera, args=(give, time.monotonic() + seconds))
     clock = time.pthread_getcpuclockid(reporter._thread.ident)

@@ -27,20 +27,24 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
+from spheremouse.ball.events import NewMap, Recognised
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase, Tracker, TrackState
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance, step
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
+from spheremouse.output.counts import Counter as Counts
+from spheremouse.output.counts import MotionSettings
+from spheremouse.session import messages
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.hands import HandVisit, PlacedHand, draw_hand, place_hand
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.render import Renderer
 from spheremouse.simulate.ball.scene import default_scene, spread_directions
-from spheremouse.tracker import Frame, Motion
+from spheremouse.tracker import Event, Frame, Status, Step
 
 DT = 1.0 / 30.0
 RESUMED = 2.0  # s after a fault, by the stamps, until the ball must be tracked again
@@ -81,7 +85,7 @@ class World(Protocol):
         """One frame interval on."""
         ...
 
-    def step(self, state: TrackState, stamp: float, fault: str | None) -> tuple[TrackState, Motion]:
+    def step(self, state: TrackState, stamp: float, fault: str | None) -> Step[TrackState]:
         """Look at the ball through the fault, and track it."""
         ...
 
@@ -118,7 +122,7 @@ class Pictures:
         if self._place in (0, len(self._film) - 1):
             self._way, self._rest = -self._way, int(self._rng.integers(1, 60))
 
-    def step(self, state: TrackState, stamp: float, fault: str | None) -> tuple[TrackState, Motion]:
+    def step(self, state: TrackState, stamp: float, fault: str | None) -> Step[TrackState]:
         return step(state, Frame(self._look(fault), stamp, 0), self.tracker)
 
     def _look(self, fault: str | None) -> NDArray[np.uint8]:
@@ -215,7 +219,7 @@ class Points:
         self._rate = before + (self._pull - before) * (1.0 - math.exp(-DT / 0.25))
         self.attitude = exp(0.5 * (before + self._rate) * DT) @ self.attitude
 
-    def step(self, state: TrackState, stamp: float, fault: str | None) -> tuple[TrackState, Motion]:
+    def step(self, state: TrackState, stamp: float, fault: str | None) -> Step[TrackState]:
         return advance(state, stamp, self._look(fault), self.tracker)
 
     def _look(self, fault: str | None) -> Detections:
@@ -272,11 +276,15 @@ class Judge:
     seed: int
     # true attitude @ reference = the estimate; more than one after a failure, for the tracker may find back
     references: list[Array] = field(default_factory=lambda: [np.eye(3)])
+    pointer: Counts = field(init=False)
     exact: Array = field(default_factory=lambda: np.zeros(3))  # counts as they should be
     counts: Array = field(default_factory=lambda: np.zeros(3))
     good_since: float | None = None  # s, stamp of the first good frame after the last fault
     resumed: bool = False
     history: deque[str] = field(default_factory=lambda: deque(maxlen=6))  # faults and events until now
+
+    def __post_init__(self) -> None:
+        self.pointer = Counts(MotionSettings().matrix(self.world.tracker.rig.radius_m))
 
     def fail(self, frame: int, text: str) -> None:
         self.report.failures.append(
@@ -288,10 +296,12 @@ class Judge:
         self.history.append(f"{frame} {fault} for {length} frames")
         self.good_since, self.resumed = None, False
 
-    def look(self, frame: int, fault: str | None, stamp: float, state: TrackState, motion: Motion) -> None:
+    def look(self, frame: int, fault: str | None, stamp: float, made: Step[TrackState]) -> None:
         """One frame that was tracked, or at least looked at."""
+        state, motion, events = made
+        counts = self.pointer.report(motion).counts
         f: Any = state.filter
-        numbers = (f.attitude, f.rate, f.covariance, f.discs, motion.rotation, motion.rate, state.remainder.value)
+        numbers = (f.attitude, f.rate, f.covariance, f.discs, motion.rotation, motion.rate, motion.covariance)
         if not all(np.all(np.isfinite(n)) for n in numbers) or (
             isinstance(f, So3State) and not np.all(np.isfinite(f.joint))
         ):
@@ -300,34 +310,36 @@ class Judge:
             self.fail(frame, "the attitude is no rotation")
         if np.diag(f.covariance).min() < 0.0:
             self.fail(frame, "a negative variance")
-        if state.phase is not Phase.TRACKING and (any(motion.counts) or np.any(motion.rotation)):
-            self.fail(frame, f"motion {motion.counts} while {state.phase}")
-        self.exact += self.world.tracker.counts @ motion.rotation
-        self.counts += motion.counts
+        if state.status is not Status.TRACKING and (any(counts) or np.any(motion.rotation)):
+            self.fail(frame, f"motion {counts} while {state.status}")
+        self.exact += self.pointer.matrix @ motion.rotation
+        self.counts += counts
         if np.abs(self.exact - self.counts).max() > 1.0 + 1e-6:
             self.fail(frame, f"counts {self.counts} are not the integral {self.exact} of the rotations sent")
             self.exact = self.counts.copy()
-        if state.event:
-            self.report.events[_kind(state.event)] += 1
-            self.history.append(f"{frame} {state.event}")
+        if events:
+            self.report.events[_kind(messages.line(events))] += 1
+            self.history.append(f"{frame} {messages.line(events)}")
         self.report.most_discs = max(self.report.most_discs, len(f.discs))
         self.report.most_masks = max(self.report.most_masks, len(state.lookalikes.masks))
         if self.judged:
-            self._attitude(frame, fault, stamp, state)
+            self._attitude(frame, fault, stamp, state, events)
 
-    def _attitude(self, frame: int, fault: str | None, stamp: float, state: TrackState) -> None:
+    def _attitude(
+        self, frame: int, fault: str | None, stamp: float, state: TrackState, events: tuple[Event, ...]
+    ) -> None:
         true = self.world.attitude
-        if "reset" in state.event:
+        if NewMap() in events:
             self.references = [true.T @ state.filter.attitude]
         error = min(float(np.linalg.norm(log(state.filter.attitude @ (true @ R).T))) for R in self.references)
-        if "kept" in state.event and fault is None and error > RIGHT:
+        if any(isinstance(e, Recognised) for e in events) and fault is None and error > RIGHT:
             self.fail(frame, f"says the attitude is kept, and it is wrong by {math.degrees(error):.1f} deg")
         if fault is not None:
             return
         if self.good_since is None or stamp < self.good_since:
             self.good_since = stamp
         good_for = stamp - self.good_since
-        right = state.phase is Phase.TRACKING and len(state.filter.used) >= 2 and error < RIGHT
+        right = state.status is Status.TRACKING and len(state.filter.used) >= 2 and error < RIGHT
         if right and not self.resumed:
             self.resumed = True
             self.report.slowest_resume = max(self.report.slowest_resume, good_for)
@@ -337,7 +349,9 @@ class Judge:
             self.report.worst_error = max(self.report.worst_error, error)
             return
         used, wrong = len(state.filter.used), math.degrees(error)
-        self.fail(frame, f"{good_for:.2f} s after the fault {state.phase}, {used} discs used, wrong by {wrong:.1f} deg")
+        self.fail(
+            frame, f"{good_for:.2f} s after the fault {state.status}, {used} discs used, wrong by {wrong:.1f} deg"
+        )
         self.references.append(true.T @ state.filter.attitude)  # told; from here on it is to be right again
         self.good_since = None
 
@@ -391,7 +405,7 @@ def session(world: World, name: str, frames: int, seed: int, judged: bool) -> Re
                 stamp += float(rng.choice([-3.0, -1.0, 0.0, 2.0])) * DT
             through = None if fault in ("clock on", "clock back", "stutter") else fault
             try:
-                state, motion = world.step(state, stamp, through)
+                made = world.step(state, stamp, through)
             except SourceError as e:
                 if fault != "wrong size" or "calibrated" not in str(e):
                     judge.fail(report.frames, f"SourceError: {e}")
@@ -403,7 +417,8 @@ def session(world: World, name: str, frames: int, seed: int, judged: bool) -> Re
                 continue
             if fault == "wrong size":
                 judge.fail(report.frames, "a frame of the wrong size was taken")
-            judge.look(report.frames, fault, stamp, state, motion)
+            judge.look(report.frames, fault, stamp, made)
+            state = made.state
         if math.isnan(settled) and report.frames > 0.3 * frames:
             settled = resident()
     report.growth = resident() - settled

@@ -21,9 +21,9 @@ from pathlib import Path
 
 import pytest
 
-from spheremouse.commands.service import systemd as service
+from spheremouse.files.service import service_files
 
-SCRIPT = service.folder() / "install.sh"
+SCRIPT = service_files() / "install.sh"
 KIND = f"Python {sys.version_info[0]}.{sys.version_info[1]}, {platform.machine()}\n"
 ROOT = os.geteuid() == 0
 pytestmark = pytest.mark.skipif(sys.platform != "linux" or shutil.which("flock") is None, reason="needs Linux, flock")

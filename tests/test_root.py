@@ -26,6 +26,7 @@ from spheremouse.files.as_owner import as_owner
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.folders import NewFolder
+from spheremouse.files.service import service_files
 from spheremouse.output import text
 from spheremouse.output.serial import firmware
 from spheremouse.session.control import socket as control_socket
@@ -42,7 +43,8 @@ SECRET = "schema: 1\nsecret: yes\n"
 
 @pytest.fixture(autouse=True)
 def no_sudo(monkeypatch):
-    monkeypatch.delenv("SUDO_UID", raising=False)
+    for name in ("SUDO_UID", "SUDO_GID"):
+        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture
@@ -439,7 +441,7 @@ def test_a_socket_is_made_by_root_in_no_folder_of_another_user(state):
 
 
 def test_installing_the_firmware_writes_through_nothing_on_the_drive(root, state, secret, linked):
-    source = firmware.folder()
+    source = service_files(firmware.PICO)
     for ending in ("", ".part"):
         linked(state / f"code.py{ending}", secret)
     os.mkfifo(state / "boot.py")

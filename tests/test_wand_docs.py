@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.session.wand.plan import read_balls
+from spheremouse.session.balls import read_balls
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.wand.state import WandPhase
+from spheremouse.tracker import Status
 from spheremouse.wand.track import begin, build, step
 
 ROOT = Path(__file__).parents[1]
@@ -25,14 +25,15 @@ def shown(tmp_path):
 
 
 def test_the_ball_that_is_shown_is_found(shown):
-    balls, colours = read_balls([shown / "mine.yaml"])
+    read = read_balls([shown / "mine.yaml"])
+    balls, colours = read.balls, read.colours
     assert (balls[0].name, balls[0].radius, set(colours)) == ("mine", 0.04, {"red", "green"})
     film = prepare_wand(WandOptions("hand", seed=1, seconds=0.2, size=(640, 480)), balls[0])
     tracker = build(film.scene.camera, balls, colours=colours)
     state = begin(tracker, 1)
     for shot in simulate_wand(film):
         state, (pose,) = step(state, shot.frame, tracker)
-        assert pose.phase is WandPhase.TRACKING
+        assert pose.phase is Status.TRACKING
         assert pose.position == pytest.approx(shot.position[0], abs=0.03)
         assert np.trace(pose.rotation.T @ shot.rotation[0]) > 2.99
 

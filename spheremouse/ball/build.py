@@ -9,8 +9,6 @@ from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.blobs import BlobDetector
 from spheremouse.ball.detect.detections import no_detections
 from spheremouse.ball.detect.discs import disc_detector
-from spheremouse.ball.detect.lookalikes import Lookalikes
-from spheremouse.ball.detect.search import Hunt
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter
 from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
@@ -20,7 +18,8 @@ from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
     Detector,
-    Phase,
+    Learning,
+    Recognising,
     Tracker,
     TrackState,
     no_points,
@@ -28,7 +27,6 @@ from spheremouse.ball.state import (
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.output.counts import Remainder
 from spheremouse.tracker import Frame
 
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
@@ -71,8 +69,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
         detector = disc_detector(settings.discs, rig, pose)
     else:
         detector = BlobDetector(settings.blobs)
-    metric = None if rig.scale_free else rig.ball.radius
-    return Tracker(settings, rig, pose, detector, stage, settings.motion.matrix(metric))
+    return Tracker(settings, rig, pose, detector, stage)
 
 
 def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:
@@ -87,23 +84,13 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     if saved and known is not None:
         start = with_map(start, known, _REMEMBERED)
     return TrackState(
-        Phase.SEARCHING,
-        "",
+        Recognising() if saved else Learning(),
         start,
-        Lookalikes(),
-        Remainder(),
         R,
         stamp,
-        None,
-        False,
-        (),
-        Hunt(),
-        False,
-        saved,
-        False,
         no_detections(),
         no_points(tracker),
-        watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
+        watch=watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
     )
 
 

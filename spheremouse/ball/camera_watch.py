@@ -104,7 +104,7 @@ def begin(rig: Rig, pose: Pose) -> Watch | None:
     )
 
 
-def take(watch: Watch, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings) -> Watch:
+def remember_targets(watch: Watch, image: Image, which: NDArray[np.intp], rig: Rig, rings: RingSettings) -> Watch:
     """The watch with what the targets `which` look like now, where that is a target: point-symmetric, and no wall."""
     patches, seen, place, zero = list(watch.patches), watch.seen.copy(), watch.place.copy(), watch.zero.copy()
     for k in which:
@@ -123,7 +123,7 @@ def take(watch: Watch, image: Image, which: NDArray[np.intp], rig: Rig, rings: R
     return replace(watch, patches=tuple(patches), zero=zero, place=place, seen=seen)
 
 
-def look(watch: Watch, image: Image, which: int, settings: WatchSettings, far: bool = False) -> Array:
+def target_shift(watch: Watch, image: Image, which: int, settings: WatchSettings, far: bool = False) -> Array:
     """How far, (2,) px, a target is from where it was; nan where it is hidden. `far`: within `reach`."""
     template = watch.patches[which]
     if template is None:
@@ -136,16 +136,18 @@ def look(watch: Watch, image: Image, which: int, settings: WatchSettings, far: b
     return f * (at - before - watch.zero[which]) if best >= settings.score else np.full(2, np.nan)
 
 
-def look_at_all(watch: Watch, image: Image, settings: WatchSettings) -> tuple[Watch, Array]:
+def target_shifts(watch: Watch, image: Image, settings: WatchSettings) -> tuple[Watch, Array]:
     """The shift of every target, (n, 2) px, nan where hidden; looked for far where it is not near its place."""
-    shift = np.array([look(watch, image, k, settings) for k in range(len(watch))])
+    shift = np.array([target_shift(watch, image, k, settings) for k in range(len(watch))])
     for k in range(len(watch)):
         if not np.hypot(*shift[k]) < _NEAR - 1:
-            shift[k] = look(watch, image, k, settings, far=True)
+            shift[k] = target_shift(watch, image, k, settings, far=True)
     return replace(watch, seen=np.isfinite(shift[:, 0])), shift
 
 
-def glance(watch: Watch, image: Image, stamp: float, settings: WatchSettings, surprised: bool) -> tuple[Watch, bool]:
+def check_next_target(
+    watch: Watch, image: Image, stamp: float, settings: WatchSettings, surprised: bool
+) -> tuple[Watch, bool]:
     """One target in its turn, when it is time; the next two at once when something is odd. Is one out of its place?
 
     A target that was there and is gone counts as out of its place, too, once; whether the camera moved, all must say.
@@ -158,7 +160,7 @@ def glance(watch: Watch, image: Image, stamp: float, settings: WatchSettings, su
         turn = (turn + 1) % len(watch)
         if watch.patches[turn] is None:
             continue
-        shift = look(watch, image, turn, settings)
+        shift = target_shift(watch, image, turn, settings)
         there = bool(np.isfinite(shift[0]))
         odd |= bool(np.hypot(*shift) > settings.displaced) if there else bool(seen[turn])
         seen[turn] = there
@@ -173,7 +175,7 @@ def displaced(shift: Array, limit: float) -> bool | None:
     return bool(2 * np.count_nonzero(np.hypot(*shift[seen].T) > limit) > np.count_nonzero(seen))
 
 
-def stands(before: Array, now: Array, settings: WatchSettings) -> bool:
+def is_still(before: Array, now: Array, settings: WatchSettings) -> bool:
     """Do the targets keep their places from frame to frame: shifts, (n, 2) px each?"""
     if len(before) != len(now):
         return False

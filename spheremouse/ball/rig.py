@@ -55,6 +55,11 @@ class Rig:
     cross_covariance: Array | None = None  # (3n, 4) m², targets' coordinates with the ball's centre, radius; None: zero
     scale_free: bool = False  # lengths are not in metres but in a unit of their own, such as the ball's radius
 
+    @property
+    def radius_m(self) -> float | None:
+        """m, of the ball; None where nobody measured a length."""
+        return None if self.scale_free else self.ball.radius
+
 
 def in_metres(rig: Rig, unit: float) -> Rig:
     """The rig in metres, where its lengths are in a unit of `unit` m."""

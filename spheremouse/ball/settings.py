@@ -12,7 +12,6 @@ from spheremouse.ball.detect.rings import RingSettings
 from spheremouse.ball.filters.euler import EulerSettings
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.pose import PoseSettings
-from spheremouse.output.counts import MotionSettings
 from spheremouse.settings import ANGLE, HAND_TURN, SECONDS, param
 
 
@@ -63,4 +62,3 @@ class Settings:
     loss: LossSettings = field(default_factory=LossSettings)
     watch: WatchSettings = field(default_factory=WatchSettings)
     bearing: BearingSettings = field(default_factory=BearingSettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)

@@ -1,15 +1,14 @@
-"""What tracking carries from frame to frame."""
+"""What tracking carries from frame to frame: the phase it is in, and what all phases have."""
 
-from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
-from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_state import So3State, to_map
@@ -18,10 +17,11 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.output.counts import Remainder
-from spheremouse.tracker import Frame, Motion
+from spheremouse.tracker import Event, Frame, Motion, Status
 
 _SURE = 10  # sightings from which a disc is worth keeping
+
+Events = tuple[Event, ...]
 
 
 class Detector(Protocol):
@@ -30,14 +30,6 @@ class Detector(Protocol):
     def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w)."""
         ...
-
-
-class Phase(StrEnum):
-    """What the tracker knows."""
-
-    SEARCHING = "searching"  # no disc seen yet
-    TRACKING = "tracking"
-    LOST = "lost"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +41,9 @@ class Tracker:
     pose: Pose
     detector: Detector
     filter: Filter[Any]
-    counts: Array  # (3, 3) counts per radian
 
 
-@dataclass(frozen=True, slots=True)
-class Sight:
+class View(NamedTuple):
     """What one frame showed, and the attitude it was taken for."""
 
     stamp: float  # s
@@ -67,34 +57,79 @@ class Sight:
         return self.detections.centre[self.points.index]
 
 
+class Recognising(NamedTuple):
+    """A map made earlier is known, the attitude in it not yet."""
+
+    in_view_since: float | None = None  # s, of discs enough to speak against the map
+
+
+class Learning(NamedTuple):
+    """Nothing has turned yet: any candidate may be a look-alike."""
+
+    found: bool = False  # two discs were seen: the ball is tracked
+    views: tuple[View, ...] = ()  # since the ball was seen, to be filtered again without the look-alikes
+
+
+class Roundness(NamedTuple):
+    """How well the ball turns about its centre."""
+
+    frames_off_centre: int = 0  # in a row
+    misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
+    out_of_round: bool = False  # that was too much
+    turned_in_place: float = 0.0  # rad the ball has turned about its centre, since it last did not
+
+
+class Tracking(NamedTuple):
+    """The ball turns, and its discs are told from look-alikes."""
+
+    roundness: Roundness = Roundness()
+
+
+class Lost(NamedTuple):
+    """Nothing is sent until the ball is found again."""
+
+    last: Learning | Tracking  # what it was before
+    in_view_since: float | None = None  # s, of discs
+    lifted_at: float | None = None  # s, when it was seen to be off its centre
+
+
+Phase = Recognising | Learning | Tracking | Lost
+
+
 @dataclass(frozen=True, slots=True)
 class TrackState:
     """What one frame hands to the next."""
 
     phase: Phase
-    event: str  # what changed with this frame, in words; empty where nothing did
     filter: FilterState
-    lookalikes: Lookalikes
-    remainder: Remainder
-    sent: Array  # (3, 3) attitude at the last motion
-    held: float  # s, stamp of the last frame whose discs held the attitude
-    found: float | None  # s, since when discs are in view again while lost
-    moved: bool  # the ball has been seen to turn: look-alikes are told from discs
-    recent: tuple[Sight, ...]  # frames since the ball was seen, while not `moved`
-    hunt: Hunt  # for discs that are not on the map yet
-    holds: bool  # the last frame's discs hold the attitude
-    saved: bool  # a map made earlier is to be recognised first
-    absolute: bool  # the attitude is that of a map made earlier
+    reported_attitude: Array  # (3, 3) at the last motion
+    confirmed_at: float  # s, stamp of the last frame whose discs confirmed the attitude
     detections: Detections  # all of the last frame
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
+    confirmed: bool = False  # the last frame's discs confirm the attitude
+    lookalikes: Lookalikes = field(default_factory=Lookalikes)
+    search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
+    absolute: bool = False  # the attitude is that of a map made earlier
     watch: Watch | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker | None = None  # for the pose found after the camera was moved; None: it never was
-    off: int = 0  # frames in a row that show the ball's centre off its place
-    lifted: float | None = None  # s, since when the ball is lost for that
-    misfit: float = 0.0  # mean chi-square per degree of freedom of the discs' places about the centre
-    out_of_round: bool = False  # that was too much, and is said
-    fitted: float = 0.0  # rad the ball has turned about its centre, since it last did not
-    readout_told: bool = False  # play has shown what the rolling shutter takes, and it is said
+    readout_known: bool = False  # play has shown what the rolling shutter takes
+
+    @property
+    def status(self) -> Status:
+        """What is known of the ball, in a word."""
+        match self.phase:
+            case Tracking() | Learning(found=True):
+                return Status.TRACKING
+            case Lost():
+                return Status.LOST
+            case _:
+                return Status.SEARCHING
+
+    @property
+    def known_to_turn(self) -> bool:
+        """Has the ball been seen to turn: are look-alikes told from discs?"""
+        phase = self.phase.last if isinstance(self.phase, Lost) else self.phase
+        return isinstance(phase, Tracking)
 
 
 def current(state: TrackState, tracker: Tracker) -> Tracker:
@@ -104,25 +139,41 @@ def current(state: TrackState, tracker: Tracker) -> Tracker:
 
 def disc_map(state: TrackState) -> DiscMap | None:
     """What is worth keeping of the discs on the ball; None while fewer than four are sure, or for another tracker."""
-    return to_map(state.filter, _SURE) if isinstance(state.filter, So3State) and not state.saved else None
+    if not isinstance(state.filter, So3State) or isinstance(state.phase, Recognising):
+        return None
+    return to_map(state.filter, _SURE)
+
+
+def lost(state: TrackState, lifted_at: float | None = None) -> TrackState:
+    """The ball lost with this frame; frames off its centre are counted anew when it is found."""
+    last = state.phase
+    assert isinstance(last, Learning | Tracking)
+    if isinstance(last, Tracking):
+        last = Tracking(last.roundness._replace(frames_off_centre=0))
+    return replace(state, phase=Lost(last, lifted_at=lifted_at), filter=unused(state.filter), confirmed=False)
 
 
 def unused(filter_state: Any) -> Any:
     return replace(filter_state, used=np.zeros(0, dtype=np.intp))
 
 
-def tracking(state: TrackState, filtered: FilterState, sent: Array, stamp: float) -> TrackState:
-    """Tracking from this frame on, by a filter just found or begun; motion counts from the attitude `sent`."""
-    return replace(state, filter=filtered, phase=Phase.TRACKING, sent=sent, held=stamp, holds=True, found=None)
+def tracked(
+    state: TrackState, phase: Learning | Tracking, filtered: FilterState, reported: Array, stamp: float
+) -> TrackState:
+    """Tracked from this frame on, by a filter just found or begun; motion counts from the attitude `reported`."""
+    return replace(
+        state,
+        phase=phase,
+        filter=filtered,
+        reported_attitude=reported,
+        confirmed_at=stamp,
+        confirmed=True,
+    )
 
 
 def forget(lookalikes: Lookalikes) -> Lookalikes:
     """Masks stay; candidates followed under another attitude go."""
     return Lookalikes(masks=lookalikes.masks, mask_seen=lookalikes.mask_seen)
-
-
-def no_motion(stamp: float) -> Motion:
-    return Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
 
 
 def no_points(tracker: Tracker) -> SpherePoints:
@@ -136,6 +187,7 @@ class Epoch:
     frame: Frame
     state: TrackState
     motion: Motion
+    events: Events
     seconds: dict[str, float]  # wall time per stage: detect, filter
 
     @property

@@ -1,7 +1,7 @@
 """The use phase: one frame in, attitude and motion out. The only place that knows the order of the stages.
 
-Detect, intersect, set aside look-alikes, associate and filter, turn rotation into counts (Wittich 2017, section 3.5).
-Everything is a pure function of the state before and the frame; nothing here waits, logs or reads a clock.
+Detect, intersect, set aside look-alikes, associate and filter, tell the motion (Wittich 2017, section 3.5). Everything
+is a pure function of the state before and the frame; nothing here waits, logs or reads a clock.
 """
 
 from collections.abc import Callable
@@ -16,33 +16,37 @@ from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
 from spheremouse.ball.detect.rings import detect_targets
-from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.detect.search import SearchState
+from spheremouse.ball.events import BallLost, CameraMoved, TargetsHidden, Why
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
 from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
-from spheremouse.ball.phases.follow import follow_discs, look
-from spheremouse.ball.phases.learn import first_motion
-from spheremouse.ball.phases.lifted import on_its_bearings
-from spheremouse.ball.phases.readout import tell_readout
-from spheremouse.ball.phases.recover import lost_in_a_gap, recognise_saved, recovered
+from spheremouse.ball.phases.follow import follow, look
+from spheremouse.ball.phases.learn import learn
+from spheremouse.ball.phases.lifted import check_bearings
+from spheremouse.ball.phases.readout import learn_readout
+from spheremouse.ball.phases.recover import lost_in_a_gap, recognise, recover
 from spheremouse.ball.points import intersect
 from spheremouse.ball.pose import find_pose, predict_targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
+    Events,
+    Learning,
+    Lost,
     Phase,
+    Recognising,
     Tracker,
+    Tracking,
     TrackState,
     current,
-    no_motion,
+    lost,
     no_points,
-    unused,
 )
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
-from spheremouse.output.counts import to_counts
-from spheremouse.tracker import Frame, Motion
+from spheremouse.tracker import Frame, Motion, Status, Step, no_motion
 
 Seek = Callable[[Frame, Tracker], Moved | None]
 
@@ -69,31 +73,31 @@ def step(
     tracker: Tracker,
     detected: Callable[[], None] = lambda: None,
     seek: Seek = seek_by_colour,
-) -> tuple[TrackState, Motion]:
+) -> Step[TrackState]:
     """One frame. Raises SourceError when the frame has another size than the camera was calibrated for.
 
     Where the targets say that the camera was moved, the pose is estimated anew and the frame is done with that.
     `detected` is called between detection and what follows: whoever measures times needs to know. `seek` looks for the
-    camera by the targets' colours, which takes long: whoever has no time does that elsewhere, and uses `posed_anew`.
+    camera by the targets' colours, which takes long: whoever has no time does that elsewhere, and uses `with_pose`.
     """
     check_size(frame, tracker.rig)
     tracker = current(state, tracker)
     if state.watch is None:
         return _stages(state, frame, tracker, detected)
     if state.watch.away is not None:
-        return _attend(state, None, frame, tracker, seek)
-    new, motion = _stages(state, frame, tracker, detected)
+        return _check_camera(state, None, frame, tracker, seek)
+    done = _stages(state, frame, tracker, detected)
     watch = with_references(state.watch, frame, tracker)
-    watch, odd = watching.glance(watch, frame.image, frame.stamp, tracker.settings.watch, surprised(new))
-    if watch is not new.watch:
-        new = replace(new, watch=watch)
-    if odd or watch.asked or out_of_sight(new, frame.stamp):
-        new, motion = _attend(replace(state, watch=watch), (new, motion), frame, tracker, seek)
-    if state.phase is Phase.TRACKING and new.phase is Phase.LOST and hidden(new.watch):
-        return replace(
-            new, event=f"{new.event}; the targets are out of sight: if the camera was moved, initialise again"
-        ), motion
-    return new, motion
+    watch, odd = watching.check_next_target(
+        watch, frame.image, frame.stamp, tracker.settings.watch, surprised(done.state)
+    )
+    if watch is not done.state.watch:
+        done = done._replace(state=replace(done.state, watch=watch))
+    if odd or watch.asked or out_of_sight(done.state, frame.stamp):
+        done = _check_camera(replace(state, watch=watch), done, frame, tracker, seek)
+    if state.status is Status.TRACKING and done.state.status is Status.LOST and hidden(done.state.watch):
+        return done._replace(events=(*done.events, TargetsHidden()))
+    return done
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:
@@ -105,13 +109,13 @@ def wants_colour(state: TrackState, stamp: float) -> bool:
     return watch.asked or watch.away is not None or unknown or out_of_sight(state, stamp)
 
 
-def posed_anew(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> tuple[TrackState, Motion]:
+def with_pose(state: TrackState, frame: Frame, tracker: Tracker, pose: Pose) -> Step[TrackState]:
     """One frame with the camera at a `pose` that was estimated anew: the ball goes on as it was, nothing jumps.
 
     Raises PoseError where the ball cannot be seen from there.
     """
     tracker = current(state, tracker)
-    return _from_there(state, build(tracker.rig, pose, tracker.settings), None, frame, tracker)
+    return _with_new_pose(state, build(tracker.rig, pose, tracker.settings), None, frame, tracker)
 
 
 def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
@@ -121,33 +125,34 @@ def shows_targets(frame: Frame, tracker: Tracker, pose: Pose) -> bool:
         return True  # too near the edge of the picture to be watched
     every = np.arange(len(watch), dtype=np.intp)
     return bool(
-        np.count_nonzero(watching.take(watch, frame.image, every, tracker.rig, tracker.settings.rings).seen) >= 3
+        np.count_nonzero(watching.remember_targets(watch, frame.image, every, tracker.rig, tracker.settings.rings).seen)
+        >= 3
     )
 
 
-def retuned(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
+def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tuple[TrackState, Tracker]:
     """State and tracker with other settings, between two frames; another kind of filter begins at the last attitude."""
     anew = build(tracker.rig, current(state, tracker).pose, settings)
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     if settings.so3.levels != tracker.settings.so3.levels and isinstance(state.filter, So3State):
         state = replace(state, filter=replace(state.filter, weights=np.zeros(0)))  # they were those of other levels
-    return replace(state, rebuilt=None, hunt=Hunt()), anew
+    return replace(state, rebuilt=None, search=SearchState()), anew
 
 
 def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
-) -> tuple[TrackState, Motion]:
+) -> Step[TrackState]:
     """One frame of a camera that stands."""
     predicted = tracker.filter.predict(state.filter, frame.stamp)
-    detections, hunt = look(state, frame, tracker, predicted)
+    detections, search = look(state, frame, tracker, predicted)
     detected()
-    return advance(state, frame.stamp, detections, tracker, predicted, hunt)
+    return advance(state, frame.stamp, detections, tracker, predicted, search)
 
 
-def _attend(
-    state: TrackState, done: tuple[TrackState, Motion] | None, frame: Frame, tracker: Tracker, seek: Seek
-) -> tuple[TrackState, Motion]:
+def _check_camera(
+    state: TrackState, done: Step[TrackState] | None, frame: Frame, tracker: Tracker, seek: Seek
+) -> Step[TrackState]:
     """All targets are looked at: is the camera where it was, does it swing, or stand elsewhere?
 
     `done` is what the frame says if the camera has not moved, where that is known already. While it swings, nothing is
@@ -155,37 +160,37 @@ def _attend(
     """
     assert state.watch is not None
     s, before = tracker.settings.watch, state.watch.shift
-    watch, shift = watching.look_at_all(state.watch, frame.image, s)
+    watch, shift = watching.target_shifts(state.watch, frame.image, s)
     on_rings = watching.on_rings(watch, frame.image, shift, tracker.rig, tracker.settings.rings)
     moved = watching.displaced(on_rings, s.displaced)
     if moved is None:
         moved = watching.displaced(shift, 3.0 * s.match_sigma)
-    if moved and watching.stands(before, shift, s):
+    if moved and watching.is_still(before, shift, s):
         anew = relative(on_rings, shift, tracker) or seek(frame, tracker)
         if anew is not None:
-            return _from_there(state, *anew, frame, tracker)
+            return _with_new_pose(state, *anew, frame, tracker)
     if moved:
-        return _swings(replace(state, watch=replace(watch, shift=shift)), frame.stamp, tracker)
+        return _camera_moving(replace(state, watch=replace(watch, shift=shift)), frame.stamp, tracker)
     watch = replace(watch, shift=np.zeros((0, 2)), away=None)
     if frame.image.ndim != 3 and not watch.asked:  # what is too little for correlation, colours may tell
-        new, motion = _stages(state, frame, tracker) if done is None else done
-        return replace(new, watch=replace(watch, asked=True)), motion
+        done = done or _stages(state, frame, tracker)
+        return done._replace(state=replace(done.state, watch=replace(watch, asked=True)))
     watch = replace(watch, asked=False)
-    if moved is None and done is not None and out_of_sight(replace(done[0], watch=watch), frame.stamp):
+    if moved is None and done is not None and out_of_sight(replace(done.state, watch=watch), frame.stamp):
         watch = replace(watch, tried=frame.stamp)
         anew = seek(frame, tracker)
         if anew is not None:
-            return _from_there(state, *anew, frame, tracker)
+            return _with_new_pose(state, *anew, frame, tracker)
     if moved is False:  # then a target out of its place was moved by itself, or is in another light
         alone = np.flatnonzero(np.hypot(*np.nan_to_num(shift).T) > s.displaced)
-        watch = watching.take(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
-    new, motion = _stages(state, frame, tracker) if done is None else done
-    return replace(new, watch=watch), motion
+        watch = watching.remember_targets(watch, frame.image, alone, tracker.rig, tracker.settings.rings)
+    done = done or _stages(state, frame, tracker)
+    return done._replace(state=replace(done.state, watch=watch))
 
 
-def _from_there(
+def _with_new_pose(
     state: TrackState, anew: Tracker, added: Array | None, frame: Frame, tracker: Tracker
-) -> tuple[TrackState, Motion]:
+) -> Step[TrackState]:
     """The frame with the camera where it is now: the ball knows nothing of the bump, so nothing jumps.
 
     What lies in the picture, look-alikes and candidates, is forgotten, and how well the ball turned about its centre:
@@ -193,8 +198,9 @@ def _from_there(
     what the map has taken up of it; `added`, (6, 6), comes on top. None: the pose owes nothing to the one before.
     """
     filtered: Any = state.filter
-    if not state.moved:  # nothing is known yet but where candidates were in the picture
-        filtered = anew.filter.initial(state.filter.stamp, state.filter.attitude)
+    if not (state.known_to_turn or isinstance(state.phase, Recognising)):
+        # nothing is known yet but where candidates were in the picture
+        filtered = anew.filter.initial(state.filter.stamp, state.filter.attitude).with_reference_of(filtered)
     elif isinstance(filtered, So3State) and isinstance(anew.filter, So3Filter):
         joint = filtered.joint.copy()
         if added is None:
@@ -205,31 +211,43 @@ def _from_there(
     watch = watching.begin(anew.rig, anew.pose)
     if watch is not None:
         watch = replace(with_references(watch, frame, anew), due=frame.stamp)
-    state = replace(state, filter=filtered, lookalikes=Lookalikes(), recent=(), hunt=Hunt(), watch=watch, rebuilt=anew)
-    state = replace(state, off=0, misfit=0.0, out_of_round=False, fitted=0.0)
-    new, motion = _stages(state, frame, anew)
+    phase = _from_elsewhere(state.phase)
+    state = replace(
+        state, phase=phase, filter=filtered, lookalikes=Lookalikes(), search=SearchState(), watch=watch, rebuilt=anew
+    )
+    done = _stages(state, frame, anew)
     path, turn = watching.difference(tracker.pose, anew.pose)
-    event = f"the camera was moved: pose estimated anew ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
-    return replace(new, event=f"{event}; {new.event}" if new.event else event), motion
+    return done._replace(events=(CameraMoved(path, turn), *done.events))
 
 
-def _swings(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
+def _from_elsewhere(phase: Phase) -> Phase:
+    """The phase without what was seen from where the camera was."""
+    match phase:
+        case Learning():
+            return Learning(phase.found)
+        case Tracking():
+            return Tracking()
+        case Lost():
+            return phase._replace(last=Learning(phase.last.found) if isinstance(phase.last, Learning) else Tracking())
+        case Recognising():
+            return phase
+
+
+def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[TrackState]:
     """The camera is not where it was and does not stand: wait; lost when that lasts."""
     assert state.watch is not None
     away = stamp if state.watch.away is None else min(state.watch.away, stamp)
     state = replace(
         state,
-        event="",
         filter=tracker.filter.update(tracker.filter.predict(state.filter, stamp), no_points(tracker)),
         detections=no_detections(),
         points=no_points(tracker),
-        holds=False,
+        confirmed=False,
         watch=replace(state.watch, away=away),
     )
-    if state.phase is Phase.TRACKING and stamp - away > tracker.settings.loss.lost_after:
-        text = "lost: the camera was moved, and its pose is not found: uncover the targets, or initialise again"
-        state = replace(state, phase=Phase.LOST, found=None, event=text)
-    return state, no_motion(stamp)
+    if state.status is Status.TRACKING and stamp - away > tracker.settings.loss.lost_after:
+        return Step(lost(state), no_motion(stamp), (BallLost(Why.CAMERA),))
+    return Step(state, no_motion(stamp))
 
 
 def advance(
@@ -238,8 +256,8 @@ def advance(
     detections: Detections,
     tracker: Tracker,
     predicted: FilterState | None = None,
-    hunt: Hunt | None = None,
-) -> tuple[TrackState, Motion]:
+    search: SearchState | None = None,
+) -> Step[TrackState]:
     """The stages after detection; `predicted` is the filter carried on to `stamp`, where that was done before."""
     carried: FilterState = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
@@ -250,60 +268,49 @@ def advance(
         points = replace(points, index=np.flatnonzero(free)[points.index])
     state = replace(
         state,
-        event="",
         lookalikes=lookalikes,
         detections=detections,
         points=points,
-        held=min(state.held, stamp),  # a clock that starts again: nothing is held by a time to come
-        holds=False,
-        hunt=hunt or state.hunt,
+        confirmed_at=min(state.confirmed_at, stamp),  # a clock that starts again: nothing is confirmed in time to come
+        confirmed=False,
+        search=search or state.search,
     )
-    state = lost_in_a_gap(state, stamp, tracker)
-    if state.phase is Phase.LOST:
-        state = recovered(state, stamp, tracker)
-    elif state.saved:
-        state = recognise_saved(state, stamp, tracker)
-    elif not state.moved:
-        state = first_motion(state, stamp, tracker, carried)
-    else:
-        state = on_its_bearings(follow_discs(state, stamp, tracker, carried), stamp, tracker, carried)
-    state = _judge_phase(state, stamp, tracker)
-    if tracker.rig.readout_sigma_s > 0.0 and not state.readout_told:
-        state = tell_readout(state, tracker)
-    return _motion(state, stamp, tracker)
+    state, events = lost_in_a_gap(state, stamp, tracker)
+    match state.phase:
+        case Recognising():
+            state, events = recognise(state, state.phase, stamp, tracker)
+        case Learning():
+            state, events = learn(state, state.phase, stamp, tracker, carried)
+        case Tracking():
+            state, events = check_bearings(follow(state, stamp, tracker, carried), stamp, tracker, carried)
+        case Lost():
+            state, more = recover(state, state.phase, stamp, tracker)
+            events = more or events
+    state, more = _lost_in_time(state, stamp, tracker)
+    events = (*more, *events)  # what leads to the state comes first
+    if tracker.rig.readout_sigma_s > 0.0 and not state.readout_known:
+        state, more = learn_readout(state, tracker)
+        events = (*events, *more)
+    return _reported(state, stamp, events)
 
 
-def _judge_phase(state: TrackState, stamp: float, tracker: Tracker) -> TrackState:
-    """Is the ball tracked, lost, or still looked for?"""
-    if state.holds and state.phase is Phase.TRACKING:
-        return state  # `_motion` notes when
-    if state.holds:
-        state = replace(state, held=stamp)
-    if state.phase is Phase.SEARCHING:
-        if not state.saved and len(state.filter.discs) >= 2:
-            event = f"{state.event}; " if state.event else ""
-            event += f"tracking: {len(state.points)} discs in view"
-            return replace(state, phase=Phase.TRACKING, held=stamp, event=event)
-        return replace(state, held=stamp)
-    if state.phase is Phase.TRACKING and stamp - state.held > tracker.settings.loss.lost_after:
-        seen = len(state.points)
-        why = f"{seen} discs in view, none where it should be" if seen else "no disc in view"
-        return replace(
-            state,
-            phase=Phase.LOST,
-            found=None,
-            filter=unused(state.filter),
-            event=f"lost: {why} for {tracker.settings.loss.lost_after:.1f} s",
-        )
-    return state
+def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
+    """Unconfirmed for so long, the prediction is a guess."""
+    after = tracker.settings.loss.lost_after
+    if state.status is not Status.TRACKING or state.confirmed or stamp - state.confirmed_at <= after:
+        return state, ()
+    return lost(state), (BallLost(Why.UNSEEN, after, len(state.points)),)
 
 
-def _motion(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Motion]:
-    """Motion since the last one, where discs hold the attitude; nothing otherwise: it is made up for when they do."""
-    if state.phase is not Phase.TRACKING or not state.holds:
-        return state, no_motion(stamp)
+def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
+    """Motion since the last one, where discs confirm the attitude; nothing otherwise: it is made up for then."""
+    if state.status is not Status.TRACKING or not state.confirmed:
+        return Step(state, no_motion(stamp), events)
     attitude = state.filter.attitude
-    rotation = rotation_between(state.sent, attitude)
-    counts, remainder = to_counts(rotation, tracker.counts, state.remainder)
-    state = replace(state, sent=attitude, remainder=remainder, held=stamp)
-    return state, Motion(stamp, counts, rotation, state.filter.rate)
+    rotation = rotation_between(state.reported_attitude, attitude)
+    covariance, rate, since = np.zeros((12, 12)), np.zeros(6), state.filter.covariance_since(rotation)
+    covariance[:3, :3], covariance[:3, 6:9], covariance[6:9, :3] = since[:3, :3], since[:3, 3:], since[3:, :3]
+    covariance[6:9, 6:9], rate[:3] = since[3:, 3:], state.filter.rate
+    motion = Motion(stamp, rotation, np.zeros(3), rate, covariance, confirmed=True)
+    state = replace(state, filter=state.filter.with_reference(), reported_attitude=attitude, confirmed_at=stamp)
+    return Step(state, motion, events)

@@ -55,7 +55,7 @@ def _watch(tracker: Tracker, discs: Array, known: DiscMap | None) -> DiscMap | N
             turned = np.concatenate([turned[::3], discs @ exp(-3.0 * _TURN * k).T])
         hidden = 30 <= k < 45  # lost, and found again
         image = _picture(turned[:0] if hidden else turned[: len(turned) - k % 3])
-        state, _ = step(state, Frame(image, k * _DT, k), tracker)
+        state = step(state, Frame(image, k * _DT, k), tracker).state
     return disc_map(state)
 
 

@@ -44,7 +44,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class _Photos:
-    """What lies in a folder of photos."""
+    """Content of a folder of photos."""
 
     folder: Path
     photos: tuple[Photo, ...] = ()
@@ -108,20 +108,20 @@ def checklist(folder: Path) -> list[Step]:
 
 
 def camera_command(folder: Path, board: str = "", *, again: bool = False) -> str:
-    """How camera.yaml is made of the photos in the folder."""
+    """Command that makes camera.yaml of the photos in the folder."""
     return _command(
         "camera", folder / _BOARD, *(board or _USUAL_BOARD).split(), "--out", folder / _CAMERA_FILE, again=again
     )
 
 
 def device_command(folder: Path, *, again: bool = False) -> str:
-    """How rig.yaml is made of the photos in the folder."""
+    """Command that makes rig.yaml of the photos in the folder."""
     given = ("--device", folder / _DEVICE_FILE, "--camera", folder / _CAMERA_FILE)
     return _command("device", folder / _DEVICE, *given, "--out", folder / _RIG_FILE, again=again)
 
 
 def rolling_command(folder: Path, *, again: bool = False) -> str:
-    """How rig.yaml is made without photos of the device."""
+    """Command that makes rig.yaml without photos of the device."""
     given: list[str | Path] = ["--source", "opencv:0", "--camera", folder / _CAMERA_FILE]
     if (folder / _DEVICE_FILE).exists() and not untouched(folder / _DEVICE_FILE):  # its targets give the axes
         given += ["--device", folder / _DEVICE_FILE]
@@ -129,12 +129,12 @@ def rolling_command(folder: Path, *, again: bool = False) -> str:
 
 
 def init_command(folder: Path) -> str:
-    """How the folder is made."""
+    """Command that makes the folder."""
     return _command("init", folder)
 
 
 def next_command(folder: Path) -> str:
-    """How to be told what comes next."""
+    """Command that tells what comes next."""
     return _command("next", *([] if folder == default_folder() else [folder]))
 
 
@@ -339,7 +339,7 @@ def _board_options(made: dict[str, Any]) -> str:
 
 
 def _changed(result: _Result, photos: Sequence[Photo]) -> str:
-    """How the photos differ from those a result was made from; nothing where they do not, or where none are left."""
+    """Difference of the photos from those a result was made from; nothing where there is none, or none are left."""
     new = sum(result.precedes(p.path, p.sha256) for p in photos)
     here = {p.sha256 for p in photos}
     gone = len(result.photo_hashes - here) if result.photo_hashes & here else 0

@@ -12,7 +12,7 @@ from typing import Protocol, Self
 
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import SourceError
-from spheremouse.files.spec import resolve
+from spheremouse.files.registry import resolve
 from spheremouse.tracker import Frame
 
 KINDS = ("dataset", "opencv", "synthetic", "v4l2", "video")
@@ -23,7 +23,7 @@ class Source(Protocol):
 
     @property
     def rig(self) -> Rig | None:
-        """What the source itself knows of the device, if anything."""
+        """The device as the source itself knows it, if it does."""
         ...
 
     @property
@@ -50,7 +50,7 @@ class Source(Protocol):
     ) -> bool | None: ...
 
 
-class Shot(Protocol):
+class RawFrame(Protocol):
     """A picture as a live camera gave it, not decoded yet."""
 
     @property
@@ -76,10 +76,10 @@ class Shot(Protocol):
 
 
 class Camera(Protocol):
-    """A live source as the daemon takes it: shots one by one; closed by leaving its `with` block."""
+    """A live source as the daemon takes it: raw frames one by one; closed by leaving its `with` block."""
 
-    def next(self, timeout: float) -> Shot | None:
-        """The next shot, None where none came within `timeout` s; SourceError where the camera is gone."""
+    def next(self, timeout: float) -> RawFrame | None:
+        """The next raw frame, None where none came within `timeout` s; SourceError where the camera is gone."""
         ...
 
     def describe(self) -> str:

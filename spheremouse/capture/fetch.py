@@ -1,4 +1,4 @@
-"""The thread that fetches: opens the camera, hands each shot to the ring, and opens it again whatever becomes of it.
+"""The thread that fetches: opens the camera, hands each raw frame on, and opens it again whatever becomes of it.
 
 Nothing here decodes, and no error of a device ends it.
 """
@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
-from spheremouse.capture import Camera, Shot, Source
-from spheremouse.capture.newest import Arrival, Newest
+from spheremouse.capture import Camera, RawFrame, Source
+from spheremouse.capture.newest import Arrival, LatestFrame
 from spheremouse.errors import SourceError, SpheremouseError
 from spheremouse.tracker import Frame
 
@@ -28,7 +28,7 @@ class EndOfSource(Exception):  # noqa: N818  an end, not an error
 
 
 class Fetched:
-    """A frame that came decoded, as a shot."""
+    """A frame that came decoded, as a raw one."""
 
     def __init__(self, frame: Frame) -> None:
         self._frame = frame
@@ -43,7 +43,7 @@ class Fetched:
 
 
 class Streamed:
-    """A plain source as a camera. It cannot be waited for with a limit: whoever takes the shots sees the silence."""
+    """A plain source as a camera. It cannot be waited for with a limit: whoever takes the frames sees the silence."""
 
     def __init__(self, source: Source, name: str) -> None:
         self._source, self._name = source, name
@@ -51,7 +51,7 @@ class Streamed:
         self._frames: Iterator[Frame] = iter(())
         self._ahead: float | None = None  # s, clock less stamp of the first frame
 
-    def next(self, timeout: float) -> Shot | None:
+    def next(self, timeout: float) -> RawFrame | None:
         """The next frame; EndOfSource where a recording ends, SourceError where a camera does."""
         try:
             frame = next(self._frames, None)
@@ -89,18 +89,18 @@ class Streamed:
 
 
 class Capture(threading.Thread):
-    """Fetches shots until it is closed. What others want to know of it are plain attributes."""
+    """Fetches raw frames until it is closed. What others want to know of it are plain attributes."""
 
     def __init__(
         self,
         open_camera: Callable[[], Camera],
-        ring: Newest,
+        latest: LatestFrame,
         say: Callable[[str], None] = lambda _: None,
         patience: float = PATIENCE,
     ) -> None:
         """`say` is called in the thread, with what only a programmer understands."""
         super().__init__(name="capture", daemon=True)
-        self._open, self._ring, self._say, self._patience = open_camera, ring, say, patience
+        self._open, self._latest, self._say, self._patience = open_camera, latest, say, patience
         self._over = False
         self._bell = threading.Event()  # the stream, or the wait for the next attempt, is to be left
         self._failures = 0  # one after another
@@ -133,9 +133,9 @@ class Capture(threading.Thread):
                     self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
                 self.trouble = trouble
             self.opening = False
-            self._ring.wake()
+            self._latest.wake()
             self._bell.wait(BACK_OFF[min(max(self._failures - 1, 0), len(BACK_OFF) - 1)])
-        self._ring.wake()
+        self._latest.wake()
 
     def _fetch(self) -> None:
         """One stream from its opening to its end."""
@@ -147,9 +147,9 @@ class Capture(threading.Thread):
             last, before, told = time.monotonic(), 0, 0.0
             try:
                 while not (self._over or self._bell.is_set()):
-                    shot = camera.next(_WAIT)
+                    raw = camera.next(_WAIT)
                     now = time.monotonic()
-                    if shot is None:
+                    if raw is None:
                         if now - last > self._patience:
                             self.trouble = f"the camera gave no frame for {self._patience:g} s; it is opened again"
                             break
@@ -159,16 +159,16 @@ class Capture(threading.Thread):
                         self.trouble, self.opening = "", False
                         self._streams += 1
                     else:
-                        self.dropped += max(0, shot.sequence - before - 1)
+                        self.dropped += max(0, raw.sequence - before - 1)
                     if self._failures and now - began > _STEADY:
                         self._failures = 0
                     if now - told > _TELL:
                         self.description, told = camera.describe(), now
-                    last, before = now, shot.sequence
-                    self._ring.put(Arrival(shot, now if self._recorded else min(shot.stamp, now)))
+                    last, before = now, raw.sequence
+                    self._latest.put(Arrival(raw, now if self._recorded else min(raw.stamp, now)))
             finally:
                 if not self._recorded:
-                    self._ring.clear()  # a buffer must not outlive its camera
+                    self._latest.clear()  # a buffer must not outlive its camera
 
     @property
     def restarts(self) -> int:
@@ -191,4 +191,4 @@ class Capture(threading.Thread):
         self._bell.set()
         if self.is_alive():
             self.join(2.0)
-        self._ring.clear()
+        self._latest.clear()

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from spheremouse.capture import Camera, Shot
+from spheremouse.capture import Camera, RawFrame
 from spheremouse.errors import SourceError
 
 
@@ -67,7 +67,7 @@ class Claimed:
         self._stack = contextlib.ExitStack()
         self._camera: Camera | None = None
 
-    def next(self, timeout: float) -> Shot | None:
+    def next(self, timeout: float) -> RawFrame | None:
         """As the camera."""
         assert self._camera is not None
         return self._camera.next(timeout)

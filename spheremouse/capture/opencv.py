@@ -15,7 +15,7 @@ import numpy as np
 from spheremouse.capture import Stream
 from spheremouse.errors import SourceError
 from spheremouse.files.films import open_capture
-from spheremouse.files.spec import options
+from spheremouse.files.registry import options
 from spheremouse.tracker import Frame
 
 _PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_HEIGHT, "fps": cv2.CAP_PROP_FPS}

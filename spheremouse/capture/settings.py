@@ -14,7 +14,7 @@ PixelName = Literal["MJPG", "YUYV", "NV12", "GREY"]
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """How the camera is set while it is used."""
+    """Settings of the camera while it is used."""
 
     size: tuple[int, int] | None = param(
         None,

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from typer.core import TyperGroup
 
 from spheremouse import __version__
-from spheremouse.commands.complaint import complain
+from spheremouse.commands import terminal
 from spheremouse.errors import SpheremouseError
 
 _USERS_ERROR, _OUR_ERROR = 2, 70  # exit codes; 70 is EX_SOFTWARE of sysexits.h
@@ -127,10 +127,10 @@ def main() -> NoReturn:
         with threadpool_limits(1):  # our matrices are small: threads of the linear algebra only wait for each other
             app(prog_name="spheremouse")
     except SpheremouseError as e:
-        complain(str(e))
+        terminal.error(str(e))
         sys.exit(_USERS_ERROR)
     except KeyboardInterrupt:
-        complain("interrupted")
+        terminal.error("interrupted")
         sys.exit(128 + signal.SIGINT)
     except BrokenPipeError:  # whoever read us has gone
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115  until the end
@@ -139,6 +139,6 @@ def main() -> NoReturn:
         if _debug:
             raise
         what = " ".join(f"{type(e).__name__}: {e}".split())
-        complain(f"internal error, please report it with what `spheremouse --debug ...` prints: {what}")
+        terminal.error(f"internal error, please report it with what `spheremouse --debug ...` prints: {what}")
         sys.exit(_OUR_ERROR)
     sys.exit(0)

@@ -16,8 +16,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.commands.complaint import complain
-from spheremouse.errors import ControlError
+from spheremouse.commands import terminal
+from spheremouse.errors import ControlError, printable
 from spheremouse.session.control.client import Client, NoDaemonError
 
 app = typer.Typer(no_args_is_help=True, help="Ask the running daemon how it is, and tell it what to do.")
@@ -55,8 +55,8 @@ def status(as_json: _Json = False, socket: _Socket = None) -> None:
 
 @app.command()
 def reinit(as_json: _Json = False, socket: _Socket = None) -> None:
-    """Estimate the camera's pose anew; the pointer does not jump."""
-    _report(_ask(socket, "reinit"), as_json, "the camera's pose is estimated anew")
+    """Estimate the camera's pose anew, or look for balls in a hand anew; the pointer does not jump."""
+    _report(_ask(socket, "reinit"), as_json, "looked for anew")
 
 
 @app.command()
@@ -95,7 +95,11 @@ def record(
     ] = None,
     seconds: Annotated[float | None, typer.Option(metavar="S", help="Length in s.  [default: as configured]")] = None,
     everything: Annotated[
-        bool, typer.Option("--everything", help="Keep the whole picture, not only the ball and the targets.")
+        bool,
+        typer.Option(
+            "--everything",
+            help="Keep the whole picture, not only the ball and the targets; needed for balls in a hand.",
+        ),
     ] = False,
     stop: Annotated[bool, typer.Option("--stop", help="End the recording that runs.")] = False,
     as_json: _Json = False,
@@ -159,8 +163,11 @@ def status_table(s: dict[str, Any]) -> Panel:
         rows.add_row("reason", _text(s["reason"]))
     rows.add_row("frames", _frames(s))
     rows.add_row("latency", _latency(s.get("latency_ms")))
-    rows.add_row("discs", f"{_n(s, 'discs')} used, {_n(s, 'discs_seen')} seen, {_n(s, 'discs_known')} known")
-    rows.add_row("pose", _pose(s.get("pose")))
+    if s.get("balls") is None:
+        rows.add_row("discs", f"{_n(s, 'discs')} used, {_n(s, 'discs_seen')} seen, {_n(s, 'discs_known')} known")
+        rows.add_row("pose", _pose(s.get("pose")))
+    for ball in s.get("balls") or ():
+        rows.add_row("ball", _ball(ball))
     rows.add_row("output", _output(s.get("output"), s.get("reason")))
     source = s.get("source") or {}
     rows.add_row("source", _text(source.get("description") or source.get("spec") or "-"))
@@ -169,7 +176,7 @@ def status_table(s: dict[str, Any]) -> Panel:
     )
     if s.get("recording"):
         rows.add_row("recording", _recording(s["recording"]))
-    head = Text.assemble((" spheremouse ", "bold"), f"{_plain(s.get('version', ''))} │ process {_n(s, 'pid')} ")
+    head = Text.assemble((" spheremouse ", "bold"), f"{printable(s.get('version', ''))} │ process {_n(s, 'pid')} ")
     return Panel(rows, title=head, title_align="left", border_style="dim", expand=False)
 
 
@@ -184,17 +191,19 @@ def event_line(event: dict[str, Any], clock: str) -> Text:
         f"latency {_number(latency.get('p50'), '.1f')}, 99 % {_number(latency.get('p99'), '.1f')} ms"
         if latency
         else "no latency",
-        f"{_n(event, 'discs')}/{_n(event, 'discs_known')} discs",
+        f"{_n(event, 'discs')}/{_n(event, 'discs_known')} discs"
+        if event.get("balls") is None
+        else ", ".join(f"{printable(b.get('name', ''))} {printable(b.get('state', ''))}" for b in event["balls"]),
     ]
     state = _state(event)
     state.pad_right(max(0, _WIDEST - len(state)))
     words = event.get("reason") if event.get("state") != "tracking" else f"output: {failed}" if failed else ""
-    tail = f"  {_plain(words)}" if words else ""
+    tail = f"  {printable(words)}" if words else ""
     return Text.assemble((clock, "dim"), "  ", state, "  ", "  ".join(parts), tail)
 
 
 def _state(s: dict[str, Any]) -> Text:
-    name = _plain(s.get("state", "unknown"))
+    name = printable(s.get("state", "unknown"))
     return Text(f"● {name}", style=_COLOURS.get(name, ""))
 
 
@@ -211,6 +220,16 @@ def _latency(values: Any) -> str:
     return f"median {half} ms, 99 % {most} ms, longest {longest} ms"
 
 
+def _ball(ball: dict[str, Any]) -> Text:
+    """A ball in a hand: where it is, and how sure that is."""
+    words = f"{ball.get('name', '')} {ball.get('state', '')}"
+    place, angles, sigma, turned = (ball.get(k) for k in ("position_m", "angles_deg", "sigma_mm", "sigma_deg"))
+    if place and angles and sigma and turned:
+        words += f": x {place[0]:+.3f}, y {place[1]:+.3f}, z {place[2]:.3f} m ±{max(sigma):.0f} mm"
+        words += f"; yaw {angles[0]:+.0f}°, pitch {angles[1]:+.0f}°, roll {angles[2]:+.0f}° ±{max(turned):.1f}°"
+    return _text(words)
+
+
 def _pose(pose: Any) -> str:
     if not isinstance(pose, dict):
         return "not known"
@@ -225,7 +244,7 @@ def _output(output: Any, reason: Any) -> Text:
     spec = str(output.get("spec", "-"))
     text = _text(spec)
     if output.get("failed"):
-        said = "failed" if output["failed"] == reason else _plain(output["failed"]).removeprefix(f"{spec}: ")
+        said = "failed" if output["failed"] == reason else printable(output["failed"]).removeprefix(f"{spec}: ")
         text.append(f": {said}", style="bold red")
     else:
         text.append(f", {output.get('reports', 0)} reports")
@@ -256,16 +275,11 @@ def _number(value: Any, form: str) -> str:
 
 def _n(s: dict[str, Any], key: str) -> str:
     value = s.get(key)
-    return "-" if value is None else _plain(value)
-
-
-def _plain(value: Any) -> str:
-    """Text without what would steer the terminal: a reason may quote a device or a file."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(value))
+    return "-" if value is None else printable(value)
 
 
 def _text(value: Any) -> Text:
-    return Text(_plain(value))
+    return Text(printable(value))
 
 
 # ---- asking ----
@@ -286,7 +300,7 @@ def _failing() -> Iterator[None]:
 
 
 def _fail(error: ControlError) -> NoReturn:
-    complain(str(error))
+    terminal.error(str(error))
     raise typer.Exit(NO_DAEMON if isinstance(error, NoDaemonError) else REFUSED)
 
 
@@ -297,7 +311,7 @@ def _report(reply: dict[str, Any], as_json: bool, words: str, place: str | None 
         return
     where = reply.get(place) if place else None
     told = reply.get("message")
-    typer.echo(_plain(told or (f"{where}: {words}" if where else words)))
+    typer.echo(printable(told or (f"{where}: {words}" if where else words)))
 
 
 def _print_json(reply: dict[str, Any]) -> None:

@@ -19,8 +19,7 @@ from rich.table import Table
 from spheremouse.ball.build import build
 from spheremouse.ball.pose import describe
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Epoch, Phase, Tracker
+from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.stopping import Stopping
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
@@ -29,14 +28,18 @@ from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
 from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import open_output
+from spheremouse.output.counts import Counter
+from spheremouse.session import messages
 from spheremouse.session.offline import Start, initialise, track
 from spheremouse.session.overlay.ball import Overlay, target_marks
 from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.pen import Image
-from spheremouse.session.screen import Board, Tally
+from spheremouse.session.screen import StatusTable, Tally
+from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.film import SimulatedFrame, Simulation, SimulationOptions, prepare, simulate
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 
+_SETTINGS = Configuration()
 FILES = ("overlay.png", "overlay.mp4", "plot.png", "motion.txt")
 _NOISE = 4.0  # grey values: a webcam in a lit room
 
@@ -69,7 +72,7 @@ def demo(
         with console.status("lighting the scene, looking for the targets") if console.is_terminal else nullcontext():
             rig = simulation.scene.rig()
             start = _started(frames, rig, stopping)
-        tracker = build(rig, start.pose, Settings())
+        tracker = build(rig, start.pose, _SETTINGS)
         seen = _watch(replace(start, frames=stopping.frames(start.frames)), tracker, out, simulation.fps, console)
     if not seen.history.epochs:
         raise typer.Exit(130)
@@ -87,7 +90,7 @@ def demo(
 
 def _started(frames: Iterator[Frame], rig: Rig, stopping: Stopping) -> Start:
     try:
-        return initialise(frames, rig, Settings())
+        return initialise(frames, rig, _SETTINGS)
     except PoseError:
         if stopping.asked:  # no frame came any more
             raise typer.Exit(130) from None
@@ -124,14 +127,14 @@ class _Film:
 
 @dataclass
 class _Seen:
-    """What the tracker said, frame by frame."""
+    """Results of the tracker, frame by frame."""
 
     tally: Tally = field(default_factory=Tally)
     history: History = field(default_factory=History)
 
-    def add(self, epoch: Epoch) -> None:
+    def add(self, epoch: Epoch, counts: tuple[int, int, int]) -> None:
         """One more."""
-        self.tally.add(epoch)
+        self.tally.add(counts, sum(epoch.seconds.values()))
         self.history.add(epoch)
 
 
@@ -141,20 +144,22 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
     marks = target_marks(tracker.rig, start.pose, start.resection)
     best: tuple[float, Image | None] = (-1.0, None)
     large = Overlay(tracker, marks, scale=2)
+    counter = Counter(_SETTINGS.motion.matrix(tracker.rig.radius_m))
     with (
         open_output(f"text:{out / 'motion.txt'}") as motions,
         OverlayFile(out / "overlay.mp4", fps) as video,
-        Board("spheremouse demo", True, seen.tally, console) as board,
+        StatusTable("spheremouse demo", True, seen.tally, console) as screen,
     ):
         if start.resection is not None:
-            board.say(f"camera pose: {describe(start.resection, tracker.rig)}")
+            screen.say(f"camera pose: {describe(start.resection, tracker.rig)}")
         video.begin(tracker, marks)
         for epoch in track(start.frames, tracker):
-            motions.send(epoch.motion)
-            seen.add(epoch)
-            if epoch.state.event:
-                board.say(f"{epoch.frame.stamp:9.3f} s  {epoch.state.event}")
-            board.show(epoch)
+            report = counter.report(epoch.motion)
+            motions.send(report)
+            seen.add(epoch, report.counts)
+            if epoch.events:
+                screen.say(f"{epoch.frame.stamp:9.3f} s  {messages.line(epoch.events)}")
+            screen.show(epoch)
             video.add(epoch, seen.tally.counts)
             large.remember(epoch.state)
             fine = _fineness(epoch)
@@ -166,9 +171,9 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
 
 
 def _fineness(epoch: Epoch) -> float:
-    """How much there is to see: discs in use, and long traces."""
+    """Amount that there is to see: discs in use, and long traces."""
     speed = float(np.linalg.norm(epoch.state.filter.rate))  # rad/s
-    return 0.0 if epoch.state.phase is not Phase.TRACKING else len(epoch.used) * (0.3 + min(speed, 1.2))
+    return 0.0 if epoch.state.status is not Status.TRACKING else len(epoch.used) * (0.3 + min(speed, 1.2))
 
 
 def _draw_plot(run: Run, truth: Truth, path: Path, console: Console) -> None:
@@ -222,9 +227,10 @@ def _summary(result: dict[str, Any], seen: _Seen, truth: Truth, tracker: Tracker
 def _exact_counts(seen: _Seen, truth: Truth, tracker: Tracker) -> tuple[int, int, int]:
     """The integral of the true motion over the frames tracked, in counts."""
     at = [e.frame.sequence for e in seen.history.epochs]
+    matrix = _SETTINGS.motion.matrix(tracker.rig.radius_m)
     total = np.zeros(3)
     for a, b in pairwise(at):
-        total += tracker.counts @ rotation_between(truth.attitude[a], truth.attitude[b])
+        total += matrix @ rotation_between(truth.attitude[a], truth.attitude[b])
     x, y, z = (round(float(v)) for v in total)
     return x, y, z
 

@@ -14,7 +14,8 @@ from spheremouse.calibrate.outputs import check_outputs
 from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import ConfigurationError, OutputError
 from spheremouse.files.atomic import write_json
-from spheremouse.output.serial import firmware
+from spheremouse.files.service import service_files
+from spheremouse.output.serial import BAUD, SLOWEST, Serial, firmware
 from spheremouse.output.serial.firmware import Drive, words
 
 app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: install, check, simulate.")
@@ -22,7 +23,6 @@ app = typer.Typer(no_args_is_help=True, help="The board that is the mouse: insta
 _INTERVAL = 4e-3  # s, of a camera with 250 frames a second
 _SHARE = 0.05  # of it, that sending may add
 _BAD = 0.01  # share of frames that may come damaged before a line is called bad
-_SLOWEST = 38400  # baud, as output/serial/__init__.py has it
 _DAMAGE = "Share of bytes that are damaged, each way; above 3 a session may not come to begin."
 
 _DriveOption = Annotated[
@@ -36,7 +36,7 @@ def install(
     force: Annotated[bool, typer.Option("--force", help="Replace another program that is on the board.")] = False,
 ) -> None:
     """Copy the firmware to a board with CircuitPython (Raspberry Pi Pico and other RP2040 boards)."""
-    source, board = firmware.folder(), _drive(drive)
+    source, board = service_files(firmware.PICO), _drive(drive)
     if too_old := _too_old(board):
         raise OutputError(f"{board.path}: {too_old}")
     others = firmware.foreign(source, board.path)
@@ -67,7 +67,7 @@ def check(
     port: Annotated[
         str, typer.Option(metavar="PORT", help="Serial port; auto finds the board, none asks no port.")
     ] = "auto",
-    baud: Annotated[int, typer.Option(metavar="N", min=_SLOWEST, help="Of a plain serial line.")] = 115200,
+    baud: Annotated[int, typer.Option(metavar="N", min=SLOWEST, help="Of a plain serial line.")] = BAUD,
     json_file: Json = None,
     force: Force = False,
 ) -> None:
@@ -75,7 +75,7 @@ def check(
     if not port:
         raise OutputError("--port: is empty; write a port's name, auto or none")
     check_outputs([json_file], [drive], force)
-    source = firmware.folder()
+    source = service_files(firmware.PICO)
     ours = firmware.version_of(source)
     found: dict[str, Any] = {"here": words(ours)}
     wrong: list[str] = []
@@ -131,7 +131,7 @@ def simulate(
     ] = None,
     damage: Annotated[float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help=_DAMAGE)] = 0.0,
     baud: Annotated[
-        int | None, typer.Option(metavar="N", min=_SLOWEST, help="Speed of the line.  [default: any]")
+        int | None, typer.Option(metavar="N", min=SLOWEST, help="Speed of the line.  [default: any]")
     ] = None,
     seconds: Annotated[
         float | None, typer.Option(metavar="S", min=0.0, help="End after so long.  [default: Ctrl-C ends it]")
@@ -178,7 +178,7 @@ def measure(
     seconds: Annotated[float, typer.Option(metavar="S", min=0.1, max=3600.0, help="For how long.")] = 10.0,
     damage: Annotated[float, typer.Option(metavar="PERCENT", min=0.0, max=50.0, help=_DAMAGE)] = 0.0,
     baud: Annotated[
-        int | None, typer.Option(metavar="N", min=_SLOWEST, help="Speed of the line.  [default: any]")
+        int | None, typer.Option(metavar="N", min=SLOWEST, help="Speed of the line.  [default: any]")
     ] = None,
     json_file: Json = None,
     force: Force = False,
@@ -282,7 +282,7 @@ def _too_old(board: Drive) -> str | None:
 
 
 def _what_stays(path: Path, others: list[str]) -> str | None:
-    """What `--force` cannot mend."""
+    """The fault that `--force` cannot mend; None: there is none."""
     for name in others:
         if (path / name).is_dir():
             return f"{path / name}: is a folder, where a file has to be; move it away"
@@ -292,7 +292,7 @@ def _what_stays(path: Path, others: list[str]) -> str | None:
 
 
 def _wrong_with_drive(board: Drive, there: firmware.Version | None, ours: firmware.Version | None) -> list[str]:
-    source = firmware.folder()
+    source = service_files(firmware.PICO)
     if too_old := _too_old(board):
         return [too_old]
     if others := firmware.foreign(source, board.path):
@@ -320,7 +320,6 @@ def _wrong_version(runs: firmware.Version, ours: firmware.Version, kind: int) ->
 
 def _ask(port: str, baud: int) -> tuple[Any, dict[str, Any], list[str]]:
     """Identity of the board that answers, how it fares, and what is wrong with that."""
-    from spheremouse.output.serial import Serial
     from spheremouse.output.serial.messages import Flags
     from spheremouse.output.serial.ports import find_board
 

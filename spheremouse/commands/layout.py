@@ -137,7 +137,7 @@ def _searched(n: int, angle: float, apart: float, seed: int, steps: int | None =
 
 
 def _description(design: Design) -> dict[str, Any]:
-    """What layout.json holds; `--check` reads it."""
+    """Content of layout.json; `--check` reads it."""
     return {
         "made_by": "spheremouse layout",
         "ball": {"radius": design.radius},
@@ -232,7 +232,7 @@ def _length(value: Any) -> float | None:
 
 
 def advice(judgement: Judgement, trials: Trials, radius: float, disc_radius: float) -> list[str]:
-    """What to do about a layout, a line each; disc numbers count from 1."""
+    """Advice on a layout, a line each; disc numbers count from 1."""
     j, mm, lines = judgement, 1e3 * radius, []
     if j.apart * radius < 2.5 * disc_radius:
         first, second = (k + 1 for k in j.closest)

@@ -85,7 +85,7 @@ def match(
             "record both at once, for half a minute"
         )
     verdict = judge(found)
-    radius = None if device.scale_free else device.ball.radius
+    radius = device.radius_m
     before = plan.configuration.motion
     after = settings_of(found, radius, before) if verdict.usable else None
     if json_file != Path("-"):
@@ -256,7 +256,7 @@ def _assignments(after: "MotionSettings", before: "MotionSettings") -> list[str]
 
 
 def figures(found: "Match", verdict: "Verdict", after: "MotionSettings | None") -> dict[str, Any]:
-    """What --json writes."""
+    """Figures that --json writes."""
     return {
         "verdict": str(verdict.kind),
         "text": verdict.text,

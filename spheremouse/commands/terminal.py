@@ -1,11 +1,27 @@
-"""How far a long command is, on a terminal: one bar for all commands; into a file or a pipe it is silent."""
+"""What all commands say on standard error in one way: that something is wrong, and how far they are."""
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+import sys
+from typing import TYPE_CHECKING
+
+from spheremouse.session.process.standard_error import unhurried
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 
-def progress_bar(auto_refresh: bool = True) -> Progress:
-    """On stderr, gone when it is done; without `auto_refresh` it is drawn only when asked to."""
+def error(message: str) -> None:
+    """Every line of a message, with the program's name before it; who does not listen keeps nobody."""
+    with unhurried():
+        for line in message.splitlines():
+            print(f"spheremouse: {line}", file=sys.stderr)
+
+
+def progress_bar(auto_refresh: bool = True) -> "Progress":
+    """One bar, on a terminal alone, gone when it is done; without `auto_refresh` it is drawn only when asked to."""
+    # every command imports this file, few show a bar
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     return Progress(

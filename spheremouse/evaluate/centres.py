@@ -31,7 +31,7 @@ def distances(a: Array, b: Array) -> Array:
 
 
 def measured(frames: Iterable[int], detected: Iterable[Array], truth: DiscTruth) -> list[Sight]:
-    """What was detected of the true discs in each frame, with the noise that such centres have in these frames.
+    """Detections of the true discs in each frame, with the noise that such centres have in these frames.
 
     `detected` (k, 2) px by frame. The noise of a class is the RMS of its errors, systematic ones included: classes are
     whole discs by octaves of their area, and those that something cuts.

@@ -12,7 +12,7 @@ from spheremouse.geometry.rotation import Array
 
 @dataclass(slots=True)
 class History:
-    """What a run said, frame by frame, without the pictures: what `evaluate` looks at."""
+    """Results of a run, frame by frame, without the pictures: what `evaluate` looks at."""
 
     epochs: list[Epoch] = field(default_factory=list)
 
@@ -27,7 +27,7 @@ class History:
         return Run(
             frame=np.array([e.frame.sequence for e in epochs], dtype=np.intp),
             stamp=np.array([e.frame.stamp for e in epochs], dtype=float),
-            phase=tuple(s.phase for s in states),
+            status=tuple(s.status for s in states),
             attitude=np.array([s.filter.attitude for s in states]).reshape(n, 3, 3),
             rate=np.array([s.filter.rate for s in states]).reshape(n, 3),
             rotation=np.array([e.motion.rotation for e in epochs]).reshape(n, 3),

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.state import Phase
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.evaluate.bound import Bound, posterior_bound
 from spheremouse.evaluate.centres import MATCH, distances, measured
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, log
+from spheremouse.tracker import Status
 
 MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across
 _RANK = 1e-9  # eigenvalues below this part of the largest are none
@@ -27,11 +27,11 @@ _RANK = 1e-9  # eigenvalues below this part of the largest are none
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a tracker said, one entry per frame it was given."""
+    """Results of a tracker, one entry per frame it was given."""
 
     frame: NDArray[np.intp]  # (n,) index into the recording
     stamp: Array  # (n,) s
-    phase: tuple[Phase, ...]  # (n,)
+    status: tuple[Status, ...]  # (n,)
     attitude: Array  # (n, 3, 3) R_obj_ball
     rate: Array  # (n, 3) rad/s, w_obj
     rotation: Array  # (n, 3) rad, rotation vector in obj that was sent as motion with this frame
@@ -44,13 +44,13 @@ class Run:
 
     @property
     def tracked(self) -> NDArray[np.intp]:
-        """Indices of the frames in Phase.TRACKING."""
-        return np.flatnonzero([p is Phase.TRACKING for p in self.phase])
+        """Indices of the frames in Status.TRACKING."""
+        return np.flatnonzero([p is Status.TRACKING for p in self.status])
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What is true of a recording, as far as it says."""
+    """The truth of a recording, as far as it says."""
 
     motion: Truth | None = None
     discs: DiscTruth | None = None
@@ -84,7 +84,7 @@ def report(
         "tracker": tracker,
         "frames": frames,
         "tracked": len(kept),
-        "lost_episodes": lost_episodes(run.phase),
+        "lost_episodes": lost_episodes(run.status),
         "attitude_rmse_deg": attitude_rmse,
         "rate_rmse_deg_s": rate_rmse,
         "surface_speed_rmse_mm_s": per_axis(slip, "xy"),
@@ -197,10 +197,10 @@ def mean_nis(run: Run) -> float | None:
     return _number(np.sum(run.nis[k]) / freedom) if freedom else None
 
 
-def lost_episodes(phase: Sequence[Phase]) -> int:
-    """How often the tracker fell from another phase to LOST."""
+def lost_episodes(status: Sequence[Status]) -> int:
+    """How often the tracker fell from another status to LOST."""
     return sum(
-        now is Phase.LOST and before is not Phase.LOST for before, now in zip([None, *phase], phase, strict=False)
+        now is Status.LOST and before is not Status.LOST for before, now in zip([None, *status], status, strict=False)
     )
 
 

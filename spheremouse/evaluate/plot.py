@@ -12,35 +12,14 @@ import numpy as np
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate.metrics import attitude_error
 from spheremouse.files.atomic import write
-from spheremouse.files.report.style import require_matplotlib
+from spheremouse.files.report.style import BLUE, GREEN, INK, MUTED, RED, styled
 from spheremouse.geometry.rotation import Array, log
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _AXES = "XYZ"
-_COLOURS = ("#c8553d", "#3a7d5d", "#2f6690")  # brick, green, blue: also apart in grey and for most colour-blind eyes
-_INK, _PALE = "#2b2b2b", "#8a8a8a"
-_STYLE: dict[str, Any] = {
-    "font.family": "sans-serif",
-    "font.size": 9.0,
-    "axes.edgecolor": _PALE,
-    "axes.labelcolor": _INK,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 10.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "text.color": _INK,
-    "xtick.color": _PALE,
-    "ytick.color": _PALE,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "figure.facecolor": "white",
-}
+_COLOURS = RED, GREEN, BLUE
 
 
 def plot_run(
@@ -59,11 +38,6 @@ def plot_run(
     frame, errors as in `metrics`, with the band of three standard deviations that the filter claims. Raises
     ConfigurationError without matplotlib or where the file cannot be written.
     """
-    require_matplotlib()
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     t = np.asarray(stamps, dtype=float)
     gap = _gaps(t)[:, None]
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
@@ -79,13 +53,16 @@ def plot_run(
         ),
         ("Angular velocity", "rate, °/s", "°/s", rate, truth_rate, rate - truth_rate, sigma[:, 3:]),
     )
-    with mpl.rc_context(_STYLE):  # type: ignore[arg-type]
+    with styled():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
         figure = Figure(figsize=(11.0, 6.8), dpi=160, layout="constrained")
         FigureCanvasAgg(figure)
         figure.get_layout_engine().set(w_pad=0.08, h_pad=0.03, hspace=0.03, wspace=0.04)  # type: ignore[union-attr]
         axes = figure.subplots(4, 2, sharex=True, gridspec_kw={"height_ratios": [3.4, 1, 1, 1]})
         for column, (title, label, unit, estimate, truth, error, claimed) in zip(axes.T, columns, strict=True):
-            column[0].set_title(title, pad=10)
+            column[0].set_title(title, pad=10, fontweight="bold")
             _draw_curves(column[0], t, np.rad2deg(estimate) + gap, np.rad2deg(truth) + gap, label)
             _draw_errors(column[1:], t, np.rad2deg(error) + gap, np.rad2deg(claimed) + gap, unit)
             column[-1].set_xlabel("time, s")
@@ -94,7 +71,7 @@ def plot_run(
         path = path if path.suffix else path.with_name(f"{path.name}.png")  # as matplotlib does
         drawn = BytesIO()
         try:
-            figure.savefig(drawn, format=path.suffix[1:])
+            figure.savefig(drawn, format=path.suffix[1:], facecolor="white")
             write(path, drawn.getvalue())
         except (OSError, ValueError) as e:
             raise ConfigurationError(f"{path}: cannot be written: {e}") from None
@@ -108,18 +85,16 @@ def _draw_curves(axes: "Axes", t: Array, estimate: Array, truth: Array, label: s
     _quiet(axes)
     axes.set_ylabel(label)
     handles = [axes.plot([], [], color=c, linewidth=1.6, label=n)[0] for c, n in zip(_COLOURS, _AXES, strict=True)]
-    handles.append(axes.plot([], [], color=_INK, linewidth=1.1, label="estimate")[0])
-    handles.append(axes.plot([], [], color=_INK, alpha=0.28, linewidth=4.0, label="truth")[0])
+    handles.append(axes.plot([], [], color=INK, linewidth=1.1, label="estimate")[0])
+    handles.append(axes.plot([], [], color=INK, alpha=0.28, linewidth=4.0, label="truth")[0])
     axes.legend(
         handles=handles,
         ncols=5,
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
-        frameon=False,
         handlelength=1.3,
         columnspacing=1.1,
         borderaxespad=0.2,
-        fontsize=8.5,
     )
 
 
@@ -130,21 +105,20 @@ def _draw_errors(column: "np.ndarray[Any, Any]", t: Array, error: Array, sigma: 
     for i, axes in enumerate(column):
         band = 3.0 * sigma[:, i]
         axes.fill_between(t, -band, band, color=_COLOURS[i], alpha=0.15, linewidth=0)
-        axes.axhline(0.0, color=_PALE, linewidth=0.5)
+        axes.axhline(0.0, color=MUTED, linewidth=0.5)
         axes.plot(t, error[:, i], color=_COLOURS[i], linewidth=1.0)
         _quiet(axes)
         axes.set_ylim(-limit, limit)
         axes.set_ylabel(f"error {_AXES[i]}, {unit}")
         rms = np.sqrt(np.nanmean(error[:, i] ** 2))
         note = f"RMS {rms:.2g}{unit}" + (", band: ±3σ as claimed" if i == 0 else "")
-        axes.annotate(note, (0.995, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=8, color=_INK)
+        axes.annotate(note, (0.995, 0.97), xycoords="axes fraction", ha="right", va="top", fontsize=8, color=INK)
 
 
 def _quiet(axes: "Axes") -> None:
-    axes.grid(axis="y", color="#e6e6e6", linewidth=0.6)
+    axes.grid(axis="y")
     axes.set_axisbelow(True)
     axes.margins(x=0.01)
-    axes.tick_params(length=2.5, labelsize=8.5)
 
 
 def _gaps(t: Array) -> Array:

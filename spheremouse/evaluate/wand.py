@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
 from spheremouse.evaluate.metrics import mean_nees
 from spheremouse.geometry.rotation import Array, log
+from spheremouse.geometry.statistics import gate
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.state import WandEpoch, WandPose
 from spheremouse.wand.truth import WandTruth
@@ -29,7 +29,7 @@ _FAR, _NEVER = 1.0, 1e6  # m: an arm's length and more, which is another ball; a
 
 @dataclass(frozen=True, slots=True)
 class WandRun:
-    """What a tracker said, one entry per frame it was given; what it did not find is nan."""
+    """Results of a tracker, one entry per frame it was given; what it did not find is nan."""
 
     stamp: Array  # (n,) s
     position: Array  # (n, 3) m, centre in cam
@@ -220,7 +220,7 @@ def _within(error: Array, covariance: Array) -> float | None:
         return None
     inverse = np.linalg.pinv(covariance, hermitian=True)
     nees = np.einsum("ni,nij,nj->n", error, inverse, error)
-    return _number(np.mean(nees < chi2.ppf(0.95, error.shape[1])))
+    return _number(np.mean(nees < gate(0.95, error.shape[1])))
 
 
 def _fps(runs: Sequence[WandRun]) -> float | None:
@@ -245,7 +245,7 @@ def _number(value: Any) -> float | None:
 
 @dataclass(slots=True)
 class WandHistory:
-    """What a run said, without the pictures."""
+    """Results of a run, without the pictures."""
 
     stamps: list[float] = field(default_factory=list)
     poses: list[tuple[WandPose, ...]] = field(default_factory=list)
@@ -269,7 +269,7 @@ class WandHistory:
         return WandRun(np.array(self.stamps), position, rotation, covariance, np.array(self.seconds))
 
     def events(self) -> list[tuple[int, str]]:
-        """What the tracker told, each once in a row, with the frame it began in."""
+        """Events that the tracker told, each once in a row, with the frame it began in."""
         found: list[tuple[int, str]] = []
         for i, poses in enumerate(self.poses):
             before = {p.event for p in self.poses[i - 1]} if i else set()

@@ -1,8 +1,9 @@
 """The experiments of both theses, and what they left open: films made or taken, tracked, compared, written down.
 
-`experiment` says what an experiment is, `run` works its jobs on all cores and keeps what they give, `kit` is what most
-jobs are made of, `report` and `plot` write for readers; `r1` films what the thesis' real
-recording was like, `sights` detects once for many filters. Each other module is one experiment.
+A module is one experiment, what `report/` has under its name says it. In `kit/`, `job` says what an experiment is,
+`run` works its jobs on all cores and keeps what they give, `film` and `world` are what most jobs are made of, `report`
+and `plot` write for readers; `r1` films what the thesis' real recording was like, `sights` detects once for many
+filters.
 """
 
 NAMES = (

@@ -8,7 +8,7 @@ import numpy as np
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Run, run_bound
 from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.film import TRACKERS, bound_rms, made, options_of, settings_of, tracked
+from spheremouse.experiments.kit.film import TRACKERS, bound_rms, film_of, options_of, settings_of, tracked
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.simulate.ball.film import prepare
 
@@ -35,7 +35,7 @@ def jobs(request: Request) -> list[Job]:
 
 def with_discs(discs: int, layout: int, frames: int) -> Result:
     """Every filter on one ball, and the bound."""
-    film = made(prepare(options_of({"discs": discs, "layout": layout, "seconds": frames / 30.0})))
+    film = film_of(prepare(options_of({"discs": discs, "layout": layout, "seconds": frames / 30.0})))
     radius = film.rig.ball.radius
     seen = sights.look_at(film, settings_of(["tracker=ekf2"]))
     runs: dict[str, Run] = {

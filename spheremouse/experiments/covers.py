@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.state import Phase, Tracker, TrackState
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance, step
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Result
@@ -29,7 +29,7 @@ from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Profile, thesis
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 
 Sight = Detections | NDArray[np.uint8]  # what a detector found, or a picture
 Cover = NDArray[np.bool_]  # (h, w) pixels in which something is before the ball
@@ -110,7 +110,7 @@ def covered(discs: int, layout: int, pictures: bool, kinds: Sequence[str]) -> Re
                 after = course.then(shown(course.state, stamp, sight, trackers[who]), R)
                 if after is not None:
                     going[kind, who] = after
-                    if after.state.held == stamp:
+                    if after.state.confirmed_at == stamp:
                         found[kind][who] = share
         if not going:
             break
@@ -139,7 +139,7 @@ def found_again(fps: float, seed: int, pictures: bool) -> Result:
             state = shown(states[who], started[who].filter.stamp + float(s), sight, trackers[who])
             states[who] = state
             rate = float(np.linalg.norm(state.filter.rate - w))
-            off[who].append((rotation_error(state, R), rate, state.phase is Phase.TRACKING))
+            off[who].append((rotation_error(state, R), rate, state.status is Status.TRACKING))
     return {who: _waited(t, off[who], end) for who in WHO}
 
 

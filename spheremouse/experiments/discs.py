@@ -109,7 +109,7 @@ def _simulated(seed: int, frames: int, directions: Array) -> Simulation:
 
 def _followed(simulation: Simulation, since: float = 0.0) -> Result:
     """All filters on a film with the pose found from it, the bound, the near discs in view: from `since` on, s."""
-    film = kit.made(simulation)
+    film = kit.film_of(simulation)
     assert film.truth.discs is not None, "a film made here knows its discs"
     stamps = np.array([frame.stamp for frame in film.frames])
     state = film.truth.discs.state[stamps[film.truth.discs.frame] >= since]

@@ -14,7 +14,15 @@ from spheremouse.evaluate.metrics import Run, surface_speeds
 from spheremouse.evaluate.trackball.lag import travel
 from spheremouse.evaluate.trackball.match import match, turning
 from spheremouse.experiments.kit import r1, sights
-from spheremouse.experiments.kit.film import TRACKERS, Film, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit.film import (
+    TRACKERS,
+    Film,
+    film_from_dataset,
+    film_of,
+    options_of,
+    settings_of,
+    tracked,
+)
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
@@ -81,12 +89,12 @@ def play(seconds: float, pace: float, published: bool) -> Result:
 
 def simulated(frames: int) -> Result:
     """All filters on a film like S1."""
-    return _compared(made(prepare(options_of({"seconds": frames / 30.0})), "S1"))
+    return _compared(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"))
 
 
 def recorded(path: str, frames: int) -> Result:
     """All filters on the reference recording like S1."""
-    return _compared(taken(Path(path), frames))
+    return _compared(film_from_dataset(Path(path), frames))
 
 
 def _compared(film: Film) -> Result:

@@ -15,7 +15,16 @@ import numpy as np
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, attitude_error, run_bound
 from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.film import TRACKERS, Film, bound_rms, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit.film import (
+    TRACKERS,
+    Film,
+    bound_rms,
+    film_from_dataset,
+    film_of,
+    options_of,
+    settings_of,
+    tracked,
+)
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.simulate.ball.degrade import degraded
@@ -51,12 +60,12 @@ def jobs(request: Request) -> list[Job]:
 
 def simulated(level: int, sigmas: list[int], frames: int) -> Result:
     """A row of the grid on a film like S1; with what figs. 40 and 41 show, where it is theirs."""
-    return _row(made(prepare(options_of({"seconds": frames / 30.0})), "S1"), level, sigmas)
+    return _row(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"), level, sigmas)
 
 
 def recorded(path: str, level: int, sigmas: list[int], frames: int) -> Result:
     """A row of the grid on the reference recording."""
-    return _row(taken(Path(path), frames), level, sigmas)
+    return _row(film_from_dataset(Path(path), frames), level, sigmas)
 
 
 def _row(film: Film, level: int, sigmas: list[int]) -> Result:

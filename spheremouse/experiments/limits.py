@@ -254,7 +254,7 @@ def _follows(trial: Trial, course: Course, t: Array, attitudes: Array, pictures:
         now = now.then(shown(now.state, trial.start.filter.stamp + float(s), view(None), trial.tracker), R)
         if now is None:
             return False
-    return now is not None and now.state.filter.stamp - now.state.held <= max(_BLIND, 1.0 / trial.fps)
+    return now is not None and now.state.filter.stamp - now.state.confirmed_at <= max(_BLIND, 1.0 / trial.fps)
 
 
 # ---- pictures or none ----

@@ -49,10 +49,10 @@ def jobs(request: Request) -> list[Job]:
 def followed(view: View, seed: int, seconds: float | None) -> Result:
     """A film by all trackers, with the camera's own pose, and the bound for what was in view."""
     options = kit.options_of({"discs": DISCS, "view": view, "seed": seed, "noise": NOISE, "seconds": seconds})
-    film = kit.made(prepare(options), f"{view}-{seed}")
+    film = kit.film_of(prepare(options), f"{view}-{seed}")
     pose = initialise(iter(film.frames), film.rig, kit.settings_of()).pose  # looked for once: the same for all
     rig = replace(film.rig, pose=pose)
-    found: Result = kit.compared(film, {name: kit.settings_of(v) for name, v in VARIANTS.items()}, rig=rig)
+    found: Result = kit.track_all(film, {name: kit.settings_of(v) for name, v in VARIANTS.items()}, rig=rig)
     return {"frames": len(film.frames), "trackers": found, "bound": found["so3"].get("bound")}
 
 
@@ -61,7 +61,7 @@ def posed(view: View, seconds: float | None) -> Result:
 
     To turn the whole error about is to turn the errors of the attitude about, near enough: half of the signs do.
     """
-    film = kit.made(prepare(kit.options_of({"discs": DISCS, "view": view, "noise": NOISE, "seconds": seconds})))
+    film = kit.film_of(prepare(kit.options_of({"discs": DISCS, "view": view, "noise": NOISE, "seconds": seconds})))
     settings, true = kit.settings_of(["tracker=ekf2"]), film.truth.pose
     assert true is not None, "a film made here knows its camera"
     seen = sights.look_at(film, settings)

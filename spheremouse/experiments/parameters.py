@@ -9,7 +9,7 @@ from typing import Any
 
 from spheremouse.evaluate.metrics import Run
 from spheremouse.experiments.kit import r1, sights
-from spheremouse.experiments.kit.film import Film, bound, made, options_of, settings_of, taken, tracked
+from spheremouse.experiments.kit.film import Film, bound, film_from_dataset, film_of, options_of, settings_of, tracked
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.simulate.ball.film import prepare
 
@@ -70,12 +70,12 @@ def like_r1(seconds: float) -> Result:
 
 def simulated(frames: int, published: bool) -> Result:
     """The grid on a film like S1: 26 discs, far camera, the thesis' motion."""
-    return _compared(made(prepare(options_of({"seconds": frames / 30.0})), "S1"), published)
+    return _compared(film_of(prepare(options_of({"seconds": frames / 30.0})), "S1"), published)
 
 
 def recorded(path: str, frames: int, published: bool) -> Result:
     """The grid on the reference recording like S1."""
-    return _compared(taken(Path(path), frames), published)
+    return _compared(film_from_dataset(Path(path), frames), published)
 
 
 def _compared(film: Film, published: bool) -> Result:

@@ -274,7 +274,7 @@ def filmed(place: Sequence[float], frames: int) -> Result:
     """What `so3` makes of a film from there, with the pose it finds and with the true one, and the film's own bound."""
     where = Place(*place)
     simulation = prepare(kit.options_of({"discs": DISCS, "noise": NOISE, "seconds": frames / _FPS}))
-    film = kit.made(replace(simulation, scene=scene_from(where, 0)), where.key)
+    film = kit.film_of(replace(simulation, scene=scene_from(where, 0)), where.key)
     tracked = kit.tracked(film, kit.settings_of(), own_pose=False)
     result: Result = {"place": list(where), "true pose": tracked.report, "bound": kit.bound(film, tracked)}
     try:

@@ -18,7 +18,7 @@ from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
-from spheremouse.output.counts import Remainder, to_counts
+from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_counts
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
 from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
@@ -72,28 +72,34 @@ class Told:
 
 def _seen(tracker: Tracker, start: TrackState, there: World, motion: Profile, stamps: Array, seed: int) -> Told:
     """By `so3` without pictures, from `start` on; stamps are those of the motion."""
-    rng, state, made = np.random.default_rng([seed, 5]), start, []
+    rng, state, motions = np.random.default_rng([seed, 5]), start, []
     for t, R in zip(stamps, motion.attitude(stamps), strict=True):
-        state, moved = advance(state, start.filter.stamp + float(t), there.see(R, rng), tracker)
-        made.append((state, moved))
-    return _as_told(tracker, made, stamps)
+        state, moved, _ = advance(state, start.filter.stamp + float(t), there.see(R, rng), tracker)
+        motions.append(moved)
+    return _as_told(tracker, motions, stamps)
 
 
 def _filmed(tracker: Tracker, start: TrackState, there: World, motion: Profile, stamps: Array, seed: int) -> Told:
     """The same of pictures."""
     renderer, rng = Renderer(there.scene, RenderOptions(noise=NOISE)), np.random.default_rng([seed, 5])
-    state, made = start, []
+    state, motions = start, []
     for k, t in enumerate(stamps):
         image = renderer.frame(motion, float(t), k, rng).frame.image
-        state, moved = step(state, Frame(image, start.filter.stamp + float(t), k), tracker)
-        made.append((state, moved))
-    return _as_told(tracker, made, stamps)
+        state, moved, _ = step(state, Frame(image, start.filter.stamp + float(t), k), tracker)
+        motions.append(moved)
+    return _as_told(tracker, motions, stamps)
 
 
-def _as_told(tracker: Tracker, made: list[tuple[TrackState, Motion]], stamps: Array) -> Told:
-    counts = np.array([m.counts for _, m in made])
-    rate = np.array([m.rate for _, m in made]) @ tracker.counts.T
-    return Told(stamps, counts, rate, np.array([s.holds for s, _ in made]))
+def _as_told(tracker: Tracker, motions: list[Motion], stamps: Array) -> Told:
+    counter = Counter(_matrix(tracker))
+    reports = [counter.report(m) for m in motions]
+    counts, rate = np.array([r.counts for r in reports]), np.array([r.rate for r in reports])
+    return Told(stamps, counts, rate, np.array([m.confirmed for m in motions]))
+
+
+def _matrix(tracker: Tracker) -> Array:
+    """Counts per radian, (3, 3)."""
+    return MotionSettings().matrix(tracker.rig.radius_m)
 
 
 def exact(motion: Profile, stamps: Array, matrix: Array) -> Told:
@@ -221,9 +227,9 @@ def played(fps: float, seed: int, seconds: float, pictures: bool, more: bool) ->
     motion = play(seconds, np.random.default_rng([seed, 2]))
     stamps = np.arange(1.0, seconds * fps) / fps
     told = (_filmed if pictures else _seen)(tracker, begin(tracker, 0.0), there, motion, stamps, seed)
-    true = ball(motion, float(stamps[-1]), tracker.counts)
+    true = ball(motion, float(stamps[-1]), _matrix(tracker))
     paths = {way: pointer(told, fps, None if way == NONE else settings(way, fps), true.t) for way in WAYS}
-    best = pointer(exact(motion, stamps, tracker.counts), fps, settings(DEFAULT, fps), true.t)
+    best = pointer(exact(motion, stamps, _matrix(tracker)), fps, settings(DEFAULT, fps), true.t)
     found: Result = {way: measured(path, true, _BEGIN) for way, path in {**paths, EXACT: best}.items()}
     found["true rough"] = measured(true.place, true, _BEGIN)["rough"]
     found["whole rough"] = measured(np.rint(true.place), true, _BEGIN)["rough"]
@@ -248,7 +254,7 @@ def stopped(fps: float, phases: int) -> Result:
             motion = Gestures((push,), end + 0.5)
             stamps = np.arange(1.0, motion.seconds * fps) / fps
             told = _seen(tracker, start, there, motion, stamps, k)
-            true = ball(motion, motion.seconds, tracker.counts)
+            true = ball(motion, motion.seconds, _matrix(tracker))
             moved = int(np.argmax(np.abs(true.place[-1])))
             way_ = np.sign(true.place[-1, moved])
             for way in WAYS:

@@ -73,7 +73,7 @@ def filmed(view: View, seed: int, counts: Sequence[int]) -> Result:
 
 def recorded(path: str, counts: Sequence[int]) -> Result:
     """The same of a dataset with noise added; it knows its targets exactly."""
-    film = kit.taken(Path(path), max(counts))
+    film = kit.film_from_dataset(Path(path), max(counts))
     assert film.truth.pose is not None, "a dataset for this knows the camera's pose"
     return {
         name: _poses(

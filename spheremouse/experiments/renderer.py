@@ -91,7 +91,7 @@ def same_scene(film: kit.Film) -> Scene:
 
 def compared(path: str, first: int, step: int) -> Result:
     """Every `step`th frame from `first` on, filmed by both: discs (a row each), edges, levels."""
-    film = kit.taken(Path(path))
+    film = kit.film_from_dataset(Path(path))
     scene = same_scene(film)
     motion, discs = film.truth.motion, film.truth.discs
     assert motion is not None, "the recording knows its motion"

@@ -22,7 +22,7 @@ _MOST = 10_000_000  # bytes of an answer
 
 
 def as_owner(folder: Path, work: Callable[[], Any], patience: float = PATIENCE) -> Any:
-    """What `work` returns, as JSON can hold it; done in a process of the folder's owner where root asks for another.
+    """Result of `work`, as JSON can hold it; done in a process of the folder's owner where root asks for another.
 
     ServiceError with the reason where it does not work. Under other users than root it is simply called.
     """

@@ -70,7 +70,7 @@ def write(path: Path, data: bytes) -> None:
 
 
 def open_to_write(path: Path) -> BinaryIO:
-    """What a person named, made where it is not there, to be written from its beginning; OSError where it cannot be."""
+    """The file a person named, made where it is missing, to be written from its start; OSError where it cannot be."""
     file = os.fdopen(_open(path, os.O_WRONLY | os.O_CREAT), "wb")
     if stat.S_ISREG(os.fstat(file.fileno()).st_mode) and not _STREAM.fullmatch(str(path)):
         file.truncate(0)
@@ -110,7 +110,8 @@ def remove_tree(folder: Path) -> None:
 def exchangeable(folder: Path) -> bool:
     """Could another user put something else in place of what root makes in a folder, or of the folder?
 
-    For what can only be written by its path, such as videos. Who has called sudo is no other user.
+    For what can only be written by its path, such as videos. Who has called sudo is no other user. OSError where the
+    folder is not there.
     """
     if not _root():
         return False
@@ -141,12 +142,15 @@ def clear_left(folder: Path, name: str | None = None) -> int:
 
 
 def _passed(folder: Path) -> set[Path]:
-    """The folders that a path goes through, its links' among them."""
-    found, left = set[Path](), [folder.absolute()]
+    """The folders that a path goes through, its links' among them; OSError where links lead on and on."""
+    found, left, links = set[Path](), [folder.absolute()], 0
     while left:
         path = left.pop()
         for there in (path, *path.parents):
-            if there not in found and there.is_symlink() and len(found) < _LINKS * _LINKS:
+            if there not in found and there.is_symlink():
+                links += 1
+                if links > _LINKS:
+                    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(folder))
                 left.append(there.parent / there.readlink())
             found.add(there)
     return found
@@ -399,7 +403,7 @@ def write_json(path: Path, data: Any) -> bool:
 def write_atomically(path: Path, text: str) -> None:
     """Write a text file so that at any moment either the old or the new one is there, whole.
 
-    A device or a pipe is written to, never replaced: see `files.atomic`.
+    A device or a pipe is written to, never replaced: see the module.
     """
     try:
         write(path, text.encode("utf-8"))

@@ -78,7 +78,7 @@ def _check(mode: int, pipe: bool) -> None:
 
 
 def _from_pipe(descriptor: int, most: int) -> bytes:
-    """What comes until its writer ends, or more than `most`; a writer need not be there yet."""
+    """Bytes of a pipe until its writer ends, or more than `most`; a writer need not be there yet."""
     data, end = bytearray(), time.monotonic() + PATIENCE
     while len(data) <= most:
         if not select.select([descriptor], [], [], max(0.0, end - time.monotonic()))[0]:

@@ -70,12 +70,12 @@ class _MapFile(_Part):
 
 
 def map_path(rig_file: Path) -> Path:
-    """Where the map of a device is kept: `rig.map.yaml` beside `rig.yaml`."""
+    """Path of a device's map: `rig.map.yaml` beside `rig.yaml`."""
     return rig_file.with_suffix(".map.yaml")
 
 
 def old_path(path: Path) -> Path:
-    """Where a map goes that another ball's map replaces: `rig.map.old.yaml` for `rig.map.yaml`."""
+    """Path of a map that another ball's map replaces: `rig.map.old.yaml` for `rig.map.yaml`."""
     return path.with_suffix(f".old{path.suffix}")
 
 
@@ -118,7 +118,7 @@ def check_fits(saved: SavedMap, rig: Rig, path: Path) -> None:
 
 
 def age(saved: SavedMap) -> str:
-    """How long ago a map was saved, in words."""
+    """Age of a map since it was saved, in words."""
     seconds = (datetime.now(UTC) - saved.saved).total_seconds()
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length:

@@ -1,7 +1,7 @@
 """Files of an older schema brought to the one this program reads: a step from each number to the next.
 
 A step changes plain data in place, whether read to be used or read with its comments to be written again. Whoever
-changes a schema writes it; a number shared by several kinds (`yaml_file.SCHEMA`) rises for all of them, and a kind to
+changes a schema writes it; a number shared by several kinds (`yaml.SCHEMA`) rises for all of them, and a kind to
 which nothing happened gets `unchanged`. The original stays beside the file.
 """
 
@@ -36,7 +36,7 @@ def newest(kind: str) -> int:
 
 
 def kind_of(data: Mapping[str, Any]) -> str:
-    """What a file is, by what only such a file has; camera files count as rigs."""
+    """Kind of a file, by what only such a file has; camera files count as rigs."""
     camera = data.get("camera")
     if "correlation_root" in data:
         return "map"
@@ -65,7 +65,7 @@ def converted(document: Document) -> Document:
 
 
 def due(path: Path) -> str:
-    """What `migrate_file` would do to a file, in words; empty where it would do nothing."""
+    """The change that `migrate_file` would make to a file, in words; empty where it would make none."""
     try:
         document = _read(path).document
     except ConfigurationError:
@@ -114,7 +114,7 @@ def migrate_file(path: Path) -> bool:
 
 
 def backup_path(path: Path, version: int) -> Path:
-    """Where the original of a file of schema `version` is kept."""
+    """Path of the original of a file of schema `version`."""
     return path.with_name(f"{path.name}.schema{version}.bak")
 
 
@@ -183,7 +183,7 @@ def _version(data: Mapping[str, Any]) -> int | None:
 
 
 class _There(NamedTuple):
-    """What a file holds, as it is and as it reads."""
+    """Content of a file, as it is and as it reads."""
 
     raw: bytes
     mode: int

@@ -32,7 +32,7 @@ _MOST_COUNTS = 2**31  # an event's value is a signed 32-bit integer
 
 @dataclass(frozen=True, slots=True)
 class MouseReport:
-    """What the mouse said at once."""
+    """One report of the mouse."""
 
     stamp: float  # s, time.monotonic()
     dx: int  # counts

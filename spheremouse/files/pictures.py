@@ -26,7 +26,7 @@ _TILE_WIDTH, _TILE_LENGTH = 322, 323  # TIFF 6.0, section 15
 
 
 class Header(NamedTuple):
-    """What stands before the pixels."""
+    """Size and orientation of a picture, from what stands before the pixels."""
 
     size: Size
     orientation: int  # of EXIF, 1 to 8; 1 is upright

@@ -27,7 +27,7 @@ def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = Fals
 
 
 def said(error: ValueError) -> str:
-    """What `loads` refuses, in one line; without a line number, of which `error` may have one."""
+    """The fault that `loads` refuses, in one line; without a line number, of which `error` may have one."""
     words = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
     return " ".join(words.split())[:120]
 

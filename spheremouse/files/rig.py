@@ -313,7 +313,7 @@ def _rig_problems(file: _RigFile) -> Iterator[Problem]:
 
 
 def _spread_problems(file: _RigFile) -> Iterator[Problem]:
-    """What is known to no better than a hundred of the ball's radii, or half a turn, is not known at all."""
+    """Covariances so large that nothing is known: beyond a hundred of the ball's radii, or half a turn."""
     r = 100.0 * file.ball.radius
     own = [(("targets", i, "covariance"), target.covariance, [r] * 3) for i, target in enumerate(file.targets)]
     for key, rows, most in (
@@ -401,7 +401,7 @@ def _covariance_problems(key: Key, rows: Matrix | None, n: int) -> Iterator[Prob
 
 
 def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: _Ball) -> Iterator[Problem]:
-    """Of the block between what has the covariance C, (n, n), and the ball: is the whole a covariance?"""
+    """Problems of the block between what has the covariance C, (n, n), and the ball: the whole must be a covariance."""
     if rows is None:
         return
     if len(rows) != len(C) or not all(len(row) == 4 for row in rows):

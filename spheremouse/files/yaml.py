@@ -40,7 +40,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """What a YAML text holds: dicts, tuples and scalars, and the line (from 1) of every key and item."""
+    """Content of a YAML text: dicts, tuples and scalars, and the line (from 1) of every key and item."""
 
     name: str  # how messages call it: the path
     data: Any

@@ -19,7 +19,7 @@ MAX_PIXELS = 1 << 26  # 67 million
 
 
 def too_large(width: int, height: int) -> str:
-    """What is wrong with a picture's size, in words; empty where it can be worked on."""
+    """The fault of a picture's size, in words; empty where it can be worked on."""
     if max(width, height) <= MAX_SIDE and width * height <= MAX_PIXELS:
         return ""
     return f"{width}x{height} is more than can be worked on: at most {MAX_SIDE} a side, {MAX_PIXELS} pixels in all"
@@ -27,7 +27,7 @@ def too_large(width: int, height: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class InteriorOrientation:
-    """What the calibration of the camera gives, for images of one size."""
+    """Focal lengths, principal point and distortion of a calibrated camera, for images of one size."""
 
     width: int  # px
     height: int  # px
@@ -226,5 +226,5 @@ def unproject(uv: Array, camera: InteriorOrientation) -> tuple[Array, Array]:
 
 @njit(cache=True, error_model="numpy")
 def row_of(v, height):
-    """Where row v of an image lies, from -1/2 at its top to 1/2 at its bottom: when a rolling shutter reads it."""
+    """Place of an image's row v, from -1/2 at its top to 1/2 at its bottom: the time a rolling shutter reads it."""
     return (v + 0.5) / height - 0.5

@@ -1,4 +1,4 @@
-"""Outputs: where motion goes. `KIND:ARGUMENT` in, a context manager that takes Motions out.
+"""Outputs: where motion goes. `KIND:ARGUMENT` in, a context manager that takes reports out.
 
 An output is a module here with `open(argument: str) -> Output`; its name, one of `KINDS`, is its kind.
 """
@@ -6,13 +6,26 @@ An output is a module here with `open(argument: str) -> Output`; its name, one o
 import sys
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
-from spheremouse.files.spec import resolve
-from spheremouse.tracker import Motion
+from spheremouse.files.registry import resolve
+from spheremouse.tracker import Motion, no_motion
 
 KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
+
+
+class Report(NamedTuple):
+    """What an output is sent: the counts since the last report, and the motion that they stand for."""
+
+    counts: tuple[int, int, int]  # x, y and third axis
+    rate: tuple[float, float, float]  # counts/s at its end
+    motion: Motion
+
+
+def no_report(stamp: float) -> Report:
+    """Nothing to move by."""
+    return Report((0, 0, 0), (0.0, 0.0, 0.0), no_motion(stamp))
 
 
 class OutputClosed(Exception):  # noqa: N818  an end, not an error
@@ -20,13 +33,13 @@ class OutputClosed(Exception):  # noqa: N818  an end, not an error
 
 
 class Output(Protocol):
-    """Takes motions; closed by leaving its `with` block. What cannot be sent is an OutputError."""
+    """Takes reports; closed by leaving its `with` block. What cannot be sent is an OutputError."""
 
-    def send(self, motion: Motion) -> None:
-        """Pass one motion on."""
+    def send(self, report: Report) -> None:
+        """Pass one report on."""
         ...
 
-    def describe(self, motion: Motion) -> str:
+    def describe(self, report: Report) -> str:
         """The text twin: what `send` does with this motion right now, in one line; empty for nothing."""
         ...
 
@@ -39,7 +52,7 @@ class Output(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """How far the counts of x, y and third axis that an output was sent have got, since it was opened."""
+    """Counts of x, y and third axis that an output was sent since it was opened, and that have not arrived."""
 
     trouble: str = ""  # why nothing gets through, though it is open; empty: it does
     waiting: tuple[int, int, int] = (0, 0, 0)  # not there yet
@@ -48,10 +61,10 @@ class Passage:
 
 @runtime_checkable
 class Acknowledged(Protocol):
-    """An output whose other end says what has arrived. What troubles it passes by itself, if motions go on coming."""
+    """An output whose other end says what has arrived. What troubles it passes by itself, if reports go on coming."""
 
     def passage(self) -> Passage:
-        """How far they have got; from any thread."""
+        """Counts that have not arrived; from any thread."""
         ...
 
     def give_up(self) -> None:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 
 from spheremouse.errors import OutputError
-from spheremouse.files.spec import options
+from spheremouse.files.registry import options
 from spheremouse.output import Output, desktop, serial, uinput
 from spheremouse.output.serial import ports as ports_module
 

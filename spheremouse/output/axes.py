@@ -11,29 +11,29 @@ from typing import TextIO
 
 import numpy as np
 
-from spheremouse.output import text
+from spheremouse.output import Report, text
 from spheremouse.output.text import Text
-from spheremouse.tracker import Motion
+from spheremouse.tracker import Status
 from spheremouse.wand.axes import axes_of
-from spheremouse.wand.state import WandPhase, WandPose
+from spheremouse.wand.state import WandPose
 
 NAMES = "# t x y z yaw pitch roll sx sy sz syaw spitch sroll dx dy dz ball state"
 UNITS = "# s; m and degrees before the camera; their standard deviations; counts; number; a word"
 HEADER = f"{NAMES}\n{UNITS}"
-_WAITING = 512  # frames whose motion never came, at most: those of an output that failed
+_WAITING = 512  # frames whose report never came, at most: those of an output that failed
 
 
 class AxesOutput:
-    """Where the axes go: told of each frame's poses before its motion is sent, by whoever sends motions."""
+    """Where the axes go: told of each frame's poses before its report is sent, by whoever sends reports."""
 
-    def __init__(self, argument: str, points: int = 0) -> None:
-        """`argument` as of an output `text:`; `points` is the index of the ball that moves the pointer."""
-        self._argument, self._points = argument, points
-        self._poses: OrderedDict[float, tuple[WandPose, ...]] = OrderedDict()  # by the frame's stamp
+    def __init__(self, argument: str) -> None:
+        """`argument` as of an output `text:`."""
+        self._argument = argument
+        self._poses: OrderedDict[float, tuple[int, tuple[WandPose, ...]]] = OrderedDict()  # by the frame's stamp
 
-    def expect(self, stamp: float, poses: tuple[WandPose, ...]) -> None:
-        """The poses of the frame whose motion comes next; from any thread."""
-        self._poses[stamp] = poses
+    def expect(self, stamp: float, poses: tuple[WandPose, ...], points: int = 0) -> None:
+        """The poses of the frame whose report comes next, and the index of the ball it moves by; from any thread."""
+        self._poses[stamp] = points, poses
         while len(self._poses) > _WAITING:
             self._poses.popitem(last=False)
 
@@ -41,29 +41,27 @@ class AxesOutput:
         """The output; opened anew where it has failed."""
         return AxesText(*text.begin(self._argument, NAMES), self)
 
-    def lines(self, motion: Motion) -> list[str]:
+    def lines(self, report: Report) -> list[str]:
         """What there is to be written of a frame."""
-        poses = self._poses.pop(motion.stamp, ())
-        return [
-            line(motion.stamp, pose, motion.counts if k == self._points else (0, 0, 0), k + 1)
-            for k, pose in enumerate(poses)
-        ]
+        stamp = report.motion.stamp
+        points, poses = self._poses.pop(stamp, (0, ()))
+        return [line(stamp, pose, report.counts if k == points else (0, 0, 0), k + 1) for k, pose in enumerate(poses)]
 
 
 class AxesText(Text):
-    """Writes a line per ball with each motion."""
+    """Writes a line per ball with each report."""
 
     def __init__(self, file: TextIO, name: str, axes: AxesOutput) -> None:
         super().__init__(file, name, HEADER)
         self._axes = axes
 
-    def send(self, motion: Motion) -> None:
+    def send(self, report: Report) -> None:
         """Write the frame's lines."""
-        for made in self._axes.lines(motion):
+        for made in self._axes.lines(report):
             self._write(made)
 
-    def describe(self, motion: Motion) -> str:
-        """The lines are of poses, which a motion alone does not have."""
+    def describe(self, report: Report) -> str:
+        """The lines are of poses, which a report alone does not have."""
         return ""
 
 
@@ -74,7 +72,7 @@ def line(stamp: float, pose: WandPose, counts: tuple[int, int, int], number: int
         axes = axes_of(pose.position, pose.rotation, pose.covariance)
         position, position_sigma = axes.position, axes.position_sigma
         angles, angles_sigma = np.degrees(axes.angles), np.degrees(axes.angles_sigma)
-    state = "hidden" if pose.phase is WandPhase.TRACKING and not pose.seen else str(pose.phase)
+    state = "hidden" if pose.phase is Status.TRACKING and not pose.seen else str(pose.phase)
     numbers = [
         repr(float(stamp)),
         *(f"{v:.6f}" for v in position),

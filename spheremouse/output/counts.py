@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
+from spheremouse.output import Report
 from spheremouse.settings import FACTOR, PER_RADIAN, param
+from spheremouse.tracker import Motion
 
 _DUE = 1.0 - 1e-9  # counts; less than one by rounding alone
 _USUAL_RADIUS = 0.6  # m: a millimetre of a ball of unknown size is what it is on a ball of 1.2 m
@@ -79,3 +81,19 @@ def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tup
         counts[axis] = round(exact) if abs(exact) >= _DUE else 0
         left[axis] = exact - counts[axis]
     return (counts[0], counts[1], counts[2]), Remainder((left[0], left[1], left[2]))
+
+
+class Counter:
+    """The reports of a ball's motions, one after the other: what is left of a count goes into the next one."""
+
+    def __init__(self, matrix: Array) -> None:
+        """`matrix` (3, 3), counts per radian, as of `MotionSettings`."""
+        self.matrix, self._remainder = matrix, Remainder()
+
+    def report(self, motion: Motion) -> Report:
+        """The next one; a motion that is not confirmed gives no counts: it is made up for by the next that is."""
+        if not motion.confirmed:
+            return Report((0, 0, 0), (0.0, 0.0, 0.0), motion)
+        counts, self._remainder = to_counts(motion.rotation, self.matrix, self._remainder)
+        x, y, z = (self.matrix @ motion.rate[:3]).tolist()
+        return Report(counts, (x, y, z), motion)

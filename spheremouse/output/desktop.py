@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
-from spheremouse.files.spec import options
-from spheremouse.tracker import Motion
+from spheremouse.files.registry import options
+from spheremouse.output import Report
 
 THIRD = ("none", "wheel")
 NOTCH = 120  # counts, as of the other outputs' fine wheels
@@ -28,9 +28,9 @@ class Desktop:
         self._mouse: Any = mouse
         self._third, self._notch = third, 0
 
-    def send(self, motion: Motion) -> None:
+    def send(self, report: Report) -> None:
         """Move the pointer, and scroll if whole notches are due."""
-        x, y, notches, left = self._made(motion)
+        x, y, notches, left = self._made(report)
         try:
             if x or y:
                 self._mouse.move(x, y)
@@ -40,15 +40,15 @@ class Desktop:
             raise OutputError(f"desktop: the pointer cannot be moved any more: {_line(e)}") from None
         self._notch = left
 
-    def describe(self, motion: Motion) -> str:
+    def describe(self, report: Report) -> str:
         """What `send` does, as in `pointer +3 -2 scroll +1`."""
-        x, y, notches, _ = self._made(motion)
+        x, y, notches, _ = self._made(report)
         parts = [f"pointer {x:+d} {y:+d}"] if x or y else []
         return " ".join(parts + ([f"scroll {notches:+d}"] if notches else []))
 
-    def _made(self, motion: Motion) -> tuple[int, int, int, int]:
+    def _made(self, report: Report) -> tuple[int, int, int, int]:
         """Pixels right and down, whole notches, and counts of the wheel left over."""
-        x, y, z = motion.counts
+        x, y, z = report.counts
         turned = self._notch + (z if self._third == "wheel" else 0)
         notches = abs(turned) // NOTCH * (1 if turned > 0 else -1)
         return max(-_MOST, min(_MOST, x)), max(-_MOST, min(_MOST, y)), notches, turned - notches * NOTCH

@@ -10,13 +10,15 @@ from typing import Literal
 
 import numpy as np
 
-from spheremouse.geometry.rotation import Array, log
+from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
+from spheremouse.output import Report, no_report
 from spheremouse.output.counts import Remainder, to_counts
 from spheremouse.settings import FACTOR, HAND, HAND_TURN, PER_RADIAN, param
-from spheremouse.tracker import Motion
-from spheremouse.wand.course import between
-from spheremouse.wand.state import WandEpoch, WandPhase, WandPose
+from spheremouse.tracker import Motion, Status
+from spheremouse.wand.course import Course, between
+from spheremouse.wand.state import WandEpoch, WandPose
 
+_TURN_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])  # what a pose has last, a motion has first
 _NOISE = 3.0  # standard deviations by which a pose may be off, besides what a hand does
 
 
@@ -80,49 +82,71 @@ class PointingSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class ReferencePose:
     """The pose that motion is counted from."""
 
     stamp: float  # s
     position: Array  # (3,) m, cam
     rotation: Array  # (3, 3) R_cam_ball
-    variance: Array  # (6,) m², rad²
+    covariance: Array  # (6, 6) m, rad
+
+    @property
+    def variance(self) -> Array:
+        """(6,) m², rad²."""
+        return np.diag(self.covariance).clip(0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Pointing:
-    """What is remembered from frame to frame."""
+    """State of the mapping from frame to frame."""
 
-    held: Held | None = None  # None: the ball has not been seen, or was lost since
+    reference: ReferencePose | None = None  # None: the ball has not been seen, or was lost since
     slack: Array = field(default_factory=lambda: np.zeros(3))  # rad or m, cam: motion taken up by the play
     remainder: Remainder = field(default_factory=Remainder)  # counts
 
 
 def point(
-    pointing: Pointing, pose: WandPose, velocity: Array, stamp: float, settings: PointingSettings
-) -> tuple[Pointing, Motion]:
-    """The motion that one frame adds; `velocity`, (6,) m/s and rad/s in cam, is the tracker's.
+    pointing: Pointing, pose: WandPose, course: Course | None, stamp: float, settings: PointingSettings
+) -> tuple[Pointing, Report]:
+    """The report of one frame, with the motion since the last pose, in cam; `course` has the velocity.
 
-    Motion.rotation is the rotation vector since the last pose, and Motion.rate its rate, both in cam. Only poses that
-    were seen move anything: a ball that is hidden for a moment is where it is when it shows again, one that was lost
-    begins anew from there.
+    Only poses that were seen move anything: a ball that is hidden for a moment is where it is when it shows again, one
+    that was lost begins anew from there.
     """
-    still = Motion(stamp, (0, 0, 0), np.zeros(3), np.zeros(3))
-    if pose.phase is not WandPhase.TRACKING or pose.position is None or pose.rotation is None:
+    still = no_report(stamp)
+    if pose.phase is not Status.TRACKING or pose.position is None or pose.rotation is None:
         return begun_anew(pointing), still
     if not pose.seen or pose.covariance is None:
         return pointing, still
-    held = Held(stamp, pose.position, pose.rotation, np.diag(pose.covariance).clip(0.0))
-    if pointing.held is None or _is_leap(pointing.held, held, settings):
-        return replace(begun_anew(pointing), held=held), still
-    turn = log(held.rotation @ pointing.held.rotation.T)
+    now = ReferencePose(stamp, pose.position, pose.rotation, pose.covariance)
+    velocity = np.zeros(6) if course is None else course.velocity
+    rate = pointing_rate(velocity, settings)
+    if pointing.reference is None or _is_leap(pointing.reference, now, settings):
+        return replace(begun_anew(pointing), reference=now), Report((0, 0, 0), rate, _motion(now, now, course))
+    motion = _motion(pointing.reference, now, course)
     if settings.by == "turn":
-        way, variance = turn, held.variance[3:]
+        way, variance = motion.rotation, now.variance[3:]
     else:
-        way, variance = held.position - pointing.held.position, held.variance[:3]
+        way, variance = motion.shift, now.variance[:3]
     slack, passed = taken_up(pointing.slack, way, settings.play * np.sqrt(variance))
     counts, remainder = to_counts(passed, settings.matrix(), pointing.remainder)
-    return Pointing(held, slack, remainder), Motion(stamp, counts, turn, velocity[3:].copy())
+    return Pointing(now, slack, remainder), Report(counts, rate, motion)
+
+
+def _motion(before: ReferencePose, now: ReferencePose, course: Course | None) -> Motion:
+    """The motion from one pose to another, and the rate at its end.
+
+    The errors of the two are taken as independent, and as those of the rate: where pictures err alike, the motion is
+    better than its covariance says.
+    """
+    turn, covariance, rate = log(now.rotation @ before.rotation.T), np.zeros((12, 12)), np.zeros(6)
+    if before is not now:  # else a motion begins to count
+        A, J = np.eye(6), np.eye(6)
+        A[3:, 3:], J[:3, :3] = exp(turn), np.linalg.inv(left_jacobian(turn))
+        covariance[:6, :6] = J @ (now.covariance + A @ before.covariance @ A.T)[_TURN_FIRST] @ J.T
+    if course is not None:
+        rate, covariance[6:, 6:] = np.roll(course.velocity, 3), course.covariance[6:, 6:][_TURN_FIRST]
+    return Motion(now.stamp, turn, now.position - before.position, rate, covariance, confirmed=True)
 
 
 def begun_anew(pointing: Pointing) -> Pointing:
@@ -149,7 +173,7 @@ def taken_up(slack: Array, way: Array, play: Array) -> tuple[Array, Array]:
     return slack - passed, passed
 
 
-def _is_leap(before: Held, after: Held, settings: PointingSettings) -> bool:
+def _is_leap(before: ReferencePose, after: ReferencePose, settings: PointingSettings) -> bool:
     """Is it further than a hand gets in that time, and the filter may be off?"""
     dt = after.stamp - before.stamp
     way = between(before.position, before.rotation, after.position, after.rotation)
@@ -157,29 +181,19 @@ def _is_leap(before: Held, after: Held, settings: PointingSettings) -> bool:
     return bool(dt <= 0.0 or (np.abs(way) > reach + _NOISE * np.sqrt(before.variance + after.variance)).any())
 
 
-@dataclass(frozen=True, slots=True)
-class Moved:
-    """What a frame adds to the pointer."""
-
-    motion: Motion
-    rate: tuple[float, float, float]  # counts/s
-    holds: bool  # the ball was seen: the rate may be carried on
-
-
-class Hand:
-    """Motion of the pointer from the epochs of a run, as they come."""
+class HandMapping:
+    """Reports of the pointer from the epochs of a run, as they come."""
 
     def __init__(self, settings: PointingSettings, points: int = 0) -> None:
         """`points` is the index of the ball that moves the pointer."""
         self._settings, self._points = settings, points
         self._pointing = Pointing()
 
-    def move(self, epoch: WandEpoch) -> Moved:
+    def report(self, epoch: WandEpoch) -> Report:
         """The next one."""
-        pose, velocity = epoch.poses[self._points], epoch.state.tracks[self._points].velocity
-        self._pointing, motion = point(self._pointing, pose, velocity, epoch.frame.stamp, self._settings)
-        holds = pose.seen and pose.phase is WandPhase.TRACKING
-        return Moved(motion, pointing_rate(velocity, self._settings) if holds else (0.0, 0.0, 0.0), holds)
+        pose, course = epoch.poses[self._points], epoch.state.tracks[self._points].course
+        self._pointing, report = point(self._pointing, pose, course, epoch.frame.stamp, self._settings)
+        return report
 
     def interrupted(self) -> None:
         """No frames came for a while: nothing moves to where the ball is next seen."""

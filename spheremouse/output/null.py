@@ -1,19 +1,19 @@
-"""`null`: takes motions and does nothing, to measure everything else."""
+"""`null`: takes reports and does nothing, to measure everything else."""
 
 from types import TracebackType
 from typing import Self
 
 from spheremouse.errors import OutputError
-from spheremouse.tracker import Motion
+from spheremouse.output import Report
 
 
 class Null:
     """An output that goes nowhere."""
 
-    def send(self, motion: Motion) -> None:
+    def send(self, report: Report) -> None:
         """Nothing."""
 
-    def describe(self, motion: Motion) -> str:
+    def describe(self, report: Report) -> str:
         """Nothing."""
         return ""
 

@@ -2,7 +2,7 @@
 
 It wakes when a frame is given and while there is a course to carry on; else it sleeps. No error of an output gets out:
 the output is closed, opened again with growing patience, and what comes meanwhile is counted, not sent. An output that
-says itself that nothing gets through (`Acknowledged`) stays open and is given empty motions until it does again. One
+says itself that nothing gets through (`Acknowledged`) stays open and is given empty reports until it does again. One
 that does not come back from being opened, written to or closed is seen from outside, by whoever gives frames or asks.
 On every axis, what was given is what was sent plus what was left unsent, less what the pointer is ahead of the ball;
 what the other end of an output has not acknowledged was not sent.
@@ -19,11 +19,11 @@ from math import floor
 
 import numpy as np
 
-from spheremouse.output import Acknowledged, Output, OutputClosed, Passage, pointer
+from spheremouse.output import Acknowledged, Output, OutputClosed, Passage, Report, no_report, pointer
 from spheremouse.output.null import Null
 from spheremouse.output.pointer import Counts, PointerSettings, Resampler, minus, plus
 from spheremouse.output.text import Text
-from spheremouse.tracker import Motion
+from spheremouse.tracker import no_motion
 
 BACK_OFF = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0)  # s
 LATE = 0.25  # s in the queue after which a frame's counts are not wanted any more: an output hung
@@ -34,7 +34,6 @@ QUEUED = 256  # frames: seconds, at any camera's rate
 REMEMBERED = 4096  # latencies: a minute at 60 Hz
 _JOIN = 5.0  # s
 _OPENS, _SENDS, _CLOSES = "it cannot be opened", "it takes no report", "it cannot be closed"
-_NOTHING = np.zeros(3)
 _NONE: Counts = (0, 0, 0)
 _PASSED = Passage()
 
@@ -50,7 +49,7 @@ class Latency:
 
 @dataclass(frozen=True, slots=True)
 class ReporterStatus:
-    """How the output fares."""
+    """Condition of the output, sums of counts and latency."""
 
     failed: str | None  # why nothing can be sent; None: it can
     ended: bool  # whoever read the output has gone, for good
@@ -63,16 +62,14 @@ class ReporterStatus:
 
 @dataclass(frozen=True, slots=True)
 class _Given:
-    motion: Motion
-    rate: tuple[float, float, float]  # counts/s
+    report: Report
     taken: float  # s, the frame's stamp on the clock
-    tracking: bool
     wanted: bool  # not paused
     came: float  # s
     frame: bool = True  # False: nothing but the end of what is predicted
 
 
-class Reporter:
+class OutputThread:
     """Sends motion from a thread of its own. All methods may be called from any thread; none waits but `close`."""
 
     def __init__(
@@ -111,25 +108,22 @@ class Reporter:
         self._thread = threading.Thread(target=self._run, name="reporter", daemon=True)
         begin(self._thread)
 
-    def give(
-        self, motion: Motion, rate: tuple[float, float, float], taken: float, tracking: bool, wanted: bool = True
-    ) -> None:
-        """A frame's motion, the rate (counts/s) at its end and the time (s, of the clock) it was taken. Never waits.
+    def give(self, report: Report, taken: float, wanted: bool = True) -> None:
+        """A frame's report and the time (s, of the clock) it was taken. Never waits.
 
         What is not `wanted` is counted as unsent, as it is during a pause.
         """
-        self._sum = plus(self._sum, motion.counts)
-        self._given.append(_Given(motion, rate, taken, tracking, wanted and not self._paused, self._clock()))
+        self._sum = plus(self._sum, report.counts)
+        self._given.append(_Given(report, taken, wanted and not self._paused, self._clock()))
         if len(self._given) > QUEUED:
             with contextlib.suppress(IndexError):  # the thread was quicker
-                self._overflow = plus(self._overflow, self._given.popleft().motion.counts)
+                self._overflow = plus(self._overflow, self._given.popleft().report.counts)
         self._ring()
         self.failed  # noqa: B018  a look at whether the output hangs
 
     def rest(self, now: float) -> None:
         """Carry nothing on: no frame will say whether it is true."""
-        still = Motion(now, _NONE, _NOTHING, _NOTHING)
-        self._given.append(_Given(still, (0.0, 0.0, 0.0), now, False, True, self._clock(), frame=False))
+        self._given.append(_Given(no_report(now), now, True, self._clock(), frame=False))
         self._ring()
 
     def pause(self, paused: bool) -> None:
@@ -142,7 +136,7 @@ class Reporter:
         self._settings = settings
 
     def status(self) -> ReporterStatus:
-        """How the output fares."""
+        """Condition of the output, sums of counts and latency."""
         failed, n = self.failed, min(self._frames, REMEMBERED)
         past, sent, passage = self._past, self._sent, _passage(self._output)
         latency = None
@@ -159,7 +153,7 @@ class Reporter:
 
     @property
     def failed(self) -> str | None:
-        """Why nothing can be sent; None: it can."""
+        """The reason why nothing can be sent; None: it can."""
         doing, now = self._doing, self._clock()
         if doing is None:
             return self._failed
@@ -188,6 +182,8 @@ class Reporter:
         """Close the output; waits for it, if it does not take too long. One that hangs is left behind."""
         self._over = True
         self._ring()
+        if self._thread.ident is None:  # it was never begun
+            return
         self._thread.join(HANGS if self._doing is not None and self._doing.hangs else _JOIN)
 
     def _ring(self) -> None:
@@ -232,9 +228,9 @@ class Reporter:
             now = self._clock()
             late = now - given.came > LATE and not self._per_frame
             if self._failed is not None or self._output is None or self._paused or late or not given.wanted:
-                self._unsent = plus(self._unsent, given.motion.counts)
+                self._unsent = plus(self._unsent, given.report.counts)
                 if self._output is not None and self._failed is not None and not self._paused:
-                    self._send(Motion(given.motion.stamp, _NONE, _NOTHING, given.motion.rate), self._sent)
+                    self._send(_without(given.report), self._sent)
             else:
                 self._take(given, now)
         if self._output is not None and (now := self._clock()) >= self._next:
@@ -242,16 +238,16 @@ class Reporter:
 
     def _take(self, given: _Given, now: float) -> None:
         """A frame's report, at once. It is sent even if it is empty: some outputs want to know that we live."""
-        settings, motion = self._settings, given.motion
-        tracking = given.tracking and not self._per_frame
+        settings, report = self._settings, given.report
+        tracking = report.motion.confirmed and not self._per_frame
         self._resampler = pointer.take(
-            self._resampler, self._sent, motion.counts, given.rate, given.taken, now, tracking, settings
+            self._resampler, self._sent, report.counts, report.rate, given.taken, now, tracking, settings
         )
         self._last, self._grid, self._period = given, now, 1.0 / settings.rate
         self._plan(now)
         due = pointer.due(self._resampler, now)
         counts = minus(due, self._sent)
-        if self._send(Motion(motion.stamp, counts, motion.rotation, motion.rate), due):
+        if self._send(report._replace(counts=counts), due):
             self._latency[self._frames % REMEMBERED] = self._clock() - given.taken
             self._frames += 1
 
@@ -261,12 +257,11 @@ class Reporter:
         due = pointer.due(self._resampler, now)
         if due != self._sent:
             assert self._last is not None
-            motion = self._last.motion
-            stamp = motion.stamp + now - self._last.taken
-            self._send(Motion(stamp, minus(due, self._sent), _NOTHING, motion.rate), due)
+            last = _without(self._last.report, now - self._last.taken)
+            self._send(last._replace(counts=minus(due, self._sent)), due)
 
     def _plan(self, now: float) -> None:
-        """When the next report is due: on a grid that does not drift, and once after the course has ended."""
+        """Set the time of the next report: on a grid that does not drift, and once after the course has ended."""
         period = self._period
         after = self._grid + (floor((now - self._grid) / period) + 1) * period
         self._next = after if now < self._resampler.until else np.inf
@@ -276,11 +271,11 @@ class Reporter:
         """Does the output get what the frames say, as they say it?"""
         return isinstance(self._output, Text | Null) and not self._settings.text
 
-    def _send(self, motion: Motion, due: Counts) -> bool:
+    def _send(self, report: Report, due: Counts) -> bool:
         assert self._output is not None
         try:
             with self._at(_SENDS) as doing:
-                self._output.send(motion)
+                self._output.send(report)
         except OutputClosed as e:
             self._ended = True
             self._fail("whoever read the output has gone", e)
@@ -289,7 +284,7 @@ class Reporter:
             self._fail(_reason(e), e)
             return False
         self._sent = due
-        if motion.counts != _NONE:
+        if report.counts != _NONE:
             self._reports += 1
             self._failures = 0  # not on opening: what opens and never sends must not flap
         if doing.hangs:
@@ -309,7 +304,7 @@ class Reporter:
         self._next = np.inf
 
     def _look_at_passage(self) -> None:
-        """Does the output that is open get counts through?"""
+        """Tell, and note as failure, that the output that is open gets no counts through, or does again."""
         if not isinstance(self._output, Acknowledged):
             return
         trouble = self._output.passage().trouble
@@ -364,9 +359,9 @@ class Reporter:
         self._next = np.inf
 
     def _drop_queue(self) -> None:
-        """What came while the output was gone: all at once it would be a jump."""
+        """Count as unsent what came while the output was gone: all at once it would be a jump."""
         for _ in range(len(self._given)):
-            self._unsent = plus(self._unsent, self._given.popleft().motion.counts)
+            self._unsent = plus(self._unsent, self._given.popleft().report.counts)
 
 
 @dataclass(slots=True, eq=False)
@@ -378,8 +373,14 @@ class _Doing:
     hangs: bool = False
 
 
+def _without(report: Report, later: float = 0.0) -> Report:
+    """A report of no turn, so many s after another one."""
+    motion = no_motion(report.motion.stamp + later)
+    return Report(_NONE, report.rate, motion._replace(rate=report.motion.rate))
+
+
 def _passage(output: Output | None) -> Passage:
-    """How far an output has got; where it cannot tell, as far as it was sent."""
+    """Counts of an output that have not arrived; none where it cannot tell."""
     return output.passage() if isinstance(output, Acknowledged) else _PASSED
 
 

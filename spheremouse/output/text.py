@@ -1,4 +1,4 @@
-"""`text:-` and `text:FILE`: one line per motion, after a header line that begins with `#`.
+"""`text:-` and `text:FILE`: one line per report, after a header line that begins with `#`.
 
 A line is `stamp dx dy dz rx ry rz wx wy wz`: s, counts, rotation vector since the last line (rad, obj), rate (rad/s,
 obj), with all digits. Every line is flushed. FILE is begun anew like after the shell's `>`, with one guard: an existing
@@ -16,28 +16,27 @@ from typing import Self, TextIO
 
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import open_to_write
-from spheremouse.output import OutputClosed
-from spheremouse.tracker import Motion
+from spheremouse.output import OutputClosed, Report
 
 NAMES = "# stamp dx dy dz rx ry rz wx wy wz"
 HEADER = f"{NAMES} (s, counts, rotation since the last line in rad and rate in rad/s, both in obj)"
 
 
 class Text:
-    """Writes motions as lines."""
+    """Writes reports as lines."""
 
     def __init__(self, file: TextIO, name: str, header: str = HEADER) -> None:
         self._file, self._name, self._reader_gone = file, name, False
         with contextlib.suppress(OutputClosed):  # too early to end quietly: the first `send` does
             self._write(header)
 
-    def send(self, motion: Motion) -> None:
+    def send(self, report: Report) -> None:
         """Write one line."""
-        self._write(line(motion))
+        self._write(line(report))
 
-    def describe(self, motion: Motion) -> str:
+    def describe(self, report: Report) -> str:
         """The line itself."""
-        return line(motion)
+        return line(report)
 
     def _write(self, text: str) -> None:
         if self._reader_gone:
@@ -90,10 +89,11 @@ def begin(argument: str, names: str) -> tuple[TextIO, str]:
         raise OutputError(f"{path}: cannot be written: {reason}") from None
 
 
-def line(motion: Motion) -> str:
-    """A motion as a line; each number reads back to the very same."""
-    exact = [float(v) for v in (*motion.rotation, *motion.rate)]
-    return " ".join([repr(float(motion.stamp)), *(str(int(n)) for n in motion.counts), *map(repr, exact)])
+def line(report: Report) -> str:
+    """A report as a line; each number reads back to the very same."""
+    motion = report.motion
+    exact = [float(v) for v in (*motion.rotation, *motion.rate[:3])]
+    return " ".join([repr(float(motion.stamp)), *(str(int(n)) for n in report.counts), *map(repr, exact)])
 
 
 def _is_something_else(path: Path, names: str) -> bool:

@@ -2,7 +2,7 @@
 
 One relative pointer with three buttons that are never pressed (desktops and games take a device for a mouse by
 REL_X, REL_Y and BTN_LEFT). It is created once and keeps its name and ids, so that a game's binding survives:
-name "spheremouse", bus 0x06 (virtual), vendor 0x5350, product 0x4d31, version 1. X and Y of a motion are in one report.
+name "spheremouse", bus 0x06 (virtual), vendor 0x5350, product 0x4d31, version 1. X and Y go together.
 The third axis, the ball spinning about the vertical, is off unless asked for: `wheel` sends REL_WHEEL_HI_RES (120 to a
 notch: one count each) with REL_WHEEL for each whole notch, which every program understands; `rz` sends REL_RZ, which
 programs for space mice read, one per count.
@@ -14,8 +14,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from spheremouse.errors import OutputError
-from spheremouse.files.spec import options
-from spheremouse.tracker import Motion
+from spheremouse.files.registry import options
+from spheremouse.output import Report
 
 NAME = "spheremouse"
 BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1
@@ -32,8 +32,8 @@ _MOST = 2**31 - 1  # an event's value is a signed 32-bit integer
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """What one motion becomes: relative events that end with one SYN_REPORT, and the part of a notch left over."""
+class Events:
+    """What one report becomes: relative events that end with one SYN_REPORT, and the part of a notch left over."""
 
     events: tuple[tuple[int, int], ...]  # code, value; never 0
     notch: int = 0  # REL_WHEEL_HI_RES units
@@ -42,9 +42,9 @@ class Report:
         return " ".join([*(f"{_NAMES[code]} {value:+d}" for code, value in self.events), "SYN"] if self.events else [])
 
 
-def report(motion: Motion, third: str, notch: int = 0) -> Report:
-    """Events of a motion; `notch` is what the last report left over. Values beyond 32 bits saturate."""
-    x, y, z = (max(-_MOST, min(_MOST, n)) for n in motion.counts)
+def events_of(report: Report, third: str, notch: int = 0) -> Events:
+    """Events of a report; `notch` is what the last report left over. Values beyond 32 bits saturate."""
+    x, y, z = (max(-_MOST, min(_MOST, n)) for n in report.counts)
     events = [(REL_X, x), (REL_Y, y)]
     if third == "rz":
         events.append((REL_RZ, z))
@@ -53,7 +53,7 @@ def report(motion: Motion, third: str, notch: int = 0) -> Report:
         whole = abs(notch) // NOTCH * (1 if notch > 0 else -1)
         notch -= whole * NOTCH
         events += [(REL_WHEEL, whole), (REL_WHEEL_HI_RES, z)]
-    return Report(tuple((code, value) for code, value in events if value), notch)
+    return Events(tuple((code, value) for code, value in events if value), notch)
 
 
 class UInput:
@@ -62,9 +62,9 @@ class UInput:
     def __init__(self, device: Any, third: str) -> None:
         self._device, self._third, self._notch = device, third, 0
 
-    def send(self, motion: Motion) -> None:
+    def send(self, report: Report) -> None:
         """Write the report, unless it is empty."""
-        made = report(motion, self._third, self._notch)
+        made = events_of(report, self._third, self._notch)
         try:
             for code, value in made.events:
                 self._device.write(EV_REL, code, value)
@@ -74,9 +74,9 @@ class UInput:
             raise OutputError(f"uinput: the kernel takes no more events ({e.strerror or e}); start again") from None
         self._notch = made.notch
 
-    def describe(self, motion: Motion) -> str:
+    def describe(self, report: Report) -> str:
         """The report's events, as in `REL_X +3 REL_Y -2 SYN`."""
-        return str(report(motion, self._third, self._notch))
+        return str(events_of(report, self._third, self._notch))
 
     def __enter__(self) -> Self:
         return self

@@ -16,7 +16,7 @@ def is_camera(spec: str) -> bool:
     return spec.partition(":")[0] in ("v4l2", "opencv")
 
 
-def opener(plan: Plan, first: Source | None = None) -> Callable[[], Camera]:
+def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source | None = None) -> Callable[[], Camera]:
     """What opens the camera of a plan and holds its node; the first time it is `first`, where that is open already."""
     waiting = [] if first is None else [first]
 
@@ -26,7 +26,13 @@ def opener(plan: Plan, first: Source | None = None) -> Callable[[], Camera]:
             from spheremouse.capture import v4l2
 
             return v4l2.open_camera(argument, plan.configuration.camera)
-        return Streamed(waiting.pop() if waiting else open_source(plan.source, realtime=True), plan.source)
+        if waiting:
+            source = waiting.pop()
+        elif is_camera(plan.source):
+            source = open_source(plan.source, realtime=True)
+        else:
+            source = open_recording(plan)
+        return Streamed(source, plan.source)
 
     def open_held() -> Camera:
         node = node_of(plan)  # anew each time: a camera that comes back may be another node

@@ -5,11 +5,12 @@ The shell's part of the use phase: it takes frames as they come and measures tim
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from threading import Timer
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
+from spheremouse.output import Output
+from spheremouse.session.follower import Follower, Tracked
 from spheremouse.tracker import Frame
 
 _PATIENCE = 4.0  # s until whoever waits is told why
@@ -100,6 +103,33 @@ def told_why() -> Iterator[None]:
         timer.cancel()
 
 
+class View(Protocol):
+    """What shows a run to a person."""
+
+    def say(self, text: str) -> None:
+        """One or more lines, which stay."""
+        ...
+
+    def show(self, made: Tracked, follower: Follower) -> None:
+        """A tracked frame, and what tracks it."""
+        ...
+
+
+def follow(frames: Iterable[Frame], follower: Follower, sinks: Sequence[Output], view: View) -> None:
+    """A recording: every frame, one after the other; what changes is said with the frame's stamp."""
+    for frame in frames:
+        follower.check(frame)
+        made = follower.follow(frame)
+        if made is None:
+            continue
+        for sink in sinks:
+            sink.send(made.report)
+        change, more = follower.take_news()
+        for text in filter(None, (change, *more)):
+            view.say(f"{frame.stamp:9.3f} s  {text}")
+        view.show(made, follower)
+
+
 def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = None) -> Iterator[Epoch]:
     """Track every frame; with a `known` map of the ball's discs the attitude is in its frame once it is recognised."""
     make_ready(tracker.settings)
@@ -113,6 +143,6 @@ def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = Non
         check_size(frame, tracker.rig)
         state = state or begin(tracker, frame.stamp, known=known)
         times[0] = time.perf_counter()
-        state, motion = step(state, frame, tracker, detected)
+        state, motion, events = step(state, frame, tracker, detected)
         times[2] = time.perf_counter()
-        yield Epoch(frame, state, motion, {"detect": times[1] - times[0], "filter": times[2] - times[1]})
+        yield Epoch(frame, state, motion, events, {"detect": times[1] - times[0], "filter": times[2] - times[1]})

@@ -4,7 +4,7 @@ Read as a whole or not at all, so that a reload never leaves the daemon between 
 """
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from spheremouse import capture as sources
@@ -12,10 +12,12 @@ from spheremouse import output as outputs
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
+from spheremouse.files.dataset.format import MOST_BALLS
 from spheremouse.files.disc_map import map_path
+from spheremouse.files.registry import resolve
 from spheremouse.files.rig import load_camera, load_rig, with_camera
-from spheremouse.files.spec import resolve
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.balls import Balls, read_balls
 from spheremouse.session.settings import Configuration
 
 
@@ -31,6 +33,7 @@ class Request:
     camera: Path | None = None
     map: Path | None = None
     no_map: bool = False
+    balls: tuple[Path, ...] = ()  # wand files
     changes: tuple[str, ...] = ()  # KEY=VALUE by `ctl set`: until the next start or reload
 
 
@@ -46,6 +49,8 @@ class Plan:
     camera: InteriorOrientation | None
     camera_path: Path | None
     map_path: Path | None  # None: no map is kept
+    balls: Balls = field(default_factory=Balls)  # in a hand; none: the source's own, or Grzonka's
+    ball_paths: tuple[Path, ...] = ()
 
     def device(self, given: Rig | None) -> Rig:
         """The device as calibrated; `given` is what the source knows of it."""
@@ -88,14 +93,20 @@ def read_plan(request: Request) -> Plan:
         map_file = None
     else:
         map_file = given_map or (None if rig_path is None else _usual_map(rig_path))
-    return Plan(c, source, output, rig, rig_path, camera, camera_path, map_file)
+    ball_paths = named_balls(request, c) if c.tracker == "wand" else ()
+    if len(ball_paths) > MOST_BALLS:
+        raise ConfigurationError(f"--ball: given {len(ball_paths)} times; at most {MOST_BALLS} balls are tracked")
+    balls = read_balls(ball_paths)
+    return Plan(c, source, output, rig, rig_path, camera, camera_path, map_file, balls, ball_paths)
 
 
 def check_kinds(plan: Plan, before: Plan | None = None) -> None:
     """Refuse a source or output of no known kind, where it is another than `before`: a device that is missing may come,
-    a slip will not mend itself. Nor can a run change between a ball in its frame and one in a hand."""
-    if before is not None and "wand" in (plan.configuration.tracker, before.configuration.tracker):
-        raise ConfigurationError("tracker: wand is another program than the others: stop this run and start again")
+    a slip will not mend itself. Nor does a run change between a ball in its frame and one in a hand."""
+    if before is not None and "wand" in {plan.configuration.tracker} ^ {before.configuration.tracker}:
+        raise ConfigurationError(
+            "tracker: a ball in its frame and one in a hand are runs of their own: stop this run and start again"
+        )
     if before is None or plan.source != before.source:
         resolve(sources, "source", plan.source, SourceError)
     if before is None or plan.output != before.output:
@@ -113,6 +124,11 @@ def beside(file: Path | None, name: str | None) -> Path | None:
         return None
     path = Path(name).expanduser()
     return path if file is None else file.parent / path
+
+
+def named_balls(request: Request, c: Configuration) -> tuple[Path, ...]:
+    """Wand files: those of the command line, else those of the configuration."""
+    return request.balls or tuple(path for name in c.wand.balls if (path := beside(request.file, name)) is not None)
 
 
 def _usual_map(rig_path: Path) -> Path:

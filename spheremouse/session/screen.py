@@ -18,9 +18,11 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.ball.state import Epoch, Phase
+from spheremouse.ball.state import Epoch
 from spheremouse.geometry.rotation import Array, to_euler
+from spheremouse.output.pointer import Counts, plus
 from spheremouse.session.timing import FrameTimes
+from spheremouse.tracker import Status
 
 _REFRESH = 0.1  # s between two pictures of the table
 _LINE_EVERY = 1.0  # s between two lines where there is no terminal
@@ -28,7 +30,7 @@ _HISTORY = 5.0  # s of rates in the small curves
 _CURVE = 26  # characters
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _AXES = (("X", "bright_red", "ω"), ("Y", "bright_green", "φ"), ("Z", "bright_cyan", "κ"))
-_PHASES = {Phase.SEARCHING: "yellow", Phase.TRACKING: "green", Phase.LOST: "red"}
+_COLOURS = {Status.SEARCHING: "yellow", Status.TRACKING: "green", Status.LOST: "red"}
 
 
 class Tally:
@@ -38,13 +40,13 @@ class Tally:
         self.frames = 0
         self.counts = (0, 0, 0)
         self.times = FrameTimes()
+        self.words = ""  # what else there is to be said of it
 
-    def add(self, epoch: Epoch) -> None:
-        """One more frame."""
-        x, y, z = epoch.motion.counts
+    def add(self, counts: Counts, seconds: float) -> None:
+        """One more frame: its counts, and how long it took."""
         self.frames += 1
-        self.counts = (self.counts[0] + x, self.counts[1] + y, self.counts[2] + z)
-        self.times.add(sum(epoch.seconds.values()), time.perf_counter())
+        self.counts = plus(self.counts, counts)
+        self.times.add(seconds, time.perf_counter())
 
     def __str__(self) -> str:
         if not self.frames:
@@ -52,7 +54,8 @@ class Tally:
         x, y, z = self.counts
         median, slow = (1e3 * self.times.quantile(q) for q in (0.5, 0.99))
         frames = f"{self.frames} frame{'s' if self.frames != 1 else ''}"
-        return f"{frames}; counts x {x:+d}, y {y:+d}, third {z:+d}; {median:.1f} ms per frame (99 %: {slow:.1f} ms)"
+        text = f"{frames}; counts x {x:+d}, y {y:+d}, third {z:+d}; {median:.1f} ms per frame (99 %: {slow:.1f} ms)"
+        return f"{text}; {self.words}" if self.words else text
 
 
 class Screen:
@@ -93,7 +96,7 @@ class Screen:
             self.say(line())
 
 
-class Board(Screen):
+class StatusTable(Screen):
     """Shows epochs."""
 
     def __init__(self, title: str, table: bool, tally: Tally, console: Console | None = None) -> None:
@@ -129,7 +132,7 @@ def as_line(epoch: Epoch, tally: Tally) -> str:
     rate = " ".join(f"{np.rad2deg(w):+.1f}" for w in state.filter.rate)
     counts = " ".join(f"{n:+d}" for n in tally.counts)
     return (
-        f"{epoch.frame.stamp:9.3f} s  {state.phase}  rate {rate} deg/s  counts {counts}  discs {_discs(epoch)}  "
+        f"{epoch.frame.stamp:9.3f} s  {state.status}  rate {rate} deg/s  counts {counts}  discs {_discs(epoch)}  "
         f"{1e3 * tally.times.recent_quantile(0.5):.1f} ms"
     )
 
@@ -152,7 +155,7 @@ def as_table(epoch: Epoch, tally: Tally, rates: Sequence[tuple[float, Array]], t
     for i, (name, colour, letter) in enumerate(_AXES):
         grid.add_row(
             Text(name, style=f"bold {colour}"),
-            Text(f"{rate[i]:+.1f} °/s", style="dim" if state.phase is Phase.LOST else "bold"),
+            Text(f"{rate[i]:+.1f} °/s", style="dim" if state.status is Status.LOST else "bold"),
             Text(f"±{sigma[i]:.2f}", style="dim"),
             Text(curve(stamps, history[:, i], epoch.frame.stamp), style=colour),
             Text(f"{letter} {angles[i]:+7.1f}°"),
@@ -169,7 +172,7 @@ def as_table(epoch: Epoch, tally: Tally, rates: Sequence[tuple[float, Array]], t
     facts.add_row("time", Text(f"{pace}; {times.rate:.0f} frames/s" if np.isfinite(times.rate) else pace))
 
     head = Text.assemble(
-        (f" {title} ", "bold"), "│ ", (f"● {state.phase}", _PHASES[state.phase]), f" │ {epoch.frame.stamp:.2f} s "
+        (f" {title} ", "bold"), "│ ", (f"● {state.status}", _COLOURS[state.status]), f" │ {epoch.frame.stamp:.2f} s "
     )
     return Panel(Group(grid, Text(), facts), title=head, title_align="left", border_style="dim", width=78)
 

@@ -8,6 +8,7 @@ import contextlib
 import os
 import resource
 import sys
+import threading
 import time
 import traceback
 from collections import deque
@@ -20,19 +21,16 @@ from typing import Any
 import numpy as np
 
 from spheremouse import __version__
-from spheremouse.ball.disc_map import DiscMap
-from spheremouse.ball.rig import Rig
-from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.capture import Camera
 from spheremouse.capture.fetch import PATIENCE, Capture
-from spheremouse.capture.newest import Newest
+from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.stopping import Stopping, on_hang_up
 from spheremouse.errors import ControlError, SpheremouseError
-from spheremouse.output import Output, open_output
+from spheremouse.output import Output
 from spheremouse.output.pointer import Counts, minus, plus
-from spheremouse.output.reporter import Reporter
+from spheremouse.output.reporter import OutputThread
 from spheremouse.output.sparing import Sparing, letters
-from spheremouse.session.cameras import held, is_camera
+from spheremouse.session.cameras import held
 from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
 from spheremouse.session.control.desk import Asked, Desk
 from spheremouse.session.control.metrics import serve as serve_metrics
@@ -40,9 +38,8 @@ from spheremouse.session.control.places import socket_path
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.map_keeper import MapKeeper
-from spheremouse.session.offline import make_ready
-from spheremouse.session.plan import Plan, check_kinds, read_plan, without_map
+from spheremouse.session.follower import MAP, POSE, TARGETS, Follower, Setup, Tracked
+from spheremouse.session.plan import Plan, check_kinds, read_plan
 from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
@@ -51,7 +48,7 @@ from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
 from spheremouse.session.states import Facts, State, judge, news
 from spheremouse.session.timing import FrameTimes
-from spheremouse.session.worker import Step, Worker
+from spheremouse.session.worker import Worker
 
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
@@ -61,10 +58,10 @@ _USELESS = 5.0  # s of frames that cannot be used, after which the camera is ope
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
 _LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
-# kinds of the crew's work, besides the archive's
-_READING, _TARGETS, _POSE, _MAP, _OUTPUT = "reading", "targets", "pose", "map", "output"
+# kinds of the crew's work, besides the archive's and the follower's
+_READING, _OUTPUT = "reading", "output"
 
-Show = Callable[[Step], None]
+Show = Callable[[Tracked, Follower], None]
 
 
 class Daemon:
@@ -74,27 +71,27 @@ class Daemon:
         self,
         request: PlanRequest,
         plan: Plan,
-        given: Rig | None,
+        setup: Setup,
         open_camera: Callable[[], Camera],
         reopen: Callable[[Plan], Callable[[], Camera]],
         *,
         say: Callable[[str], None],
-        show: Show = lambda _: None,
+        show: Show = lambda _, __: None,
         frames: int | None = None,
     ) -> None:
-        """`given` is what the source knows of the device; `reopen` gives the way to open the camera of another plan.
+        """`setup` makes what follows the ball; `reopen` gives the way to open the camera of another plan.
 
         `say` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
         many of them.
         """
-        self._request, self._plan, self._given, self._rig = request, plan, given, plan.device(given)
+        self._request, self._plan, self._setup = request, plan, setup
         self._reopen, self._print, self._show = reopen, say, show
         self._sparing = Sparing(self._say_now)
         self._limit = frames
         self._began = time.monotonic()
         self._stack = contextlib.ExitStack()
         self._todo: deque[Callable[[], None]] = deque()
-        self._over = self._told_to_stop = False
+        self._over = self._finished = False
         self._paused = ""
         self._starting = "the program is being made ready"
         self._state, self._reason, self._since = State.STARTING, self._starting, self._began
@@ -105,28 +102,32 @@ class Daemon:
         self._status_due = 0.0
         self._scheduling = "usual scheduling"
         self._files: dict[Path, int] = {}
-        self._ring = Newest()
+        self._ring = LatestFrame()
         self._desk = Desk(self._ring.wake)
-        self._crew = Crew((_READING, _TARGETS, _POSE, _MAP, _OUTPUT, RECORDING, SNAPSHOT), self.say)
+        self._crew = Crew((_READING, TARGETS, POSE, MAP, _OUTPUT, RECORDING, SNAPSHOT), self.say)
         self._archive = Archive(self._crew, self._ask, self.say)
-        self._ball: TrackState | None = None  # after the last frame
         self._server: ControlServer | None = None
         self._listen_at = 0.0  # s, when the socket is tried for again
         self._notifier = Notifier()
-        self._keeper = self._new_keeper(plan, self._rig)
-        self._worker = self._new_worker()
+        self._follower = setup.follower(plan, self.say, self._crew.do)
+        self._worker = Worker(self._follower, self.say)
         self._capture = Capture(open_camera, self._ring, self.say)
         self._cured = self._began
         self._past: tuple[int, Counts] = (0, (0, 0, 0))  # reports and unsent counts of outputs before this one
         self._given_out: Counts = (0, 0, 0)  # sum of the counts that the reporter was given
-        self._reporter = Reporter(lambda: open_output(plan.output), plan.configuration.pointer, self.say, begin=begin)
+        self._late: list[threading.Thread] | None = []  # of outputs, begun once the doors are open
+        self._reporter, *self._others = self._output_threads(self._follower.outputs, plan)
+        self._counts: Counts = (0, 0, 0)  # of all frames
 
     def run(self, stopping: Stopping) -> None:
         """Until it is asked to stop, or a recording ends."""
         try:
             with on_hang_up(self._reload):  # as other services do
                 self._crew.begin()
-                self._open_doors()
+                self._open_doors()  # who is refused there has opened no output, and emptied no file
+                late, self._late = self._late, None
+                for thread in late or ():
+                    begin(thread)
                 if self._get_ready(stopping):
                     self._loop(stopping)
         finally:
@@ -134,19 +135,25 @@ class Daemon:
             self._close()
 
     @property
-    def tracker(self) -> Tracker | None:
-        """The tracker in use; None while the camera's pose is not known."""
-        return self._worker.tracker
+    def finished(self) -> bool:
+        """Whether it was the end of a recording that ended it."""
+        return self._finished
 
     @property
-    def told_to_stop(self) -> bool:
-        """Whether it was `ctl stop` that ended it."""
-        return self._told_to_stop
+    def follower(self) -> Follower:
+        """What follows the ball: another one after a change of the device."""
+        return self._follower
 
     @property
-    def never_posed(self) -> str:
-        """Why the camera's pose was never found; empty where it was, or no frame came."""
-        return self._worker.targets if self._worker.seen else "the source gave no frame"
+    def trouble(self) -> str:
+        """Why the last frames could not be used; empty where they could."""
+        return self._worker.trouble
+
+    @property
+    def latency(self) -> tuple[float, float] | None:
+        """s from a frame's stamp until its motion was sent: median, 99 %; None without frames."""
+        latency = self._reporter.status().latency
+        return None if latency is None else (latency.p50, latency.p99)
 
     # ---- the loop ----
 
@@ -165,14 +172,15 @@ class Daemon:
                             self._judge(now)  # nothing moves before it is said that it may
                         self._pass_on(made, arrival.taken)
                 finally:
-                    arrival.shot.release()
+                    arrival.raw.release()
             elif self._capture.finished:
                 if self._capture.failure is not None:
                     raise self._capture.failure
+                self._finished = True
                 break
             self._judge(now)
             self._tend(now)
-            self._over |= self._reporter.ended
+            self._over |= any(r.ended for r in (self._reporter, *self._others))
 
     def _act_on_all(self) -> None:
         while self._todo:
@@ -189,17 +197,16 @@ class Daemon:
         except Exception:
             self.say("internal error, please report it:\n" + traceback.format_exc().rstrip())
 
-    def _pass_on(self, made: Step, taken: float) -> None:
+    def _pass_on(self, made: Tracked, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
-        epoch = made.epoch
         # where the output has come back since this was judged, the next frame is the first one for it
-        self._reporter.give(epoch.motion, made.rate, taken, made.holds, self._state is not State.FAILED_OUTPUT)
-        self._given_out = plus(self._given_out, epoch.motion.counts)
-        if self._keeper is not None:
-            self._keeper.keep(epoch.state)
-        self._archive.keep(made, self._worker.tracker)
-        self._ball = epoch.state
-        self._show(made)
+        self._reporter.give(made.report, taken, self._state is not State.FAILED_OUTPUT)
+        for other in self._others:
+            other.give(made.report, taken)
+        self._given_out = plus(self._given_out, made.report.counts)
+        self._counts = plus(self._counts, made.report.counts)
+        self._archive.keep(made, self._follower, self._counts)
+        self._show(made, self._follower)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._over = True
 
@@ -212,8 +219,8 @@ class Daemon:
         self._seen_once |= state is State.TRACKING
         if state is not before[0]:
             self._since = now
-        text = news(before, (state, reason), self._worker.take_event())
-        if text:
+        told = self._follower.take_news()
+        for text in filter(None, (news(before, (state, reason), told.change), *told.more)):
             self.say(text)
         other = state is not before[0] or letters(reason) != letters(before[1])
         self._state, self._reason = state, reason
@@ -226,7 +233,7 @@ class Daemon:
     def _interrupted(self, now: float) -> None:
         """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
         self._reporter.rest(now)
-        self._worker.interrupted(self._reason)
+        self._follower.interrupted(self._reason)
         self._archive.interrupted(self._reason)
 
     def _facts(self, now: float) -> Facts:
@@ -240,10 +247,10 @@ class Daemon:
             starting=starting,
             camera=camera,
             paused=self._paused,
-            targets=self._worker.targets,
-            ball=self._worker.ball,
+            targets=self._follower.waiting,
+            ball=self._follower.reason,
             output=self._reporter.failed or "",
-            phase=self._worker.phase,
+            tracker=self._follower.status,
         )
 
     def _tend(self, now: float) -> None:
@@ -318,7 +325,7 @@ class Daemon:
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
         with held(self._plan):  # whoever comes second hears so now
-            ready = self._crew.make(_READING, lambda: make_ready(self._plan.configuration))
+            ready = self._crew.make(_READING, lambda: self._setup.make_ready(self._plan))
             while not ready.wait(_TICK):
                 self._act_on_all()
                 if stopping.asked or self._over:
@@ -327,7 +334,7 @@ class Daemon:
         self._starting = ""
         self._realtime = self._plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
-        self._quiet = self._stack.enter_context(contextlib.closing(realtime.Quiet()))
+        self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
         self._claim(self._reporter.native_id)
         begin(self._capture)
         self._claim(self._capture.native_id)
@@ -343,12 +350,12 @@ class Daemon:
         with contextlib.ExitStack() as last:
             last.callback(self._sparing.tend, end=True)
             last.callback(self._stack.close)
-            if self._keeper is not None:
-                last.callback(self._keeper.__exit__, None, None, None)
+            last.callback(self._follower.close)
             last.callback(self._archive.discard)
-            last.callback(self._crew.end, RECORDING, SNAPSHOT, _MAP, _OUTPUT)  # what is read is of no use any more
+            last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, _OUTPUT)  # what is read is of no use any more
             last.callback(self._archive.close)
-            last.callback(self._reporter.close)
+            for reporter in (*self._others, self._reporter):
+                last.callback(reporter.close)
             last.callback(self._capture.close)
 
     def _reload(self) -> None:
@@ -370,7 +377,7 @@ class Daemon:
         if request.command == "status":
             reply(self.status())
         elif request.command == "stop":
-            self._over = self._told_to_stop = True
+            self._over = True
             self._ring.wake()
             reply({})
         elif self._starting and request.command not in ("pause", "resume"):
@@ -405,7 +412,7 @@ class Daemon:
         elif isinstance(request, Record):
             self._record(request, asked)
         elif isinstance(request, Snapshot):
-            if self._worker.tracker is None or self._state is State.NO_CAMERA:
+            if self._follower.subject is None or self._state is State.NO_CAMERA:
                 raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
             self._archive.want_snapshot(request, self._plan.configuration, asked)
         elif request.command == "reload":
@@ -417,23 +424,21 @@ class Daemon:
             asked({"state": str(self._state)})
 
     def _record(self, request: Record, asked: Asked) -> None:
-        tracker = self._worker.tracker
+        subject = self._follower.subject
         if request.stop:
             self._archive.stop(asked)
-        elif tracker is None:
+        elif subject is None:
             raise ControlError(f"nothing to record before the camera's pose is known: {self._reason}")
         else:
-            described = self._capture.description
-            self._archive.record(request, self._plan.configuration, self._rig, tracker.pose, described, asked)
+            self._archive.record(request, self._plan.configuration, subject, self._capture.description, asked)
 
     def _estimate(self, asked: Asked) -> None:
         """The camera's pose anew, by the crew: what was begun is given up when who asked has hung up."""
         if self._state is State.NO_CAMERA:
-            raise ControlError(f"no frame to find the targets in: {self._reason}")
-        if self._crew.busy(_POSE):
+            raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
+        if self._crew.busy(POSE):
             raise ControlError("the camera's pose is being estimated already, for one who has hung up; ask again")
-        do = partial(self._crew.do, _POSE)
-        self._worker.reinitialise(partial(self._told_pose, asked), do, lambda: not asked.gone)
+        self._follower.reinitialise(partial(self._told_pose, asked), lambda: not asked.gone)
 
     def _told_pose(self, asked: Asked, error: str | None, text: str) -> None:
         if error is None:
@@ -445,11 +450,12 @@ class Daemon:
 
     def _pause(self, paused: bool) -> None:
         self._paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
-        if paused:
-            self._reporter.pause(True)
+        reporters = (self._reporter, *self._others)
+        for reporter in reporters if paused else ():
+            reporter.pause(True)
         self._judge(time.monotonic())
-        if not paused:
-            self._reporter.pause(False)
+        for reporter in () if paused else reporters:
+            reporter.pause(False)
 
     def _load(self, wanted: PlanRequest, asked: Asked) -> None:
         """Read all anew, by the crew, then apply it between two frames; nothing changes if it is wrong."""
@@ -458,10 +464,10 @@ class Daemon:
         def read() -> None:
             files = stamps_of(wanted, before)
             try:
-                plan = read_plan(wanted)
+                plan = self._setup.planned(wanted, read_plan(wanted))
                 check_kinds(plan, before)
                 if stages_of(plan) != stages_of(before):
-                    make_ready(plan.configuration)  # no frame is to wait for a compiler
+                    self._setup.make_ready(plan)  # no frame is to wait for a compiler
             except SpheremouseError as e:
                 error = str(e)
             except Exception as e:
@@ -483,91 +489,106 @@ class Daemon:
         if asked.gone:
             asked(refused("given up: who asked has hung up"))
             return
-        before = self._plan
-        own_rig = self._given is not None and not is_camera(plan.source)
-        if own_rig and wanted.map is None and plan.configuration.map is None:
-            plan = without_map(plan)
-        changed = differences(before, plan)
+        changed = differences(self._plan, plan)
         try:
-            rig = plan.device(self._given) if "rig" in changed else self._rig
-            if "rig" in changed:
-                Worker(rig, plan.configuration, None, lambda _: None)
-            if "rig" in changed or "map" in changed:
-                self._new_keeper(plan, rig, lambda _: None)
-            tuned = "tracker" in changed and "rig" not in changed
-            if tuned:
-                self._worker.retune(plan.configuration)
+            change = self._follower.prepare(plan, changed)
             if "output" in changed:
-                try:
-                    self._change_output(plan)
-                except ControlError:  # no thread for it: then none of it
-                    if tuned:
-                        self._worker.retune(before.configuration)
-                    raise
+                self._change_outputs(change.outputs, plan)
+            elif "axes" in changed:
+                self._change_others(change.outputs[1:], plan)
         except SpheremouseError as e:
             self._not_applied(str(e), files, asked)
             return
         # Nothing from here on is refused.
-        if not {"tracker", "rig"}.isdisjoint(changed):
-            self._archive.configuration_changes()
-        self._request, self._plan, self._rig, self._files = wanted, plan, rig, stamps_of(wanted, plan)
+        ended = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed) and self._archive.configuration_changes()
+        self._request, self._plan, self._files = wanted, plan, stamps_of(wanted, plan)
         for path, stamp in files.items():
             if path in self._files:
                 self._files[path] = stamp  # when it was read: what was written since is news
-        if "rig" in changed or "map" in changed:
-            self._change_keeper()
-        if "rig" in changed:
-            self._change_worker()
+        self._follower = self._worker.follower = change.go_over()
         if "source" in changed:
             self._capture.reopen(self._reopen(plan))
         if "pointer" in changed and "output" not in changed:
-            self._reporter.change(plan.configuration.pointer)
+            for reporter in (self._reporter, *self._others):
+                reporter.change(plan.configuration.pointer)
         text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
         later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
+        text += "; the recording has ended, for it is of one configuration" if ended else ""
         if changed or not asked.quiet:
             self.say(text)
         asked({"changed": changed, "message": text})
 
-    def _change_keeper(self) -> None:
-        """What was learnt is saved before the map is read: it may be the same file."""
-        if self._keeper is not None:
-            self._keeper.__exit__(None, None, None)
-        try:
-            self._keeper = self._new_keeper(self._plan, self._rig)
-        except SpheremouseError as e:
-            self._keeper = None
-            self.say(f"map: {e}; going on without")
-
-    def _change_worker(self) -> None:
-        before = self._worker
-        before.interrupted("another rig is in use now")
-        self._worker = self._new_worker()
-        self._worker.carry_on(before)
-
-    def _change_output(self, plan: Plan) -> None:
-        """The next output is opened when the one before is closed: they may be the same device."""
+    def _change_outputs(self, openers: tuple[Callable[[], Output], ...], plan: Plan) -> None:
+        """Others for all; ControlError where there is no thread to be had, then those before stay."""
         old, given = self._reporter, self._given_out
-        waiting = [old]
 
-        def open_next() -> Output:
-            if waiting:
-                waiting[0].close()
-                waiting.clear()
-            return open_output(plan.output)
-
-        def retire() -> None:
-            old.close()
+        def closed() -> None:
             self._ask(lambda: self._count_past(old, given))
 
-        self._reporter = Reporter(open_next, plan.configuration.pointer, self.say, begin=begin)
+        self._reporter, *self._others = self._after([old, *self._others], openers, plan, closed)
         self._given_out = (0, 0, 0)
         self._claim(self._reporter.native_id)
-        self._reporter.pause(bool(self._paused))
-        self._crew.do(_OUTPUT, retire)
 
-    def _count_past(self, old: Reporter, given: Counts) -> None:
+    def _change_others(self, openers: tuple[Callable[[], Output], ...], plan: Plan) -> None:
+        """Others for those besides the pointer's."""
+        self._others = self._after(self._others, openers, plan, lambda: None)
+
+    def _after(
+        self, old: list[OutputThread], openers: tuple[Callable[[], Output], ...], plan: Plan, closed: Callable[[], None]
+    ) -> list[OutputThread]:
+        """The next ones, opened when those before are closed: they may be the same devices; then `closed`."""
+        waiting, closing, decided = list(reversed(old)), threading.Lock(), threading.Event()
+
+        def close() -> None:
+            with closing:
+                while waiting:
+                    waiting.pop().close()
+
+        def after(open_next: Callable[[], Output]) -> Callable[[], Output]:
+            def open_it() -> Output:
+                decided.wait()
+                close()
+                return open_next()
+
+            return open_it
+
+        def give_up() -> None:
+            waiting.clear()
+            decided.set()
+
+        made = self._output_threads(tuple(map(after, openers)), plan, give_up)
+        decided.set()
+        for reporter in made:
+            reporter.pause(bool(self._paused))
+
+        def retire() -> None:
+            close()
+            closed()
+
+        self._crew.do(_OUTPUT, retire)
+        return made
+
+    def _output_threads(
+        self, openers: tuple[Callable[[], Output], ...], plan: Plan, give_up: Callable[[], None] = lambda: None
+    ) -> list[OutputThread]:
+        """A thread for each; ControlError where there is none to be had for all, once that is given up."""
+        begun: list[OutputThread] = []
+        try:
+            for open_it in openers:
+                begun.append(OutputThread(open_it, plan.configuration.pointer, self.say, begin=self._begin))
+        except ControlError:
+            give_up()
+            for reporter in begun:
+                reporter.close()
+            raise
+        return begun
+
+    def _begin(self, thread: threading.Thread) -> None:
+        begin(thread) if self._late is None else self._late.append(thread)
+
+    def _count_past(self, old: OutputThread, given: Counts) -> None:
         """What an output was given and did not send, in its queue when it was closed or before."""
         status, (reports, unsent) = old.status(), self._past
         left = minus(given, status.sent)
@@ -578,7 +599,7 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
-        worker, plan, state = self._worker, self._plan, self._ball
+        worker, plan = self._worker, self._plan
         report, (reports, unsent) = self._reporter.status(), self._past
         latency = report.latency
         return {
@@ -588,17 +609,15 @@ class Daemon:
             "fps": self._fps(now),
             "latency_ms": None if latency is None else _ms(latency.p50, latency.p99, latency.max),
             "stages_ms": self._stages,
-            "discs": 0 if state is None or self._state is not State.TRACKING else len(state.filter.used),
-            "discs_seen": 0 if state is None else len(state.points),
-            "discs_known": 0 if state is None else len(state.filter.discs),
+            "tracker": plan.configuration.tracker,
+            **self._follower.figures(self._state not in (State.STARTING, State.NO_CAMERA)),
             "frames": worker.frames,
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
             "damaged": worker.damaged,
-            "pose": self._pose(now),
             "output": {
                 "spec": plan.output,
-                "failed": report.failed,
+                "failed": "; ".join(filter(None, (r.failed for r in (self._reporter, *self._others)))) or None,
                 "reports": reports + report.reports,
                 "unsent": list(plus(unsent, report.unsent)),
                 "ahead": list(report.ahead),
@@ -620,33 +639,8 @@ class Daemon:
             "paused": bool(self._paused),
         }
 
-    def _pose(self, now: float) -> dict[str, Any] | None:
-        pose = self._worker.pose
-        if pose is None:
-            return None
-        sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))
-        return {
-            "position_m": pose.position.tolist(),
-            "sigma_mm": (1e3 * sigma[:3]).tolist(),
-            "sigma_deg": np.degrees(sigma[3:]).tolist(),
-            "age_s": now - self._worker.posed,
-        }
-
     def _fps(self, now: float) -> float:
         return 0.0 if now - self._last > PATIENCE else float(np.nan_to_num(self._arrivals.rate))
-
-    # ---- parts ----
-
-    def _new_keeper(self, plan: Plan, rig: Rig, say: Callable[[str], None] | None = None) -> MapKeeper | None:
-        if plan.map_path is None:
-            return None
-        return MapKeeper(plan.map_path, rig, say or self.say, elsewhere=partial(self._crew.do, _MAP))
-
-    def _new_worker(self) -> Worker:
-        return Worker(self._rig, self._plan.configuration, self._known(), self.say, partial(self._crew.do, _TARGETS))
-
-    def _known(self) -> DiscMap | None:
-        return None if self._keeper is None else self._keeper.known
 
 
 def _whole(path: Path | None) -> str | None:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from spheremouse.ball.state import Phase
 from spheremouse.output.sparing import letters
+from spheremouse.tracker import Status
 
 
 class State(StrEnum):
@@ -29,7 +29,7 @@ class Facts:
     targets: str = ""
     ball: str = ""
     output: str = ""
-    phase: Phase = Phase.SEARCHING
+    tracker: Status = Status.SEARCHING
 
 
 def judge(facts: Facts) -> tuple[State, str]:
@@ -42,9 +42,9 @@ def judge(facts: Facts) -> tuple[State, str]:
     ):
         if reason:
             return state, reason
-    if facts.phase is Phase.SEARCHING:
+    if facts.tracker is Status.SEARCHING:
         return State.LOST, facts.ball or "no disc on the ball seen yet"
-    if facts.phase is Phase.LOST:
+    if facts.tracker is Status.LOST:
         return State.LOST, facts.ball or "the ball is not recognised"
     if facts.output:
         return State.FAILED_OUTPUT, facts.output

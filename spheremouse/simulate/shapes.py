@@ -51,7 +51,7 @@ class Face:
         return np.where(inside, s, np.inf)
 
     def stripe(self, points: Array) -> NDArray[np.int64]:
-        """Which board points, (n, 3), lie on."""
+        """Number of the board, a stripe, that each of points, (n, 3), lies on."""
         if self.stripes == 0.0:
             return np.zeros(len(points), dtype=np.int64)
         along = self.corners[1] - self.corners[0]
@@ -161,7 +161,7 @@ class Viewpoint:
         return xy @ self.rotation[:, :2].T + self.rotation[:, 2]
 
     def cast(self, xy: Array) -> tuple[NDArray[np.int64], Array]:
-        """What rays meet first: index of the shape, (m, k), -1 for none, and z in `cam`, (m, k) m.
+        """Shapes that rays meet first: index, (m, k), -1 for none, and z in `cam`, (m, k) m.
 
         `xy` (m, k, 2) are m bundles of k neighbouring rays each: only shapes that a bundle may meet are tried on it.
         """

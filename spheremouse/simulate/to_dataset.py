@@ -7,7 +7,7 @@ from typing import Any
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.pictures import PictureWriter
-from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_description
+from spheremouse.files.dataset.wand import WAND_COLUMNS, columns_of, wand_scene
 from spheremouse.files.dataset.write import (
     DatasetWriter,
     device_description,
@@ -63,25 +63,16 @@ def write_simulation(path: Path | str, simulation: Simulation, *, replace: bool 
 
 def wand_scene_description(film: WandFilm, name: str) -> dict[str, Any]:
     """The content of scene.json, but for `frames`."""
-    camera, balls = film.scene.camera, [wand_description(b.ball) for b in film.scene.balls]
-    description: dict[str, Any] = {
+    balls = tuple(b.ball for b in film.scene.balls)
+    return {
         "name": name,
         "made_by": "spheremouse wand simulate",
-        "width": int(camera.width),
-        "height": int(camera.height),
         "fps": float(film.fps),
         "exposure_s": float(film.scene.exposure_s),
-        "camera": {
-            **dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True)),
-            "dist": camera.distortion.tolist(),
-        },
-        "wand": balls[0],
+        **wand_scene(film.scene.camera, balls),
         "camera_frame": "OpenCV: x right, y down, z forward; truth.csv x,y,z = ball centre in it (m); r11..r33 "
         "row-major, P_cam = R P_ball + (x,y,z)",
     }
-    if len(balls) > 1:
-        description["wands"] = balls
-    return description
 
 
 def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> Iterator[int]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
+from spheremouse.tracker import Status
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import FULLY
@@ -15,7 +16,7 @@ from spheremouse.wand.peaks import (
     passes_without_prior,
     some_peaks,
 )
-from spheremouse.wand.state import Track, WandPhase, WandTracker
+from spheremouse.wand.state import Track, WandTracker
 
 _AWAY = 10.0  # searches in which no hand holds one side towards the camera
 SECOND = "a second ball like"
@@ -28,7 +29,7 @@ def turned_away(tracker: WandTracker, tracks: list[Track]) -> set[str]:
     away = set(tracker.names)
     for ball, discs, track in zip(tracker.balls, tracker.discs, tracks, strict=True):
         facing = np.ones(len(discs))
-        if track.phase == WandPhase.TRACKING and track.pose is not None:
+        if track.phase == Status.TRACKING and track.pose is not None:
             p, R, _ = track.pose
             facing = -(discs[:, :3] @ R.T) @ p / np.linalg.norm(p) - ball.radius / np.linalg.norm(p)
         away -= {disc.colour for disc, faces in zip(ball.discs, facing, strict=True) if faces > FULLY}

@@ -131,7 +131,7 @@ def climb(
     if len(peaks) > _MOST_PEAKS:  # only those that come to something are climbed to the end
         value, _ = _weighed(peaks, index, tracker, seen)
         peaks = [peaks[i] for i in np.argsort(-value, kind="stable")[: 2 * _MOST_PEAKS] if value[i] > 0.0]
-    peaks = [_settled(k, m, seen) for k in peaks]
+    peaks = [_converged(k, m, seen) for k in peaks]
     s = tracker.settings
     peaks = [
         k
@@ -152,13 +152,13 @@ def climb(
     if s.outline and outline:
         for i, k in enumerate(chosen):
             edges = limb.measure(scene.image, k.position, k.rotation, tracker.discs[index], radius, m.lens, seen.factor)
-            chosen[i] = _settled(refine(k.position, k.rotation, m, seen, edges, _ROUNDS_NEAR), m, seen)
+            chosen[i] = _converged(refine(k.position, k.rotation, m, seen, edges, _ROUNDS_NEAR), m, seen)
     value, match = _weighed(chosen, index, tracker, seen)
     order = np.argsort(-value)
     return Found(tuple(chosen[i] for i in order), value[order], match[order], seen)
 
 
-def _settled(peak: Peak, m: Model, seen: Fields) -> Peak:
+def _converged(peak: Peak, m: Model, seen: Fields) -> Peak:
     """The peak, climbed to the end where a few rounds did not reach it."""
     for _ in range(2):
         if peak.slope >= _STEEP:
@@ -170,7 +170,7 @@ def _one(a: Peak, b: Peak, radius: float) -> bool:
     return same(a.position, a.rotation, b.position, b.rotation, radius)
 
 
-def good(found: Found, settings: WandSettings, level: float = 0.0) -> bool:
+def accepted(found: Found, settings: WandSettings, level: float = 0.0) -> bool:
     """Is the best peak the ball? `level`: what its log-likelihood has been of late; 0 where it is not followed yet.
 
     A highlight or a hand takes points away, but what is left of a ball says more than anything that happens to match.

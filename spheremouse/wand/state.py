@@ -1,13 +1,12 @@
 """What the wand's tracking carries from frame to frame."""
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.course import Course
 from spheremouse.wand.model import Model
@@ -18,14 +17,6 @@ from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 
 MIXTURE = np.array([0.45, 0.45, 0.1])  # rest, go on, free
-
-
-class WandPhase(StrEnum):
-    """What is known of a ball."""
-
-    SEARCHING = "searching"  # never seen
-    TRACKING = "tracking"
-    LOST = "lost"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +40,7 @@ class WandPose:
     position: Array | None  # (3,) m, cam; None where it is not known
     rotation: Array | None  # (3, 3) R_cam_ball
     covariance: Array | None  # (6, 6) m, rad: position + d, exp(theta) @ rotation, cam axes
-    phase: WandPhase
+    phase: Status
     event: str  # what a user should know, in words; empty where all is well
     match: float = 0.0  # part of the coloured points that show
     effective: float = 0.0  # effective number of particles before resampling
@@ -60,7 +51,7 @@ class WandPose:
 class Track:
     """One ball's state."""
 
-    phase: WandPhase = WandPhase.SEARCHING
+    phase: Status = Status.SEARCHING
     particles: Particles | None = None
     pose: tuple[Array, Array, Array] | None = None  # position, rotation, covariance
     course: Course | None = None  # of the peak that it follows; while it is tracked

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from spheremouse.tracker import Status
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.edge import distances, on_edges
 from spheremouse.wand.likelihood import log_likelihood, published
@@ -20,7 +21,7 @@ from spheremouse.wand.peaks import (
     Scene,
     whole_region,
 )
-from spheremouse.wand.state import Track, WandPhase, WandPose
+from spheremouse.wand.state import Track, WandPose
 
 REDRAW = 0.5  # of the particles that count, below which they are resampled
 
@@ -52,4 +53,4 @@ def by_motion(
     if count < REDRAW * len(weight):
         particles = some(particles, len(weight), rng)
     after = replace(track, particles=particles, pose=pose, stamp=stamp, seen=stamp)
-    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, "", float(weight @ match), count, True)
+    return after, WandPose(ball.name, *pose, Status.TRACKING, "", float(weight @ match), count, True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array, exp
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, tone
@@ -46,10 +46,10 @@ from spheremouse.wand.peaks import (
     SURE,
     Found,
     Scene,
+    accepted,
     as_peaks,
     climb,
     from_spots,
-    good,
     joined,
     passes_without_prior,
     search,
@@ -57,7 +57,7 @@ from spheremouse.wand.peaks import (
 )
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
-from spheremouse.wand.state import Track, WandPhase, WandPose, WandState, WandTracker
+from spheremouse.wand.state import Track, WandPose, WandState, WandTracker
 from spheremouse.wand.thesis import REDRAW, by_motion, some
 
 _LOOK_EVERY = 15  # frames at least between searches of the whole picture: a slow camera has no time for more
@@ -100,7 +100,7 @@ def begin(
             covariance = np.diag([0.02**2] * 2 + [0.05**2] + [0.1**2] * 3)
             cloud = scatter(p, R, covariance, tracker.settings.particles, rng)
             course = begun(stamp, p, R, covariance)
-            track = Track(WandPhase.TRACKING, cloud, (p, R, covariance), course, stamp=stamp, seen=stamp)
+            track = Track(Status.TRACKING, cloud, (p, R, covariance), course, stamp=stamp, seen=stamp)
         tracks.append(track)
     return WandState(tuple(tracks), seed=seed)
 
@@ -122,7 +122,7 @@ def step(
     for i in range(len(tracks)):
         track = tracks[i]
         others = [
-            t.pose[0] for j, t in enumerate(tracks) if j != i and t.pose is not None and t.phase == WandPhase.TRACKING
+            t.pose[0] for j, t in enumerate(tracks) if j != i and t.pose is not None and t.phase == Status.TRACKING
         ]
         if command is not None and track.course is not None:
             track = replace(track, course=told(track.course, command, np.diag([1e-4] * 3 + [1e-3] * 3)))
@@ -135,11 +135,9 @@ def step(
         before, ago = (worth, frame.stamp - heard) if complaint == state.complaint else (0.0, 0.0)
         worth = before + ago / (patience * tracker.settings.look_around) if patience else 1.0
         heard = frame.stamp
-    missing = [
-        t for t in (*state.tracks, *tracks) if t.phase != WandPhase.TRACKING
-    ]  # found at last: still worth a word
+    missing = [t for t in (*state.tracks, *tracks) if t.phase != Status.TRACKING]  # found at last: still worth a word
     if complaint and (missing or worth > _WORTH):
-        poses = [replace(p, event=complaint) if not p.event or p.phase != WandPhase.TRACKING else p for p in poses]
+        poses = [replace(p, event=complaint) if not p.event or p.phase != Status.TRACKING else p for p in poses]
     around = scene.searched
     after = WandState(
         tuple(tracks),
@@ -159,7 +157,7 @@ def _follow(
     """One ball, one frame."""
     tracker, s = scene.tracker, scene.tracker.settings
     ball = tracker.balls[index]
-    if track.phase != WandPhase.TRACKING or track.particles is None:
+    if track.phase != Status.TRACKING or track.particles is None:
         return _acquire(track, stamp, scene, index, others, rng)
     dt = max(stamp - track.stamp, 1e-4)
     motions = possible_motions(track, dt, tracker)
@@ -176,18 +174,18 @@ def _follow(
     position = np.concatenate([p + motions.shift[:, :3], ahead.position])
     rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
     found = climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
-    found = _credible(found, track, motions, scene, index)
-    if not good(found, s, track.level) or found.match[0] < SURE or found.log_likelihood[0] < _DOUBT * track.level:
-        near = _credible(from_spots(scene, index, seen, 6, others), track, motions, scene, index)
+    found = _gate_by_motion(found, track, motions, scene, index)
+    if not accepted(found, s, track.level) or found.match[0] < SURE or found.log_likelihood[0] < _DOUBT * track.level:
+        near = _gate_by_motion(from_spots(scene, index, seen, 6, others), track, motions, scene, index)
         found = joined(found, near, ball.radius)
     event = ""
-    if not good(found, s, track.level) or look or doubtful(track):
+    if not accepted(found, s, track.level) or look or doubtful(track):
         far = search(scene, index, others, track.turn)
         track = replace(track, turn=far.turn)
-        found = joined(found, _credible(far, track, motions, scene, index), ball.radius)
-        first = found.peaks[0].position if good(found, s, track.level) else None
+        found = joined(found, _gate_by_motion(far, track, motions, scene, index), ball.radius)
+        first = found.peaks[0].position if accepted(found, s, track.level) else None
         track, event = second_ball(track, far, first, dt, scene, index)
-    if not good(found, s, track.level):
+    if not accepted(found, s, track.level):
         return _unseen(track, stamp, dt, scene, index, rng, found)
     assert track.particles is not None
     assert track.course is not None
@@ -209,7 +207,7 @@ def _follow(
         particles = some(particles, len(weight), rng)
     after = replace(
         track,
-        phase=WandPhase.TRACKING,
+        phase=Status.TRACKING,
         particles=particles,
         pose=pose,
         course=measured(track.course, stamp, followed.position, followed.rotation, wrong, accelerations(s)),
@@ -220,10 +218,10 @@ def _follow(
         level=_level(track, found),
         repeats=wrong,
     )
-    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
+    return after, WandPose(ball.name, *pose, Status.TRACKING, event, float(found.match[0]), count, True)
 
 
-def _credible(found: Found, track: Track, motions: Motions, scene: Scene, index: int) -> Found:
+def _gate_by_motion(found: Found, track: Track, motions: Motions, scene: Scene, index: int) -> Found:
     """Of peaks, those that the ball can have moved to, or that are a ball and show as much of it as it did of late.
 
     One that starts all of a sudden is not half hidden as well: where a ball is hidden, other things of its colours are
@@ -268,8 +266,8 @@ def _unseen(
     frames = track.unseen_frames + 1
     match = float(found.match[0]) if found.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
-        lost = Track(WandPhase.LOST, stamp=stamp, seen=track.seen, level=track.level)
-        return lost, WandPose(ball.name, None, None, None, WandPhase.LOST, lost_text(ball, track.seen), match)
+        lost = Track(Status.LOST, stamp=stamp, seen=track.seen, level=track.level)
+        return lost, WandPose(ball.name, None, None, None, Status.LOST, lost_text(ball, track.seen), match)
     particles = moved(track.particles, Motions(np.zeros((1, 6)), rest_covariance(dt, s)[None], np.ones(1), 0.0), rng)
     pose = estimate(particles)
     after = replace(
@@ -281,7 +279,7 @@ def _unseen(
         stamp=stamp,
         unseen_frames=frames,
     )
-    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
+    return after, WandPose(ball.name, *pose, Status.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
 
 
 def _acquire(
@@ -293,7 +291,7 @@ def _acquire(
     track = replace(track, turn=found.turn)
     found = passes_without_prior(found, scene, index)
     least = ELSEWHERE * track.level * np.exp(-(stamp - track.seen) / _REMEMBERED) if track.level else 0.0
-    if not good(found, s) or found.log_likelihood[0] < least:
+    if not accepted(found, s) or found.log_likelihood[0] < least:
         phase = track.phase
         match = float(found.match[0]) if found.peaks else 0.0
         return replace(track, stamp=stamp), WandPose(
@@ -319,7 +317,7 @@ def _acquire(
     pose = p, R, steadied(sample, count, followed.covariance)
     level = float(found.log_likelihood[0])
     after = Track(
-        WandPhase.TRACKING,
+        Status.TRACKING,
         some(particles, s.particles, rng),
         pose,
         begun(stamp, followed.position, followed.rotation, followed.covariance),
@@ -329,4 +327,4 @@ def _acquire(
         level=level,
     )
     after, event = second_ball(after, found, found.peaks[0].position, 0.0, scene, index)
-    return after, WandPose(ball.name, *pose, WandPhase.TRACKING, event, float(found.match[0]), count, True)
+    return after, WandPose(ball.name, *pose, Status.TRACKING, event, float(found.match[0]), count, True)

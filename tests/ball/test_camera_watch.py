@@ -39,7 +39,7 @@ class Film:
     def watch(self, grey=False):
         watch = watching.begin(self.rig, self.before)
         image = cv2.cvtColor(self.still[0], cv2.COLOR_BGR2GRAY) if grey else self.still[0]
-        return watching.take(watch, image, np.arange(len(watch)), self.rig, RINGS)
+        return watching.remember_targets(watch, image, np.arange(len(watch)), self.rig, RINGS)
 
 
 def _film(push):
@@ -62,17 +62,17 @@ def test_a_camera_that_stands(near):
     watch = near.watch()
     assert watch.seen.all()
     for k, image in enumerate(near.still[1:] * 3):
-        _, shift = watching.look_at_all(watch, image, S)
+        _, shift = watching.target_shifts(watch, image, S)
         assert np.abs(shift).max() < 0.05
         assert watching.displaced(shift, S.displaced) is False
-        watch, odd = watching.glance(watch, image, 0.3 * k, S, surprised=k % 2 == 0)
+        watch, odd = watching.check_next_target(watch, image, 0.3 * k, S, surprised=k % 2 == 0)
         assert not odd
 
 
 def test_every_target_is_looked_at_once_in_an_interval(near):
     watch, turns = near.watch(), []
     for k in range(61):
-        after, _ = watching.glance(watch, near.still[1], k / 30.0, S, surprised=False)
+        after, _ = watching.check_next_target(watch, near.still[1], k / 30.0, S, surprised=False)
         turns += [after.turn] if after is not watch else []
         watch = after
     n = len(watch)
@@ -86,9 +86,9 @@ def test_a_pushed_camera(name, grey, request):
     film = request.getfixturevalue(name)
     image = cv2.cvtColor(film.pushed[0], cv2.COLOR_BGR2GRAY) if grey else film.pushed[0]
     watch = film.watch(grey)
-    _, odd = watching.glance(watch, image, 0.1, S, surprised=True)
+    _, odd = watching.check_next_target(watch, image, 0.1, S, surprised=True)
     assert odd
-    watch, shift = watching.look_at_all(watch, image, S)
+    watch, shift = watching.target_shifts(watch, image, S)
     assert_allclose(shift, film.shift, atol=0.25)
     rings = watching.on_rings(watch, image, shift, film.rig, RINGS)
     if grey:
@@ -113,7 +113,7 @@ def test_people_in_front_say_nothing(near):
     image = near.pushed[0].copy()
     for x, y in near.watch().corner[:2]:
         cv2.rectangle(image, (int(x) - 20, int(y) - 20), (int(x) + 60, int(y) + 60), (70, 90, 140), -1)
-    watch, shift = watching.look_at_all(near.watch(), image, S)
+    watch, shift = watching.target_shifts(near.watch(), image, S)
     assert np.isnan(shift[:2]).all()
     assert not watch.seen[:2].any()
     assert watching.displaced(shift, S.displaced) is None
@@ -122,10 +122,10 @@ def test_people_in_front_say_nothing(near):
 def test_what_is_no_target_is_not_kept(near):
     wall = np.full_like(near.still[0], 128)
     watch = watching.begin(near.rig, near.before)
-    watch = watching.take(watch, wall, np.arange(len(watch)), near.rig, RINGS)
+    watch = watching.remember_targets(watch, wall, np.arange(len(watch)), near.rig, RINGS)
     assert all(patch is None for patch in watch.patches)
     beside = np.roll(near.still[0], 14, axis=1)  # then the patch holds half of a target
-    watch = watching.take(watch, beside, np.arange(len(watch)), near.rig, RINGS)
+    watch = watching.remember_targets(watch, beside, np.arange(len(watch)), near.rig, RINGS)
     assert not watch.seen.any()
 
 
@@ -180,9 +180,9 @@ def test_a_target_that_moved_by_itself_is_left_out(near):
 
 def test_standing_still_needs_three_targets_that_keep_their_place(near):
     a = near.shift
-    assert watching.stands(a, a + 0.02, S)
-    assert not watching.stands(a, a + 1.0, S)
-    assert not watching.stands(np.zeros((0, 2)), a, S)
+    assert watching.is_still(a, a + 0.02, S)
+    assert not watching.is_still(a, a + 1.0, S)
+    assert not watching.is_still(np.zeros((0, 2)), a, S)
     hidden = a.copy()
     hidden[:2] = np.nan
-    assert not watching.stands(a, hidden, S)
+    assert not watching.is_still(a, hidden, S)

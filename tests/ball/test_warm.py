@@ -44,7 +44,7 @@ def frames():
         yield frame
 
 
-events = [e.state.event for e in track(frames(), build(recording.rig, pose, settings)) if e.state.event]
+events = [e.events for e in track(frames(), build(recording.rig, pose, settings)) if e.events]
 assert len(events) > 3, events
 late = {name: n for name, n in compiled().items() if n != before.get(name, 0)}
 assert before and not late, late

@@ -9,7 +9,7 @@ import pytest
 from spheremouse.capture import Stream
 from spheremouse.capture import fetch as module
 from spheremouse.capture.fetch import Capture, Streamed
-from spheremouse.capture.newest import Newest
+from spheremouse.capture.newest import LatestFrame
 from spheremouse.errors import SourceError
 from spheremouse.tracker import Frame
 
@@ -17,7 +17,7 @@ PATIENCE = 20.0  # s, for what takes milliseconds
 IMAGE = np.zeros((2, 2), np.uint8)
 
 
-class Shot:
+class RawFrame:
     """A frame of a script."""
 
     def __init__(self, sequence, stamp):
@@ -49,9 +49,9 @@ class Camera:
             raise item
         if item is None:
             return None
-        shot = Shot(item, time.monotonic())
-        self._world.shots.append(shot)
-        return shot
+        raw = RawFrame(item, time.monotonic())
+        self._world.frames.append(raw)
+        return raw
 
     def describe(self):
         return f"camera {self._world.opened}"
@@ -67,9 +67,9 @@ class World:
     """Cameras, one script for each time that one is opened; the last one stays."""
 
     def __init__(self, *scripts):
-        self.scripts, self.opened, self.closed, self.shots = list(scripts), 0, 0, []
+        self.scripts, self.opened, self.closed, self.frames = list(scripts), 0, 0, []
         self.silent, self.said = threading.Event(), []
-        self.ring = Newest()
+        self.latest = LatestFrame()
 
     def open(self):
         script = self.scripts[min(self.opened, len(self.scripts) - 1)]
@@ -79,7 +79,7 @@ class World:
         return Camera(script, self)
 
     def capture(self, patience=PATIENCE):
-        return Capture(self.open, self.ring, self.said.append, patience)
+        return Capture(self.open, self.latest, self.said.append, patience)
 
 
 @pytest.fixture
@@ -114,25 +114,25 @@ def test_frames_arrive_and_what_the_driver_lost_is_counted(start):
     until(world.silent.is_set)
     assert capture.dropped == 2
     assert (capture.trouble, capture.opening, capture.description) == ("", False, "camera 1")
-    arrival = world.ring.take(0.0)
+    arrival = world.latest.take(0.0)
     assert arrival is not None
-    assert arrival.shot is world.shots[-1]
-    assert arrival.taken == world.shots[-1].stamp
-    assert world.ring.skipped == 5
+    assert arrival.raw is world.frames[-1]
+    assert arrival.taken == world.frames[-1].stamp
+    assert world.latest.skipped == 5
 
 
 def test_a_stamp_ahead_of_the_clock_is_not_believed():
     class Early(Camera):
         def next(self, timeout):
-            shot = super().next(timeout)
-            if shot is not None:
-                shot.stamp += 1000.0
-            return shot
+            raw = super().next(timeout)
+            if raw is not None:
+                raw.stamp += 1000.0
+            return raw
 
     world = World()
-    capture = Capture(lambda: Early([1], world), world.ring)
+    capture = Capture(lambda: Early([1], world), world.latest)
     capture.start()
-    arrival = world.ring.take(PATIENCE)
+    arrival = world.latest.take(PATIENCE)
     assert arrival is not None
     assert arrival.taken <= time.monotonic()
     capture.close()
@@ -146,7 +146,7 @@ def test_a_camera_that_is_missing_fails_or_goes_is_opened_again_and_says_why(sta
         [lambda: gate.wait(PATIENCE) and 7],
     )
     reasons = []
-    capture = Capture(world.open, world.ring, world.said.append)
+    capture = Capture(world.open, world.latest, world.said.append)
     capture.start()
     until(lambda: world.opened == 3)
     reasons.append(capture.trouble)
@@ -173,7 +173,7 @@ def test_a_stream_that_freezes_is_opened_again(start):
     world = World([1, 2], [3])
     capture = start(world, patience=0.02)
     until(lambda: world.opened >= 2)
-    until(lambda: len(world.shots) == 3)
+    until(lambda: len(world.frames) == 3)
     assert capture.restarts >= 1
     until(lambda: "no frame for 0.02 s" in capture.trouble)  # the second one freezes as well
 
@@ -223,9 +223,9 @@ def test_a_buffer_does_not_outlive_its_camera(start):
     world = World([1, SourceError("gone")], [])
     start(world)
     until(lambda: world.opened == 2)
-    assert [s.released for s in world.shots] == [1]
-    assert world.ring.skipped == 1
-    assert world.ring.take(0.0) is None
+    assert [s.released for s in world.frames] == [1]
+    assert world.latest.skipped == 1
+    assert world.latest.take(0.0) is None
 
 
 def test_a_driver_that_hangs_is_left_behind(monkeypatch):
@@ -253,22 +253,22 @@ def frames(n, error=None):
 
 @pytest.mark.parametrize("error", [None, SourceError("broken file")])
 def test_a_recording_ends_once_with_its_last_frame_taken(error):
-    ring = Newest()
+    latest = LatestFrame()
     opened = []
 
     def open_it():
         opened.append(1)
         return Streamed(Stream(frames(3, error)), "film")
 
-    capture = Capture(open_it, ring)
+    capture = Capture(open_it, latest)
     before = time.monotonic()
     capture.start()
     until(lambda: capture.finished)
-    arrival = ring.take(0.0)
+    arrival = latest.take(0.0)
     assert arrival is not None
-    assert arrival.shot.sequence == 2
+    assert arrival.raw.sequence == 2
     assert before <= arrival.taken <= time.monotonic()  # its own stamps are of another clock
-    assert ring.skipped == 2
+    assert latest.skipped == 2
     assert capture.failure is error
     assert len(opened) == 1
     capture.close()
@@ -276,14 +276,14 @@ def test_a_recording_ends_once_with_its_last_frame_taken(error):
 
 def test_a_live_source_never_ends(start):
     """OpenCV's cameras come as plain sources."""
-    ring = Newest()
+    latest = LatestFrame()
     opened = []
 
     def open_it():
         opened.append(1)
         return Streamed(Stream(frames(2), live=True), "opencv:0")
 
-    capture = Capture(open_it, ring)
+    capture = Capture(open_it, latest)
     capture.start()
     until(lambda: len(opened) > 1)
     assert not capture.finished

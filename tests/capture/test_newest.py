@@ -1,14 +1,14 @@
-"""The newest shot wins; what it replaces is counted and given back."""
+"""The latest raw frame wins; what it replaces is counted and given back."""
 
 import threading
 import time
 
-from spheremouse.capture.newest import Arrival, Newest
+from spheremouse.capture.newest import Arrival, LatestFrame
 
 PATIENCE = 20.0  # s
 
 
-class Shot:
+class RawFrame:
     """One that knows whether it was given back."""
 
     def __init__(self, number):
@@ -22,31 +22,31 @@ class Shot:
 
 
 def test_the_newest_is_taken_and_what_it_replaced_is_counted_and_released():
-    ring, shots = Newest(), [Shot(k) for k in range(4)]
-    for shot in shots[:3]:
-        ring.put(Arrival(shot, shot.stamp))
-    taken = ring.take(0.0)
+    latest, frames = LatestFrame(), [RawFrame(k) for k in range(4)]
+    for raw in frames[:3]:
+        latest.put(Arrival(raw, raw.stamp))
+    taken = latest.take(0.0)
     assert taken is not None
-    assert (taken.shot, taken.taken) == (shots[2], 2.0)
-    assert [s.released for s in shots] == [1, 1, 0, 0]
-    assert ring.skipped == 2
-    assert ring.take(0.0) is None
-    ring.put(Arrival(shots[3], 3.0))
-    ring.clear()  # its camera goes
-    ring.clear()
-    assert shots[3].released == 1
-    assert ring.skipped == 3  # nobody has seen it
-    assert ring.take(0.0) is None
+    assert (taken.raw, taken.taken) == (frames[2], 2.0)
+    assert [s.released for s in frames] == [1, 1, 0, 0]
+    assert latest.skipped == 2
+    assert latest.take(0.0) is None
+    latest.put(Arrival(frames[3], 3.0))
+    latest.clear()  # its camera goes
+    latest.clear()
+    assert frames[3].released == 1
+    assert latest.skipped == 3  # nobody has seen it
+    assert latest.take(0.0) is None
 
 
-def test_who_waits_is_woken_by_a_shot_and_by_a_call():
-    ring = Newest()
+def test_who_waits_is_woken_by_a_frame_and_by_a_call():
+    latest = LatestFrame()
     got = []
 
     def wait():
-        got.append(ring.take(PATIENCE))
+        got.append(latest.take(PATIENCE))
 
-    for act in (lambda: ring.put(Arrival(Shot(1), 1.0)), ring.wake):
+    for act in (lambda: latest.put(Arrival(RawFrame(1), 1.0)), latest.wake):
         thread = threading.Thread(target=wait)
         thread.start()
         time.sleep(0.01)
@@ -57,28 +57,28 @@ def test_who_waits_is_woken_by_a_shot_and_by_a_call():
     assert got[1] is None
 
 
-def test_a_call_before_the_wait_is_not_missed_and_takes_no_shot_away():
-    ring = Newest()
-    ring.wake()
+def test_a_call_before_the_wait_is_not_missed_and_takes_no_frame_away():
+    latest = LatestFrame()
+    latest.wake()
     begun = time.monotonic()
-    assert ring.take(PATIENCE) is None
+    assert latest.take(PATIENCE) is None
     assert time.monotonic() - begun < PATIENCE / 2
-    ring.wake()
-    ring.put(Arrival(Shot(1), 1.0))
-    assert ring.take(0.0) is not None
-    assert ring.take(0.0) is None  # the call is spent
+    latest.wake()
+    latest.put(Arrival(RawFrame(1), 1.0))
+    assert latest.take(0.0) is not None
+    assert latest.take(0.0) is None  # the call is spent
 
 
 def test_of_any_number_from_another_thread_each_is_taken_or_counted():
-    ring, n, taken = Newest(), 20000, []
-    shots = [Shot(k) for k in range(n)]
-    thread = threading.Thread(target=lambda: [ring.put(Arrival(s, 0.0)) for s in shots])
+    latest, n, taken = LatestFrame(), 20000, []
+    frames = [RawFrame(k) for k in range(n)]
+    thread = threading.Thread(target=lambda: [latest.put(Arrival(s, 0.0)) for s in frames])
     thread.start()
-    while thread.is_alive() or (not taken or taken[-1] is not shots[-1]):
-        arrival = ring.take(0.01)
+    while thread.is_alive() or (not taken or taken[-1] is not frames[-1]):
+        arrival = latest.take(0.01)
         if arrival is not None:
-            taken.append(arrival.shot)
+            taken.append(arrival.raw)
     thread.join()
-    assert len(taken) + ring.skipped == n
+    assert len(taken) + latest.skipped == n
     assert [s.sequence for s in taken] == sorted({s.sequence for s in taken})
-    assert all(s.released == (0 if s in set(taken) else 1) for s in shots)
+    assert all(s.released == (0 if s in set(taken) else 1) for s in frames)

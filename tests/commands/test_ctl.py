@@ -17,7 +17,7 @@ from spheremouse.commands import ctl as cli_ctl
 from spheremouse.session.control import protocol
 from spheremouse.session.control import status as status_module
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.settings.control import ControlSettings
 from tests.session.control.test_server import Daemon, conversations
 
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.ball.state import Phase
 from spheremouse.experiments import mistakes
 from spheremouse.experiments.kit import tour
 from spheremouse.experiments.kit.job import Figure, Request, Table
@@ -17,6 +16,7 @@ from spheremouse.experiments.report import mistakes as mistakes_module
 from spheremouse.experiments.report.mistakes import section
 from spheremouse.geometry.camera import project
 from spheremouse.simulate.ball.scene import default_scene
+from spheremouse.tracker import Status
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 RIG = default_scene().rig()
@@ -157,7 +157,7 @@ def test_a_scale_is_that_of_the_radius_by_which_it_was_sent(film):
     right, large = (mistakes.mouse(run, film.truth.motion, radius, 0.6) for radius in (0.6, 0.66))
     assert 1.0 + large["scale"] / 100.0 == pytest.approx(1.1 * (1.0 + right["scale"] / 100.0), rel=1e-9)
     assert large["direction"] == pytest.approx(right["direction"], abs=1e-6)
-    few = replace(run, phase=(*run.phase[:5], *[Phase.LOST for _ in run.phase[5:]]))
+    few = replace(run, status=(*run.status[:5], *[Status.LOST for _ in run.status[5:]]))
     assert mistakes.mouse(few, film.truth.motion, 0.6, 0.6) is None
 
 

@@ -12,7 +12,7 @@ from spheremouse.ball.warm import _RIG
 from spheremouse.files import atomic
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.folders import clear_left_folders
-from spheremouse.session.map_keeper import MapKeeper
+from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.record.places import tidy
 
 posix = pytest.mark.skipif(os.name != "posix", reason="modes and links are others there")

@@ -14,6 +14,7 @@ from spheremouse.commands import config as cli_config
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import atomic, config
 from spheremouse.files import yaml as yaml_file
+from spheremouse.session.settings import Configuration
 from spheremouse.settings import param
 
 
@@ -394,7 +395,7 @@ def test_every_parameter_of_the_program_says_what_it_is():
             else:
                 yield f"{cls.__name__}.{f.name}", f.metadata
 
-    found = dict(declared(Settings))
+    found = dict(declared(Configuration))
     assert "MotionSettings.counts_per_mm" in found
     for name, metadata in found.items():
         assert metadata.get("unit"), name

@@ -15,6 +15,7 @@ import importlib.util
 import math
 import os
 import pkgutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -34,6 +35,17 @@ for _module in pkgutil.iter_modules([str(Path(__file__).parent)]):  # each adds 
 _SHORT, _LONG = 28.0, 600.0  # s in all
 _FIRST = 5.0  # s in which a target shows how fast it is
 _LEAST = 20  # examples of each target, however long they take
+# What a target calls is compiled beforehand, by a process of its own: it takes longer than an example may.
+_READY = """
+from dataclasses import replace
+from itertools import product
+from spheremouse.ball import warm as ball
+from spheremouse.ball.settings import Settings
+from spheremouse.wand import warm as wand
+for tracker, detector in product(("so3", "ekf1", "ekf2"), ("default", "blobs")):
+    ball.warm_up(replace(Settings(), tracker=tracker, detector=detector))
+wand.warm_up()
+"""
 
 
 def _for_seconds(names: list[str], seconds: float, seed: int, batch: int, every: int) -> dict[str, Result]:
@@ -104,6 +116,8 @@ def main() -> int:
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # broken videos are meant to be broken
     cv2.utils.logging.setLogLevel(0)
     warnings.simplefilter("error", RuntimeWarning)  # what NumPy warns of is on its way to a nan
+    if not args.guide:
+        subprocess.run([sys.executable, "-c", _READY], check=True)
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         if args.guide:
             guide(args.guide, args.seconds, args.seed)

@@ -22,8 +22,8 @@ from spheremouse.session.control.limits import Limits
 from spheremouse.session.control.protocol import Request
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.process.threads import Crew
+from spheremouse.session.settings.control import ControlSettings
 from tests.fuzz.targets import target
 
 CLIENTS = 6

@@ -14,7 +14,7 @@ from spheremouse.session.control.protocol import COMMANDS, BadRequestError, enco
 from spheremouse.session.control.protocol import parse as parse_request
 from spheremouse.session.control.protocol import refused as refused_reply
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.settings.control import ControlSettings
 from tests.fuzz.strategies import mutated, mutated_json, words
 from tests.fuzz.targets import target
 

@@ -144,7 +144,7 @@ def _in_use(rig: Rig) -> None:
     state = begin(tracker, frames[0].stamp)
     for frame in frames:
         try:
-            state, motion = in_time(
+            state, motion, _ = in_time(
                 "so3, default",
                 lambda s=state, f=frame: step(s, f, tracker),
                 lambda: as_usual(Configuration()),

@@ -16,7 +16,7 @@ from spheremouse.files import config
 from spheremouse.files.rig import load_camera, load_rig, rig_text
 from spheremouse.files.yaml import parse_document
 from spheremouse.output import open_output
-from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.settings.control import ControlSettings
 from tests.fuzz.scene import film, known, small_rig, use
 from tests.fuzz.strategies import letters, mutated, numbers, words
 from tests.fuzz.targets import file, refused, target

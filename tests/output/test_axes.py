@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reporting import report
 from scipy.spatial.transform import Rotation
 
 from spheremouse.errors import OutputError
 from spheremouse.output import OutputClosed
 from spheremouse.output.axes import HEADER, NAMES, AxesOutput, AxesText
-from spheremouse.tracker import Motion
+from spheremouse.tracker import Status
 from spheremouse.wand.axes import UPRIGHT, attitude, axes_of, wrapped
-from spheremouse.wand.state import WandPhase, WandPose
+from spheremouse.wand.state import WandPose
 
 ANGLE = st.floats(-3.1, 3.1)
 TILT = st.floats(-1.5, 1.5)
@@ -72,23 +73,23 @@ def test_where_the_angles_are_singular_they_are_unknown():
 
 # ---- text ----
 
-FOUND = WandPose("a", P, attitude(np.radians([30, 20, 10])), np.eye(6) * 1e-4, WandPhase.TRACKING, "", seen=True)
-GONE = WandPose("b", None, None, None, WandPhase.LOST, "gone")
-HIDDEN = WandPose("a", P, UPRIGHT, np.eye(6) * 1e-4, WandPhase.TRACKING, "")
+FOUND = WandPose("a", P, attitude(np.radians([30, 20, 10])), np.eye(6) * 1e-4, Status.TRACKING, "", seen=True)
+GONE = WandPose("b", None, None, None, Status.LOST, "gone")
+HIDDEN = WandPose("a", P, UPRIGHT, np.eye(6) * 1e-4, Status.TRACKING, "")
 
 
-def written(output, *frames):
-    """What is written of frames: (stamp, poses, counts)."""
+def written(output, *frames, points=0):
+    """What is written of frames: (stamp, poses, counts), of the ball `points`."""
     file = io.StringIO()
     sink = AxesText(file, "here", output)
     for stamp, poses, counts in frames:
-        output.expect(stamp, poses)
-        sink.send(Motion(stamp, counts, np.zeros(3), np.zeros(3)))
+        output.expect(stamp, poses, points)
+        sink.send(report(*counts, stamp=stamp))
     return file.getvalue().splitlines()
 
 
 def test_a_line_per_ball_and_frame_with_as_many_columns_as_the_header_names():
-    lines = written(AxesOutput("-", 1), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)))
+    lines = written(AxesOutput("-"), (0.1, (FOUND, GONE), (1, -2, 3)), (0.2, (HIDDEN, GONE), (0, 0, 0)), points=1)
     assert lines[:2] == HEADER.splitlines()
     rows = [dict(zip(NAMES.split()[1:], line.split(), strict=True)) for line in lines[2:]]
     assert [(r["t"], r["ball"], r["state"]) for r in rows] == [
@@ -147,4 +148,4 @@ def test_a_reader_that_goes_ends_it_quietly():
     sink = AxesText(Gone(), "here", output)
     output.expect(0.0, (FOUND,))
     with pytest.raises(OutputClosed):
-        sink.send(Motion(0.0, (0, 0, 0), np.zeros(3), np.zeros(3)))
+        sink.send(report())

@@ -7,21 +7,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reporting import report
 
 from spheremouse.errors import OutputError
 from spheremouse.output import desktop, open_output
 from spheremouse.output.desktop import Desktop
-from spheremouse.tracker import Motion
 
 REPOSITORY = Path(__file__).parents[2]
-
-
-def motion(x=0, y=0, z=0):
-    return Motion(1.5, (x, y, z), np.zeros(3), np.zeros(3))
 
 
 class Pointer:
@@ -59,8 +54,8 @@ class Pointer:
 def test_the_text_twin_says_what_is_done(third, counts, words):
     pointer = Pointer()
     with Desktop(pointer, third) as output:
-        assert output.describe(motion(*counts)) == words
-        output.send(motion(*counts))
+        assert output.describe(report(*counts)) == words
+        output.send(report(*counts))
     done = [f"pointer {pointer.at[0]:+d} {pointer.at[1]:+d}"] if any(pointer.at) else []
     assert " ".join(done + ([f"scroll {pointer.scrolled:+d}"] if pointer.scrolled else [])) == words
 
@@ -70,13 +65,13 @@ def test_notches_follow_the_counts(turns):
     pointer = Pointer()
     output = Desktop(pointer, "wheel")
     for k, z in enumerate(turns):
-        output.send(motion(z=z))
+        output.send(report(z=z))
         assert abs(sum(turns[: k + 1]) - desktop.NOTCH * pointer.scrolled) < desktop.NOTCH
 
 
 def test_an_empty_motion_asks_nothing_of_the_desktop():
     pointer = Pointer()
-    Desktop(pointer, "none").send(motion(z=3))
+    Desktop(pointer, "none").send(report(z=3))
     assert pointer.calls == 0
 
 
@@ -84,7 +79,7 @@ def test_a_desktop_that_goes_away_is_one_line():
     pointer = Pointer()
     pointer.error = ConnectionError("Display connection closed\nby server")
     with pytest.raises(OutputError, match=r"any more: Display connection closed by server$"):
-        Desktop(pointer, "none").send(motion(1))
+        Desktop(pointer, "none").send(report(1))
 
 
 def refused(spec):
@@ -122,17 +117,16 @@ needs_x = pytest.mark.skipif(
 
 PROGRAM = """
 import sys
-import numpy as np
 from spheremouse.errors import OutputError
-from spheremouse.tracker import Motion
-from spheremouse.output import open_output
+from spheremouse.tracker import no_motion
+from spheremouse.output import Report, open_output
 
 try:
     with open_output("desktop:third=wheel") as output:
         print("open", flush=True)
         for line in sys.stdin:
             counts = tuple(map(int, line.split()))
-            output.send(Motion(0.0, counts, np.zeros(3), np.zeros(3)))
+            output.send(Report(counts, (0.0, 0.0, 0.0), no_motion(0.0)))
             print("sent", flush=True)
 except OutputError as e:
     print(e, flush=True)

@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from spheremouse.output.counts import Remainder
 from spheremouse.output.hand import Pointing, PointingSettings, begun_anew, point, pointing_rate, taken_up
-from spheremouse.wand.state import WandPhase, WandPose
+from spheremouse.tracker import Status
+from spheremouse.wand.course import begun
+from spheremouse.wand.state import WandPose
 
 DT = 1.0 / 30.0
 SIGMA = 0.01  # rad and m
@@ -20,10 +22,10 @@ WAYS = st.sampled_from(["turn", "shift"])
 
 
 def pose(position, rotation, sigma=SIGMA, seen=True):
-    return WandPose("ball", position, rotation, np.eye(6) * sigma**2, WandPhase.TRACKING, "", seen=seen)
+    return WandPose("ball", position, rotation, np.eye(6) * sigma**2, Status.TRACKING, "", seen=seen)
 
 
-MISSING = WandPose("ball", None, None, None, WandPhase.LOST, "gone")
+MISSING = WandPose("ball", None, None, None, Status.LOST, "gone")
 
 
 def turned(*degrees):
@@ -43,9 +45,9 @@ def follow(poses, settings, before=Pointing()):  # noqa: B008  frozen
     """Counts of each pose, (n, 3), and what is remembered after the last."""
     counts = []
     for k, one in enumerate(poses):
-        before, motion = point(before, one, np.zeros(6), k * DT, settings)
-        counts.append(motion.counts)
-        assert motion.stamp == k * DT
+        before, report = point(before, one, None, k * DT, settings)
+        counts.append(report.counts)
+        assert report.motion.stamp == k * DT
     return np.array(counts), before
 
 
@@ -122,7 +124,7 @@ def test_a_ball_that_was_lost_or_leapt_begins_anew_where_it_is(seed, by, fault):
     p, R = walk(seed)
     settings = PointingSettings(by=by)
     before = list(map(pose, p, R))
-    away = [replace(MISSING, phase=WandPhase.SEARCHING), MISSING, MISSING] if fault == "lost" else []
+    away = [replace(MISSING, phase=Status.SEARCHING), MISSING, MISSING] if fault == "lost" else []
     far = list(map(pose, p + np.array([1.0, 0.0, 0.0]), R @ turned(0, 90, 0)))
     counts, _ = follow([*before, *away, *far], settings)
     alone, state = follow(before, settings)
@@ -143,18 +145,18 @@ def test_while_it_is_hidden_nothing_moves_and_afterwards_nothing_is_missing():
 
 def test_a_slow_camera_is_no_leap():
     p = np.array([0, 0, 1.0])
-    first, _ = point(Pointing(), pose(p, np.eye(3)), np.zeros(6), 0.0, PointingSettings())
+    first, _ = point(Pointing(), pose(p, np.eye(3)), None, 0.0, PointingSettings())
     for dt, moves in ((0.5, True), (0.02, False)):
-        _, motion = point(first, pose(p, turned(0, 60, 0)), np.zeros(6), dt, PointingSettings())
-        assert (motion.counts[0] > 0) == moves
-        assert np.linalg.norm(motion.rotation) == pytest.approx(np.radians(60) if moves else 0.0)
+        _, report = point(first, pose(p, turned(0, 60, 0)), None, dt, PointingSettings())
+        assert (report.counts[0] > 0) == moves
+        assert np.linalg.norm(report.motion.rotation) == pytest.approx(np.radians(60) if moves else 0.0)
 
 
 def test_stamps_that_stand_still_move_nothing():
     p = np.array([0, 0, 1.0])
-    first, _ = point(Pointing(), pose(p, np.eye(3)), np.zeros(6), 1.0, PointingSettings())
-    _, motion = point(first, pose(p, turned(0, 5, 0)), np.zeros(6), 1.0, PointingSettings())
-    assert motion.counts == (0, 0, 0)
+    first, _ = point(Pointing(), pose(p, np.eye(3)), None, 1.0, PointingSettings())
+    _, report = point(first, pose(p, turned(0, 5, 0)), None, 1.0, PointingSettings())
+    assert report.counts == (0, 0, 0)
 
 
 # ---- which way ----
@@ -194,10 +196,41 @@ def test_the_rate_is_that_of_the_counts(by, facing, velocity):
     steps = [pose((0, 0, 1) + v[:3] * k * DT, Rotation.from_rotvec(v[3:] * k * DT).as_matrix(), 0.0) for k in range(20)]
     counts, _ = follow(steps, settings)
     assert counts.sum(axis=0) == pytest.approx(np.array(pointing_rate(v, settings)) * 19 * DT, abs=1.0)
-    _, motion = point(Pointing(), steps[0], v, 0.0, settings)
-    assert not motion.rate.any()
-    _, motion = point(follow(steps[:1], settings)[1], steps[1], v, DT, settings)
-    assert motion.rate == pytest.approx(v[3:])
+    course = replace(begun(0.0, AHEAD, np.eye(3), np.eye(6)), velocity=v)
+    for before in (Pointing(), follow(steps[:1], settings)[1]):
+        _, report = point(before, steps[1], course, DT, settings)
+        assert report.motion.rate == pytest.approx(np.roll(v, 3))
+        assert report.rate == pointing_rate(v, settings)
+
+
+def test_a_motion_is_as_uncertain_as_sampled_poses_are():
+    """Rotation and shift of two poses that are off as their covariances say; where it begins to count, no error."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(2, 6, 6)) * 1e-3
+    P = [a @ a.T for a in A]
+    p, R = np.array([0.1, -0.2, 1.0]), turned(20, -30, 40)
+    q, Q = p + 0.02, turned(25, -10, 50)
+    course = begun(0.0, q, Q, np.eye(6))
+    fast = PointingSettings(fastest=100.0, fastest_turn=100.0)
+
+    def motion(e):
+        poses = [
+            WandPose(
+                "ball", at + d[:3], Rotation.from_rotvec(d[3:]).as_matrix() @ to, C, Status.TRACKING, "", seen=True
+            )
+            for (at, to), d, C in zip(((p, R), (q, Q)), e, P, strict=True)
+        ]
+        first, begins = point(Pointing(), poses[0], course, 0.0, fast)
+        assert not np.any(begins.motion.covariance[:6, :6])
+        return point(first, poses[1], course, 0.1, fast)[1].motion
+
+    drawn = [motion([L @ rng.normal(size=6) for L in A]) for _ in range(4000)]
+    scatter = np.cov(np.array([np.concatenate([m.rotation, m.shift]) for m in drawn]).T)
+    told = motion(np.zeros((2, 6))).covariance
+    scale = np.sqrt(np.outer(np.diag(scatter), np.diag(scatter)))
+    assert np.abs(told[:6, :6] - scatter).max() < 0.1 * np.diag(scatter).max()
+    assert np.abs((told[:6, :6] - scatter) / scale).max() < 0.15
+    assert told[6:9, 6:9] == pytest.approx(course.covariance[9:, 9:])
 
 
 def test_fractions_survive_a_loss():

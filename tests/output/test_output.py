@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reporting import report
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output, text, uinput
-from spheremouse.tracker import Motion
 
 REPOSITORY = Path(__file__).parents[2]
 
 
-def motion(x=0, y=0, z=0, stamp=1.5):
-    return Motion(stamp, (x, y, z), np.array([0.1, -0.2, 1e-17]), np.array([1 / 3, 0.0, np.nan]))
+def turned(x=0, y=0, z=0, stamp=1.5):
+    return report(x, y, z, stamp=stamp, rotation=(0.1, -0.2, 1e-17), rate=(1 / 3, 0.0, np.nan))
 
 
 def refused(spec):
@@ -35,9 +35,9 @@ def refused(spec):
 def test_a_log_is_a_header_and_a_line_per_motion(tmp_path):
     path = tmp_path / "log.txt"
     with open_output(f"text:{path}") as output:
-        output.send(motion(3, -2, 0))
+        output.send(turned(3, -2, 0))
         assert path.read_text().count("\n") == 2  # every line is out at once
-        output.send(motion(stamp=2.0))
+        output.send(turned(stamp=2.0))
     assert path.read_text().splitlines() == [
         "# stamp dx dy dz rx ry rz wx wy wz "
         "(s, counts, rotation since the last line in rad and rate in rad/s, both in obj)",
@@ -51,7 +51,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 
 @given(finite, st.tuples(*[st.integers(-(2**63), 2**63)] * 3), st.tuples(*[finite] * 6))
 def test_every_number_reads_back_to_the_very_same(stamp, counts, numbers):
-    words = text.line(Motion(stamp, counts, np.array(numbers[:3]), np.array(numbers[3:]))).split(" ")
+    words = text.line(report(*counts, stamp=stamp, rotation=numbers[:3], rate=numbers[3:])).split(" ")
     assert len(words) == len(text.NAMES.removeprefix("# ").split(" ")) == 10
     assert float(words[0]) == stamp
     assert tuple(map(int, words[1:4])) == counts
@@ -60,14 +60,14 @@ def test_every_number_reads_back_to_the_very_same(stamp, counts, numbers):
 
 def test_the_text_twin_is_the_line(tmp_path):
     with open_output(f"text:{tmp_path / 'log.txt'}") as output:
-        assert output.describe(motion(1)) == text.line(motion(1))
+        assert output.describe(turned(1)) == text.line(turned(1))
 
 
 def test_standard_output(capsys):
     for spec in ("text:-", "text"):
         with open_output(spec) as output:
-            output.send(motion(1, 2, 3))
-        assert capsys.readouterr().out == f"{text.HEADER}\n{text.line(motion(1, 2, 3))}\n"
+            output.send(turned(1, 2, 3))
+        assert capsys.readouterr().out == f"{text.HEADER}\n{text.line(turned(1, 2, 3))}\n"
     print("still open")
     assert capsys.readouterr().out == "still open\n"
 
@@ -78,7 +78,7 @@ def test_a_log_is_begun_anew_but_nothing_else_is_overwritten(tmp_path):
     empty.touch()
     for path in (log, log, empty):
         with open_output(f"text:{path}") as output:
-            output.send(motion())
+            output.send(turned())
         assert path.read_text().count("\n") == 2
     assert refused(f"text:{rig}") == f"{rig}: exists and is no log of motions; choose another name or remove it"
     assert rig.read_text() == "schema: 1\n"
@@ -96,15 +96,14 @@ def test_a_full_disk_is_an_error_and_leaving_stays_possible():
 
 
 PROGRAM = """
-import numpy as np
 from spheremouse.errors import OutputError
-from spheremouse.tracker import Motion
-from spheremouse.output import open_output
+from spheremouse.output import Report, open_output
+from spheremouse.tracker import no_motion
 sent = 0
 try:
     with open_output("text:-") as output:
         for sent in range(100_000):
-            output.send(Motion(sent / 30, (1, 2, 3), np.zeros(3), np.zeros(3)))
+            output.send(Report((1, 2, 3), (0.0, 0.0, 0.0), no_motion(sent / 30)))
 except OutputError as e:
     print(e, file=__import__("sys").stderr)
 print("ended quietly", sent < 99_999, file=__import__("sys").stderr)
@@ -154,7 +153,7 @@ def test_standard_output_on_a_full_disk_is_one_line():
     ],
 )
 def test_events_of_a_motion(third, counts, words):
-    assert str(uinput.report(motion(*counts), third)) == words
+    assert str(uinput.events_of(turned(*counts), third)) == words
 
 
 @given(st.lists(st.integers(-500, 500), max_size=50))
@@ -162,7 +161,7 @@ def test_notches_follow_the_fine_wheel(turns):
     """Whole notches never lag the sum of the fine ones by a notch, whichever way it turns."""
     notch = fine = whole = 0
     for z in turns:
-        made = uinput.report(motion(z=z), "wheel", notch)
+        made = uinput.events_of(turned(z=z), "wheel", notch)
         notch = made.notch
         events = dict(made.events)
         fine += events.get(uinput.REL_WHEEL_HI_RES, 0)
@@ -195,8 +194,8 @@ def test_the_mouse_where_it_cannot_be_made():
 
 def test_null_takes_everything():
     with open_output("null") as output:
-        output.send(motion(1))
-        assert output.describe(motion(1)) == ""
+        output.send(turned(1))
+        assert output.describe(turned(1)) == ""
     assert "takes no argument" in refused("null:x")
 
 

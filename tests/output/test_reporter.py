@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from reporting import report
 
 from spheremouse.errors import OutputError
 from spheremouse.output import OutputClosed, open_output
 from spheremouse.output import reporter as module
 from spheremouse.output.pointer import PointerSettings
-from spheremouse.output.reporter import Reporter
-from spheremouse.tracker import Motion
+from spheremouse.output.reporter import OutputThread
 
 PATIENCE = 20.0  # s, for what takes milliseconds
 EXACT = PointerSettings(horizon=0.0)
@@ -26,7 +26,7 @@ NONE = (0.0, 0.0, 0.0)
 class World:
     """Outputs as the test wants them, and what became of them."""
 
-    motions: list[Any] = field(default_factory=list)
+    reports: list[Any] = field(default_factory=list)
     opened: int = 0
     closed: list[Any] = field(default_factory=list)  # error with which each was left
     broken: BaseException | None = None  # raised by send
@@ -45,7 +45,7 @@ class World:
 
     @property
     def sum(self):
-        return tuple(np.sum([m.counts for m in self.motions], axis=0)) if self.motions else (0, 0, 0)
+        return tuple(np.sum([m.counts for m in self.reports], axis=0)) if self.reports else (0, 0, 0)
 
 
 class Fake:
@@ -59,7 +59,7 @@ class Fake:
             assert self._world.gate.wait(PATIENCE)
         if self._world.broken is not None:
             raise self._world.broken
-        self._world.motions.append(motion)
+        self._world.reports.append(motion)
 
     def describe(self, motion):
         return ""
@@ -72,7 +72,7 @@ class Fake:
         raise RuntimeError("leaving fails as well")
 
 
-class Given:
+class WandSource:
     """Frames, with their sum."""
 
     def __init__(self, reporter):
@@ -80,9 +80,10 @@ class Given:
 
     def __call__(self, *counts, rate=NONE, tracking=True, taken=None, wanted=True):
         self._frames += 1
-        motion = Motion(float(self._frames), counts, np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]))
+        stamp, turn, turning = float(self._frames), (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)
+        given = report(*counts, stamp=stamp, rotation=turn, rate=turning, counts_rate=rate, confirmed=tracking)
         self.sum += counts
-        self._reporter.give(motion, rate, time.monotonic() if taken is None else taken, tracking, wanted)
+        self._reporter.give(given, time.monotonic() if taken is None else taken, wanted)
 
 
 def until(condition):
@@ -105,9 +106,9 @@ def start():
     started = []
 
     def begin(world, settings=EXACT, open_it=None):
-        reporter = Reporter(open_it or world.open, settings, world.said.append)
+        reporter = OutputThread(open_it or world.open, settings, world.said.append)
         started.append(reporter)
-        return reporter, Given(reporter)
+        return reporter, WandSource(reporter)
 
     yield begin
     for reporter in started:
@@ -116,7 +117,7 @@ def start():
 
 
 def even(reporter, given):
-    """Given = sent + unsent - ahead, and nothing is ahead at horizon 0."""
+    """WandSource = sent + unsent - ahead, and nothing is ahead at horizon 0."""
     status = reporter.status()
     return np.array_equal(np.add(status.sent, status.unsent), given.sum + status.ahead)
 
@@ -130,9 +131,9 @@ def test_every_frame_is_sent_once_even_if_it_is_empty(start):
     reporter, given = start(world)
     for counts in ((3, -2, 1), (0, 0, 0), (5, 0, 0)):
         given(*counts)
-        until(lambda n=given._frames: len(world.motions) == n)
-    assert [m.counts for m in world.motions] == [(3, -2, 1), (0, 0, 0), (5, 0, 0)]
-    assert [m.stamp for m in world.motions] == [1.0, 2.0, 3.0]
+        until(lambda n=given._frames: len(world.reports) == n)
+    assert [m.counts for m in world.reports] == [(3, -2, 1), (0, 0, 0), (5, 0, 0)]
+    assert [m.motion.stamp for m in world.reports] == [1.0, 2.0, 3.0]
     until(lambda: reporter.status().reports == 2)
     status = reporter.status()
     assert (status.failed, status.sent, status.unsent, status.ahead) == (None, (8, -2, 1), (0, 0, 0), (0, 0, 0))
@@ -145,12 +146,14 @@ def test_motion_is_carried_on_to_the_horizon_and_no_further(start):
     given(0, 0, 0, rate=(900.0, -900.0, 0.0), taken=now - 1 / 30)
     given(30, -30, 0, rate=(900.0, -900.0, 1e6), taken=now)
     until(lambda: world.sum == (120, -120, 0))
-    assert len([m for m in world.motions if any(m.counts)]) >= 2  # the first had its share alone
+    assert len([m for m in world.reports if any(m.counts)]) >= 2  # the first had its share alone
     until(lambda: reporter.status().ahead == (90, -90, 0))
     assert even(reporter, given)
-    stamps = [m.stamp for m in world.motions]
+    stamps = [m.motion.stamp for m in world.reports]
     assert stamps == sorted(stamps)
-    assert all(np.any(m.rotation) == (m.stamp in (1.0, 2.0)) for m in world.motions)  # a rotation is told once
+    assert all(
+        np.any(m.motion.rotation) == (m.motion.stamp in (1.0, 2.0)) for m in world.reports
+    )  # a rotation is told once
     given(80, 0, 0, taken=now + 1 / 30)  # less than what was overshot
     given(13, 1, 0, taken=now + 2 / 30)
     until(lambda: world.sum == (123, -119, 0))  # and of y, which turned round, all
@@ -190,10 +193,10 @@ def test_giving_never_waits_and_what_is_pushed_out_is_counted(start, monkeypatch
     reporter, given = start(world)
     for _ in range(200):
         given(1, 2, 3)
-    assert world.motions == []  # all were given while the output hung
+    assert world.reports == []  # all were given while the output hung
     world.gate.set()
     until(lambda: even(reporter, given))
-    assert 1 <= len(world.motions) <= 6
+    assert 1 <= len(world.reports) <= 6
     assert world.sum == reporter.status().sent
 
 
@@ -203,7 +206,7 @@ def test_counts_that_waited_too_long_are_not_wanted(start, monkeypatch):
     reporter, given = start(world)
     given(1, 2, 3)
     until(lambda: reporter.status().unsent == (1, 2, 3))
-    assert world.motions == []
+    assert world.reports == []
 
 
 # ---- pause ----
@@ -242,7 +245,7 @@ def test_at_rest_nothing_is_carried_on_and_an_output_of_frames_hears_nothing_of_
     given(0, 0, 0, taken=now - 0.01)
     given(100, 0, 0, rate=(1000.0, 0.0, 0.0), taken=now)
     reporter.rest(time.monotonic())
-    until(lambda: world.motions and not reporter._given)
+    until(lambda: world.reports and not reporter._given)
     sent = world.sum
     time.sleep(0.3)
     assert world.sum == sent
@@ -261,13 +264,13 @@ def test_a_pause_ends_what_was_under_way(start):
     now = time.monotonic()
     given(0, 0, 0, taken=now - 1.0)
     given(100_000, 0, 0, rate=(1e5, 0.0, 0.0), taken=now)
-    until(lambda: len(world.motions) >= 2)
+    until(lambda: len(world.reports) >= 2)
     reporter.pause(True)
     until(lambda: reporter._resampler.stamp is None)
-    sent = len(world.motions)
+    sent = len(world.reports)
     until(lambda: even(reporter, given))
     time.sleep(0.05)
-    assert len(world.motions) == sent
+    assert len(world.reports) == sent
 
 
 # ---- outputs that fail ----
@@ -326,7 +329,7 @@ def test_what_comes_while_an_output_is_opened_again_is_not_sent(start):
     given(50, 0, 0)  # not late yet, when the door opens
     world.door.set()
     until(lambda: reporter.status().unsent == (51, 0, 0))
-    assert world.motions == []
+    assert world.reports == []
 
 
 def test_patience_grows_while_nothing_can_be_sent_though_it_opens(start):
@@ -364,7 +367,7 @@ def test_closing_leaves_the_output(start):
     world = World()
     reporter, given = start(world)
     given(1, 0, 0)
-    until(lambda: world.motions)
+    until(lambda: world.reports)
     reporter.close()
     assert world.closed == [None]
     given(9, 0, 0)  # too late, and harmless
@@ -430,7 +433,7 @@ class Playing:
     """Frames of 7 counts at 100 Hz, as of a daemon that holds them back while the output is said to have failed."""
 
     def __init__(self, reporter):
-        self.reporter, self.given, self._over = reporter, Given(reporter), threading.Event()
+        self.reporter, self.given, self._over = reporter, WandSource(reporter), threading.Event()
         self.failed, self.since = [], None  # reasons; s, when the first of them came
         self.after = 0  # counts of x given while it has not failed, after it once had
         self._thread = threading.Thread(target=self._run)

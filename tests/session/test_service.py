@@ -1,7 +1,7 @@
 """The daemon as a whole, in this process: a film behind a scripted camera, a control socket, and faults at each edge.
 
 Laws that hold in every test, checked at its end: nothing is sent in any state but tracking; what frames gave is what
-was sent, was counted as unsent, or is still withheld; every shot was looked at or counted as skipped, and given back.
+was sent, was counted as unsent, or is still withheld; every frame was looked at or counted as skipped, and given back.
 """
 
 import contextlib
@@ -29,6 +29,7 @@ from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.output import reporter as reporter_module
 from spheremouse.session import service as run_module
+from spheremouse.session.ball.setup import BallSetup
 from spheremouse.session.control.client import Client
 from spheremouse.session.process import realtime
 
@@ -46,7 +47,7 @@ def film():
 def world(film, tmp_path, monkeypatch):
     """A world in which nothing waits long, whose laws are checked at the end."""
     made = World(film, tmp_path)
-    monkeypatch.setattr(run_module, "open_output", made.open_output)
+    monkeypatch.setattr("spheremouse.session.ball.follower.open_output", made.open_output)
     monkeypatch.setattr(run_module, "_TICK", 0.02)
     monkeypatch.setattr(run_module, "_EVERY", 0.1)
     monkeypatch.setattr(capture_module, "BACK_OFF", (0.01, 0.02))
@@ -145,7 +146,7 @@ def test_a_compiler_is_not_waited_for(world, monkeypatch):
         told.set()
         compiling.wait(PATIENCE)
 
-    monkeypatch.setattr(run_module, "make_ready", compile_for_long)
+    monkeypatch.setattr("spheremouse.session.ball.setup.make_ready", compile_for_long)
     try:
         world.start()
         world.until(told.is_set)
@@ -164,7 +165,7 @@ def test_an_error_while_it_is_made_ready_ends_it(world, monkeypatch):
     def fail(_):
         raise ConfigurationError("as if")
 
-    monkeypatch.setattr(run_module, "make_ready", fail)
+    monkeypatch.setattr("spheremouse.session.ball.setup.make_ready", fail)
     world.start()
     world.join()
     assert isinstance(world.error, ConfigurationError)
@@ -188,7 +189,7 @@ def test_a_camera_that_is_missing_at_the_start_is_waited_for(world):
     world.start()
     world.until(lambda: world.state == "no-camera", "no-camera")
     assert ask(world, "status")["reason"] == world.missing
-    assert "no frame" in refused(world, "reinit")
+    assert "no picture" in refused(world, "reinit")
     assert "no picture" in refused(world, "snapshot")
     assert "camera's pose" in refused(world, "record")
     world.missing = ""
@@ -395,7 +396,7 @@ def test_a_broken_file_is_refused_with_its_line_and_all_stays(playing):
 def test_a_change_on_disk_is_picked_up(playing):
     world = playing
     world.config.write_text(world.config.read_text() + "motion: {scale_x: 2}\n")
-    world.until(lambda: said(world, "configuration applied: tracker"))
+    world.until(lambda: said(world, "configuration applied: motion"))
     before, since = world.counts, world.stamp
     world.turn()
     true = world.true_counts(since) * (2, 1, 1)
@@ -406,11 +407,11 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
     monkeypatch.setattr(run_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
     world = playing
     frames = len(world.frames)
-    assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["tracker"]
+    assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["motion"]
     before, since = world.counts, world.stamp
     world.turn()
     assert np.abs(world.counts - before - world.true_counts(since) * (1, 3, 1)).max() < 3 * CLOSE
-    assert ask(world, "set", assignments=["motion.scale_y=1"])["changed"] == ["tracker"]
+    assert ask(world, "set", assignments=["motion.scale_y=1"])["changed"] == ["motion"]
     assert ask(world, "set", assignments=["pointer.rate=500"])["changed"] == ["pointer"]
     assert ask(world, "set", assignments=["record.seconds=3"])["changed"] == ["record"]
     opened = world.opened
@@ -434,8 +435,8 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
 
 def test_what_was_set_lasts_until_the_next_reload(playing):
     world = playing
-    assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["tracker"]
-    assert ask(world, "reload")["changed"] == ["tracker"]
+    assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["motion"]
+    assert ask(world, "reload")["changed"] == ["motion"]
     assert ask(world, "reload")["changed"] == []
     assert world.daemon._plan.configuration.motion.scale_y == 1.0
 
@@ -560,7 +561,7 @@ def test_an_error_of_ours_in_the_estimate_is_answered_and_does_not_stay(playing,
     def wrong(*_):
         raise ZeroDivisionError("as if")
 
-    monkeypatch.setattr("spheremouse.session.worker.find_pose", wrong)
+    monkeypatch.setattr("spheremouse.session.ball.follower.find_pose", wrong)
     assert "internal error (ZeroDivisionError: as if)" in refused(playing, "reinit")
     monkeypatch.undo()
     playing.settle()
@@ -571,7 +572,7 @@ def test_a_camera_that_goes_ends_the_estimate(playing):
     world = playing
     world.silent = True
     answer = in_thread(lambda: ask(world, "reinit"))
-    world.until(lambda: world.daemon._worker._anew is not None)
+    world.until(lambda: world.daemon.follower._anew is not None)
     with pytest.raises(ControlError, match="already"):
         Client(world.socket).ask("reinit")
     world.missing = "unplugged"
@@ -701,7 +702,7 @@ def test_a_set_whose_asker_is_gone_is_not_applied(hearing, monkeypatch):
     for _ in range(20):
         hit_and_run(world, "set", assignments=["motion.scale_y=4"])
     hold.set()
-    assert ask(world, "set", assignments=["motion.scale_x=2"])["changed"] == ["tracker"]
+    assert ask(world, "set", assignments=["motion.scale_x=2"])["changed"] == ["motion"]
     motion = world.daemon._plan.configuration.motion
     assert (motion.scale_x, motion.scale_y) == (2.0, 1.0)
 
@@ -743,8 +744,8 @@ def test_a_disk_that_is_full_ends_a_recording_and_nothing_else(playing, monkeypa
     monkeypatch.setattr("spheremouse.files.dataset.write.FilmWriter.add", refuse)
     world.until(lambda: said(world, "No space left"), "said")
     assert ask(world, "status")["recording"] is None
-    monkeypatch.setattr("spheremouse.session.map_keeper.save_map", refuse)
-    world.daemon._keeper._due = 0.0
+    monkeypatch.setattr("spheremouse.session.ball.map_keeper.save_map", refuse)
+    world.daemon.follower._keeper._due = 0.0
     world.until(lambda: [line for line in world.said if "rig.map.yaml: not saved" in line], "the map too")
     world.turn()
     near(world)
@@ -1015,7 +1016,7 @@ def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
             daemon.ask("set", assignments=["output=text:/dev/null"])
         assert daemon.ask("status")["output"]["spec"] == "null"
         assert daemon.ask("reload")["changed"] == []
-        assert daemon.ask("set", assignments=["motion.scale_x=2"])["changed"] == ["tracker"]
+        assert daemon.ask("set", assignments=["motion.scale_x=2"])["changed"] == ["motion"]
         assert daemon.ask("reinit")["message"]
         daemon.until_frames(daemon.ask("status")["frames"] + 100)
         assert not [p for p in folder.iterdir() if p.name.startswith(".") and p.is_dir()]
@@ -1026,3 +1027,17 @@ def test_without_another_thread_to_be_had_only_what_needs_one_fails(film):
     finally:
         daemon.end()
         shutil.rmtree(folder)
+
+
+def test_who_is_refused_has_emptied_no_file(playing, tmp_path):
+    """A second run with the same configuration finds the socket taken before it opens its output."""
+    path = tmp_path / "out.txt"
+    path.write_text("what the first run has written\n")
+    request = run_module.PlanRequest(playing.config, output=f"text:{path}")
+    other = run_module.Daemon(
+        request, run_module.read_plan(request), BallSetup(), playing.open_camera, lambda _: playing.open_camera,
+        say=lambda _: None,
+    )  # fmt: skip
+    with pytest.raises(ControlError, match="another daemon listens there"):
+        other.run(playing)
+    assert path.read_text() == "what the first run has written\n"

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from spheremouse.ball.state import Phase
 from spheremouse.session.states import Facts, State, judge, news
+from spheremouse.tracker import Status
 
 TRANSCRIPTS = {
     "an ordinary start": """
@@ -15,33 +15,33 @@ TRANSCRIPTS = {
         targets=looked for                             |
         targets=2 of 4 found                           | searching-targets: 2 of 4 found
         targets=1 of 4 found                           |
-        phase=searching                                | lost: no disc on the ball seen yet
-        phase=tracking ball=7 discs event=7 discs      | tracking: 7 discs
-        phase=tracking ball=7 discs                    |
-        phase=tracking ball=turns event=the ball turns | the ball turns
+        tracker=searching                                | lost: no disc on the ball seen yet
+        tracker=tracking ball=7 discs event=7 discs      | tracking: 7 discs
+        tracker=tracking ball=7 discs                    |
+        tracker=tracking ball=turns event=the ball turns | the ball turns
     """,
     "the cable is pulled, and put in again": """
-        phase=tracking                                 | tracking: the ball is followed
-        phase=tracking camera=silent for 3 s           | no-camera: silent for 3 s
-        phase=tracking camera=silent for 4 s           |
-        phase=tracking camera=gone                     | no-camera: gone
-        phase=lost ball=no frame event=lost: no frame  | lost: no frame
-        phase=lost ball=no disc event=lost: no disc    | lost: no disc
-        phase=tracking ball=again                      | tracking: again
+        tracker=tracking                                 | tracking: the ball is followed
+        tracker=tracking camera=silent for 3 s           | no-camera: silent for 3 s
+        tracker=tracking camera=silent for 4 s           |
+        tracker=tracking camera=gone                     | no-camera: gone
+        tracker=lost ball=no frame event=lost: no frame  | lost: no frame
+        tracker=lost ball=no disc event=lost: no disc    | lost: no disc
+        tracker=tracking ball=again                      | tracking: again
     """,
     "what is wrong first along the way is told": """
-        phase=lost camera=gone paused=asked targets=none output=busy starting=x | starting: x
-        phase=lost camera=gone paused=asked targets=none output=busy | no-camera: gone
-        phase=lost paused=asked targets=none output=busy | paused: asked
-        phase=lost targets=none output=busy            | searching-targets: none
-        phase=lost output=busy                         | lost: the ball is not recognised
-        phase=tracking output=busy                     | failed-output: busy
-        phase=tracking output=still busy               | failed-output: still busy
-        phase=tracking paused=asked output=busy        | paused: asked
-        phase=tracking                                 | tracking: the ball is followed
+        tracker=lost camera=gone paused=asked targets=none output=busy starting=x | starting: x
+        tracker=lost camera=gone paused=asked targets=none output=busy | no-camera: gone
+        tracker=lost paused=asked targets=none output=busy | paused: asked
+        tracker=lost targets=none output=busy            | searching-targets: none
+        tracker=lost output=busy                         | lost: the ball is not recognised
+        tracker=tracking output=busy                     | failed-output: busy
+        tracker=tracking output=still busy               | failed-output: still busy
+        tracker=tracking paused=asked output=busy        | paused: asked
+        tracker=tracking                                 | tracking: the ball is followed
     """,
 }
-KEYS = re.compile(r"\b(starting|camera|paused|targets|ball|output|phase|event)=")
+KEYS = re.compile(r"\b(starting|camera|paused|targets|ball|output|tracker|event)=")
 
 
 def facts(line):
@@ -49,7 +49,7 @@ def facts(line):
     parts = KEYS.split(line)[1:]
     found = {k: v.strip() for k, v in zip(parts[::2], parts[1::2], strict=True)}
     event = found.pop("event", "")
-    return Facts(**{**found, "phase": Phase(found.get("phase", "searching"))}), event
+    return Facts(**{**found, "tracker": Status(found.get("tracker", "searching"))}), event
 
 
 @pytest.mark.parametrize("name", TRANSCRIPTS)
@@ -74,7 +74,7 @@ def test_every_state_is_reached():
 def test_nothing_but_tracking_says_that_the_ball_moves_the_pointer():
     """With any trouble at all, or a ball that is not tracked, the state is another one."""
     for trouble in ("starting", "camera", "paused", "targets", "output"):
-        assert judge(Facts(**{trouble: "x"}, phase=Phase.TRACKING))[0] is not State.TRACKING
-    for phase in (Phase.SEARCHING, Phase.LOST):
-        assert judge(Facts(phase=phase))[0] is State.LOST
-    assert judge(Facts(phase=Phase.TRACKING))[0] is State.TRACKING
+        assert judge(Facts(**{trouble: "x"}, tracker=Status.TRACKING))[0] is not State.TRACKING
+    for status in (Status.SEARCHING, Status.LOST):
+        assert judge(Facts(tracker=status))[0] is State.LOST
+    assert judge(Facts(tracker=Status.TRACKING))[0] is State.TRACKING

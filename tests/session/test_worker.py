@@ -1,4 +1,4 @@
-"""The worker: what becomes of each shot, without a thread; the film is that of tests/daemon_world.py."""
+"""The worker: what becomes of each raw frame, without a thread; the film is that of tests/daemon_world.py."""
 
 import threading
 import time
@@ -9,12 +9,18 @@ import pytest
 from daemon_world import DT, Film
 
 from spheremouse.ball.rig import Targets
-from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, PoseError
-from spheremouse.session.worker import STAGES, Worker
-from spheremouse.tracker import Frame
+from spheremouse.session.ball.follower import BallFollower
+from spheremouse.session.follower import POSE, here
+from spheremouse.session.plan import Plan
+from spheremouse.session.settings import Configuration
+from spheremouse.session.worker import Worker
+from spheremouse.tracker import Frame, Status
+
+
+def plan(configuration):
+    return Plan(configuration, "film:", "null", None, None, None, None, None)
 
 
 @pytest.fixture(scope="module")
@@ -22,10 +28,10 @@ def film():
     return Film.render(24)
 
 
-SETTINGS = replace(Settings(), pose=replace(Settings().pose, frames=2))
+SETTINGS = replace(Configuration(), pose=replace(Configuration().pose, frames=2))
 
 
-class Shot:
+class RawFrame:
     """A picture, or an error; notes how it was asked for."""
 
     def __init__(self, colour, grey, k, error=None, flags=True):
@@ -49,37 +55,40 @@ class Shot:
 class Play:
     """A worker, and the film for it."""
 
-    def __init__(self, film, rig=None, settings=SETTINGS):
+    def __init__(self, film, rig=None, settings=SETTINGS, do=here):
         self.said, self.k, self.film = [], 0, film
-        self.worker = Worker(film.rig if rig is None else rig, settings, None, self.said.append)
+        self.follower = BallFollower(film.rig if rig is None else rig, settings, None, self.said.append, do)
+        self.worker = Worker(self.follower, self.said.append)
 
-    def shot(self, place, **kwargs):
+    def raw_frame(self, place, **kwargs):
         self.k += 1
-        return Shot(self.film.colour[place], self.film.grey[place], self.k, **kwargs)
+        return RawFrame(self.film.colour[place], self.film.grey[place], self.k, **kwargs)
 
     def __call__(self, place=0, **kwargs):
-        shot = self.shot(place, **kwargs)
-        made = self.worker.work(Arrival(shot, time.monotonic()))
-        self.asked = shot.asked
+        raw = self.raw_frame(place, **kwargs)
+        made = self.worker.work(Arrival(raw, time.monotonic()))
+        self.asked = raw.asked
         return made
 
 
 def test_targets_first_in_colour_then_the_ball_in_grey(film):
     play = Play(film)
-    assert play.worker.tracker is None
+    assert play.follower.tracker is None
     assert play() is None
     assert play.asked == [True]
     assert play() is None  # the second view
-    assert play.worker.targets == ""
+    assert play.follower.waiting == ""
     assert play.said[0].startswith("camera pose: targets")
     made = [play(k) for k in range(24)]
     assert all(m is not None for m in made)
     assert play.asked == [False]
-    assert made[-1].holds
-    assert made[-1].epoch.state.phase is Phase.TRACKING
+    assert made[-1].report.motion.confirmed
+    assert made[-1].epoch.state.status is Status.TRACKING
     assert (play.worker.frames, play.worker.seen) == (24, 26)
-    assert all(play.worker.times[name].count == 24 for name in STAGES)
-    rates = np.array([m.rate for m in made])
+    assert {k: t.count for k, t in play.worker.times.items()} == dict.fromkeys(
+        ("wait", "decode", "detect", "filter"), 24
+    )
+    rates = np.array([m.report.rate for m in made])
     assert np.abs(rates[:2]).max() < np.abs(rates[8:16]).max()
 
 
@@ -89,7 +98,7 @@ def test_frames_of_read_only_memory_are_tracked_the_same(film):
     for flags in (True, False):
         play = Play(film)
         made = [play(k, flags=flags) for k in (0, 0, *range(24))]
-        counts.append([m.epoch.motion.counts for m in made if m is not None])
+        counts.append([m.report.counts for m in made if m is not None])
     assert counts[0] == counts[1]
     assert np.abs(np.sum(counts[0], axis=0)).max() > 50
 
@@ -98,17 +107,17 @@ def test_a_frame_that_is_none_changes_nothing(film):
     play = Play(film)
     for _ in range(5):
         play()
-    state = play.worker.state
+    state = play.follower.state
     assert play(error=DamagedFrameError("half")) is None
     assert play.worker.damaged == 1
     assert play.worker.trouble == ""  # one is nothing
     play.worker.good -= 10.0
     play(error=DamagedFrameError("half"))
     assert play.worker.trouble.startswith("nothing but damaged frames for 10 s (half)")
-    assert play.worker.state is state
+    assert play.follower.state is state
     assert play() is not None
     assert play.worker.trouble == ""
-    small = Shot(film.colour[0][:10], film.grey[0][:10], 9)
+    small = RawFrame(film.colour[0][:10], film.grey[0][:10], 9)
     assert play.worker.work(Arrival(small, 0.0)) is None
     assert "calibrated at 640x480" in play.worker.trouble
 
@@ -119,7 +128,7 @@ def test_a_fault_of_ours_begins_anew_and_five_in_a_minute_are_too_many(film):
         play()
     for k in range(4):
         assert play(error=ZeroDivisionError("as if")) is None
-        assert play.worker.state is None
+        assert play.follower.state is None
         assert len([s for s in play.said if "Traceback" in s]) == k + 1
     assert play() is not None  # goes on with the pose it has
     play.worker._faults = type(play.worker._faults)([t - 100.0 for t in play.worker._faults], maxlen=5)
@@ -139,57 +148,67 @@ def test_a_rig_that_can_never_be_posed_is_refused(film):
 def test_views_from_before_an_interruption_are_not_mixed_with_those_after(film):
     play = Play(film)
     play()
-    play.worker.interrupted("unplugged")
+    play.follower.interrupted("unplugged")
     assert play() is None
-    assert play.worker.tracker is None  # one view of the new two
+    assert play.follower.tracker is None  # one view of the new two
     play()
-    assert play.worker.tracker is not None
+    assert play.follower.tracker is not None
 
 
 def test_grey_frames_cannot_show_the_targets(film):
     play = Play(film)
     for k in range(2):
-        play.worker.work(Arrival(Shot(film.grey[0], film.grey[0], k), 0.0))
-    assert "grey" in play.worker.targets
+        play.worker.work(Arrival(RawFrame(film.grey[0], film.grey[0], k), 0.0))
+    assert "grey" in play.follower.waiting
 
 
 def test_other_settings_from_the_next_frame_on(film):
     play = Play(film)
     play()
     play()
-    play.worker.retune(replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=2.0)))  # before the first frame
+    tracker = play.follower.tracker
+    other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=2.0))
+    play.follower.prepare(plan(other), {"motion"}).go_over()  # before the first frame
     play()
-    play.worker.retune(replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=4.0)))
+    other = replace(SETTINGS, motion=replace(SETTINGS.motion, scale_x=4.0))
+    go_over = play.follower.prepare(plan(other), {"motion"}).go_over
+    assert play.follower.settings.motion.scale_x == 2.0  # nothing has changed
+    assert go_over() is play.follower
     play()
-    assert play.worker.tracker is not None
-    assert np.allclose(play.worker.tracker.counts, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius))
-    assert play.worker.settings.motion.scale_x == 4.0
+    assert play.follower.tracker is tracker  # a scale is not the tracker's
+    play.follower.prepare(plan(replace(other, detector="blobs")), {"tracker"}).go_over()
+    assert play.follower.tracker is not tracker
+    assert play.follower.tracker is not None
+    assert np.allclose(
+        play.follower._counter.matrix, replace(SETTINGS.motion, scale_x=4.0).matrix(film.rig.ball.radius)
+    )
+    assert play.follower.settings.motion.scale_x == 4.0
 
 
-def in_a_thread(work):
-    def run():
-        then = work()
-        then()
-
-    threading.Thread(target=run).start()
+def in_a_thread(kind, work):
+    """The pose's work in a thread of its own, as by a crew."""
+    if kind == POSE:
+        threading.Thread(target=here, args=(kind, work)).start()
+    else:
+        here(kind, work)
 
 
 def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
-    play, answers = Play(film), []
-    play.worker.reinitialise(lambda *a: answers.append(a), in_a_thread)
+    play, answers = Play(film, do=in_a_thread), []
+    play.follower.reinitialise(lambda *a: answers.append(a), lambda: True)
     assert answers == [(None, "the pose is being looked for: the ring targets are looked for")]
     for _ in range(4):
         play()
-    play.worker.reinitialise(lambda *a: answers.append(a), in_a_thread)
-    play.worker.reinitialise(lambda *a: answers.append(("second", *a)), in_a_thread)
+    play.follower.reinitialise(lambda *a: answers.append(a), lambda: True)
+    play.follower.reinitialise(lambda *a: answers.append(("second", *a)), lambda: True)
     assert answers[1][:2] == ("second", "the camera's pose is being estimated already; wait for its end")
     play()
     assert play.asked == [True]
-    play.worker.interrupted("unplugged")
+    play.follower.interrupted("unplugged")
     assert answers[2:] == [("unplugged; the pose before stays", "")]
     play()
-    play.worker.reinitialise(lambda *a: answers.append(a), in_a_thread)
-    pose = play.worker.pose
+    play.follower.reinitialise(lambda *a: answers.append(a), lambda: True)
+    pose = play.follower.pose
     end = time.monotonic() + 20.0
     while len(answers) < 4:
         assert time.monotonic() < end
@@ -197,4 +216,4 @@ def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
     assert answers[3][0] is None
     assert answers[3][1].startswith("camera pose: targets")
     play()
-    assert play.worker.pose is not pose
+    assert play.follower.pose is not pose

@@ -14,9 +14,9 @@ from pathlib import Path
 import gadget
 import numpy as np
 import pytest
+from reporting import report
 
 from spheremouse.output import open_output
-from spheremouse.tracker import Motion
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes
@@ -144,10 +144,6 @@ def kind(request, cable):
     return request.param
 
 
-def motion(x=0, y=0, z=0):
-    return Motion(0.0, (x, y, z), np.zeros(3), np.zeros(3))
-
-
 def replug():
     """A board that has no power forgets; the kernel then asks for its descriptors anew."""
     gadget.unplug()
@@ -179,7 +175,7 @@ def settle(output):
     """Wait until the board has passed on all; a host that says nothing for 1 s would be taken for dead."""
 
     def settled():
-        output.send(motion())
+        output.send(report())
         return output.settled
 
     until(settled)
@@ -192,7 +188,7 @@ def test_motions_arrive_exactly_with_x_and_y_in_one_report(kind):
     x[5] = 40_000  # more than a frame may hold
     with board(kind), Reader() as mouse, open_output("serial:auto,third=wheel") as output:
         for a, b in zip(x, z, strict=True):
-            output.send(motion(a, -a, b))
+            output.send(report(a, -a, b))
             time.sleep(0.001)
         settle(output)
         statistics = output.statistics()
@@ -239,7 +235,7 @@ def test_a_board_that_is_unplugged_leaves_no_button_down_and_comes_back(kind):
     plugged = board(kind)
     with open_output("serial:auto") as output:
         with Reader() as mouse:
-            output.send(motion(30, 20))
+            output.send(report(30, 20))
             until(lambda: mouse.sums(e.REL_X, e.REL_Y) == [30, 20])
 
             def pressed():
@@ -263,21 +259,21 @@ def test_a_board_that_is_unplugged_leaves_no_button_down_and_comes_back(kind):
             assert sorted(mouse.keys[2:]) == [(code, 0) for code, _ in presses]
         assert mice() == []
         output.hold(0)
-        output.send(motion(7, 7))  # nobody is there to take it
+        output.send(report(7, 7))  # nobody is there to take it
         time.sleep(1.2)
-        output.send(motion())
+        output.send(report())
         before = output.statistics()
         assert (before.dropped, before.uncertain) == (14, 0)
         gadget.plug()
         with board(kind), Reader() as mouse:
 
             def again():
-                output.send(motion())
+                output.send(report())
                 return output.statistics().sessions > before.sessions
 
             until(again)
             for _ in range(50):
-                output.send(motion(-3, 2))
+                output.send(report(-3, 2))
             settle(output)
             until(lambda: mouse.sums(e.REL_X, e.REL_Y) == [-150, 100])
             assert output.statistics().dropped == before.dropped

@@ -50,8 +50,8 @@ def loopback():
 
 def drain(camera):
     """Take frames until none comes."""
-    while (shot := camera.next(2.0)) is not None:
-        shot.release()
+    while (raw := camera.next(2.0)) is not None:
+        raw.release()
 
 
 def controls(path, *names):
@@ -129,8 +129,8 @@ def test_frames_of_every_format_arrive_as_they_were_written(loopback, name):
         assert f"{W}x{H} {name}" in camera.describe()
         numbers, sequences, stamps = [], [], []
         for _ in range(20):
-            shot = camera.next(WAIT)
-            frame = shot.frame(colour=False)
+            raw = camera.next(WAIT)
+            frame = raw.frame(colour=False)
             number = number_in(frame.image)
             expected = picture(number)
             if name == "MJPG":
@@ -138,12 +138,12 @@ def test_frames_of_every_format_arrive_as_they_were_written(loopback, name):
                 assert np.abs(frame.image.astype(int) - expected).mean() < 1.5
             else:
                 np.testing.assert_array_equal(frame.image, expected)
-                assert np.shares_memory(frame.image, camera._device.buffers[shot._index])  # the driver's own
-            assert shot.stamp < time.monotonic()
+                assert np.shares_memory(frame.image, camera._device.buffers[raw._index])  # the driver's own
+            assert raw.stamp < time.monotonic()
             numbers.append(number)
-            sequences.append(shot.sequence)
-            stamps.append(shot.stamp)
-            shot.release()
+            sequences.append(raw.sequence)
+            stamps.append(raw.stamp)
+            raw.release()
     print(camera.describe())
     assert np.all(np.diff(stamps) > 0)
     # the first buffer is handed out twice by v4l2loopback 0.12; from then on what it counts is what was written
@@ -170,9 +170,9 @@ def test_a_writer_that_ends_is_a_camera_that_gives_nothing_until_it_comes_back(l
         drain(camera)
         assert camera.next(0.2) is None
         with writing("GREY"):
-            shot = camera.next(WAIT)
-            np.testing.assert_array_equal(shot.frame(False).image, picture(number_in(shot.frame(False).image)))
-            shot.release()
+            raw = camera.next(WAIT)
+            np.testing.assert_array_equal(raw.frame(False).image, picture(number_in(raw.frame(False).image)))
+            raw.release()
 
 
 def test_nobody_has_written_yet(loopback):
@@ -190,14 +190,14 @@ def test_damaged_pictures_are_said_and_the_next_is_whole(loopback):
     with writing("MJPG", damage), open_camera(loopback, CameraSettings()) as camera:
         whole, damaged = 0, 0
         for _ in range(40):
-            shot = camera.next(WAIT)
+            raw = camera.next(WAIT)
             try:
-                image = shot.frame(False).image
+                image = raw.frame(False).image
                 assert number_in(image) % 5 in (0, 4)
                 whole += 1
             except DamagedFrameError:
                 damaged += 1
-            shot.release()
+            raw.release()
     print(f"{whole} whole, {damaged} damaged")
     assert 10 <= whole <= 22
 
@@ -214,8 +214,8 @@ def test_size_rate_format_and_what_is_seen_are_as_asked(vivid, name, pattern):
     settings = CameraSettings(controls=(f"test_pattern={pattern}", "osd_text_mode=none"))
     with open_camera(f"{vivid()},width=320,height=180,fps=15,format={name}", settings) as camera:
         assert f"320x180 {name}, 15 frames/s" in camera.describe()
-        shot = camera.next(WAIT)
-        luma, colours = shot.frame(False).image, shot.frame(True).image.astype(int)
+        raw = camera.next(WAIT)
+        luma, colours = raw.frame(False).image, raw.frame(True).image.astype(int)
         b, g, r = PATTERNS[pattern]
         if name == "GREY":  # vivid weighs that as BT.709
             np.testing.assert_allclose(luma.astype(int), 0.213 * r + 0.715 * g + 0.072 * b, rtol=0, atol=3)
@@ -223,7 +223,7 @@ def test_size_rate_format_and_what_is_seen_are_as_asked(vivid, name, pattern):
             grey = 0.299 * r + 0.587 * g + 0.114 * b  # BT.601
             np.testing.assert_allclose(luma.astype(int), 16 + grey * 219 / 255, rtol=0, atol=3)
             np.testing.assert_allclose(colours, np.broadcast_to([b, g, r], colours.shape), rtol=0, atol=6)
-        shot.release()
+        raw.release()
 
 
 def test_two_shots_are_held_while_others_come(vivid):
@@ -234,9 +234,9 @@ def test_two_shots_are_held_while_others_come(vivid):
         assert np.any(before[0] != before[1])
         for _ in range(15):
             camera.next(WAIT).release()
-        for shot, image in zip(held, before, strict=True):
-            np.testing.assert_array_equal(shot.frame(False).image, image)
-            shot.release()
+        for raw, image in zip(held, before, strict=True):
+            np.testing.assert_array_equal(raw.frame(False).image, image)
+            raw.release()
 
 
 def test_while_all_buffers_are_held_the_driver_drops_and_says_so(vivid):
@@ -244,11 +244,11 @@ def test_while_all_buffers_are_held_the_driver_drops_and_says_so(vivid):
         held = [camera.next(WAIT) for _ in camera._device.buffers]
         assert camera.next(0.5) is None
         time.sleep(1.0)
-        for shot in held:
-            shot.release()
-        shot = camera.next(WAIT)
-        assert shot.sequence > held[-1].sequence + 10
-        shot.release()
+        for raw in held:
+            raw.release()
+        raw = camera.next(WAIT)
+        assert raw.sequence > held[-1].sequence + 10
+        raw.release()
 
 
 @pytest.mark.parametrize(
@@ -278,11 +278,11 @@ def test_stamps_ahead_of_the_clock_come_out_behind_it_and_regular(vivid, source)
     with open_camera(vivid(), settings) as camera:
         stamps, ages, sequences = [], [], []
         for _ in range(60):
-            shot = camera.next(WAIT)
-            ages.append(time.monotonic() - shot.stamp)
-            stamps.append(shot.stamp)
-            sequences.append(shot.sequence)
-            shot.release()
+            raw = camera.next(WAIT)
+            ages.append(time.monotonic() - raw.stamp)
+            stamps.append(raw.stamp)
+            sequences.append(raw.sequence)
+            raw.release()
     print(camera.describe())
     assert f"stamps at {source}, monotonic clock" in camera.describe()
     assert any("ahead of the clock" in note for note in camera.notes) == (source == "end of frame")
@@ -299,9 +299,9 @@ def test_stamps_ahead_of_the_clock_come_out_behind_it_and_regular(vivid, source)
 def test_stamps_of_no_known_clock_are_replaced(vivid, control, words):
     with open_camera(vivid(), CameraSettings(size=(320, 180), fps=30.0, controls=(control,))) as camera:
         for _ in range(10):
-            shot = camera.next(WAIT)
-            assert 0 < time.monotonic() - shot.stamp < WAIT
-            shot.release()
+            raw = camera.next(WAIT)
+            assert 0 < time.monotonic() - raw.stamp < WAIT
+            raw.release()
         assert [words in note for note in camera.notes] == [True], camera.notes
 
 
@@ -310,9 +310,9 @@ def test_numbers_of_frames_go_on_where_the_driver_s_wrap_and_show_what_it_droppe
     with open_camera(vivid(), CameraSettings(size=(320, 180), fps=50.0, controls=asked)) as camera:
         numbers = []
         for _ in range(150):  # vivid wraps 128 frames after the start
-            shot = camera.next(WAIT)
-            numbers.append(shot.sequence)
-            shot.release()
+            raw = camera.next(WAIT)
+            numbers.append(raw.sequence)
+            raw.release()
     steps = np.diff(numbers)
     assert numbers[0] == 0
     assert numbers[-1] > 200  # half of the frames are missing

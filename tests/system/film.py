@@ -69,7 +69,7 @@ def compile_for(film: Path) -> None:
     state = begin(tracker, 0.0)
     for k, picture in enumerate(np.fromfile(film / "YUYV", np.uint8).reshape(-1, 480, 640, 2)):
         if k % 3:
-            state, _ = step(state, Frame(picture[:, :, 0].copy(), 0.2 * k, k), tracker)
+            state = step(state, Frame(picture[:, :, 0].copy(), 0.2 * k, k), tracker).state
 
 
 def convert_wand(dataset: Path, folder: Path) -> None:

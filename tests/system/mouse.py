@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import reporting
 
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output, uinput
-from spheremouse.tracker import Motion
 
 evdev = pytest.importorskip("evdev")
 e = evdev.ecodes
@@ -61,10 +61,6 @@ def reading():
             process.kill()
 
 
-def motion(x=0, y=0, z=0):
-    return Motion(0.0, (x, y, z), np.zeros(3), np.zeros(3))
-
-
 def test_name_ids_and_capabilities():
     seen = []
     for _ in range(2):  # the same again after a restart
@@ -97,7 +93,7 @@ def test_random_motions_arrive_exactly_with_x_and_y_in_one_report():
     reports = 0
     with open_output("uinput") as output, reading() as report:
         for x, y, z in counts.tolist():
-            output.send(motion(x, y, z))
+            output.send(reporting.report(x, y, z))
             if x == 0 and y == 0:
                 continue  # nothing arrives: the next report belongs to the next motion
             seen = report()
@@ -121,7 +117,7 @@ def test_the_third_axis(third, axes):
         (device,) = devices()
         assert sorted(device.capabilities()[e.EV_REL]) == sorted(axes)
         for z in turns:
-            output.send(motion(1, -1, z))
+            output.send(reporting.report(1, -1, z))
             seen = report()
             assert (seen[e.REL_X], seen[e.REL_Y]) == (1, -1)
             for code, value in seen.items():
@@ -136,8 +132,8 @@ def test_the_third_axis(third, axes):
 def test_the_text_twin_says_what_arrives():
     with open_output("uinput:third=wheel") as output, reading() as report:
         for z in (100, 100, -300):
-            words = output.describe(motion(4, 0, z)).split(" ")
-            output.send(motion(4, 0, z))
+            words = output.describe(reporting.report(4, 0, z)).split(" ")
+            output.send(reporting.report(4, 0, z))
             seen = {f"{e.REL[code]}": f"{value:+d}" for code, value in report().items()}
             assert words.pop() == "SYN"
             assert dict(zip(words[::2], words[1::2], strict=True)) == seen

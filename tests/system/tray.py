@@ -23,8 +23,8 @@ from spheremouse.errors import ControlError
 from spheremouse.files.rig import save_rig
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.control.status import STATES
+from spheremouse.session.settings.control import ControlSettings
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 

@@ -15,13 +15,13 @@ import pytest
 from daemon import FILMS, INTERVAL, LONGEST, H, Program, Reader, W, Writer, remove, told_at_the_end, until
 from modules import insert
 
-from spheremouse.commands.run import wand as wand_run
 from spheremouse.geometry.rotation import log
 from spheremouse.output.hand import PointingSettings
-from spheremouse.session.wand import service as wand_live
+from spheremouse.session import service, trackers
+from spheremouse.session.control.client import Client
 from spheremouse.wand import warm
 
-IMPORTED = (wand_live, wand_run)  # once, before the forks
+IMPORTED = (service, trackers)  # once, before the forks
 
 
 class Hand:
@@ -54,6 +54,8 @@ class Desk:
         source = f"v4l2:/dev/video9,width={W},height={H}"
         words = ["--camera", self.film.folder / "camera.yaml", "--output", "uinput:third=rz", "--axes", self.axes]
         words += ["--set", "pointer.horizon=0"]  # what is predicted too far on so slow a guest would stay ahead
+        words += ["--set", f"control.socket={folder / 's'}"]
+        self.client = Client(folder / "s")
         self.program = Program(folder, "run", "--tracker", "wand", "--source", source, *words)
         self.reach("tracking")
         self.mouse = Reader(folder)
@@ -131,6 +133,21 @@ def test_axes_say_where_the_ball_is(desk):
     assert np.all(sigma < (3e-3, 3e-3, 3e-2))
 
 
+def test_it_is_asked_and_told_as_any_service(desk):
+    status = desk.client.ask("status")
+    assert (status["state"], status["tracker"]) == ("tracking", "wand")
+    (ball,) = status["balls"]
+    off = np.array(ball["position_m"]) - desk.film.position[-1]
+    assert np.all(np.abs(off) < 4e-3 * np.array(ball["sigma_mm"]) + (1e-3, 1e-3, 5e-3))
+    desk.client.ask("pause")
+    before = desk.mouse.counts
+    desk.writer.play(list(reversed(range(len(desk.film)))), min(2.0 * INTERVAL, LONGEST))
+    desk.settle()
+    desk.client.ask("resume")
+    desk.settle()
+    assert np.all(np.abs(desk.mouse.counts - before) <= 1), "nothing moves while it is paused"
+
+
 def test_a_camera_that_goes_is_waited_for_and_moves_nothing(desk):
     before = desk.mouse.counts
     desk.writer.end()
@@ -143,9 +160,10 @@ def test_a_camera_that_goes_is_waited_for_and_moves_nothing(desk):
 
 
 def test_ended_it_has_sent_what_it_tells(desk):
+    unsent = np.array(desk.client.ask("status")["output"]["unsent"])
     assert desk.program.kill(signal.SIGTERM) == 0
     until(lambda: desk.mouse.gone, "the mouse is still there")
-    np.testing.assert_array_equal(told_at_the_end(desk.program), desk.counts())
-    np.testing.assert_array_equal(told_at_the_end(desk.program), desk.mouse.counts + desk.missed)
+    np.testing.assert_array_equal(told_at_the_end(desk.program), desk.counts() + unsent)
+    np.testing.assert_array_equal(told_at_the_end(desk.program), desk.mouse.counts + desk.missed + unsent)
     assert "internal error" not in desk.program.said
     assert Path("/dev/video9").exists()

@@ -9,13 +9,12 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.simulate.wand.render import WandRenderer
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
 from spheremouse.wand.model import model
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import convincing, hypotheses
-from spheremouse.wand.state import WandPhase
 from spheremouse.wand.track import begin, build, step
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 500.0, 320.0, 240.0)
@@ -42,7 +41,7 @@ def test_squares_in_noise_are_no_ball(coloured):
     found = []
     for k in range(PICTURES):
         _, (pose,) = step(begin(tracker), Frame(squares(k, coloured), 0.0, 0), tracker)
-        found.append(pose.phase != WandPhase.SEARCHING)
+        found.append(pose.phase != Status.SEARCHING)
     assert sum(found) == 0
 
 
@@ -55,7 +54,7 @@ def test_books_and_a_mug_are_no_ball(seed):
     state, renderer = begin(tracker), WandRenderer(replace(film.scene, balls=()))
     for k in range(3):
         state, (pose,) = step(state, Frame(renderer.picture(k / 30.0, rng), k / 30.0, k), tracker)
-        assert pose.phase == WandPhase.SEARCHING
+        assert pose.phase == Status.SEARCHING
 
 
 @pytest.mark.parametrize(("seed", "begins"), [(6, 0.0), (8, 90.0)])
@@ -65,7 +64,7 @@ def test_a_ball_in_glare_is_found_at_once(seed, begins):
     (shot,) = simulate_wand(film)
     tracker = build(film.scene.camera, (grzonka_ball(),))
     _, (pose,) = step(begin(tracker), shot.frame, tracker)
-    assert pose.phase == WandPhase.TRACKING
+    assert pose.phase == Status.TRACKING
     assert np.linalg.norm(log(pose.rotation @ shot.rotation[0].T)) < np.deg2rad(8)
     assert np.linalg.norm((pose.position - shot.position[0])[:2]) < 0.01
 

@@ -7,7 +7,7 @@ import pytest
 
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 from spheremouse.wand import complaints
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
@@ -15,7 +15,6 @@ from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import hypotheses
-from spheremouse.wand.state import WandPhase
 from spheremouse.wand.track import begin, build, step
 
 HAND = WandOptions(motion="hand", blur=0.008, size=(640, 480), focal=500.0, seconds=1.4, seed=3)
@@ -95,7 +94,7 @@ def test_the_ball_is_found_again_after_it_was_away(hand):
     empty = np.full_like(shots[0].frame.image, 128)
     for k in range(12):
         state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066 * (k + 1), 100 + k), tracker)
-    assert pose.phase == WandPhase.LOST
+    assert pose.phase == Status.LOST
     assert pose.position is None
     assert "lost" in pose.event or "match nothing" in pose.event
     later = [replace(s, frame=Frame(s.frame.image, s.frame.stamp + 2.0, 200 + i)) for i, s in enumerate(shots[8:14])]
@@ -109,7 +108,7 @@ def test_a_hidden_ball_is_predicted_for_a_while(hand):
     state, poses = follow(shots[:4], tracker)
     empty = np.full_like(shots[0].frame.image, 128)
     state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066, 100), tracker)
-    assert pose.phase == WandPhase.TRACKING
+    assert pose.phase == Status.TRACKING
     assert not pose.seen
     assert "hidden" in pose.event
     assert np.all(np.diag(pose.covariance)[:2] > np.diag(poses[-1][0].covariance)[:2])
@@ -165,7 +164,7 @@ def test_no_ball_in_view_is_said():
     image = np.full((480, 640, 3), 120, dtype=np.uint8)
     image[100:110, 100:110], image[200:210, 300:310] = (200, 60, 30), (30, 30, 200)
     _, (pose,) = step(begin(tracker), Frame(image, 0.0, 0), tracker)
-    assert pose.phase == WandPhase.SEARCHING
+    assert pose.phase == Status.SEARCHING
     assert "no ball like grzonka in view" in pose.event
 
 
@@ -176,8 +175,8 @@ def test_colours_that_match_nothing_or_too_much_are_said(hand):
     assert "bounds of red match nothing" in pose.event
     one = build(camera, balls, colours={"blue": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
     _, poses = follow([replace_stamp(shot, k) for k, shot in enumerate([*shots, *shots[::-1], *shots])], one)
-    assert poses[-1][0].phase == WandPhase.TRACKING  # red is enough, and yet
-    assert "bounds of blue match nothing" in "".join(p.event for (p,) in poses if p.phase == WandPhase.TRACKING)
+    assert poses[-1][0].phase == Status.TRACKING  # red is enough, and yet
+    assert "bounds of blue match nothing" in "".join(p.event for (p,) in poses if p.phase == Status.TRACKING)
     half = build(camera, balls, colours={"blue": ColourSettings()})
     _, (pose,) = step(begin(half), shots[0].frame, half)
     assert "bounds of blue match 100 % of the picture" in pose.event
@@ -197,7 +196,7 @@ def test_a_colour_is_missed_after_a_second_or_ten_where_the_pose_does_without(ha
     state, said = begin(tracker, poses={0: pose[:2]}), []
     for k in range(160 if after > 1.0 else 20):
         state, (pose,) = step(state, replace_stamp(shot, k).frame, tracker)
-        assert pose.phase == WandPhase.TRACKING
+        assert pose.phase == Status.TRACKING
         said.append("bounds of blue match nothing" in pose.event)
     assert said.index(True) / 15.0 == pytest.approx(after, abs=0.1)
     assert all(said[said.index(True) :])
@@ -211,14 +210,14 @@ def test_a_colour_that_a_followed_ball_turns_away_is_known(hand):
     state = begin(tracker, poses={0: (shots[0].position[0], shots[0].rotation[0])})
     assert (shots[0].rotation[0] @ pole.direction) @ shots[0].position[0] > 0.0
     assert complaints.turned_away(tracker, list(state.tracks)) == {"blue"}
-    assert complaints.turned_away(tracker, [replace(t, phase=WandPhase.LOST) for t in state.tracks]) == set()
+    assert complaints.turned_away(tracker, [replace(t, phase=Status.LOST) for t in state.tracks]) == set()
 
 
 def test_two_balls_are_followed_and_a_second_one_that_is_not_declared_is_said():
     camera, balls, shots = film(replace(HAND, balls=2, distance=0.9, seconds=0.8))
     both = build(camera, balls)
     state, poses = follow(shots, both)
-    assert all(p.phase == WandPhase.TRACKING for p in poses[-1])
+    assert all(p.phase == Status.TRACKING for p in poses[-1])
     apart = np.linalg.norm(poses[-1][0].position - poses[-1][1].position)
     assert apart == pytest.approx(np.linalg.norm(np.subtract(*shots[-1].position)), abs=0.05)
     one = build(camera, balls[:1])

@@ -13,7 +13,7 @@ from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_w
 from spheremouse.wand.settings import WandSettings; from spheremouse.wand.track import build
 from spheremouse.output.hand import PointingSettings
 from spheremouse.wand.warm import warm_up
-from spheremouse.output.hand import Hand
+from spheremouse.output.hand import HandMapping
 from spheremouse.session.wand.offline import track_wand
 
 
@@ -42,10 +42,10 @@ def frames():
 
 for settings in (WandSettings(), WandSettings(proposal="motion"), WandSettings(region=False, outline=False)):
     tracker = build(film.scene.camera, tuple(b.ball for b in film.scene.balls), settings)
-    hand = Hand(PointingSettings())
+    hand = HandMapping(PointingSettings())
     phases = set()
     for epoch in track_wand(frames(), tracker):
-        hand.move(epoch)
+        hand.report(epoch)
         phases |= {pose.phase for pose in epoch.poses}
     assert settings.proposal == "motion" or len(phases) >= 2, phases
 late = {name: n for name, n in compiled().items() if n != before.get(name, 0)}

@@ -18,7 +18,7 @@ from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_di
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings
 from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
-from spheremouse.ball.detect.search import Hunt, Lattice, hunt, lattice, went
+from spheremouse.ball.detect.search import Lattice, SearchState, lattice, places_to_look_at, went
 from spheremouse.ball.detect.windows import View, look_at, view_of
 from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.errors import ConfigurationError
@@ -109,8 +109,8 @@ class DiscDetector:
         return self._look_at(image, directions[best], noise, places[index[best]])
 
     def follow(
-        self, image: Image, directions: Array, rate: Array, readout: float, state: Hunt
-    ) -> tuple[Detections, Hunt]:
+        self, image: Image, directions: Array, rate: Array, readout: float, state: SearchState
+    ) -> tuple[Detections, SearchState]:
         """Those of the discs expected at `directions`, (n, 3) unit vectors in obj, that are in an image.
 
         `rate` (3,) rad/s, w_obj, carries them on to when their row is exposed (`readout` s for all rows), and smears
@@ -136,12 +136,12 @@ class DiscDetector:
         )
         return found, replace(state, noise=noise, size=size) if again else state
 
-    def hunt(self, image: Image, state: Hunt, known: Array) -> tuple[Detections, Hunt]:
+    def find_new_discs(self, image: Image, state: SearchState, known: Array) -> tuple[Detections, SearchState]:
         """A share of the search for discs that are not at `known`, (m, 2) px."""
         fit, radius = self.fit, 0.5 * self.diameter
         noise = state.noise or self.noise(image)
         colours = _with_channels(image)
-        places = hunt(
+        places = places_to_look_at(
             colours, self.mask, self.lattice, state, known, fit.reduction, radius, fit.contrast, noise, fit.light
         )
         if len(places) == 0:

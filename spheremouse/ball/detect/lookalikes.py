@@ -88,7 +88,7 @@ def mask(state: Lookalikes, centre: Array, stamp: float) -> Lookalikes:
     )
 
 
-def founded(state: Lookalikes, discs: Array, disc_angle: float) -> Lookalikes:
+def without_landmarks(state: Lookalikes, discs: Array, disc_angle: float) -> Lookalikes:
     """Without those that have become discs, (m, 3) unit vectors in ball, of angular radius `disc_angle` rad."""
     return _followed(state, ~np.any(state.anchor_ball @ discs.T > np.cos(disc_angle), axis=1))
 
@@ -105,7 +105,7 @@ def _followed(state: Lookalikes, keep: NDArray[np.bool_]) -> Lookalikes:
     )
 
 
-def judge(
+def classify_candidates(
     state: Lookalikes,
     centre: Array,
     direction: Array,
@@ -159,7 +159,7 @@ def judge(
     return proven, still, mask(updated, centre[still], stamp)
 
 
-def proven_before(
+def known_before_to_turn(
     state: Lookalikes, centre: Array, attitude: Array, rig: Rig, pose: Pose, settings: StaticSettings
 ) -> NDArray[np.bool_]:
     """Which of `centre`, (n, 2) px, are candidates that earlier frames have proven, at a predicted attitude, (n,)."""

@@ -18,9 +18,9 @@ _STRIDE = (2, 8)  # columns and rows of the reduced picture between samples of o
 _SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame: together every other row
 _MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
 _MOST = 4  # candidates in one frame: more come in the next
-_DUD = 2.5  # px of the reduced picture, around a place that turned out to be no disc
+_REJECTED = 2.5  # px of the reduced picture, around a place that turned out to be no disc
 _WAIT = (32, 512)  # frames for which such a place is left out, at first and at most: doubled each time
-_DUDS = 256  # places remembered
+_REMEMBERED = 256  # places remembered
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +33,13 @@ class Lattice:
 
 
 @dataclass(frozen=True, slots=True)
-class Hunt:
+class SearchState:
     """What one frame's search hands to the next."""
 
     turn: int = 0
     noise: float = 0.0  # grey values, of a pixel; 0: not measured yet
     size: float = 0.0  # fitted over expected, of all discs; 0: not known
-    duds: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px, places that were no discs
+    rejected: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2) px, places that were no discs
     until: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (k,) turn: left out before
     wait: NDArray[np.intp] = field(
         default_factory=lambda: np.zeros(0, dtype=np.intp)
@@ -70,11 +70,11 @@ def lattice(mask: Image, diameter: float, reduction: int) -> Lattice:
     return Lattice(tuple(places), tuple(sides), offsets)
 
 
-def hunt(
+def places_to_look_at(
     image: Image,
     mask: Image,
     where: Lattice,
-    state: Hunt,
+    state: SearchState,
     known: Array,
     reduction: int,
     radius: float,
@@ -89,7 +89,7 @@ def hunt(
     """
     shift = state.turn % len(_SHIFTS)
     found = np.empty((_MOST, 2))
-    n = _hunt(
+    n = _candidates_on(
         image.reshape(-1),
         image.shape[2],
         mask,
@@ -99,8 +99,8 @@ def hunt(
         state.turn,
         known,
         radius + 2.0 * reduction,
-        state.duds[state.until > state.turn],
-        _DUD * reduction,
+        state.rejected[state.until > state.turn],
+        _REJECTED * reduction,
         0.5 * contrast,
         2.5 * noise,
         light,
@@ -111,23 +111,23 @@ def hunt(
     return found[:n]
 
 
-def went(state: Hunt, duds: Array, reduction: int) -> Hunt:
-    """The search's state after a frame in which the places `duds`, (k, 2) px, turned out to be no discs."""
+def went(state: SearchState, rejected: Array, reduction: int) -> SearchState:
+    """The search's state after a frame in which the places `rejected`, (k, 2) px, turned out to be no discs."""
     turn = state.turn + 1
-    if len(duds) == 0:
-        return Hunt(turn, state.noise, state.size, state.duds, state.until, state.wait)
-    again = np.linalg.norm(state.duds[:, None] - duds[None], axis=2) < _DUD * reduction
+    if len(rejected) == 0:
+        return SearchState(turn, state.noise, state.size, state.rejected, state.until, state.wait)
+    again = np.linalg.norm(state.rejected[:, None] - rejected[None], axis=2) < _REJECTED * reduction
     old, new = again.any(axis=1), ~again.any(axis=0)
     wait = np.where(old, np.minimum(2 * state.wait, _WAIT[1]), state.wait)
     until = np.where(old, turn + wait, state.until)
     keep = turn - until < wait  # what was not met again for as long as it was left out is gone
-    return Hunt(
+    return SearchState(
         turn,
         state.noise,
         state.size,
-        np.concatenate([duds[new], state.duds[keep]])[:_DUDS],
-        np.concatenate([np.full(new.sum(), turn + _WAIT[0]), until[keep]])[:_DUDS],
-        np.concatenate([np.full(new.sum(), _WAIT[0]), wait[keep]])[:_DUDS],
+        np.concatenate([rejected[new], state.rejected[keep]])[:_REMEMBERED],
+        np.concatenate([np.full(new.sum(), turn + _WAIT[0]), until[keep]])[:_REMEMBERED],
+        np.concatenate([np.full(new.sum(), _WAIT[0]), wait[keep]])[:_REMEMBERED],
     )
 
 
@@ -164,9 +164,9 @@ def _settle(flat, channels, first, invert, mask, level, reach, reduction, place)
 
 
 @njit(cache=True, error_model="numpy")
-def _hunt(
-    flat, channels, mask, places, sides, offsets, turn, known, known_radius, duds, dud_radius, contrast, least, light,
-    radius, reduction, found,
+def _candidates_on(
+    flat, channels, mask, places, sides, offsets, turn, known, known_radius, rejected, rejected_radius, contrast,
+    least, light, radius, reduction, found,
 ):  # fmt: skip
     """`flat` is the image, (h w c,); of colours the green one is looked at, which weighs most in grey."""
     n = len(places)
@@ -207,13 +207,13 @@ def _hunt(
             x, y = float(places[i, 0]), float(places[i, 1])
             if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
                 continue
-            if _near(x, y, duds, 0.7 * radius):  # within such a place
+            if _near(x, y, rejected, 0.7 * radius):  # within such a place
                 continue
             found[count, 0], found[count, 1] = x, y
             level = np.float32(0.5 * (g + ball / brighter))
             _settle(flat, channels, first, invert, mask, level, radius + reduction, reduction, found[count])
             x, y = found[count, 0], found[count, 1]
-            if _near(x, y, known, known_radius) or _near(x, y, duds, dud_radius):
+            if _near(x, y, known, known_radius) or _near(x, y, rejected, rejected_radius):
                 continue
             count += 1
             if count == len(found):

@@ -4,7 +4,7 @@ Each filter is a frozen settings object with `initial`, `predict` and `update`; 
 satisfies `FilterState`. Time is whatever the stamps say.
 """
 
-from typing import Protocol, TypeVar
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,18 @@ class FilterState(Protocol):
         """Indices into the last update's points that took part in it."""
         ...
 
+    def with_reference(self) -> Self:
+        """The state whose attitude is the one that the next motion counts from."""
+        ...
+
+    def with_reference_of(self, other: Self) -> Self:
+        """The state whose next motion counts from where that of `other` does, with an error that is another one's."""
+        ...
+
+    def covariance_since(self, turn: Array) -> Array:
+        """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate."""
+        ...
+
 
 S = TypeVar("S", bound=FilterState)
 
@@ -61,9 +73,9 @@ class Filter(Protocol[S]):
         """State carried forward to `stamp` (s); `used` is empty."""
         ...
 
-    def update(self, state: S, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> S:
+    def update(self, state: S, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None) -> S:
         """State after the points of one frame, associated within.
 
-        Points that belong to no known disc found a new one where `fresh` (n,) allows it (None: everywhere).
+        Points that belong to no known disc found a new one where they may, `may_start_landmark` (n,) (None: all).
         """
         ...

@@ -11,14 +11,22 @@ are kept as published, weaknesses included, so that the default filter can be me
   were exact (eq. 170-171), and pose and ball errors count as new in every frame: their covariances are optimistic.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from spheremouse.ball.points import SpherePoints
-from spheremouse.geometry.rotation import Array, euler_rate_matrix, from_euler, hat, to_euler
+from spheremouse.geometry.rotation import (
+    Array,
+    euler_rate_matrix,
+    exp,
+    from_euler,
+    hat,
+    left_jacobian,
+    to_euler,
+)
 from spheremouse.settings import param
 
 
@@ -63,6 +71,7 @@ class EulerState:
     points: Array  # (m, 3) m, ball: stored discs
     state_covariance: Array  # (6, 6) or (6 + 3m, 6 + 3m): angles, rates, points (eq. 121, 151)
     used: NDArray[np.intp]  # indices into the last update's points that were associated
+    reference: Array = field(default_factory=lambda: np.zeros((3, 3)))  # rad², of the attitude that motion counts from
 
     @property
     def attitude(self) -> Array:
@@ -91,6 +100,32 @@ class EulerState:
         """(m, 3) unit vectors in `ball`."""
         return self.points / np.linalg.norm(self.points, axis=1, keepdims=True)
 
+    def with_reference(self) -> "EulerState":
+        """The state whose attitude is the one that the next motion counts from."""
+        return replace(self, reference=self.covariance[:3, :3])
+
+    def with_reference_of(self, other: "EulerState") -> "EulerState":
+        """The state whose next motion counts from where that of `other` does."""
+        return replace(self, reference=other.reference)
+
+    def covariance_since(self, turn: Array) -> Array:
+        """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
+
+        The published filters do not say how the errors of two attitudes hang together: they are taken as independent.
+        No turn at all is where a motion begins to count, and has no error.
+        """
+        if not turn.any():
+            P = self.covariance
+            P[:3] = P[:, :3] = 0.0
+            return P
+        back = np.linalg.inv(left_jacobian(turn))
+        G = np.eye(6)
+        G[:3, :3] = back
+        P = G @ self.covariance @ G.T
+        back = back @ exp(turn)
+        P[:3, :3] += back @ self.reference @ back.T
+        return P
+
 
 @dataclass(frozen=True, slots=True)
 class ConstantDiscsFilter:
@@ -106,8 +141,10 @@ class ConstantDiscsFilter:
         """Constant Euler rates up to `stamp` (s)."""
         return _predict(state, stamp, self.settings)
 
-    def update(self, state: EulerState, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> EulerState:
-        """Angles and rates after the associated points; then `fresh` points are stored, unseen discs forgotten."""
+    def update(
+        self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
+    ) -> EulerState:
+        """Angles and rates after the associated points; then new points are stored, unseen discs forgotten."""
         noise = _noise(points, self.settings)
         expected, dexpected_dangles = turned(state.angles, state.points)
         i, j = _associate(expected, points.position, self.settings.gate)
@@ -116,9 +153,9 @@ class ConstantDiscsFilter:
         x = np.concatenate([state.angles, state.angle_rates])
         x, P = _correct(x, state.state_covariance, (points.position[i] - expected[j]).ravel(), H, noise[i])
 
-        new = _unassociated(len(points), i, fresh)
+        new = _unassociated(len(points), i, may_start_landmark)
         stored = np.concatenate([state.points[np.sort(j)], points.position[new] @ from_euler(x[:3])])
-        return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i))
+        return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +172,10 @@ class StateDiscsFilter:
         """Constant Euler rates up to `stamp` (s); the discs stay where they are on the ball (eq. 152-156)."""
         return _predict(state, stamp, self.settings)
 
-    def update(self, state: EulerState, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> EulerState:
-        """Angles, rates and discs after the associated points; then `fresh` points are stored, unseen discs forgotten.
+    def update(
+        self, state: EulerState, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
+    ) -> EulerState:
+        """Angles, rates and discs after the associated points; then new points are stored, unseen discs forgotten.
 
         A new point enters without correlation and without the attitude's variance, as published (eq. 170-171).
         """
@@ -154,13 +193,12 @@ class StateDiscsFilter:
         x, P = _correct(x, state.state_covariance, innovation, H.reshape(3 * n, 6 + 3 * m), noise[i])
 
         kept = np.sort(j)
-        new = _unassociated(len(points), i, fresh)
+        new = _unassociated(len(points), i, may_start_landmark)
         rows = np.concatenate([np.arange(6), (6 + 3 * kept[:, None] + np.arange(3)).ravel()])
         R = from_euler(x[:3])
         stored = np.concatenate([x[6:].reshape(-1, 3)[kept], points.position[new] @ R])
-        return EulerState(
-            state.stamp, x[:3], x[3:6], stored, _append_blocks(P[np.ix_(rows, rows)], R.T @ noise[new] @ R), np.sort(i)
-        )
+        P = _append_blocks(P[np.ix_(rows, rows)], R.T @ noise[new] @ R)
+        return EulerState(state.stamp, x[:3], x[3:6], stored, P, np.sort(i), state.reference)
 
 
 def turned(angles: Array, points: Array) -> tuple[Array, Array]:
@@ -202,7 +240,7 @@ def _predict(state: EulerState, stamp: float, settings: EulerSettings) -> EulerS
     g = np.array([0.5 * dt * dt, dt])
     P[:6, :6] += np.kron(settings.acceleration_sigma**2 * np.outer(g, g), np.eye(3))
     angles = state.angles + dt * state.angle_rates
-    return EulerState(stamp, angles, state.angle_rates, state.points, P, np.zeros(0, dtype=np.intp))
+    return EulerState(stamp, angles, state.angle_rates, state.points, P, np.zeros(0, dtype=np.intp), state.reference)
 
 
 def _noise(points: SpherePoints, settings: EulerSettings) -> Array:
@@ -233,9 +271,9 @@ def _associate(expected: Array, observed: Array, gate: float) -> tuple[NDArray[n
     return np.array(list(pairs), dtype=np.intp), np.array(list(pairs.values()), dtype=np.intp)
 
 
-def _unassociated(n: int, i: NDArray[np.intp], fresh: NDArray[np.bool_] | None) -> NDArray[np.intp]:
-    """Indices of the points that found a new disc: not associated, and free to (`fresh` (n,); None: all are)."""
-    new = np.ones(n, dtype=bool) if fresh is None else fresh.copy()
+def _unassociated(n: int, i: NDArray[np.intp], may_start_landmark: NDArray[np.bool_] | None) -> NDArray[np.intp]:
+    """Indices of the points that found a new disc: not associated, and free to (n,) (None: all are)."""
+    new = np.ones(n, dtype=bool) if may_start_landmark is None else may_start_landmark.copy()
     new[i] = False
     return np.flatnonzero(new)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
-from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.filters.so3_settings import So3Settings, prior_of_levels, squared_levels, usual_acceleration
 from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
@@ -52,7 +52,7 @@ class So3Filter:
 
     def initial(self, stamp: float, attitude: Array) -> So3State:
         """At rest at `attitude`, (3, 3), which is the reference: without error. No disc is known."""
-        joint = np.zeros((FIRST, FIRST))
+        joint = np.zeros((FIRST + REFERENCE, FIRST + REFERENCE))
         joint[3:6, 3:6] = self.settings.start_rate_sigma**2 * np.eye(3)
         joint[6:CORE, 6:CORE] = usual_acceleration(self.settings) ** 2 * np.eye(3)
         joint[CORE:READOUT, CORE:READOUT] = self.considered
@@ -102,21 +102,23 @@ class So3Filter:
     def place_sigma(self, state: So3State, which: NDArray[np.intp]) -> Array:
         """Standard deviation, (k,) rad, along its worse axis, of where each of the discs `which` is predicted."""
         sigma = np.empty(len(which))
-        more = (self._expected(state) - 1.0) * state.process[:3, :3]
-        so3_match.places(state.attitude, state.discs, state.basis, state.joint, which, more, sigma)
+        added_process_noise = (self._expected(state) - 1.0) * state.process[:3, :3]
+        so3_match.places(state.attitude, state.discs, state.basis, state.joint, which, added_process_noise, sigma)
         return sigma
 
-    def update(self, state: So3State, points: SpherePoints, fresh: NDArray[np.bool_] | None = None) -> So3State:
-        """Associate, correct, and keep the map: `fresh` points (n,) may found a new disc (None: all).
+    def update(
+        self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
+    ) -> So3State:
+        """Associate, correct, and keep the map: points of `may_start_landmark` (n,) may found a new disc (None: all).
 
         How lively the player is, the innovations say: the levels of process noise are hypotheses of a Markov chain,
         each weighed by the likelihood of all pairs together, and the update takes their mean (Bar-Shalom, Li,
         Kirubarajan 2001, section 11.6, with one filter for all of them).
         """
-        squares = squared_levels(self.settings.levels)
+        noise_scales = squared_levels(self.settings.levels)
         weights = (state.weights if len(state.weights) else prior_of_levels(self.settings.levels)).copy()
         joint, s = state.joint.copy(), self.settings
-        ordinary, rows, columns, dx, square, nis = kernel.update(
+        ordinary, rows, columns, dx, noise_scale, nis = kernel.update(
             state.attitude,
             state.rate,
             state.acceleration,
@@ -124,7 +126,7 @@ class So3Filter:
             state.basis,
             joint,
             state.process,
-            squares,
+            noise_scales,
             weights,
             self.visible(state),
             s.gate,
@@ -139,26 +141,26 @@ class So3Filter:
             self.radius,
         )
         if ordinary and abs(dx[:3]).max() <= _LINEAR:
-            updated = inject(state, dx, joint, weights, square**0.5, rows, nis)
-            return self._keep_map(updated, points, _Pairing(rows, columns, True, True), fresh)
+            updated = inject(state, dx, joint, weights, noise_scale**0.5, rows, nis)
+            return self._keep_map(updated, points, _Pairing(rows, columns, True, True), may_start_landmark)
         expected = self._expected(state)
         best = self._pair(state, points, expected)
         if not best.complete and state.process[3, 3] > 0.0:
-            for square in squares[squares > expected]:
-                pairing = self._pair(state, points, float(square))
+            for noise_scale in noise_scales[noise_scales > expected]:
+                pairing = self._pair(state, points, float(noise_scale))
                 more = len(pairing.rows) - len(best.rows)
                 if more > 0 or (more == 0 and pairing.fits and not best.fits):
                     best = pairing
                 if best.complete:
                     break
-        return self._keep_map(self._correct(state, points, best), points, best, fresh)
+        return self._keep_map(self._correct(state, points, best), points, best, may_start_landmark)
 
-    def _pair(self, state: So3State, points: SpherePoints, square: float) -> _Pairing:
-        """Pairs within the gate when the density is that of the level whose square is given."""
+    def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> _Pairing:
+        """Pairs within the gate when the density is that of the level whose noise scale is given."""
         visible = self.visible(state)
         if len(points) == 0 or len(visible) == 0:
             return _Pairing(_NONE, _NONE, True, True)
-        more = (square - 1.0) * state.process
+        added_process_noise = (noise_scale - 1.0) * state.process
         distance = np.empty((len(points), len(visible)))
         distance[0, 0] = self.settings.gate
         plain = so3_match.distances(
@@ -169,8 +171,8 @@ class So3Filter:
             state.basis,
             state.joint,
             visible,
-            more[:3, :3],
-            self._curvature(state, more),
+            added_process_noise[:3, :3],
+            self._curvature(state, added_process_noise),
             points.direction,
             points.image_covariance / self.radius**2,
             delays(points, state),
@@ -186,9 +188,9 @@ class So3Filter:
             rows, columns = assign(distance, self.settings.gate)
         innovation = None
         if len(rows):
-            innovation = self._innovation(state, points, rows, visible[columns], more)
+            innovation = self._innovation(state, points, rows, visible[columns], added_process_noise)
             H, _, z, S = innovation
-            keep = so3_match.agreeing(z, S + H @ more @ H.T, 1.5 * self.settings.gate)
+            keep = so3_match.consistent(z, S + H @ added_process_noise @ H.T, 1.5 * self.settings.gate)
             if not keep.all():
                 rows, columns, innovation = rows[keep], columns[keep], None
         fits = float(distance[rows, columns].sum()) < 4.0 * max(len(rows), 1) + 10.0
@@ -202,27 +204,29 @@ class So3Filter:
 
     def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
         rows, columns = pairing.rows, pairing.columns
-        square = self._expected(state)
+        noise_scale = self._expected(state)
         weights = state.weights
         if len(rows) == 0:
             joint = state.joint.copy()
-            joint[:CORE, :CORE] += (square - 1.0) * state.process
-            return replace(state, joint=joint, process=_STILL, level=float(np.sqrt(square)), used=rows, nis=0.0)
+            joint[:CORE, :CORE] += (noise_scale - 1.0) * state.process
+            return replace(
+                state, joint=joint, process=_STILL, manoeuvre_level=float(np.sqrt(noise_scale)), used=rows, nis=0.0
+            )
         H, HP, z, S = pairing.innovation or self._innovation(state, points, rows, columns, _STILL)
         if state.process[3, 3] > 0.0:
             weights = weights.copy()
-            kernel.weigh(z, S, H, state.process, squared_levels(self.settings.levels), weights)
-            square = float(weights @ squared_levels(self.settings.levels))
-        joint, more = state.joint.copy(), (square - 1.0) * state.process
-        joint[:CORE, :CORE] += more
-        HP[:, :CORE] += H @ more
-        S += H @ more @ H.T
+            kernel.update_level_probabilities(z, S, H, state.process, squared_levels(self.settings.levels), weights)
+            noise_scale = float(weights @ squared_levels(self.settings.levels))
+        joint, added_process_noise = state.joint.copy(), (noise_scale - 1.0) * state.process
+        joint[:CORE, :CORE] += added_process_noise
+        HP[:, :CORE] += H @ added_process_noise
+        S += H @ added_process_noise @ H.T
         dx = np.empty(len(joint))
         prior = joint.copy()
-        nis = kernel.correct(joint, HP, S, z, dx, kernel.turns(state.rate, joint))
+        nis = kernel.correct(joint, HP, S, z, dx, kernel.rate_is_significant(state.rate, joint))
         if float(np.abs(dx[:3]).max()) > _LINEAR:
             joint, dx, nis = self._again(state, prior, dx, points, rows, columns)
-        return inject(state, dx, joint, weights, float(np.sqrt(square)), rows, nis)
+        return inject(state, dx, joint, weights, float(np.sqrt(noise_scale)), rows, nis)
 
     def _again(
         self,
@@ -238,11 +242,13 @@ class So3Filter:
         for _ in range(3):
             about = dx.copy()
             about[READOUT] = 0.0  # the innovation is linear in it, and what is added back below leaves it out
-            there = inject(state, about, prior, state.weights, state.level, rows, nis)
+            there = inject(state, about, prior, state.weights, state.manoeuvre_level, rows, nis)
             H, HP, z, S = self._innovation(there, points, rows, columns, _STILL)
             at = (FIRST + 2 * columns[:, None] + np.arange(2)).ravel()
             joint, step = prior.copy(), np.empty(len(dx))
-            nis = kernel.correct(joint, HP, S, z + H @ dx[:CORE] + dx[at], step, kernel.turns(state.rate, joint))
+            nis = kernel.correct(
+                joint, HP, S, z + H @ dx[:CORE] + dx[at], step, kernel.rate_is_significant(state.rate, joint)
+            )
             moved = float(np.abs(step[:3] - dx[:3]).max())
             dx = step
             if moved < 0.1 * _LINEAR:
@@ -250,11 +256,16 @@ class So3Filter:
         return joint, dx, nis
 
     def _innovation(
-        self, state: So3State, points: SpherePoints, rows: NDArray[np.intp], columns: NDArray[np.intp], more: Array
+        self,
+        state: So3State,
+        points: SpherePoints,
+        rows: NDArray[np.intp],
+        columns: NDArray[np.intp],
+        added_process_noise: Array,
     ) -> tuple[Array, Array, Array, Array]:
-        """Of k pairs H's part for the core, (2k, 9), H @ joint, (2k, 19 + 2m), innovation, (2k,) rad, its covariance.
+        """Of k pairs H's part for the core, (2k, 9), H @ joint, (2k, 23 + 2m), innovation, (2k,) rad, its covariance.
 
-        `more` (9, 9) of the core, which is not in the covariances, counts for the curvature alone.
+        `added_process_noise` (9, 9) of the core, which is not in the covariances, counts for the curvature alone.
         """
         k = len(rows)
         H, HP, z, S = (
@@ -271,7 +282,7 @@ class So3Filter:
             state.basis,
             state.joint,
             columns,
-            self._curvature(state, more),
+            self._curvature(state, added_process_noise),
             points.direction[rows],
             points.image_covariance[rows] / self.radius**2,
             delays(points, state)[rows],
@@ -287,17 +298,24 @@ class So3Filter:
         return H, HP, z, S
 
     @staticmethod
-    def _curvature(state: So3State, more: Array) -> float:
+    def _curvature(state: So3State, added_process_noise: Array) -> float:
         """Variance, rad², of what the linear model leaves out: a turn e moves p by e x p + e (e . p) / 2 + ...
 
         At the start, with the rate unknown, that exceeds the image noise many times; once tracking it is nothing.
         """
         P = state.joint
-        spread = (P[0, 0] + P[1, 1] + P[2, 2] + more[0, 0] + more[1, 1] + more[2, 2]) / 3.0
+        spread = (
+            P[0, 0]
+            + P[1, 1]
+            + P[2, 2]
+            + added_process_noise[0, 0]
+            + added_process_noise[1, 1]
+            + added_process_noise[2, 2]
+        ) / 3.0
         return min(float(spread), _WIDE**2) ** 2
 
     def _keep_map(
-        self, state: So3State, points: SpherePoints, pairing: _Pairing, fresh: NDArray[np.bool_] | None
+        self, state: So3State, points: SpherePoints, pairing: _Pairing, may_start_landmark: NDArray[np.bool_] | None
     ) -> So3State:
         """Count sightings, drop what did not last its trial, and take up new discs."""
         m, n = len(state.discs), len(points)
@@ -317,7 +335,7 @@ class So3Filter:
             s.patience,
             points.direction,
             pairing.rows,
-            np.ones(n, dtype=np.bool_) if fresh is None else fresh,
+            np.ones(n, dtype=np.bool_) if may_start_landmark is None else may_start_landmark,
             math.cos(2.0 * self.disc_angle),
             hits,
             missed,

@@ -39,22 +39,22 @@ def turning_jacobian(E, p, H):
 
 
 @njit(cache=True, error_model="numpy")
-def places(attitude, discs, basis, P, which, more, centre_sigma):
-    """Root of the larger variance, rad, of where each disc of `which` is predicted; `more` (3, 3) adds to rotation."""
+def places(attitude, discs, basis, P, which, added_process_noise, centre_sigma):
+    """Root of the larger variance, rad, of where each disc of `which` is predicted, with process noise (3, 3) added."""
     H, R, p, E = np.empty((2, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 2))
     zero = np.zeros(3)
     for i in range(len(which)):
         m = which[i]
         place_and_axes(attitude, zero, zero, 0.0, basis[m], discs[m], R, p, E)
         turning_jacobian(E, p, H)
-        S = _disc_covariance(P, H, FIRST + 2 * m, more)
+        S = _disc_covariance(P, H, FIRST + 2 * m, added_process_noise)
         mean, half = 0.5 * (S[0, 0] + S[1, 1]), np.hypot(0.5 * (S[0, 0] - S[1, 1]), S[0, 1])
         centre_sigma[i] = np.sqrt(max(mean + half, 0.0))
 
 
 @njit(cache=True, error_model="numpy")
-def _disc_covariance(P, H, at, more):
-    """(2, 2) of a disc's predicted place without image noise; `more` (3, 3) adds to the rotation's covariance."""
+def _disc_covariance(P, H, at, added_process_noise):
+    """(2, 2) of a disc's predicted place without image noise; process noise (3, 3) is added to rotation."""
     S = np.empty((2, 2))
     for a in range(2):
         for b in range(2):
@@ -62,7 +62,7 @@ def _disc_covariance(P, H, at, more):
             for i in range(3):
                 value += H[a, i] * P[i, at + b] + H[b, i] * P[i, at + a]
                 for j in range(3):
-                    value += H[a, i] * (P[i, j] + more[i, j]) * H[b, j]
+                    value += H[a, i] * (P[i, j] + added_process_noise[i, j]) * H[b, j]
             S[a, b] = value
     return S
 
@@ -91,7 +91,7 @@ def considered_jacobian(H, E, rate, row, by_pose, by_ball, radius, J):
 
 
 @njit(cache=True, error_model="numpy")
-def _full_covariance(P, J, JP, at, H, more):
+def _full_covariance(P, J, JP, at, H, added_process_noise):
     """(2, 2) of a disc's predicted place, its errors at `at`, with all that J, (2, FIRST), depends on."""
     S = np.empty((2, 2))
     for a in range(2):
@@ -108,7 +108,7 @@ def _full_covariance(P, J, JP, at, H, more):
                 value += JP[a, j] * J[b, j]
             for i in range(3):
                 for j in range(3):
-                    value += H[a, i] * more[i, j] * H[b, j]
+                    value += H[a, i] * added_process_noise[i, j] * H[b, j]
             S[a, b] = value
     return S
 
@@ -126,8 +126,8 @@ def _squared(z0, z1, a00, a01, a11, E, noise):
 
 @njit(cache=True, error_model="numpy")
 def distances(
-    attitude, rate, acceleration, discs, basis, P, which, more, curvature, seen, noise, delay, row, by_pose, by_ball,
-    radius, out,
+    attitude, rate, acceleration, discs, basis, P, which, added_process_noise, curvature, seen, noise, delay, row,
+    by_pose, by_ball, radius, out,
 ):  # fmt: skip
     """Squared Mahalanobis distances of n seen directions to the discs `which`, into out (n, m).
 
@@ -149,7 +149,7 @@ def distances(
         before = 0.0
         place_and_axes(attitude, rate, acceleration, before, basis[k], discs[k], R, p, E)
         turning_jacobian(E, p, H)
-        S = _disc_covariance(P, H, FIRST + 2 * k, more)
+        S = _disc_covariance(P, H, FIRST + 2 * k, added_process_noise)
         for i in range(len(seen)):
             b = seen[i]
             cosine = p[0] * b[0] + p[1] * b[1] + p[2] * b[2]
@@ -172,7 +172,7 @@ def distances(
             # most pairs are one without what is considered: then it need not be counted
             if value >= gate and cosine > _NEAR and (any_considered or before != 0.0):
                 _row(H, E, before, rate, row[i], by_pose[i], by_ball[i], radius, J)
-                T = _full_covariance(P, J, JP, FIRST + 2 * k, H, more)
+                T = _full_covariance(P, J, JP, FIRST + 2 * k, H, added_process_noise)
                 value = _squared(z0, z1, T[0, 0] + curvature, T[0, 1], T[1, 1] + curvature, E, noise[i])
             out[i, m] = value
             if value < gate:
@@ -186,7 +186,7 @@ def distances(
 
 
 @njit(cache=True, error_model="numpy")
-def agreeing(z, S, limit):
+def consistent(z, S, limit):
     """Which of k pairs agree with one another, (k,): each by itself may pass the gate, not all together.
 
     The pair that contradicts the others and the prediction most is left out until none does (data snooping, Baarda

@@ -9,10 +9,11 @@ CORE = 9  # rotation, rate, acceleration
 CONSIDER = 10  # pose and ball
 READOUT = CORE + CONSIDER  # of the rolling shutter
 FIRST = READOUT + 1  # of the discs' errors
+REFERENCE = 3  # at the end: of the attitude that the next motion counts from
 
 
 @njit(cache=True, error_model="numpy")
-def carry(P, F, Q):
+def propagate(P, F, Q):
     """P = F P F' + Q, where F and Q, (9, 9), concern the core alone."""
     n = len(P)
     top = np.zeros((CORE, n))
@@ -40,7 +41,7 @@ def predict(attitude, rate, acceleration, joint, weights, usual, dt, tau, q, dwe
     F, Q, turn = np.empty((CORE, CORE)), np.empty((CORE, CORE)), np.empty(3)
     transition(rate, acceleration, dt, tau, q, F, Q, turn)
     P = joint.copy()
-    carry(P, F, Q)
+    propagate(P, F, Q)
     now = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):

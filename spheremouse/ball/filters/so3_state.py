@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import so3_update as kernel
-from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
@@ -27,13 +27,13 @@ class So3State:
     acceleration: Array  # (3,) rad/s², angular, obj
     discs: Array  # (m, 3) unit vectors, ball
     basis: Array  # (m, 3, 2) tangent vectors of the discs: axes of their errors, ball
-    joint: Array  # (20 + 2m, 20 + 2m): rotation error rad (obj), rate, acceleration, pose, ball, readout, discs rad
+    joint: Array  # (23 + 2m, 23 + 2m): rotation rad (obj), rate, acceleration, pose, ball, readout, discs, reference
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
     process: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # noise of the last prediction, at level 1
-    level: float = 1.0  # factor on the density that the last update took, root mean square over the levels
+    manoeuvre_level: float = 1.0  # factor on the density that the last update took, rms over the levels
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
 
@@ -47,17 +47,52 @@ class So3State:
         """s, standard deviation of `readout`; 0 where the rig knows it."""
         return float(self.joint[READOUT, READOUT]) ** 0.5
 
+    def with_reference(self) -> "So3State":
+        """The state whose attitude is the one that the next motion counts from."""
+        return So3State(  # each frame: `replace` would take twice as long
+            self.stamp,
+            self.attitude,
+            self.rate,
+            self.acceleration,
+            self.discs,
+            self.basis,
+            kernel.with_reference(self.joint),
+            self.hits,
+            self.missed,
+            self.used,
+            self.weights,
+            self.process,
+            self.manoeuvre_level,
+            self.nis,
+            self.readout,
+        )
+
+    def with_reference_of(self, other: "So3State") -> "So3State":
+        """The state whose next motion counts from where that of `other` does, with an error that is another one's."""
+        joint = self.joint.copy()
+        joint[-REFERENCE:] = joint[:, -REFERENCE:] = 0.0
+        joint[-REFERENCE:, -REFERENCE:] = other.joint[-REFERENCE:, -REFERENCE:]
+        return replace(self, joint=joint)
+
+    def covariance_since(self, turn: Array) -> Array:
+        """(6, 6) of the rotation vector `turn`, (3,) rad, since the reference, and of the rate.
+
+        The error of the reference is in the state (stochastic cloning: Roumeliotis, Burdick 2002), so that what two
+        attitudes have wrong alike, of the map and the camera's pose, is not counted.
+        """
+        return kernel.since_reference(self.joint, turn)
+
 
 def inject(
     state: So3State,
     dx: Array,
     joint: Array | None = None,
     weights: Array | None = None,
-    level: float = 1.0,
+    manoeuvre_level: float = 1.0,
     used: NDArray[np.intp] | None = None,
     nis: float = 0.0,
 ) -> So3State:
-    """Move the state by an error vector, (20 + 2m,); then its covariance is `joint`, and no prediction is pending."""
+    """Move the state by an error vector, (23 + 2m,); then its covariance is `joint`, and no prediction is pending."""
     attitude, discs, basis = np.empty((3, 3)), np.empty_like(state.discs), np.empty_like(state.basis)
     kernel.move(state.attitude, state.discs, state.basis, dx, attitude, discs, basis)
     return So3State(
@@ -73,7 +108,7 @@ def inject(
         state.used if used is None else used,
         state.weights if weights is None else weights,
         _NO_PROCESS,
-        level,
+        manoeuvre_level,
         nis,
         state.readout + float(dx[READOUT]),
     )
@@ -83,7 +118,7 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
     """Forget the discs that are not in a mask, (m,)."""
     if np.all(keep):
         return state
-    rows = np.concatenate([np.ones(FIRST, dtype=bool), np.repeat(keep, 2)])
+    rows = np.concatenate([np.ones(FIRST, dtype=bool), np.repeat(keep, 2), np.ones(REFERENCE, dtype=bool)])
     return replace(
         state,
         discs=state.discs[keep],
@@ -101,7 +136,7 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     of EKF-SLAM, which Wittich 2017, eq. 171 leaves out.
     """
     points = points.take(index)
-    b, k, n = points.direction, len(index), len(state.joint)
+    b, k, n = points.direction, len(index), len(state.joint) - REFERENCE
     late = delays(points, state)
     turn = late[:, None] * state.rate + 0.5 * late[:, None] ** 2 * state.acceleration
     R = exp(turn) @ state.attitude
@@ -117,11 +152,14 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
     ).reshape(-1, FIRST)
     noise = E.transpose(0, 2, 1) @ (points.image_covariance / radius**2) @ E
     P = state.joint
-    joint = np.zeros((n + 2 * k, n + 2 * k))
-    joint[:n, :n] = P
-    joint[n:, :n] = G @ P[:FIRST]
-    joint[:n, n:] = joint[n:, :n].T
-    joint[n:, n:] = G @ P[:FIRST, :FIRST] @ G.T
+    joint = np.zeros((n + 2 * k + REFERENCE, n + 2 * k + REFERENCE))
+    old = np.r_[:n, n + 2 * k : len(joint)]
+    joint[np.ix_(old, old)] = P
+    new = slice(n, n + 2 * k)
+    joint[new, :n] = G @ P[:FIRST, :n]
+    joint[new, n + 2 * k :] = G @ P[:FIRST, n:]
+    joint[:, new] = joint[new].T
+    joint[new, new] = G @ P[:FIRST, :FIRST] @ G.T
     for i in range(k):
         at = n + 2 * i
         joint[at : at + 2, at : at + 2] += noise[i]
@@ -157,7 +195,7 @@ def to_map(state: So3State, least: int) -> DiscMap | None:
     basis = tangent_basis(kept.discs)
     T = basis.transpose(0, 2, 1) @ kept.basis
     m = len(kept.discs)
-    P = kept.joint[FIRST:, FIRST:].reshape(m, 2, m, 2)
+    P = kept.joint[FIRST:-REFERENCE, FIRST:-REFERENCE].reshape(m, 2, m, 2)
     P = np.einsum("iab,ibjc,jdc->iajd", T, P, T).reshape(2 * m, 2 * m)
     return DiscMap(kept.discs, 0.5 * (P + P.T), kept.hits)
 
@@ -165,9 +203,9 @@ def to_map(state: So3State, least: int) -> DiscMap | None:
 def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
     """The state with its discs replaced by those of a saved map: kept for good, so that it takes long to forget one."""
     m = len(known)
-    joint = np.zeros((FIRST + 2 * m, FIRST + 2 * m))
+    joint = np.zeros((FIRST + 2 * m + REFERENCE, FIRST + 2 * m + REFERENCE))
     joint[:FIRST, :FIRST] = state.joint[:FIRST, :FIRST]
-    joint[FIRST:, FIRST:] = known.covariance
+    joint[FIRST:-REFERENCE, FIRST:-REFERENCE] = known.covariance
     return replace(
         state,
         discs=known.directions.copy(),

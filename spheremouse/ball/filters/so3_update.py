@@ -1,21 +1,22 @@
 """The arithmetic of the default filter, compiled: what is done for every disc and every entry of the covariance.
 
 Errors are ordered: rotation (3, rad, obj), rate (3, rad/s), acceleration (3, rad/s²), then what is only considered
-(pose of the camera 6, ball's centre and radius 4), the rolling shutter's time (s), then two for each disc in its own
-tangent axes (rad). Functions with an upper-case P work on the joint covariance in place.
+(pose of the camera 6, ball's centre and radius 4), the rolling shutter's time (s), two for each disc in its own tangent
+axes (rad), and at last those of the reference, the attitude that the next motion counts from (3, rad, obj). Functions
+with an upper-case P work on the joint covariance in place.
 """
 
 import numpy as np
 from numba import njit
 
 from spheremouse.ball.filters.so3_match import (
-    agreeing,
     considered_jacobian,
+    consistent,
     distances,
     place_and_axes,
     turning_jacobian,
 )
-from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
 from spheremouse.geometry.rotation import exp_into, left_jacobian_into
 
 
@@ -97,10 +98,10 @@ def innovation(
 
 
 @njit(cache=True, error_model="numpy")
-def weigh(z, S, H, process, squares, weights):
+def update_level_probabilities(z, S, H, process, noise_scales, weights):
     """Probabilities of the levels after innovations z with covariance S at level 1: into `weights`, (l,).
 
-    Another level adds D = (square - 1) Q to the attitude's covariance: by the matrix inversion lemma its likelihood
+    Another level adds D = (scale - 1) Q to the attitude's covariance: by the matrix inversion lemma its likelihood
     needs nothing larger than 3x3.
     """
     n = len(z)
@@ -118,23 +119,23 @@ def weigh(z, S, H, process, squares, weights):
             v[a] += white[i, a] * white[i, 3]
             for b in range(3):
                 A[a, b] += white[i, a] * white[i, b]
-    log = np.empty(len(squares))
-    for level in range(len(squares)):
-        D = (squares[level] - 1.0) * process[:3, :3]
+    log = np.empty(len(noise_scales))
+    for level in range(len(noise_scales)):
+        D = (noise_scales[level] - 1.0) * process[:3, :3]
         M = np.eye(3) + A @ D
         gain = v @ (D @ np.linalg.solve(M, v))
         log[level] = 0.5 * (gain - np.log(max(np.linalg.det(M), 1e-300))) + np.log(max(weights[level], 1e-12))
     most = np.max(log)
     total = 0.0
-    for level in range(len(squares)):
+    for level in range(len(noise_scales)):
         weights[level] = np.exp(log[level] - most)
         total += weights[level]
-    for level in range(len(squares)):
+    for level in range(len(noise_scales)):
         weights[level] /= total
 
 
 @njit(cache=True, error_model="numpy")
-def turns(rate, P):
+def rate_is_significant(rate, P):
     """Whether the rate is five standard deviations from zero: noise taken for a rate would teach a readout."""
     if P[READOUT, READOUT] == 0.0:
         return False
@@ -145,10 +146,11 @@ def turns(rate, P):
 def correct(P, HP, S, z, dx, learn):
     """P and the correction dx, (n,), after innovations z; returns z' S^-1 z.
 
-    What is only considered gets no gain (Schmidt 1966). The covariance is Joseph's form multiplied out, which holds for
-    any gain: P - K H P - (K H P)' + K S K' (Bierman 1977, section V).
+    What is only considered gets no gain (Schmidt 1966), nor does the reference: what was told stays told. The
+    covariance is Joseph's form multiplied out, which holds for any gain: P - K H P - (K H P)' + K S K' (Bierman 1977,
+    section V).
     """
-    k, n = len(z), len(P)
+    k, n = len(z), len(P) - REFERENCE
     L = np.linalg.cholesky(S)
     K = np.empty((k, n))  # S^-1 H P: transposed gain
     nis = 0.0
@@ -180,7 +182,7 @@ def correct(P, HP, S, z, dx, learn):
     for i in range(k):
         for j in range(CORE, READOUT if learn else FIRST):
             K[i, j] = 0.0
-    U = HP - 0.5 * (S @ K)
+    U = HP[:, :n] - 0.5 * (S @ K)
     KU = K.T @ U
     for i in range(n):
         for j in range(i + 1):
@@ -188,11 +190,65 @@ def correct(P, HP, S, z, dx, learn):
             P[i, j] = value
             P[j, i] = value
     for j in range(n):
+        for c in range(n, n + REFERENCE):
+            value = P[j, c]
+            for i in range(k):
+                value -= K[i, j] * HP[i, c]
+            P[j, c] = value
+            P[c, j] = value
+    dx[n:] = 0.0
+    for j in range(n):
         value = 0.0
         for i in range(k):
             value += K[i, j] * z[i]
         dx[j] = value
     return nis
+
+
+@njit(cache=True, error_model="numpy")
+def with_reference(P):
+    """The joint covariance, (n, n), with the rotation's errors now as those of the reference."""
+    now, r = P.copy(), len(P) - REFERENCE
+    for i in range(3):
+        for j in range(r):
+            now[r + i, j] = P[i, j]
+            now[j, r + i] = P[i, j]
+        for j in range(3):
+            now[r + i, r + j] = P[i, j]
+    return now
+
+
+@njit(cache=True, error_model="numpy")
+def since_reference(P, turn):
+    """(6, 6) of the rotation vector `turn`, (3,) rad, from the reference to now, and of the rate.
+
+    The turn is exp(e) R exp(-e_reference), whose error is e - R e_reference in obj, and Jl of its vector's error.
+    """
+    R, J = np.empty((3, 3)), np.empty((3, 3))
+    exp_into(turn, R)
+    left_jacobian_into(turn, J)
+    now, before = np.linalg.inv(J), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            before[i, j] = -(now[i, 0] * R[0, j] + now[i, 1] * R[1, j] + now[i, 2] * R[2, j])
+    half, C, r = np.empty((3, len(P))), np.empty((6, 6)), len(P) - REFERENCE
+    for i in range(3):  # of the turn with the core and the reference
+        for j in range(len(P)):
+            if j < 6 or j >= r:
+                value = 0.0
+                for k in range(3):
+                    value += now[i, k] * P[k, j] + before[i, k] * P[r + k, j]
+                half[i, j] = value
+    for i in range(3):
+        for j in range(3):
+            value = 0.0
+            for k in range(3):
+                value += half[i, k] * now[j, k] + half[i, r + k] * before[j, k]
+            C[i, j] = value
+            C[i, 3 + j] = half[i, 3 + j]
+            C[3 + j, i] = half[i, 3 + j]
+            C[3 + i, 3 + j] = P[3 + i, 3 + j]
+    return C
 
 
 @njit(cache=True, error_model="numpy")
@@ -230,7 +286,7 @@ def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
 
 @njit(cache=True, error_model="numpy")
 def update(
-    attitude, rate, acceleration, discs, basis, P, process, squares, weights, visible, gate, keep_share, wide,
+    attitude, rate, acceleration, discs, basis, P, process, noise_scales, weights, visible, gate, keep_share, wide,
     seen, image_covariance, delay, row, by_pose, by_ball, radius,
 ):  # fmt: skip
     """The whole of an ordinary update in one call: pairs, levels, correction. P and `weights` (l,) are changed.
@@ -243,16 +299,18 @@ def update(
     n, m = len(seen), len(visible)
     if n == 0 or m == 0:
         return False, nothing, nothing, empty, 1.0, 0.0
-    square = weights @ squares
-    more = (square - 1.0) * process
-    spread = (P[0, 0] + P[1, 1] + P[2, 2] + more[0, 0] + more[1, 1] + more[2, 2]) / 3.0
+    noise_scale = weights @ noise_scales
+    added_process_noise = (noise_scale - 1.0) * process
+    spread = (
+        P[0, 0] + P[1, 1] + P[2, 2] + added_process_noise[0, 0] + added_process_noise[1, 1] + added_process_noise[2, 2]
+    ) / 3.0
     curvature = min(spread, wide * wide) ** 2
     noise = image_covariance / (radius * radius)
     distance = np.empty((n, m))
     distance[0, 0] = gate
     if not distances(
-        attitude, rate, acceleration, discs, basis, P, visible, more[:3, :3], curvature, seen, noise, delay, row,
-        by_pose, by_ball, radius, distance,
+        attitude, rate, acceleration, discs, basis, P, visible, added_process_noise[:3, :3], curvature, seen, noise,
+        delay, row, by_pose, by_ball, radius, distance,
     ):  # fmt: skip
         return False, nothing, nothing, empty, 1.0, 0.0
     rows, columns = np.empty(n, dtype=np.intp), np.empty(n, dtype=np.intp)
@@ -271,24 +329,24 @@ def update(
         attitude, rate, acceleration, discs, basis, P, columns, curvature, seen[rows], noise[rows], delay[rows],
         row[rows], by_pose[rows], by_ball[rows], radius, H, HP, z, S,
     )  # fmt: skip
-    if not np.all(agreeing(z, S + H @ more @ H.T, 1.5 * gate)):
+    if not np.all(consistent(z, S + H @ added_process_noise @ H.T, 1.5 * gate)):
         return False, nothing, nothing, empty, 1.0, 0.0
     if process[3, 3] > 0.0:
-        weigh(z, S, H, process, squares, weights)
-        square = weights @ squares
-        more = (square - 1.0) * process
-        P[:CORE, :CORE] += more
-        HP[:, :CORE] += H @ more
-        S += H @ more @ H.T
+        update_level_probabilities(z, S, H, process, noise_scales, weights)
+        noise_scale = weights @ noise_scales
+        added_process_noise = (noise_scale - 1.0) * process
+        P[:CORE, :CORE] += added_process_noise
+        HP[:, :CORE] += H @ added_process_noise
+        S += H @ added_process_noise @ H.T
     dx = np.empty(len(P))
-    nis = correct(P, HP, S, z, dx, turns(rate, P))
-    return True, rows, columns, dx, square, nis
+    nis = correct(P, HP, S, z, dx, rate_is_significant(rate, P))
+    return True, rows, columns, dx, noise_scale, nis
 
 
 @njit(cache=True, error_model="numpy")
 def keep_map(
-    attitude, discs, towards, horizon, hits, missed, columns, trial, misses, patience, seen, rows, fresh, apart,
-    new_hits, new_missed, keep, found,
+    attitude, discs, towards, horizon, hits, missed, columns, trial, misses, patience, seen, rows, may_start_landmark,
+    apart, new_hits, new_missed, keep, found,
 ):  # fmt: skip
     """Sightings counted: into new_hits, new_missed, keep (m,), and into found (n,) the points that found a disc.
 
@@ -316,7 +374,7 @@ def keep_map(
         dropped += not keep[k]
     new = 0
     for i in range(n):
-        free = fresh[i]
+        free = may_start_landmark[i]
         for j in range(len(rows)):
             free = free and rows[j] != i
         if not free:

@@ -6,14 +6,10 @@ from spheremouse.ball import camera_watch as watching
 from spheremouse.ball.build import build
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.state import (
-    Phase,
-    Tracker,
-    TrackState,
-)
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.errors import PoseError
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
@@ -29,10 +25,14 @@ def hidden(watch: Watch | None) -> bool:
 
 def surprised(state: TrackState) -> bool:
     """Did the last frame's discs say something that a bumped camera would say?"""
-    if state.phase is not Phase.TRACKING or not isinstance(state.filter, So3State):
-        return state.phase is Phase.LOST
+    if state.status is not Status.TRACKING or not isinstance(state.filter, So3State):
+        return state.status is Status.LOST
     freedom = 2 * len(state.filter.used)
-    return not state.holds or state.filter.level >= _LIVELY or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
+    return (
+        not state.confirmed
+        or state.filter.manoeuvre_level >= _LIVELY
+        or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
+    )
 
 
 def with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
@@ -42,13 +42,13 @@ def with_references(watch: Watch, frame: Frame, tracker: Tracker) -> Watch:
         which = which[which == (watch.turn + 1) % len(watch)] if frame.stamp >= watch.due else which[:0]
     if len(which) == 0:
         return watch
-    return watching.take(watch, frame.image, which, tracker.rig, tracker.settings.rings)
+    return watching.remember_targets(watch, frame.image, which, tracker.rig, tracker.settings.rings)
 
 
 def out_of_sight(state: TrackState, stamp: float) -> bool:
-    """No disc holds and the targets are not where they were: time to look for them in the whole picture?"""
+    """No disc confirms and the targets are not where they were: time to look for them in the whole picture?"""
     watch = state.watch
-    if watch is None or state.holds or state.phase is Phase.SEARCHING:
+    if watch is None or state.confirmed or state.status is Status.SEARCHING:
         return False
     return hidden(watch) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
 

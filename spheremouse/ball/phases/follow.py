@@ -9,15 +9,15 @@ from scipy.special import pdtrc
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscDetector
-from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, augment
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import (
-    Phase,
     Tracker,
+    Tracking,
     TrackState,
 )
 from spheremouse.tracker import Frame
@@ -25,62 +25,61 @@ from spheremouse.tracker import Frame
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 
 
-def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState) -> tuple[Detections, Hunt]:
+def look(state: TrackState, frame: Frame, tracker: Tracker, predicted: FilterState) -> tuple[Detections, SearchState]:
     """The disc candidates of a frame, and the state of the search.
 
-    While the ball is held, each disc of the map in a window of its own where it is predicted, and a part of the rest of
-    the ball; the whole picture when that does not show enough of what was seen before.
+    While the attitude is confirmed, each disc of the map in a window of its own where it is predicted, and a part of
+    the rest of the ball; the whole picture when that does not show enough of what was seen before.
     """
     detector = tracker.detector
     if not (
         isinstance(detector, DiscDetector)
         and isinstance(predicted, So3State)
         and isinstance(tracker.filter, So3Filter)
-        and state.phase is Phase.TRACKING
-        and state.moved
-        and state.held == state.filter.stamp
+        and isinstance(state.phase, Tracking)
+        and state.confirmed_at == state.filter.stamp
     ):
-        return detector.detect(frame.image), state.hunt
+        return detector.detect(frame.image), state.search
     which = tracker.filter.visible(predicted)
     known = np.concatenate([predicted.discs[which], state.lookalikes.anchor_ball])  # discs, and what may be one
     readout = tracker.rig.readout_s + predicted.readout
-    found, hunt = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.hunt)
+    found, search = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.search)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
     if 2 * len(found) < min(seen_before, len(state.filter.used)):
-        return detector.detect(frame.image), hunt
+        return detector.detect(frame.image), search
     near = np.concatenate([found.centre, state.lookalikes.masks])
-    other, hunt = detector.hunt(frame.image, hunt, near)
-    return found.joined(other), hunt
+    other, search = detector.find_new_discs(frame.image, search, near)
+    return found.joined(other), search
 
 
-def follow_discs(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
+def follow(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
     """Filter the points; candidates that have moved with the ball may found discs."""
     points, centre = state.points, state.detections.centre[state.points.index]
     rig, pose, settings = tracker.rig, tracker.pose, tracker.settings.static
-    proven = static.proven_before(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
+    proven = static.known_before_to_turn(state.lookalikes, centre, predicted.attitude, rig, pose, settings)
     posterior = tracker.filter.update(predicted, points, proven)
-    held = attitude_holds(posterior, len(points), predicted, tracker)
-    if held and len(posterior.used) == len(points) and not len(state.lookalikes.place):
-        return replace(state, filter=posterior, holds=True)
+    confirmed = confirms(posterior, len(points), predicted, tracker)
+    if confirmed and len(posterior.used) == len(points) and not len(state.lookalikes.place):
+        return replace(state, filter=posterior, confirmed=True)
     state = replace(state, filter=posterior)
     other = np.ones(len(points), dtype=bool)
-    if not held:
+    if not confirmed:
         found = recognised_attitude(state, stamp, tracker)
         if found is not None:
-            return replace(state, filter=found[0], holds=True)
+            return replace(state, filter=found[0], confirmed=True)
         posterior = tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool))
         if not _known_well(posterior, tracker):  # no point has a place on the ball, and none founds a disc
-            return replace(state, filter=posterior, holds=False)
+            return replace(state, filter=posterior, confirmed=False)
     other[posterior.used] = False  # what belongs to a known disc needs no judgement
-    turning, _, lookalikes = static.judge(
+    turning, _, lookalikes = static.classify_candidates(
         state.lookalikes, centre[other], points.direction[other], posterior.attitude, stamp, rig, pose, settings
     )
-    if not held:  # a hand may have stopped the ball: what stands still says nothing, what goes on turning does
+    if not confirmed:  # a hand may have stopped the ball: what stands still says nothing, what goes on turning does
         lookalikes = replace(lookalikes, masks=state.lookalikes.masks, mask_seen=state.lookalikes.mask_seen)
     posterior = _with_discs(posterior, points, np.flatnonzero(other)[turning], tracker)
     if len(posterior.discs) > len(predicted.discs):
-        lookalikes = static.founded(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
-    return replace(state, filter=posterior, lookalikes=lookalikes, holds=held)
+        lookalikes = static.without_landmarks(lookalikes, posterior.discs, rig.disc_radius / rig.ball.radius)
+    return replace(state, filter=posterior, lookalikes=lookalikes, confirmed=confirmed)
 
 
 def _known_well(filter_state: FilterState, tracker: Tracker) -> bool:
@@ -104,8 +103,8 @@ def _with_discs(
     return filter_state
 
 
-def attitude_holds(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
-    """Does the last frame, with so many points, hold the attitude?
+def confirms(posterior: FilterState, points: int, predicted: FilterState, tracker: Tracker) -> bool:
+    """Does the last frame, with so many points, confirm the attitude?
 
     Two discs do, or one while it adds to what is known well; but only if chance does not explain them, since of many
     false candidates a few always fit; and only at a rate that a hand can give.

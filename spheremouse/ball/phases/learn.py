@@ -8,60 +8,61 @@ from numpy.typing import NDArray
 from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.lookalikes import StaticSettings
+from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.filters import FilterState
-from spheremouse.ball.phases.follow import attitude_holds
+from spheremouse.ball.phases.follow import confirms
 from spheremouse.ball.points import SpherePoints
-from spheremouse.ball.state import (
-    Sight,
-    Tracker,
-    TrackState,
-)
+from spheremouse.ball.state import Events, Learning, Tracker, Tracking, TrackState, View
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
 
-def first_motion(state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState) -> TrackState:
-    """Nothing has moved yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
+def learn(
+    state: TrackState, phase: Learning, stamp: float, tracker: Tracker, predicted: FilterState
+) -> tuple[TrackState, Events]:
+    """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
     """
-    naive = replace(state, filter=tracker.filter.update(predicted, state.points))
-    naive = replace(naive, holds=attitude_holds(naive.filter, len(state.points), predicted, tracker))
-    if len(state.points) == 0 and not state.recent:
-        return naive
-    recent = (*state.recent, Sight(stamp, state.detections, state.points, naive.filter.attitude))
-    if len(recent) > _REPLAY:
-        recent = (recent[0], *recent[2:])  # the first frame is the anchor: slow motion shows against it
-    naive = replace(naive, recent=recent)
-    still = _still_since(recent[0], recent[-1], tracker)
+    if not phase.views:  # the ball is where it is first seen: nothing is known less for having waited
+        predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
+        if len(state.points) == 0:
+            return found(replace(state, filter=predicted), phase, stamp)
+    filtered = tracker.filter.update(predicted, state.points)
+    naive = replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
+    views = (*phase.views, View(stamp, state.detections, state.points, filtered.attitude))
+    if len(views) > _REPLAY:
+        views = (views[0], *views[2:])  # the first frame is the anchor: slow motion shows against it
+    still = _still_since(views[0], views[-1], tracker)
     if still is None:
-        if len(recent) == _REPLAY and _changed(recent[0], recent[-1], tracker.settings.static):
-            naive = replace(naive, recent=recent[-1:])
-        return naive
+        if len(views) == _REPLAY and _changed(views[0], views[-1], tracker.settings.static):
+            views = views[-1:]
+        return found(naive, phase._replace(views=views), stamp)
     lookalikes = static.mask(state.lookalikes, still, stamp)
-    filtered = tracker.filter.initial(recent[0].stamp, recent[0].attitude)
+    filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
     points = state.points
-    for sight in recent:
-        free, _ = static.unmasked(lookalikes, sight.centre, sight.stamp, tracker.settings.static)
-        points = sight.points.take(free)
-        filtered = tracker.filter.update(tracker.filter.predict(filtered, sight.stamp), points)
-    masked = f"{len(still)} look-alike{'s' if len(still) > 1 else ''} masked"
-    event = f"the ball turns; {masked}" if len(still) else "the ball turns"
-    return replace(
-        state,
-        filter=filtered,
-        lookalikes=lookalikes,
-        points=points,
-        moved=True,
-        holds=len(filtered.used) > 1,
-        recent=(),
-        event=event,
-    )
+    for view in views:
+        free, _ = static.unmasked(lookalikes, view.centre, view.stamp, tracker.settings.static)
+        points = view.points.take(free)
+        filtered = tracker.filter.update(tracker.filter.predict(filtered, view.stamp), points)
+    state = replace(state, filter=filtered, lookalikes=lookalikes, points=points, confirmed=len(filtered.used) > 1)
+    state, events = found(state, phase, stamp)
+    return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _still_since(anchor: Sight, now: Sight, tracker: Tracker) -> Array | None:
+def found(state: TrackState, phase: Learning, stamp: float) -> tuple[TrackState, Events]:
+    """The ball is tracked from where two discs are seen."""
+    if phase.found:
+        return replace(state, phase=phase), ()
+    state = replace(state, confirmed_at=stamp)
+    if len(state.filter.discs) < 2:
+        return replace(state, phase=phase), ()
+    return replace(state, phase=phase._replace(found=True)), (Found(len(state.points)),)
+
+
+def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
     """Places, (k, 2) px, that stayed while at least three others turned alike; None while nothing is certain."""
     s = tracker.settings.static
     if len(anchor.points) < 3 or len(now.points) < 3:
@@ -91,7 +92,7 @@ def _would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: 
     return np.linalg.norm(uv[0] - uv[1], axis=1) > least
 
 
-def _changed(anchor: Sight, now: Sight, settings: StaticSettings) -> bool:
+def _changed(anchor: View, now: View, settings: StaticSettings) -> bool:
     """The anchor's picture is gone without a common rotation: hands, light, or too few discs in common."""
     if len(anchor.points) == 0 or len(now.points) == 0:
         return len(now.points) > 0

@@ -6,18 +6,15 @@ from spheremouse.ball.associate import identify
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
-from spheremouse.ball.state import (
-    Phase,
-    Tracker,
-    TrackState,
-)
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.geometry.rotation import rotation_between
+from spheremouse.tracker import Status
 
 
 def recognised_attitude(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, int] | None:
     """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
 
-    After a short gap the rate is that from the last attitude held; after a long one it is unknown.
+    After a short gap the rate is that from the last attitude confirmed; after a long one it is unknown.
     """
     points, s = state.points, tracker.settings.loss
     if not isinstance(state.filter, So3State) or not isinstance(tracker.filter, So3Filter):
@@ -32,9 +29,9 @@ def recognised_attitude(state: TrackState, stamp: float, tracker: Tracker) -> tu
     )
     if known is None or 2 * len(known.pairs) < len(points):
         return None
-    gap = stamp - state.held
+    gap = stamp - state.confirmed_at
     rate = None
-    if state.phase is Phase.TRACKING and 0.0 < gap <= s.lost_after:
-        rate = rotation_between(state.sent, known.rotation) / gap
+    if state.status is Status.TRACKING and 0.0 < gap <= s.lost_after:
+        rate = rotation_between(state.reported_attitude, known.rotation) / gap
     placed = relocate(state.filter, known.rotation, s.identify_sigma, tracker.settings.so3, stamp, rate)
     return tracker.filter.update(placed, points, np.zeros(len(points), dtype=bool)), len(known.pairs)

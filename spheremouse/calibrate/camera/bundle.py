@@ -13,6 +13,7 @@ from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
 from spheremouse.geometry.least_squares.adjust import Jacobian, huber
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
+from spheremouse.geometry.statistics import mad_sigma
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 FLOOR = 0.01  # px: 8 bits tell an edge 20 px long and 100 grey values high no better
@@ -251,7 +252,7 @@ def sigma_of(views: Sequence[View], size: tuple[int, int], x: Array, used: NDArr
 
 
 def robust_sigma(residual: Array) -> float:
-    return max(1.4826 * float(np.median(np.abs(residual))), FLOOR)
+    return max(float(mad_sigma(residual.ravel())), FLOOR)
 
 
 def spread_of(bundle: Bundle, x: Array) -> Array:

@@ -4,21 +4,20 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse import __version__
+from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board, held_out
+from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
+from spheremouse.calibrate.camera.corners import Pattern, Sighting, dictionary_seen, find_board, rectified
+from spheremouse.calibrate.camera.coverage import Coverage, coverage
+from spheremouse.calibrate.photos import Photo, image
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.rotation import Array
-
-if TYPE_CHECKING:
-    from spheremouse.calibrate.camera.bundle import BoardAdjustment, View
-    from spheremouse.calibrate.camera.corners import Pattern, Sighting
-    from spheremouse.calibrate.camera.coverage import Coverage
-    from spheremouse.calibrate.photos import Photo
-
 
 _NEAR, _FAR = 0.02, 30.0  # m: no webcam is sharp nearer, and no board that a person holds is of use farther away
 _RATIO = 0.1  # part by which a marker may seem to differ from what was said: blur makes small ones smaller
@@ -29,13 +28,13 @@ _LOOSE = 0.1  # of the focal length: a standard deviation from which on it is no
 class Calibrated:
     """Everything a camera's calibration found, for files and report."""
 
-    photos: tuple["Photo", ...]  # all, in the order given
-    pattern: "Pattern"
+    photos: tuple[Photo, ...]  # all, in the order given
+    pattern: Pattern
     index: tuple[int, ...]  # of the photos that are views
-    views: tuple["View", ...]
-    found: "BoardAdjustment"
+    views: tuple[View, ...]
+    found: BoardAdjustment
     held_out: Array  # (v,) px RMS of each view, calibrated without it; nan where not
-    coverage: "Coverage"
+    coverage: Coverage
     skipped: dict[int, str]  # photo: why it is no view
 
     @property
@@ -48,17 +47,12 @@ class Calibrated:
 
 
 def calibrate(
-    photos: "Sequence[Photo]", pattern: "Pattern", terms: int = 5, tell: Callable[[str], object] = lambda _: None
+    photos: "Sequence[Photo]", pattern: Pattern, terms: int = 5, tell: Callable[[str], object] = lambda _: None
 ) -> Calibrated:
     """The camera that took the photos of a board; CalibrationError where they do not tell it.
 
     `tell` hears what is done next, twice a photo.
     """
-    from spheremouse.calibrate.camera.adjust import MIN_VIEWS, calibrate_board, held_out
-    from spheremouse.calibrate.camera.corners import find_board, rectified
-    from spheremouse.calibrate.camera.coverage import coverage
-    from spheremouse.calibrate.photos import image
-
     size = photos[0].size
     seen = []
     for photo in photos:
@@ -87,14 +81,12 @@ def calibrate(
     )
 
 
-def _view(pattern: "Pattern", seen: "Sighting") -> "View":
-    from spheremouse.calibrate.camera.bundle import View
-
+def _view(pattern: Pattern, seen: Sighting) -> View:
     return View(pattern.corners()[seen.ids], seen.uv)
 
 
-def _why(seen: "Sighting", pattern: "Pattern") -> str:
-    """Why a photo is no view."""
+def _why(seen: Sighting, pattern: Pattern) -> str:
+    """The reason why a photo is no view."""
     if pattern.marker is not None:
         if seen.misplaced:
             return "its markers do not lie as on this board"
@@ -107,15 +99,12 @@ def _why(seen: "Sighting", pattern: "Pattern") -> str:
     return f"shows {seen.grid[0]}x{seen.grid[1]} corners of a chessboard, not {_words(pattern)}"
 
 
-def _words(pattern: "Pattern") -> str:
+def _words(pattern: Pattern) -> str:
     return f"{pattern.columns}x{pattern.rows}"
 
 
-def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pattern") -> CalibrationError:
-    """Why there are hardly any views, as far as the photos tell."""
-    from spheremouse.calibrate.camera.corners import dictionary_seen, find_board
-    from spheremouse.calibrate.photos import image
-
+def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pattern) -> CalibrationError:
+    """The reason why there are hardly any views, as far as the photos tell."""
     n = sum(1 for s in seen if len(s.ids))
     if pattern.marker is None:
         grids = Counter(s.grid for s in seen if s.grid is not None and not len(s.ids))
@@ -153,8 +142,8 @@ def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pa
     )
 
 
-def _reasons(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pattern") -> str:
-    """Why photos are no views, those with the same reason together."""
+def _reasons(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pattern) -> str:
+    """The reasons why photos are no views, those with the same reason together."""
     because: dict[str, list[str]] = {}
     for photo, s in zip(photos, seen, strict=True):
         if not len(s.ids):
@@ -162,8 +151,8 @@ def _reasons(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pa
     return "".join(f". {', '.join(names)}: {why}" for why, names in because.items())
 
 
-def _check_markers(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: "Pattern") -> None:
-    """Whether a ChArUco board is the one that was described; each marker tells its place and its share of a square."""
+def _check_markers(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pattern) -> None:
+    """Refuse a ChArUco board that is not the one described; each marker tells its place and its share of a square."""
     if pattern.marker is None:
         return
     with_markers = [s for s in seen if s.markers >= 4]
@@ -185,10 +174,8 @@ def _check_markers(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", patter
         )
 
 
-def _check_plausible(found: "BoardAdjustment", pattern: "Pattern") -> None:
+def _check_plausible(found: BoardAdjustment, pattern: Pattern) -> None:
     """Refuse what no adjustment can see wrong, and what it cannot determine."""
-    from spheremouse.calibrate.camera.adjust import MIN_VIEWS
-
     camera, sigma = found.camera, found.deviations
     loose = float(np.max(sigma[:2] / np.array([camera.fx, camera.fy])))
     if loose > _LOOSE or not np.isfinite(loose):
@@ -243,7 +230,5 @@ def false_views(done: Calibrated) -> dict[int, str]:
 
 def thumbnail(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     """The image made `width` px wide."""
-    import cv2
-
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)

@@ -51,7 +51,7 @@ class Pattern:
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """What of a board an image shows. No `ids`: not enough of it, and `grid` says what was there in its place."""
+    """The part of a board in an image. No `ids`: not enough of it, and `grid` says what was there in its place."""
 
     ids: NDArray[np.intp]  # (k,) corners, row by row
     uv: Array  # (k, 2) px
@@ -191,7 +191,7 @@ def _in_cam(plane: Array, R: Array, t: Array) -> Array:
 
 
 def _on_plane(uv: Array, camera: InteriorOrientation, R: Array, t: Array) -> tuple[Array, Array]:
-    """Where rays of pixels (n, 2) meet the board: (n, 2) m in its plane, and dplane_duv (n, 2, 2)."""
+    """Points where rays of pixels (n, 2) meet the board: (n, 2) m in its plane, and dplane_duv (n, 2, 2)."""
     xy, dxy = unproject(uv, camera)
     ray = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
     normal = R[:, 2]
@@ -309,12 +309,12 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def markers_of(pattern: Pattern) -> int:
-    """How many markers a ChArUco board carries: in every second square."""
+    """Number of markers of a ChArUco board: one in every second square."""
     return (pattern.columns + 1) * (pattern.rows + 1) // 2
 
 
 def markers_in(dictionary: str) -> int:
-    """How many markers a dictionary has."""
+    """Number of markers of a dictionary."""
     return int(dictionary.rpartition("_")[2])
 
 

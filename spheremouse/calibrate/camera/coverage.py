@@ -24,7 +24,7 @@ _ANOTHER = 0.1  # of the image's diagonal by which a view must differ from all o
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """How many views show what."""
+    """Numbers of views by what they show."""
 
     views: int
     regions: NDArray[np.intp]  # (rows, columns) views with corners there
@@ -76,7 +76,7 @@ def unleant(found: Coverage) -> list[str]:
 
 
 def missing(found: Coverage) -> list[str]:
-    """What views are still wanted: phrases after "a view that ..."; empty when it is enough."""
+    """Views still wanted: phrases after "a view that ..."; empty when it is enough."""
     words = [f"shows the board {place}" for place in bare(found)]
     return words + [f"has the board facing {way} by {np.degrees(LEANT):.0f}° or more" for way in unleant(found)]
 
@@ -92,7 +92,7 @@ def enough(found: Coverage) -> bool:
 
 
 def gain(found: Coverage, size: tuple[int, int], uv: Array, R: Array, before: Sequence[Array]) -> str | None:
-    """What a view adds to those there are, in words; None where it adds nothing.
+    """The gain of a view beside those there are, in words; None where it adds nothing.
 
     `uv` (n, 2) px are its corners, R (3, 3) R_cam_board; `before` are the accepted views' corners, (k, 2) each.
     """
@@ -107,7 +107,7 @@ def gain(found: Coverage, size: tuple[int, int], uv: Array, R: Array, before: Se
 
 
 def _apart(a: Array, b: Array) -> float:
-    """How much two views differ, px: their middles, and their spreads along and across."""
+    """Difference of two views, px: of their middles, and of their spreads along and across."""
     return float(np.linalg.norm(a.mean(axis=0) - b.mean(axis=0)) + np.linalg.norm(np.cov(a.T) - np.cov(b.T)) ** 0.5)
 
 

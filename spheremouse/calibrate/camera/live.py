@@ -60,7 +60,7 @@ class Session:
 
     @property
     def coverage(self) -> Coverage:
-        """What the views show."""
+        """Coverage of the views so far."""
         return coverage(self.size, self.corners, self._rotations)
 
     def still(self, seen: Sighting) -> bool:
@@ -72,7 +72,7 @@ class Session:
         return len(a) >= 4 and float(np.median(np.linalg.norm(before.uv[a] - seen.uv[b], axis=1))) < STILL
 
     def gain(self, seen: Sighting) -> str | None:
-        """What a sighting adds, in words, or None."""
+        """The gain of a sighting, in words, or None."""
         R, _, _ = resected([self._view(seen)], self._camera)
         return gain(self.coverage, self.size, seen.uv, R[0], self.corners)
 

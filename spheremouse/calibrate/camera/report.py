@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,11 +21,9 @@ from spheremouse.calibrate.camera.figures import (
 )
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
+from spheremouse.files.report.style import styled
 from spheremouse.geometry.camera import interior_vector
-from spheremouse.geometry.rotation import Array, log
-
-if TYPE_CHECKING:
-    pass
+from spheremouse.geometry.rotation import Array, hat, log
 
 _GOOD_FOCAL = 5e-4  # of the focal length: 1 mm at 2 m, which is what targets are wanted to
 _INSIGNIFICANT = 2.0  # standard deviations
@@ -142,7 +140,7 @@ def camera_json(done: Calibrated) -> dict[str, Any]:
 
 def write_camera_report(path: Path, done: Calibrated, provenance: Mapping[str, Any]) -> None:
     """The page, whole or not at all; ConfigurationError where it cannot be written."""
-    with page.drawn():
+    with styled():
         write_atomically(path, _page(done, provenance))
 
 
@@ -316,8 +314,6 @@ def _pose_rows(done: Calibrated) -> list[list[str]]:
 
 def _position_covariance(done: Calibrated, k: int, C: Array) -> Array:
     """Of -R't, (3, 3) m², from that of rotation (in cam) and translation."""
-    from spheremouse.geometry.rotation import hat
-
     R, t = done.found.rotations[k], done.found.translations[k]
     J = np.hstack([-R.T @ hat(t), -R.T])
     return J @ C @ J.T
@@ -330,6 +326,3 @@ def _correlated(done: Calibrated) -> str:
         return f"No two are correlated by more than {_CORRELATED}."
     worst = ", ".join(f"{PARAMETERS[j]} and {PARAMETERS[i]} ({C[i, j]:+.3f})" for _, i, j in sorted(pairs)[::-1])
     return f"Correlated by more than {_CORRELATED}: {worst}. Alone they mean little; together they are sure."
-
-
-# ---- figures ----

@@ -23,8 +23,8 @@ from spheremouse.errors import CalibrationError
 from spheremouse.geometry.least_squares.adjust import Jacobian, cofactors
 from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
 from spheremouse.geometry.rotation import Array, exp, left_jacobian
+from spheremouse.geometry.statistics import FALSE_ALARM
 
-_FALSE_ALARM = 1e-3  # chance that a calibration without false corners loses one
 _SIGNIFICANT = 0.01  # chance that views which agree are said to contradict each other
 _DRAWS = 1000
 _ROUNDS = 6  # of taking out false corners and estimating variances
@@ -56,7 +56,7 @@ def finished(bundle: Bundle, x: Array, used: NDArray[np.bool_], sigma: Array) ->
         rows, blocks = np.arange(len(residual)), redundancy(J, Q, 2)
         number = np.diagonal(blocks, axis1=1, axis2=2).ravel()
         test = snooped(residual.reshape(-1, 2), blocks)
-        false = test > chi2.isf(_FALSE_ALARM / len(test), 2)
+        false = test > chi2.isf(FALSE_ALARM / len(test), 2)  # a calibration without false corners loses one so seldom
         if not false.any():
             factors = variance_factors(residual, number, [np.isin(rows, range(g.start, g.stop)) for g in part.groups])
             sigma[index] = np.maximum(sigma[index] * np.sqrt(factors), FLOOR)

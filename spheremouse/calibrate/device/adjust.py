@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.stats import chi2
 
 from spheremouse.ball.device import Device, DistanceError
 from spheremouse.ball.disc_map import DiscMap
@@ -31,9 +30,10 @@ from spheremouse.geometry.camera import InteriorOrientation, Pose, interior_vect
 from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
 from spheremouse.geometry.least_squares.sphere import Sphere, fit_sphere, off_sphere
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
+from spheremouse.geometry.statistics import gate
 
 DOUBTFUL_RMS = 0.5  # px RMS that sharp photos with a camera file of their own stay far below
-_FALSE = float(chi2.ppf(1.0 - 1e-4, 2))  # an image point further off than chance puts one of ten thousand
+_FALSE = gate(1.0 - 1e-4, 2)  # an image point further off than chance puts one of ten thousand
 _HUBER = 2.0  # standard deviations from which on residuals count less, before false ones are known
 _CONTRADICTS = 3.5  # standard deviations by which a distance must not miss what the photos say
 
@@ -98,13 +98,13 @@ class DeviceCalibration:
         return self.discs / np.linalg.norm(self.discs, axis=1, keepdims=True)
 
     def block(self, name: str) -> slice:
-        """Where `targets`, `radius`, `poses` or `discs` are in `covariance`."""
+        """Place of `targets`, `radius`, `poses` or `discs` in `covariance`."""
         ends = np.cumsum([0, 3 * len(self.targets), 1, 6 * len(self.poses), 3 * len(self.discs)])
         i = ("targets", "radius", "poses", "discs").index(name)
         return slice(int(ends[i]), int(ends[i + 1]))
 
     def rig(self) -> Rig:
-        """What a tracker needs."""
+        """The rig that a tracker needs."""
         targets, radius = self.block("targets"), self.block("radius")
         ball = np.zeros((4, 4))
         ball[3, 3] = self.covariance[radius, radius].item()

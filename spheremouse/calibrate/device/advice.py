@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy import sparse
-from scipy.stats import chi2
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
 from spheremouse.calibrate.device.plans import ENOUGH, NAMES, Advice, length, work_of
@@ -16,8 +15,8 @@ from spheremouse.calibrate.device.what_if import (
 )
 from spheremouse.geometry.least_squares.reliability import redundancy
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import FALSE_ALARM, gate
 
-_CHANCE = 1e-3  # a test speaks where chance would do so once in a thousand
 _RING = 0.03  # by which the size of rings may be off: print, blur, their colour's fringe
 _SCATTER = 4.0  # variance factor: twice the usual standard deviation
 _CHECKED = 8  # discs in three photos or more: four fix a sphere, as many check it
@@ -25,7 +24,7 @@ _GROUPS = ("target", "disc")
 
 
 def advise(calibration: DeviceCalibration, names: Sequence[str] | None = None) -> list[Advice]:
-    """How good it is, what is wrong, and at most three things to do, by their gain; `names` of all photos given."""
+    """Judgement, faults, and at most three things to do, by their gain; `names` of all photos given."""
     found = list(_findings(calibration, _Names(calibration, names)))
     work = work_of(calibration)
     return [_verdict(calibration, any(a.kind == "warning" for a in found)), *found, *work]
@@ -150,7 +149,7 @@ def _scale_findings(c: DeviceCalibration) -> Iterator[Advice]:
         sigma = np.array([d.sigma for d in c.device.distances])
         at = 2 * len(c.problem.image)
         ratio = float(np.sum(c.solution.adjusted.residual[at : at + len(sigma)] ** 2)) / freedom
-        if ratio > chi2.ppf(1.0 - _CHANCE, freedom) / freedom:
+        if ratio > gate(1.0 - FALSE_ALARM, freedom) / freedom:
             text = (
                 f"The distances contradict each other {np.sqrt(ratio):.1f} times as much as their sigma allows: "
                 "measure them again, or give larger sigmas in device.yaml; until then the radius is worse than it says."
@@ -172,7 +171,7 @@ def _scatter_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
     for i, (r, f) in enumerate(zip(ratio, freedom, strict=True)):
         others = (total - r * f) / max(float(np.sum(freedom)) - f, 1e-9)
         times = np.sqrt(r / max(others, 1e-12))
-        if f > 1.0 and times > 2.0 and r > others * chi2.ppf(1.0 - _CHANCE, f) / f:
+        if f > 1.0 and times > 2.0 and r > others * gate(1.0 - FALSE_ALARM, f) / f:
             text = (
                 f"{names.used(i)} fits {times:.1f} times worse than the others: blurred, or something moved. Take it "
                 "again, or leave it out."

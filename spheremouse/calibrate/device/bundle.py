@@ -31,7 +31,7 @@ INTERIOR = 9  # fx, fy, cx, cy, k1, k2, p1, p2, k3
 
 @dataclass(frozen=True, slots=True)
 class ImagePoints:
-    """What was measured in the photos: n points, targets and discs alike."""
+    """Measurements in the photos: n points, targets and discs alike."""
 
     photo: NDArray[np.intp]  # (n,)
     point: NDArray[np.intp]  # (n,) targets come first, discs after them
@@ -48,7 +48,7 @@ class ImagePoints:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """What the bundle adjustment estimates."""
+    """Estimates of the bundle adjustment."""
 
     camera: InteriorOrientation
     poses: tuple[Pose, ...]  # of the photos, in the frame of the targets
@@ -67,13 +67,13 @@ class Problem:
 
     @property
     def targets(self) -> int:
-        """How many points are targets."""
+        """Number of points that are targets."""
         return len(self.device.ids)
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Where the unknowns are: interior, six for each pose (position, rotation), three for each point."""
+    """Places of the unknowns: interior, six for each pose (position, rotation), three for each point."""
 
     photos: int
     points: int
@@ -104,7 +104,7 @@ class Solution:
 
 
 def columns_of(problem: Problem, photos: int, points: int) -> Columns:
-    """What is adjusted, and what the definition of the frame holds."""
+    """Columns of what is adjusted: all but what the definition of the frame holds."""
     device = problem.device
     row, axes = device.row, device.axes
     everything = Columns(photos, points, np.zeros(0, dtype=np.intp))
@@ -145,7 +145,7 @@ def design(problem: Problem, block: Block) -> tuple[Jacobian, Columns]:
 
 
 def predicted(block: Block, image: ImagePoints, problem: Problem) -> tuple[Array, Array, Array, Array]:
-    """Where the points should be seen, (n, 2) px, and d by the point in cam (n, 2, 3), by interior (n, 2, 9); in cam.
+    """Expected image points, (n, 2) px, and d by the point in cam (n, 2, 3), by interior (n, 2, 9); points in cam.
 
     A target is seen at the mean centroid of its circles, which face Z: the eccentricity is in it.
     """

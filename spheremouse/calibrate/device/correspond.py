@@ -42,7 +42,7 @@ class Spots:
 
 @dataclass(frozen=True, slots=True)
 class _Points:
-    """Where rays of k photos nearly meet: m points, false ones among them."""
+    """Points where rays of k photos nearly meet: m of them, false ones too."""
 
     position: Array  # (m, 3) m
     towards: Array  # (m, k, 3) unit vectors to the cameras
@@ -273,7 +273,7 @@ def _inside(points: _Points, centre: Array, radius: float, tolerance: float) -> 
 
 
 def _score(points: _Points, centre: Array, radius: float, tolerance: float) -> float:
-    """What speaks for a sphere: photos that see its points, less the nearer those are to the tolerance."""
+    """Score of a sphere: photos that see its points, less the nearer those are to the tolerance."""
     inside = _inside(points, centre, radius, tolerance)
     if np.count_nonzero(inside) < 5 or np.linalg.norm(np.ptp(points.position[inside], axis=0)) < _CAP * radius:
         return 0.0

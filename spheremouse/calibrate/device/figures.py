@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration
-from spheremouse.files.report.page import BLUE, GOLD, GREEN, GRID, INK, MUTED, PAPER, RED, drawn
+from spheremouse.files.report.style import BLUE, GOLD, GREEN, GRID, INK, MUTED, PAPER, RED, round_number, styled
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, tangent_basis
 
@@ -70,7 +70,7 @@ def _view(azimuth: float, height: float, eye: float | None = None) -> _View:
 def overview(calibration: DeviceCalibration) -> "Figure":
     """All in perspective."""
     reach = max(float(np.linalg.norm(p.position)) for p in calibration.poses)
-    with drawn():
+    with styled():
         from matplotlib.figure import Figure
 
         figure = Figure()
@@ -87,7 +87,7 @@ def side_views(calibration: DeviceCalibration) -> "Figure":
         ("from above", _view(0.0, 90.0)),
         ("from the right", _view(90.0, 0.0)),
     )
-    with drawn():
+    with styled():
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(9.6, 4.2))
@@ -102,7 +102,7 @@ def side_views(calibration: DeviceCalibration) -> "Figure":
             ax.set_position((left, 0.0, scale * size[0], 0.93))
             ax.set_xlim(*box[:, 0])
             ax.set_ylim(middle[1] - 0.5 * tallest, middle[1] + 0.5 * tallest)
-            ax.set_title(name, fontsize=9.0, color=MUTED, y=1.0, pad=3.0)
+            ax.set_title(name, loc="center", fontsize=9.0, color=MUTED, y=1.0, pad=3.0)
             left += scale * size[0] + gap
     return figure
 
@@ -238,8 +238,8 @@ def certainty(calibration: DeviceCalibration) -> tuple["Figure", float]:
     lengths = np.sqrt(np.diag(c.covariance))
     targets, discs = c.block("targets"), c.block("discs")
     worst = float(max(lengths[targets].max(), lengths[discs].max()))
-    magnified = _round(0.16 * c.radius / worst)
-    with drawn():
+    magnified = round_number(0.16 * c.radius / worst)
+    with styled():
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(9.6, 4.4))
@@ -247,7 +247,7 @@ def certainty(calibration: DeviceCalibration) -> tuple["Figure", float]:
             ax = figure.add_axes((0.5 * k, 0.0, 0.5, 0.93))
             ax.set_aspect("equal")
             ax.axis("off")
-            ax.set_title(name, fontsize=9.0, color=MUTED, pad=3.0)
+            ax.set_title(name, loc="center", fontsize=9.0, color=MUTED, pad=3.0)
             outline = view(_circle(np.zeros(3), view.forward, c.radius))
             ax.plot(*outline.T, color=MUTED, lw=0.8, zorder=1.0)
             for block, places, colour in ((targets, c.targets, GOLD), (discs, c.discs, BLUE)):
@@ -275,7 +275,7 @@ def magnification(calibration: DeviceCalibration, width: int) -> float:
     """By how much residual arrows are drawn longer in pictures of photos `width` px wide: 1, 2 or 5 times a power."""
     measured = calibration.measured
     large = float(np.percentile(np.linalg.norm(measured.residual[measured.used], axis=1), 95))
-    return _round(_ARROW * width / max(large, 1e-3))
+    return round_number(_ARROW * width / max(large, 1e-3))
 
 
 def photo_picture(calibration: DeviceCalibration, photo: int, image: NDArray[np.uint8]) -> bytes:
@@ -330,9 +330,3 @@ def _polyline(canvas: NDArray[np.uint8], points: Array, colour: tuple[int, int, 
 
 def _place(point: Array) -> tuple[int, int]:
     return round(float(point[0])), round(float(point[1]))
-
-
-def _round(value: float) -> float:
-    """1, 2 or 5 times a power of ten, not above."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-9)))

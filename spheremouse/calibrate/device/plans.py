@@ -122,7 +122,7 @@ def _value(s: Sigmas, what: str) -> float:
 
 
 def _gain(now: Sigmas, after: Sigmas, enough: float) -> tuple[str, float]:
-    """What is made better most, of what is bad enough to matter, and how many times; the radius first."""
+    """The quantity made better most, of those bad enough to matter, and how many times; the radius first."""
     values = {name: _value(now, name) for name in (*NAMES[::-1], _TARGETS)}
     large = max(values.values())
     gains = [(name, v / _value(after, name)) for name, v in values.items() if v >= 0.5 * large and v > 0.0]

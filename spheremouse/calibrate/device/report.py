@@ -1,4 +1,4 @@
-"""What a calibration of a device found: a page with pictures, lines for the terminal, figures for a program.
+"""What a calibration of a device found, as a page with pictures.
 
 The tables are those of Wittich 2017 (9-13) in our numbers. Lengths are in mm, or in thousandths of the ball's radius
 where there are no metres.
@@ -32,15 +32,6 @@ from spheremouse.geometry.rotation import Array
 
 MARKS = {"good": ("✓", "green"), "note": ("·", "cyan"), "warning": ("!", "red")}
 AXES = ("X", "Y", "Z")
-
-
-# ---- for a program ----
-
-
-# ---- for the terminal ----
-
-
-# ---- for a browser ----
 
 
 def write_device_report(
@@ -267,6 +258,3 @@ def _provenance_section(c: DeviceCalibration, photos: Sequence[Photo], provenanc
         page.table(["", ""], known, text=2),
         page.table(["photo", "", "px", "SHA-256"], files, text=4),
     )
-
-
-# ---- figures for all three ----

@@ -80,7 +80,7 @@ def advice_or_made(c: DeviceCalibration, names: Sequence[str], given: Sequence[A
 
 
 def unit_of(c: DeviceCalibration) -> tuple[str, float, int]:
-    """What lengths are shown in, what makes them so, and decimals."""
+    """Unit that lengths are shown in, factor to it, and decimals."""
     return ("R/1000", 1e3, 3) if c.scale_free else ("mm", 1e3, 2)
 
 

@@ -40,7 +40,7 @@ class TargetViews:
 def target_views(
     seen: Sequence[TargetDetections], device: Device, camera: InteriorOrientation, sigma: float
 ) -> TargetViews:
-    """Which target is where; `sigma` px is the standard deviation of a centre.
+    """Image points of the device's targets; `sigma` px is the standard deviation of a centre.
 
     A photo with fewer than 3 is left out.
     """

@@ -57,7 +57,7 @@ class Network:
 
     @property
     def aim(self) -> Array:
-        """What photos look at: between ball and targets, (3,)."""
+        """Point that photos look at: between ball and targets, (3,)."""
         return 0.5 * (self.centre + self.targets.mean(axis=0))
 
 
@@ -127,7 +127,7 @@ def with_distances(net: Network, pairs: tuple[tuple[int, int], ...], sigma: floa
 
 
 def sigmas(net: Network, known: int) -> Sigmas:
-    """What the design can know; `known` discs, the first ones, are judged. LinAlgError where it hangs in the air."""
+    """Standard deviations of a design; the first `known` discs are judged. LinAlgError where it hangs in the air."""
     J, columns = design(net.problem, net.block)
     n, m = net.problem.targets, len(net.block.points)
     where = columns.point(np.arange(m)).ravel()

@@ -26,7 +26,7 @@ _COOLING = 0.15  # contradictions that a move may lose at the start
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What a layout is worth."""
+    """The worth of a layout."""
 
     in_view: int  # fewest discs in view, over all directions to the camera
     apart: float  # rad, between the two discs nearest to each other
@@ -49,7 +49,7 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """How far a search has come."""
+    """Progress of a search."""
 
     done: int
     steps: int
@@ -138,7 +138,7 @@ def judge(directions: Array, view_angle: float, views: int | None = None) -> Jud
 def recognised(
     directions: Array, view_angle: float, sigma: float, missing: float, trials: int, rng: np.random.Generator
 ) -> Trials:
-    """What `identify` makes of random attitudes: noise `sigma` rad per axis, each disc missing with a probability."""
+    """Success of `identify` at random attitudes: noise `sigma` rad per axis, each disc missing with a probability."""
     camera, cosine = np.array([0.0, 0.0, 1.0]), float(np.cos(view_angle))
     found = wrong = 0
     for _ in range(trials):

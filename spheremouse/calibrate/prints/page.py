@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from spheremouse.files.report.style import styled
 from spheremouse.geometry.rotation import Array
 
 if TYPE_CHECKING:
@@ -24,14 +25,7 @@ _MARGIN = 6.0  # mm; printers leave out up to 5
 _LEFT, _BOTTOM = 17.0, 18.0  # mm that rulers and words take
 _RULED = 100.0  # mm
 _POINTS = 72.0 / 25.4  # per mm
-_STYLE: dict[str, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "path.simplify": False,
-    "path.snap": False,
-    "pdf.fonttype": 3,
-    "pdf.compression": 9,
-}
+_EXACT = {"path.simplify": False, "path.snap": False, "pdf.fonttype": 3, "pdf.compression": 9}
 
 Colour = tuple[float, float, float]  # RGB, 0 to 1
 
@@ -98,7 +92,7 @@ class Paper:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What goes on one sheet."""
+    """Content of one sheet."""
 
     paper: Paper
     title: str
@@ -114,15 +108,14 @@ def paper(name: str, *, wide: bool = False) -> Paper:
 
 def pdf(pages: Sequence[Page], title: str) -> bytes:
     """The pages as a PDF file; the same pages give the same bytes, at any date and on any machine."""
-    import matplotlib as mpl
-    from matplotlib import style
-    from matplotlib.backends.backend_pdf import PdfPages
-
     file = BytesIO()
     about = {"Title": title, "Creator": "spheremouse", "Producer": None, "CreationDate": None}
-    with style.context("default"), mpl.rc_context(_STYLE), PdfPages(file, metadata=about) as book:  # type: ignore[arg-type]
-        for page in pages:
-            book.savefig(_figure(page))
+    with styled(_EXACT):
+        from matplotlib.backends.backend_pdf import PdfPages
+
+        with PdfPages(file, metadata=about) as book:
+            for page in pages:
+                book.savefig(_figure(page), facecolor="white")
     return file.getvalue()
 
 

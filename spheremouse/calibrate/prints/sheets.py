@@ -286,7 +286,7 @@ def _span(pattern: Pattern, board: Board) -> str:
 
 
 def _cuts(length: float, square: float, limit: float) -> list[float]:
-    """Where a board is cut, both ends included, in parts that fit; empty where none do.
+    """Places to cut a board, both ends included, in parts that fit; empty where none do.
 
     Cuts run through the middle of squares, so that corners, which are what is measured, stay whole.
     """
@@ -345,7 +345,7 @@ def _part(pattern: Pattern, board: Board, sheet: Paper, x: list[float], y: list[
 
 
 def _clipped(black: Array, window: Array) -> Array:
-    """What of rectangles (n, 4) lies in a window (4,)."""
+    """Parts of rectangles (n, 4) that lie in a window (4,)."""
     low, high = np.maximum(black[:, :2], window[:2]), np.minimum(black[:, 2:], window[2:])
     inside = np.all(high - low > 1e-9, axis=1)
     return np.concatenate([low[inside], high[inside]], axis=1)

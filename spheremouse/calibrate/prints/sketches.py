@@ -3,8 +3,11 @@
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from spheremouse.calibrate.prints.sheets import TARGETS
+from spheremouse.files.report import svg
+from spheremouse.files.report.style import BLUE
 from spheremouse.geometry.rotation import Array, exp
 
 _INK = {"C": "#00ffff", "M": "#ff00ff", "Y": "#ffff00"}
@@ -32,44 +35,42 @@ _VIEWS = (
 )
 
 
-def sketches() -> dict[str, str]:
+def sketches() -> dict[str, Markup]:
     """SVG text by name, as the recipe's comments `<!-- sketch: NAME -->` call for them."""
-    return {"board": _board(), "frame": _frame(), "device": _device()}
+    return {
+        "board": svg.drawing(
+            900, 268, "Ten photos of the board: straight, tilted four ways, in four corners, turned", _views()
+        ),
+        "frame": svg.drawing(
+            840, 470, "The frame from the front: a target at each corner, and the distances between them", _front()
+        ),
+        "device": svg.drawing(900, 360, "Where to stand, from above and from the side", _places()),
+    }
 
 
-def _svg(width: float, height: float, parts: Iterator[str], label: str) -> str:
-    body = "\n".join(parts)
-    return f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{label}">\n{body}\n</svg>'
+def _line(a: Array | tuple[float, float], b: Array | tuple[float, float], **look: str | float) -> Markup:
+    return svg.element("line", x1=a[0], y1=a[1], x2=b[0], y2=b[1], **look)
 
 
-def _points(xy: Array) -> str:
-    return " ".join(f"{x:.1f},{y:.1f}" for x, y in xy)
-
-
-def _line(a: Array | tuple[float, float], b: Array | tuple[float, float], look: str) -> str:
-    return f'<line x1="{a[0]:.1f}" y1="{a[1]:.1f}" x2="{b[0]:.1f}" y2="{b[1]:.1f}" {look}/>'
+def _text(x: float, y: float, text: str, size: float, anchor: str = "start", **look: str) -> Markup:
+    return svg.element("text", text, x=x, y=y, font_size=size, text_anchor=anchor, **look)
 
 
 # ---- the board in the picture ----
 
 
-def _board() -> str:
-    return _svg(900, 268, _views(), "Ten photos of the board: straight, tilted four ways, in four corners, turned")
-
-
-def _views() -> Iterator[str]:
+def _views() -> Iterator[Markup]:
     w, h = 160.0, 90.0
     for k, (title, pitch, yaw, roll, u, v, distance) in enumerate(_VIEWS):
         left, top = 5.0 + 182.5 * (k % 5), 5.0 + 138.0 * (k // 5)
         turn = exp(np.radians([pitch, 0, 0])) @ exp(np.radians([0, yaw, 0])) @ exp(np.radians([0, 0, roll]))
         centre = np.array([u * w / 2, v * h / 2, w]) * distance / w
-        yield f'<rect x="{left:g}" y="{top:g}" width="{w:g}" height="{h:g}" fill="#eee" stroke="#000"/>'
+        yield svg.element("rect", x=left, y=top, width=w, height=h, fill="#eee", stroke="#000")
         for dark, quad in _quads():
             cam = quad @ turn.T + centre
             xy = cam[:, :2] / cam[:, 2:] * w + [left + w / 2, top + h / 2]
-            fill = "#000" if dark else "#fff"
-            yield f'<polygon points="{_points(xy)}" fill="{fill}"/>'
-        yield f'<text x="{left + w / 2:g}" y="{top + h + 17:g}" text-anchor="middle" font-size="14">{title}</text>'
+            yield svg.element("polygon", points=xy, fill="#000" if dark else "#fff")
+        yield _text(left + w / 2, top + h + 17, title, 14, "middle")
 
 
 def _quads() -> Iterator[tuple[bool, Array]]:
@@ -91,58 +92,50 @@ def _quads() -> Iterator[tuple[bool, Array]]:
 # ---- targets on the frame ----
 
 
-def _frame() -> str:
-    return _svg(840, 470, _front(), "The frame from the front: a target at each corner, and the distances between them")
-
-
-def _front() -> Iterator[str]:
+def _front() -> Iterator[Markup]:
     x0, x1, y0, y1 = 220.0, 620.0, 40.0, 430.0
-    yield f'<rect x="{x0 - 28}" y="{y0 - 28}" width="{x1 - x0 + 56}" height="{y1 - y0 + 56}" fill="none" stroke="#999" '
-    yield 'stroke-width="16"/>'
+    outer = {"x": x0 - 28, "y": y0 - 28, "width": x1 - x0 + 56, "height": y1 - y0 + 56}
+    yield svg.element("rect", **outer, fill="none", stroke="#999", stroke_width=16)
     cx, cy, r = 420.0, 235.0, 172.0
-    yield f'<circle cx="{cx}" cy="{cy}" r="{r}" fill="#f6f4ee" stroke="#000"/>'
+    yield svg.element("circle", cx=cx, cy=cy, r=r, fill="#f6f4ee", stroke="#000")
     for u, v in _DISCS:
         x, y, short = cx + r * u, cy + r * v, 9.0 * np.sqrt(1.0 - u**2 - v**2)
         turn = f"rotate({np.degrees(np.arctan2(v, u)):.0f} {x:.1f} {y:.1f})"
-        yield f'<ellipse cx="{x:.1f}" cy="{y:.1f}" rx="{short:.1f}" ry="9" transform="{turn}"/>'
+        yield svg.element("ellipse", cx=x, cy=y, rx=short, ry=9, transform=turn)
     corners = [(x0, y0), (x0, y1), (x1, y1), (x1, y0)]
     for i, a in enumerate(corners):
-        yield _line(a, corners[i - 1], 'stroke="#2f6690" stroke-width="1.6" stroke-dasharray="7 5"')
+        yield _line(a, corners[i - 1], stroke=BLUE, stroke_width=1.6, stroke_dasharray="7 5")
     for (number, code), (x, y) in zip(TARGETS.items(), corners, strict=False):
-        yield f'<rect x="{x - 27}" y="{y - 27}" width="54" height="54" fill="#fff" stroke="#999" stroke-width="0.6"/>'
+        yield svg.element("rect", x=x - 27, y=y - 27, width=54, height=54, fill="#fff", stroke="#999", stroke_width=0.6)
         for radius, ink in zip(reversed(_RINGS), reversed(code), strict=True):
-            yield f'<circle cx="{x}" cy="{y}" r="{0.6 * radius:.1f}" fill="{_INK[ink]}"/>'
+            yield svg.element("circle", cx=x, cy=y, r=0.6 * radius, fill=_INK[ink])
         side, anchor = (-44.0, "end") if x < cx else (44.0, "start")
-        words = f'<tspan font-weight="bold">{number}</tspan> {code}'
-        yield f'<text x="{x + side}" y="{y + 6}" text-anchor="{anchor}" font-size="17">{words}</text>'
+        words = svg.element("tspan", str(number), font_weight="bold") + f" {code}"
+        yield _text(x + side, y + 6, words, 17, anchor)
     for k, words in enumerate(("dashed: distances", "to measure, from", "centre to centre")):
-        yield f'<text x="666" y="{218 + 20 * k}" font-size="15">{words}</text>'
+        yield _text(666, 218 + 20 * k, words, 15)
     for k, words in enumerate(("targets in one plane,", "flat, facing you,", "no code twice")):
-        yield f'<text x="174" y="{218 + 20 * k}" font-size="15" text-anchor="end">{words}</text>'
+        yield _text(174, 218 + 20 * k, words, 15, "end")
 
 
 # ---- places of the camera ----
 
 
-def _device() -> str:
-    return _svg(900, 360, _places(), "Where to stand, from above and from the side")
-
-
-def _places() -> Iterator[str]:
+def _places() -> Iterator[Markup]:
     for left, title, angles, ends in (
         (0.0, "from above", (-55.0, -28.0, 0.0, 28.0, 55.0), ("left", "right")),
         (450.0, "from the side", (-30.0, 0.0, 30.0), ("low", "high")),
     ):
         cx, cy = (left + 225.0, 52.0) if left == 0.0 else (left + 110.0, 165.0)
         straight = 90.0 if left == 0.0 else 0.0
-        yield f'<text x="{left + 225}" y="352" font-size="17" text-anchor="middle" font-weight="bold">{title}</text>'
-        yield f'<circle cx="{cx}" cy="{cy}" r="46" fill="#f6f4ee" stroke="#000"/>'
+        yield _text(left + 225, 352, title, 17, "middle", font_weight="bold")
+        yield svg.element("circle", cx=cx, cy=cy, r=46, fill="#f6f4ee", stroke="#000")
         across = np.array([1.0, 0.0]) if left == 0.0 else np.array([0.0, 1.0])
         front = np.array([cx, cy]) + 36.0 * across[::-1]
         a, b = front - 62.0 * across, front + 62.0 * across
-        yield _line(a, b, 'stroke="#999" stroke-width="7"')
+        yield _line(a, b, stroke="#999", stroke_width=7)
         for at in (a, b):
-            yield f'<circle cx="{at[0]}" cy="{at[1]}" r="7" fill="#ff00ff" stroke="#000" stroke-width="0.6"/>'
+            yield svg.element("circle", cx=at[0], cy=at[1], r=7, fill=_INK["M"], stroke="#000", stroke_width=0.6)
         for angle in angles:
             yield from _camera(front, straight - angle, 205.0)
         for angle, words in ((angles[0], ends[0]), (angles[-1], ends[1])):
@@ -150,10 +143,10 @@ def _places() -> Iterator[str]:
             x, y = front + 205.0 * np.array([np.cos(out), np.sin(out)])
             y += 44.0 if left == 0.0 else 5.0
             anchor, x = ("middle", x) if left == 0.0 else ("start", x + 26.0)
-            yield f'<text x="{x:.1f}" y="{y:.1f}" font-size="15" text-anchor="{anchor}">far {words}</text>'
+            yield _text(x, y, f"far {words}", 15, anchor)
 
 
-def _camera(towards: Array, degrees: float, distance: float) -> Iterator[str]:
+def _camera(towards: Array, degrees: float, distance: float) -> Iterator[Markup]:
     """A camera that looks back at a point from a direction, with its line of sight."""
     out = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
     side = np.array([-out[1], out[0]])
@@ -161,5 +154,6 @@ def _camera(towards: Array, degrees: float, distance: float) -> Iterator[str]:
     body = np.array([at + 9 * side, at + 9 * side + 18 * out, at - 9 * side + 18 * out, at - 9 * side])
     lens = np.array([at, at - 11 * out + 8 * side, at - 11 * out - 8 * side])
     near, far = towards + 30.0 * out, at - 16 * out
-    yield _line(near, far, 'stroke="#2f6690" stroke-dasharray="2 5"')
-    yield f'<polygon points="{_points(body)}"/><polygon points="{_points(lens)}"/>'
+    yield _line(near, far, stroke=BLUE, stroke_dasharray="2 5")
+    yield svg.element("polygon", points=body)
+    yield svg.element("polygon", points=lens)

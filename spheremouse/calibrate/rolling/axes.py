@@ -189,7 +189,7 @@ def jacobian(f: Callable[[Array], Array], x: Array) -> Array:
 
 
 def changes_by_lens(f: Callable[[InteriorOrientation], Array], camera: InteriorOrientation) -> Array:
-    """How f changes per standard deviation along each column of `lens_root`, (n, 9)."""
+    """Change of f per standard deviation along each column of `lens_root`, (n, 9)."""
     L, h = lens_root(camera), 1e-2
 
     def off(step: Array) -> InteriorOrientation:

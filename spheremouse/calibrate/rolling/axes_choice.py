@@ -18,7 +18,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 
 @dataclass(frozen=True, slots=True)
 class AxesFrom:
-    """What there is to find the axes by; the first that is given is taken: gestures, device, rig."""
+    """Ways to find the axes; the first that is given is taken: gestures, device, rig."""
 
     rig: Rig | None  # of which targets, their radii and the discs' radius are used
     device: Device | None

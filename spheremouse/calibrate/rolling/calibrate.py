@@ -36,7 +36,7 @@ _SHIFTED = 0.5  # px: more is a camera that was moved
 
 @dataclass(slots=True)
 class Views:
-    """What is kept of a few frames: for the targets in colour, and grey for the camera's rest."""
+    """Pictures kept of a few frames: for the targets in colour, and grey for the camera's rest."""
 
     colour: list[Image] = field(default_factory=list)
     grey: list[tuple[float, Image]] = field(default_factory=list)
@@ -62,7 +62,7 @@ class Views:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What rolling gave."""
+    """Results of rolling."""
 
     rolled: Rolled
     tracked: Tracked

@@ -124,7 +124,7 @@ def minimised(
 
 
 def _cost(length: Array, knee: float, readout: float, expected: tuple[float, float]) -> float:
-    """What a step makes less: the residuals' part, and that of what was known of the readout before."""
+    """Cost that a step makes less: the residuals' part, and that of what was known of the readout before."""
     before = ((readout - expected[0]) / max(expected[1], _FIRM)) ** 2
     if not np.isfinite(knee):
         return float(length @ length) + before

@@ -32,7 +32,7 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True)
 class Rolling:
-    """Where ball, camera and discs are, in units of the ball's radius."""
+    """Places of ball, camera and discs, in units of the ball's radius."""
 
     direction: Array  # (3,) unit vector in cam, to the ball's centre
     ratio: float  # distance of the centre over the radius

@@ -16,13 +16,13 @@ from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase, TrackState
+from spheremouse.ball.state import TrackState
 from spheremouse.ball.track import step
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 
 R_OBJ_CAM = np.diag([1.0, -1.0, -1.0])  # axes for the time being: those of the picture, Y up and Z to the camera
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur: what is wrong with it is the same every time
@@ -33,7 +33,7 @@ _TRIED = 50  # frames of a stretch in which another one's discs are looked for
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What the tracker made of the frames."""
+    """Results of the tracker on the frames."""
 
     rolling: Rolling
     sightings: Sightings
@@ -70,20 +70,20 @@ def track_rolling(
     state: TrackState | None = None
     stretches = [_Stretch()]
     sizes: list[float] = []
-    lost, count, phase = 0, 0, Phase.SEARCHING
+    lost, count, status = 0, 0, Status.SEARCHING
     for frame in frames:
         state = state or begin(tracker, frame.stamp)
-        state, _ = step(state, frame, tracker)
+        state = step(state, frame, tracker).state
         count += 1
-        lost += state.phase is Phase.LOST and phase is not Phase.LOST
-        phase = state.phase
+        lost += state.status is Status.LOST and status is not Status.LOST
+        status = state.status
         f = state.filter
-        if state.hunt.size > 0.0:
-            sizes.append(state.hunt.size)
-        if not state.moved:  # any candidate may be a look-alike; and what comes then is another map
+        if state.search.size > 0.0:
+            sizes.append(state.search.size)
+        if not state.known_to_turn:  # any candidate may be a look-alike; and what comes then is another map
             if stretches[-1].stamp:
                 stretches.append(_Stretch())
-        elif isinstance(f, So3State) and state.holds and phase is Phase.TRACKING:
+        elif isinstance(f, So3State) and state.confirmed and status is Status.TRACKING:
             into, points = stretches[-1], state.points
             into.stamp.append(frame.stamp)
             into.attitude.append(f.attitude)

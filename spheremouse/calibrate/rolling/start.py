@@ -20,6 +20,7 @@ from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import mad_sigma
 
 _SCALES = (9, 17, 33, 65)  # px, widths of the closing: discs up to two thirds of that are found
 _DARKER = 0.2  # least depth of a spot, of what surrounds it: print is 0.8, haze and gloss halve it
@@ -86,7 +87,7 @@ def dark_spots(image: Image) -> Spots:
     """Compact dark regions of any size in an image (h, w, 3) BGR or (h, w)."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     grey = cv2.GaussianBlur(grey, (0, 0), 0.8)
-    noise = 1.4826 * float(np.median(np.abs(np.diff(grey[::4].astype(np.float32), axis=1))))
+    noise = float(mad_sigma(np.diff(grey[::4].astype(np.float32), axis=1).ravel()))
     found: list[tuple[float, float, float]] = []  # u, v, area
     for width in _SCALES:
         if width > min(grey.shape) // 4:
@@ -176,7 +177,7 @@ class _Open:
         self.area.append(float(seen.area[j]))
 
     def expected(self, k: int) -> Array:
-        """Where it is in frame k, if it goes on as it went, (2,) px."""
+        """Place in frame k, if it goes on as it went, (2,) px."""
         if len(self.frame) < 2:
             return self.centre[-1]
         way = (self.centre[-1] - self.centre[-2]) / (self.frame[-1] - self.frame[-2])
@@ -185,7 +186,7 @@ class _Open:
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """What moved between two frames, p times up to n spots."""
+    """Motion of spots between two frames, p times up to n spots."""
 
     before: Array  # (p, n, 3) unit rays in cam
     after: Array  # (p, n, 3)

@@ -1,8 +1,8 @@
 """`v4l2:DEVICE[,width=W,height=H,fps=F,format=NAME]`: a camera of Linux, with its own stamps and without copies.
 
 DEVICE is a number, /dev/videoN or a path below /dev/v4l/by-id. The driver's mapped buffers are the ring: `next` takes
-one out of its queue and hands it on as a Shot, `release` puts it back; while all are out the driver drops, and the
-frames' numbers show that.
+one out of its queue and hands it on as a raw frame, `release` puts it back; while all are out the driver drops, and
+the frames' numbers show that.
 """
 
 import sys
@@ -24,7 +24,7 @@ from spheremouse.capture.settings import CameraSettings, PixelName
 from spheremouse.capture.v4l2.pixels import Layout, bgr, luma
 from spheremouse.capture.v4l2.stamps import Arrival, Count, Moment, Stamps, Timing, counted, stamped
 from spheremouse.errors import DamagedFrameError, SourceError
-from spheremouse.files.spec import options
+from spheremouse.files.registry import options
 from spheremouse.tracker import Frame
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ _CLOCK_MASK, _CLOCKS = 0xE000, {0x2000: "monotonic", 0x4000: "copied"}  # V4L2_B
 _HWTIMESTAMPS = Path("/sys/module/uvcvideo/parameters/hwtimestamps")
 
 
-class Shot:
-    """A frame in the driver's buffer, not decoded yet; see source.Shot."""
+class V4L2Frame:
+    """A frame in the driver's buffer, not decoded yet; see capture.RawFrame."""
 
     __slots__ = ("_camera", "_index", "_layout", "_lost", "_payload", "sequence", "stamp")
 
@@ -56,7 +56,7 @@ class Shot:
     def frame(self, colour: bool) -> Frame:
         """Luma (a view of the buffer, but for MJPG) or BGR (a copy). DamagedFrameError where it is no whole picture."""
         if self._payload is None:
-            raise ValueError("this shot was released")
+            raise ValueError("this frame was released")
         if self._lost:
             raise DamagedFrameError("the driver lost a part of the frame")
         image = (bgr if colour else luma)(self._payload, self._layout)
@@ -69,7 +69,7 @@ class Shot:
 
 
 class V4L2Camera:
-    """An open camera whose frames come; see source.Camera. `next` is for one thread, all else for any."""
+    """An open camera whose frames come; see capture.Camera. `next` is for one thread, all else for any."""
 
     def __init__(
         self, device: "Device", controls: "Controls", mode: "Mode", settings: CameraSettings, words: str
@@ -80,7 +80,7 @@ class V4L2Camera:
         self._device: Device | None = device
         self._controls = controls
         self._lock = Lock()
-        self._out: dict[int, Shot] = {}
+        self._out: dict[int, V4L2Frame] = {}
         self._ready = poll()
         self._ready.register(device.fd, POLLIN)
         self._stamps, self._count = Stamps(), Count()
@@ -100,7 +100,7 @@ class V4L2Camera:
     ) -> None:
         self.close()
 
-    def next(self, timeout: float) -> Shot | None:
+    def next(self, timeout: float) -> V4L2Frame | None:
         """The oldest frame not given yet, None if none comes within `timeout` s; SourceError if the camera is gone."""
         deadline = time.monotonic() + timeout
         device = self._device
@@ -119,9 +119,9 @@ class V4L2Camera:
                 raise SourceError(f"{device.path}: the camera is gone, or its stream broke off; plug it in again")
             return None
         arrival = Arrival(time.monotonic(), time.time(), waited)
-        return self._shot(device, buffer, arrival)
+        return self._raw_frame(device, buffer, arrival)
 
-    def _shot(self, device: "Device", buffer: Any, arrival: Arrival) -> Shot:
+    def _raw_frame(self, device: "Device", buffer: Any, arrival: Arrival) -> V4L2Frame:
         raw = buffer.timestamp.secs + 1e-6 * buffer.timestamp.usecs
         self._flags = flags = buffer.flags
         self._stamps, stamp, said = stamped(self._stamps, raw, arrival, self._timings[self._moment(flags)])
@@ -129,15 +129,15 @@ class V4L2Camera:
             self.notes = (*self.notes, said)
         self._count, sequence = counted(self._count, buffer.sequence)
         payload = device.buffers[buffer.index][: buffer.bytesused]
-        shot = Shot(self, buffer.index, payload, bool(flags & _ERROR), stamp, sequence)
+        frame = V4L2Frame(self, buffer.index, payload, bool(flags & _ERROR), stamp, sequence)
         with self._lock:
-            self._out[buffer.index] = shot
-        return shot
+            self._out[buffer.index] = frame
+        return frame
 
-    def take_back(self, index: int, shot: Shot) -> None:
-        """Queue a shot's buffer again, unless that was done, or the camera is closed."""
+    def take_back(self, index: int, raw: V4L2Frame) -> None:
+        """Queue a raw frame's buffer again, unless that was done, or the camera is closed."""
         with self._lock:
-            if self._out.get(index) is not shot:
+            if self._out.get(index) is not raw:
                 return
             del self._out[index]
             if self._device is not None:
@@ -158,7 +158,7 @@ class V4L2Camera:
         return "; ".join((*parts, *self.notes))
 
     def close(self) -> None:
-        """Controls as they were, the device closed; shots that are out stay readable until they are released."""
+        """Controls as they were, the device closed; raw frames that are out stay readable until they are released."""
         with self._lock:
             device, self._device = self._device, None
         if device is not None:
@@ -237,14 +237,14 @@ def _newest(camera: V4L2Camera) -> Iterator[Frame]:
     """Frames in colour, those that were not fetched in time left out."""
     damaged = 0
     while True:
-        shot = camera.next(_PATIENCE)
-        if shot is None:
+        raw = camera.next(_PATIENCE)
+        if raw is None:
             raise SourceError(f"{camera.describe()}: no frame for {_PATIENCE:g} s; see cable, hub and power")
         while (newer := camera.next(0.0)) is not None:
-            shot.release()
-            shot = newer
+            raw.release()
+            raw = newer
         try:
-            frame = shot.frame(colour=True)
+            frame = raw.frame(colour=True)
             damaged = 0
         except DamagedFrameError as e:
             damaged += 1
@@ -252,12 +252,12 @@ def _newest(camera: V4L2Camera) -> Iterator[Frame]:
                 raise SourceError(f"{camera.describe()}: {damaged} damaged frames in a row, the last: {e}") from None
             continue
         finally:
-            shot.release()
+            raw.release()
         yield frame
 
 
 def _meaning_of_soe(driver: str) -> Moment:
-    """What a driver's stamps "at start of exposure" are."""
+    """The moment that a driver's stamps "at start of exposure" tell."""
     if driver != "uvcvideo":
         return Moment.EXPOSURE_BEGINS
     try:

@@ -52,7 +52,7 @@ _BY_ID = Path("/dev/v4l/by-id")
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """What the driver agreed to."""
+    """Layout and rate that the driver agreed to."""
 
     layout: Layout
     fps: float | None  # Hz; None: the driver does not say
@@ -140,7 +140,7 @@ class Device:
         return Mode(Layout(name, *got, 0 if name == "MJPG" else stride), fps)
 
     def modes(self) -> str:
-        """What the device has that can be read here, in words."""
+        """Formats and sizes of the device that can be read here, in words."""
         formats = self._formats()
         has = "; ".join(f"{name} {self._sizes(code)}".strip() for name, code in formats.items())
         return f"it has {has}" if has else f"it has no format that can be read here ({', '.join(FORMATS)})"
@@ -257,7 +257,7 @@ class Device:
         self.fd = -1
 
     def failure(self, error: OSError) -> SourceError:
-        """What went wrong with the open device, in words."""
+        """A failure of the open device, in words."""
         if error.errno in (errno.ENODEV, errno.ENXIO, errno.ESHUTDOWN):
             return SourceError(f"{self.path}: the camera is gone; plug it in again")
         if error.errno == errno.EBUSY:
@@ -314,7 +314,7 @@ def _cannot_open(path: Path, error: OSError) -> str:
 
 
 def _unfit(able: Capability) -> str | None:
-    """Why a device with these capabilities gives no frames here."""
+    """The reason why a device with these capabilities gives no frames here; None: it does."""
     if Capability.VIDEO_CAPTURE not in able:
         if Capability.VIDEO_CAPTURE_MPLANE in able:
             return "has its pictures in several planes, which is not read here"

@@ -33,7 +33,7 @@ _REFUSED = (
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a frame lies in its buffer, as negotiated with the driver."""
+    """Layout of a frame in its buffer, as negotiated with the driver."""
 
     format: PixelName
     width: int  # px
@@ -104,5 +104,5 @@ def _decoded(payload: Image, layout: Layout, space: str) -> Image:
 
 
 def _said(error: Exception) -> str:
-    """What the decoder says, in one line."""
+    """Message of the decoder, in one line."""
     return " ".join(str(error).split()).removeprefix("Corrupt JPEG data: ") or type(error).__name__

@@ -29,7 +29,7 @@ _LEAST = 0.1  # of the frame interval, between two stamps
 
 
 class Moment(enum.Enum):
-    """What moment of a frame the driver's stamp tells."""
+    """Moments of a frame that a driver's stamp may tell."""
 
     EXPOSURE_BEGINS = "start of exposure"
     FIRST_PACKET = "first packet"
@@ -38,7 +38,7 @@ class Moment(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What is known of a frame's course in time."""
+    """Times of a frame's course, as far as they are known."""
 
     moment: Moment
     interval: float  # s between frames
@@ -76,7 +76,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """When a frame came to us."""
+    """Times at which a frame came to us."""
 
     clock: float  # s, time.monotonic()
     realtime: float  # s, time.time() at the same moment
@@ -85,7 +85,7 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """What was learnt from the frames so far; `stamped` makes the next."""
+    """State learnt from the frames so far; `stamped` makes the next."""
 
     last: float = -math.inf  # s, the stamp given last
     raw: float = math.nan  # s, the driver's

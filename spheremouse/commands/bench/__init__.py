@@ -125,7 +125,7 @@ def bench(
 
 
 class Bar:
-    """How far it is, on a terminal; a context manager. Drawn between two measurements, not beside them."""
+    """Progress on a terminal; a context manager. Drawn between two measurements, not beside them."""
 
     def __init__(self) -> None:
         self._bars = progress_bar(auto_refresh=False)
@@ -162,7 +162,7 @@ def report(
     row: Steps | None = None,
     sizes: dict[tuple[int, int], Steps] | None = None,
 ) -> dict[str, Any]:
-    """What --json writes: µs, bytes, and ratios of medians."""
+    """Figures that --json writes: µs, bytes, and ratios of medians."""
     us = {
         name: {**_summary(s), "share_of_interval": float(np.median(s)) / film.interval}
         for name, s in times.seconds.items()
@@ -217,7 +217,7 @@ def _steady(row: Steps) -> dict[str, Any]:
 
 
 def targets(figures: dict[str, Any]) -> Iterator[Target]:
-    """What was asked of this tracker, as far as it was measured; all of it in pictures of 640x480 but the last."""
+    """Targets asked of this tracker, as far as they were measured; all in pictures of 640x480 but the last."""
     ordinary = tuple(figures["size"]) == SIZES[0]
     tracked = figures["tracked"] >= _TRACKED * figures["frames"]
     for name, least in ((BLOBS, 10.0), (SIMPLE, 12.0)):
@@ -292,7 +292,7 @@ def _judged(target: Target | None, unit: str) -> tuple[str, str, str]:
 
 
 def _notes(figures: dict[str, Any]) -> Iterator[str]:
-    """What stands below the table."""
+    """Notes below the table."""
     us, row = figures["us"], figures["steady"]
     ran = {"compared": (figures["frames"], figures["tracked"])}
     many = ({"in a row": row} if row is not None else {}) | figures["sizes"]

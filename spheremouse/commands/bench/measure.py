@@ -23,15 +23,16 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Phase, Tracker, TrackState
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
+from spheremouse.session import messages
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 
 WARM_UP = 10  # frames: caches, the allocator and the processor's clock settle; said wherever figures are
 BLOCK = 30  # frames that each works through before the next one does: a second of video, with its own caches
@@ -52,7 +53,7 @@ def silent(what: str, done: int, total: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """What is measured on: frames that can be had again, and the device they show."""
+    """A film to measure on: frames that can be had again, and the device they show."""
 
     name: str
     rig: Rig
@@ -149,9 +150,9 @@ def _round(film: Film, progress: Callable[[int], None]) -> Times:
         nonlocal state, detected, tracked
         state = state or begin(tracker, frame.stamp)
         began = detected = time.perf_counter()  # a frame that is not looked at in stages counts as filtered
-        state, _ = step(state, frame, tracker, mark)
+        state = step(state, frame, tracker, mark).state
         ended = time.perf_counter()
-        tracked += len(spent[STEP]) >= WARM_UP and state.phase is Phase.TRACKING
+        tracked += len(spent[STEP]) >= WARM_UP and state.status is Status.TRACKING
         for name, s in ((STEP, ended - began), (DETECT, detected - began), (FILTER, ended - detected)):
             spent[name].append(s)
 
@@ -201,22 +202,22 @@ class Player:
         k = self._done
         image = self._frames[back_and_forth(k, len(self._frames))].image
         frame = Frame(image, self._frames[0].stamp + k * self._interval, k)
-        before = self._state.phase
+        before = self._state.status
         used, began = time.thread_time(), time.perf_counter()
-        self._state, _ = step(self._state, frame, self._tracker)
+        made = step(self._state, frame, self._tracker)
         ended, used = time.perf_counter(), time.thread_time() - used
-        phase = self._state.phase
-        self._tracked[k] = phase is Phase.TRACKING
-        self._lost[k] = phase is Phase.LOST and before is not Phase.LOST
+        self._state, status = made.state, made.state.status
+        self._tracked[k] = status is Status.TRACKING
+        self._lost[k] = status is Status.LOST and before is not Status.LOST
         if k >= WARM_UP and ended - began > self._slowest[0]:
-            self._slowest = ended - began, self._state.event
+            self._slowest = ended - began, messages.line(made.events)
         self._seconds[k], self._processor[k] = ended - began, used
         self._done += 1
         if self._done == MEMORY_FROM:
             self._memory = resident_bytes()
 
     def steps(self) -> Steps:
-        """What was measured so far."""
+        """Measurements so far."""
         counted = slice(WARM_UP, self._done)
         memory = resident_bytes() if self._done > MEMORY_FROM else None
         return Steps(
@@ -273,7 +274,7 @@ def _whole_motion(frames: int, size: tuple[int, int]) -> Film:
 
 
 def back_and_forth(k: int, n: int) -> int:
-    """Which of `n` frames is the k-th when they are played forwards and backwards: 0, 1, 2, 1, 0, 1 for three."""
+    """Index of the k-th frame when `n` are played forwards and backwards: 0, 1, 2, 1, 0, 1 for three."""
     if n == 1:
         return 0
     k %= 2 * (n - 1)

@@ -127,7 +127,7 @@ def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
 
 
 def device_yaml(stills: Stills) -> str:
-    """What a person knows of the device and measures with a tape, whose errors are drawn."""
+    """A device.yaml as a person knows the device and measures it with a tape, whose errors are drawn."""
     scene, targets = stills.scene, stills.scene.targets
     rng = np.random.default_rng([stills.seed, 5])
     lines = ["# what a person knows of the device and measured with a tape", "targets:"]
@@ -151,7 +151,7 @@ def device_yaml(stills: Stills) -> str:
 
 
 def axes_of(position: Array) -> tuple[int, int, int]:
-    """Which targets, at (n, 3) m in obj, give the axes of obj best: origin, up, and one in the plane."""
+    """Targets, of those at (n, 3) m in obj, that give its axes best: origin, up, and one in the plane."""
     best, chosen = np.inf, (0, 1, 2)
     for a in range(len(position)):
         for b in range(len(position)):

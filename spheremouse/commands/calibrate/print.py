@@ -30,7 +30,7 @@ _SMALLEST, _LARGEST = 0.5, 1000.0  # mm, of what a printer can do and a person w
 
 
 class Kind(StrEnum):
-    """What there is to print."""
+    """Kinds of sheets to print."""
 
     TARGETS = "targets"
     BOARDS = "boards"

@@ -73,7 +73,7 @@ def doctor(
 
 @contextlib.contextmanager
 def _waiting(*, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """What is being done, on a terminal's standard error while it takes."""
+    """A line on what is being done, on a terminal's standard error while it takes."""
     from rich.console import Console
 
     console = Console(stderr=True)

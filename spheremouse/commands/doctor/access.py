@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def refusal(path: Path) -> tuple[str, str] | None:
-    """Why a node may not be read and written, and what to do; None where it may."""
+    """The reason why a node may not be read and written, and what to do; None where it may."""
     if os.access(path, os.R_OK | os.W_OK):
         return None
     who, group, mode = account(), group_of(path), path.stat().st_mode

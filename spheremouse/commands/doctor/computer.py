@@ -9,7 +9,7 @@ from typing import Any
 from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning
 from spheremouse.session.process.realtime import PRIORITY
 from spheremouse.session.record.places import recordings_folder
-from spheremouse.session.record.settings import RecordSettings
+from spheremouse.session.settings.record import RecordSettings
 
 _MEMORY = 400.0  # MB: the daemon's 200, and as much for the compiler at its first start
 _SYS_NICE = 23  # CAP_SYS_NICE
@@ -39,7 +39,7 @@ def disk(settings: RecordSettings, state: Path | None = None) -> Finding:
 
 
 def memory(listed: Path = Path("/proc/meminfo")) -> Finding:
-    """What programs may still take."""
+    """Memory that programs may still take."""
     try:
         lines = listed.read_text(encoding="ascii").splitlines()
         free = next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")) * 1024 / 1e6
@@ -53,7 +53,7 @@ def memory(listed: Path = Path("/proc/meminfo")) -> Finding:
 
 
 def scheduling(service: bool) -> Finding:
-    """May this account go before others? `service`: there is one, which is granted that by its unit."""
+    """Right of this account to go before others. `service`: there is one, which is granted that by its unit."""
     if not sys.platform.startswith("linux"):
         return unchecked("scheduling", "not known on this system")
     import resource
@@ -72,7 +72,7 @@ def scheduling(service: bool) -> Finding:
 
 
 def load() -> Finding:
-    """How many programs want to work, against how many can."""
+    """Number of programs that want to work, against how many can."""
     if not hasattr(os, "getloadavg"):
         return unchecked("load", "this system does not say")
     cores, now = os.cpu_count() or 1, os.getloadavg()[0]

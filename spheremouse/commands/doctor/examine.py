@@ -33,7 +33,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.session.cameras import node_of
 from spheremouse.session.plan import Plan, Request, without_map
-from spheremouse.session.wand.plan import open_given
+from spheremouse.session.wand.setup import wand_setup
 from spheremouse.wand.state import WandTracker
 
 _NO_CAMERA = "v4l2:"  # source of a plan where none is named and none is there
@@ -96,7 +96,7 @@ def _with_plan(
     elif not any(f.verdict is Verdict.WRONG for f in camera):
         say(f"filming {seconds:g} s with {plan.source}")
         try:
-            brought = open_given(plan.source, realtime=False) if of_wand and not live else None
+            brought = wand_setup(plan.source, realtime=False) if of_wand and not live else None
             footage = film(plan, seconds, node, None if brought is None else brought.source)
         except SpheremouseError as e:
             camera.append(refused("film", e))
@@ -146,7 +146,7 @@ def _with_rig(plan: Plan, footage: Footage | None, findings: list[Finding]) -> t
 
 
 def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]:
-    """What is in the frames: size, targets, ball, light, discs, blur."""
+    """Findings on the frames: size, targets, ball, light, discs, blur."""
     settings = plan.configuration
     seen: sights.Sight | None = None
     if rig is None:
@@ -197,7 +197,7 @@ def _is_theirs(plan: Plan, status: dict[str, Any] | None) -> bool:
 
 def _computer(plan: Plan | None, state: Path | None, say: Say) -> list[Finding]:
     from spheremouse.commands.service.systemd import Place
-    from spheremouse.session.record.settings import RecordSettings
+    from spheremouse.session.settings.record import RecordSettings
 
     say("looking at the computer")
     settings = RecordSettings() if plan is None else plan.configuration.record
@@ -210,7 +210,7 @@ def _computer(plan: Plan | None, state: Path | None, say: Say) -> list[Finding]:
 
 
 def _guarded(name: str, check: Callable[..., Any], *given: Any) -> list[Finding]:
-    """What a check returns; a line of its own where it fails."""
+    """Findings of a check; one of its own where it fails."""
     try:
         made = check(*given)
     except SpheremouseError as e:

@@ -37,7 +37,7 @@ def service_state(request: Request) -> Path | None:
 
 
 def _of_daemon(status: dict[str, Any]) -> Request:
-    """What a daemon was told, on its command line or in its configuration."""
+    """The request of a daemon, from its command line or its configuration."""
 
     def place(key: str) -> Path | None:
         told = status.get(key)
@@ -58,8 +58,12 @@ def _of_daemon(status: dict[str, Any]) -> Request:
 
 
 def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Finding]]:
-    """As much of the plan as can be read, and what cannot; `camera` is looked at where no source is named."""
+    """As much of the plan as can be read, and what cannot; `camera` is looked at where no source is named.
+
+    Balls in a hand are not read: they have a finding of their own.
+    """
     findings: list[Finding] = []
+    request = replace(request, assignments=(*request.assignments, "wand.balls=[]"), balls=())
     bare = replace(request, assignments=(*request.assignments, "rig=null", "camera_file=null"), rig=None, camera=None)
     attempts = [request, replace(bare, no_map=True, map=None), Request(None, (), request.source, request.output)]
     said: set[str] = set()
@@ -95,7 +99,7 @@ def _completed(request: Request, camera: str | None) -> Request:
 
 
 def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
-    """Is there a rig, and since when? `given` is what a recording brings."""
+    """The rig, and its age; `given` is what a recording brings."""
     if rig is None and given is not None:
         return ok("rig", "the source brings its own")
     if rig is None or path is None:
@@ -114,7 +118,7 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
 
 
 def size(rig: Rig, width: int, height: int) -> Finding:
-    """Are the pictures of the size that the camera was calibrated with?"""
+    """Size of the pictures, against that which the camera was calibrated with."""
     there = (rig.camera.width, rig.camera.height)
     values: dict[str, Any] = {"calibrated_px": list(there), "pictures_px": [width, height]}
     if there == (width, height):
@@ -143,7 +147,7 @@ def map_of(path: Path | None, rig: Rig | None) -> Finding:
 
 
 def _made(path: Path) -> tuple[datetime, str]:
-    """When a rig was calibrated, by what it says itself, else by its file."""
+    """Time of a rig's calibration, by what it says itself, else by its file."""
     for found in _dates(path):
         return found, "calibrated"
     return datetime.fromtimestamp(path.stat().st_mtime, UTC), "written"

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Verdict(StrEnum):
-    """How it is."""
+    """Outcomes of a check."""
 
     OK = "ok"
     WARNING = "warning"  # it works, and less well than it could

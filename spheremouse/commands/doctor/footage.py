@@ -29,7 +29,7 @@ _MOST = 600  # frames: of a recording at 240 Hz
 
 @dataclass(frozen=True, slots=True)
 class Footage:
-    """What came."""
+    """Frames that came, and their times."""
 
     stamps: Array  # (n,) s
     arrivals: Array  # (n,) s on the clock of live stamps

@@ -68,7 +68,7 @@ def _runs(place: Place) -> Finding:
 
 
 def _user(node: Path) -> Finding:
-    """Is the service's user there, and in the camera's group?"""
+    """The service's user, and its place in the camera's group."""
     import grp
     import pwd
 

@@ -66,7 +66,7 @@ def brightness(views: list[Image], mask: Image | None, settings: DiscSettings, n
 
 @dataclass(frozen=True, slots=True)
 class Flicker:
-    """What a film shows of lamps on the mains."""
+    """Flicker of lamps on the mains in a film."""
 
     lamp: float  # Hz
     seen_at: float  # Hz, in the film: how far from a whole multiple of its rate
@@ -75,7 +75,7 @@ class Flicker:
 
 
 def flicker(footage: Footage, mask: Image | None, settings: DiscSettings) -> Finding:
-    """Do grey values go up and down with the mains? Bands as dark as a faint disc are a warning."""
+    """Grey values that go up and down with the mains; bands as dark as a faint disc are a warning."""
     name = "flicker"
     interval, _ = steadiness(footage.stamps, footage.sequence)
     if len(footage.stamps) < 20 or interval <= 0.0:

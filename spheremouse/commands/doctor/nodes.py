@@ -69,7 +69,7 @@ def present(found: list[Node], node: Path | None, live: bool) -> list[Finding]:
 
 
 def permitted(node: Path) -> Finding:
-    """May this account open the camera?"""
+    """Right of this account to open the camera."""
     said = refusal(node)
     if said is None:
         return ok("camera access", f"{account()} may use {node}", groups=groups())

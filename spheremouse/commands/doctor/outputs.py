@@ -77,7 +77,7 @@ def desktop() -> Finding:
 
 
 def _auto() -> list[Finding]:
-    """What `auto` would take; the others are said, and do not matter."""
+    """The output that `auto` would take; the others are said, and do not matter."""
     tried = [uinput(), _own_board(), desktop()]
     taken = next((f for f in tried if f.verdict is Verdict.OK), None)
     if taken is None:

@@ -14,7 +14,7 @@ _LEAST = (3, 11)
 
 
 def version() -> Finding:
-    """Which program, on which Python and system."""
+    """Version of the program, of Python and of the system."""
     python = platform.python_version()
     system = f"{platform.system()} {platform.release()}, {platform.machine()}"
     text = f"spheremouse {__version__}, Python {python}, {system}"
@@ -25,7 +25,7 @@ def version() -> Finding:
 
 
 def compiled_code() -> Finding:
-    """How many of the functions that numba compiles are on the disk already, and where."""
+    """Number of the functions compiled by numba that are on the disk already, and the folder."""
     import spheremouse.ball.track  # noqa: F401  with all that tracking calls
 
     return compiled(_dispatchers())

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from spheremouse import __version__
 from spheremouse.commands.doctor.finding import Finding, Section, Verdict
+from spheremouse.errors import printable
 
 FORMAT = 1  # of the data
 _LOOKS = {
@@ -35,7 +36,7 @@ def show(section: Section, console: Console) -> None:
 
 
 def summary(sections: Sequence[Section]) -> Text:
-    """How many there are of each, in one line."""
+    """Numbers of findings by verdict, in one line."""
     every = [f.verdict for s in sections for f in s.findings]
     bad, poor = every.count(Verdict.WRONG), every.count(Verdict.WARNING)
     if bad:
@@ -85,11 +86,6 @@ def _words(finding: Finding, console: Console) -> Text:
         arrow = "→" if _draws(console) else "->"
         words.append(f"\n{arrow} {printable(finding.advice)}", style="dim" if dim else "bold")
     return words
-
-
-def printable(text: str) -> str:
-    """Text for a terminal: what files and devices call themselves must not steer it."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def _draws(console: Console) -> bool:

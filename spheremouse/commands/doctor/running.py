@@ -40,7 +40,7 @@ def ask(socket: Path | None = None) -> tuple[dict[str, Any] | None, Finding]:
 
 
 def check(status: dict[str, Any]) -> list[Finding]:
-    """What its status tells; keys that it does not have are passed over."""
+    """Findings on its status; keys that it does not have are passed over."""
     return [f for f in (_state(status), _frames(status), _latency(status), _discs(status), _output(status)) if f]
 
 

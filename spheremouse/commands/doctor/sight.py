@@ -90,7 +90,7 @@ def expected_residual(rig: Rig, pose: Pose, sigma: float) -> float:
 
 
 def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Finding]:
-    """Is the ball in the picture, and are its discs large enough? The detector where it is."""
+    """The ball in the picture, and the size of its discs. The detector where it is there."""
     try:
         build(rig, pose, settings)
         detector = disc_detector(settings.discs, rig, pose)
@@ -121,7 +121,7 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
 
 
 def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:
-    """How many disc candidates there are, in the median view, and their contrast."""
+    """Number of disc candidates in the median view, and their contrast."""
     found = [seen.detector.detect(v.image) for v in views]
     counts = [len(d) for d in found]
     count = int(np.median(counts))
@@ -169,7 +169,7 @@ def contrast(image: Image, found: Detections, settings: DiscSettings) -> Array:
 
 
 def blur(seen: Sight, exposure: float | None, settings: DiscSettings, known: bool) -> Finding:
-    """How far a disc smears while the shutter is open; `known` says that the tracker has been told the exposure.
+    """Way of a disc while the shutter is open; `known` says that the tracker has been told the exposure.
 
     At a brisk turn the disc in the middle of the ball moves by speed * f / distance. Smeared by more than
     `size_tolerance` of its diameter it no longer has the size that is expected; where the tracker knows the exposure it

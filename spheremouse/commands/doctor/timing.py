@@ -47,7 +47,7 @@ def rate(footage: Footage) -> Finding:
 
 
 def stamps(footage: Footage) -> Finding:
-    """Do they increase, keep their step, and belong to this clock?"""
+    """Faults of stamps: that do not increase, keep no step, or belong to another clock."""
     steps = np.diff(footage.stamps)
     if len(steps) < _ENOUGH - 1:
         return unchecked("stamps", "too few frames")

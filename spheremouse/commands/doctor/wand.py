@@ -1,25 +1,30 @@
 """A hand-held ball: the files of camera and balls, and whether the balls are seen."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import ConfigurationError
-from spheremouse.session.plan import Plan, Request
-from spheremouse.session.wand.plan import Given, wand_tracker
-from spheremouse.tracker import Frame
-from spheremouse.wand.state import WandPhase, WandPose, WandTracker
+from spheremouse.files import config
+from spheremouse.session.balls import read_balls
+from spheremouse.session.plan import Plan, Request, named_balls
+from spheremouse.session.settings import Configuration
+from spheremouse.session.wand.setup import WandSetup
+from spheremouse.tracker import Frame, Status
+from spheremouse.wand.state import WandPose, WandTracker
 from spheremouse.wand.track import begin, step
 
 _SURE = 0.5  # of the pictures: a ball that somebody holds before the camera is in view in most
 
 
-def tracker_of(plan: Plan, request: Request, given: Given | None) -> tuple[WandTracker | None, Finding]:
+def tracker_of(plan: Plan, request: Request, given: WandSetup | None) -> tuple[WandTracker | None, Finding]:
     """The tracker that a run would have; `given` is what a recording brings."""
     try:
-        tracker = wand_tracker(plan, request, [], given)
+        balls = read_balls(named_balls(request, config.in_force(request.file, request.assignments, Configuration)))
+        tracker = (given or WandSetup()).tracker(replace(plan, balls=balls))
     except ConfigurationError as e:
         return None, refused("ball", e)
     told = (f"{b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in tracker.balls)
@@ -27,7 +32,7 @@ def tracker_of(plan: Plan, request: Request, given: Given | None) -> tuple[WandT
 
 
 def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
-    """Is each ball found in the pictures, nothing known beforehand? Where, and how surely?"""
+    """Place of each ball in the pictures, nothing known beforehand, and how sure it is."""
     there, size = (tracker.camera.width, tracker.camera.height), views[0].image.shape[1::-1]
     if size != there:
         yield wrong(
@@ -49,7 +54,7 @@ def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
 
 
 def _found(poses: list[WandPose]) -> Finding:
-    good = [p for p in poses if p.phase is WandPhase.TRACKING]
+    good = [p for p in poses if p.phase is Status.TRACKING]
     share, name = len(good) / len(poses), poses[0].name
     events = [p.event for p in poses if p.event]
     numbers: dict[str, Any] = {"pictures": len(poses), "found": len(good)}
@@ -70,8 +75,8 @@ def _found(poses: list[WandPose]) -> Finding:
     return ok("sight", text, **numbers)
 
 
-def camera_file(plan: Plan, given: Given | None) -> Finding:
-    """Where the camera's interior orientation comes from."""
+def camera_file(plan: Plan, given: WandSetup | None) -> Finding:
+    """Origin of the camera's interior orientation."""
     path = plan.camera_path or plan.rig_path
     if path is not None:
         return ok("camera file", str(path))

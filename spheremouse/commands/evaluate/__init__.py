@@ -14,9 +14,8 @@ from spheremouse.ball.build import build
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Rig, in_metres
 from spheremouse.ball.settings import Settings
-from spheremouse.commands.complaint import complain
+from spheremouse.commands import terminal
 from spheremouse.commands.evaluate.wand import WandEvaluation, evaluate_wands
-from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import MIN_AREA, Reference, Run, report
@@ -29,7 +28,7 @@ from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.report.style import require_matplotlib
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.geometry.camera import InteriorOrientation, Pose
-from spheremouse.session.map_keeper import open_map
+from spheremouse.session.ball.map_keeper import open_map
 from spheremouse.session.offline import initialise, track
 from spheremouse.session.settings import Configuration
 from spheremouse.simulate.ball.degrade import degraded
@@ -97,7 +96,7 @@ def evaluate(
         try:
             run, found = _run(recording, used_rig, settings, noise, brightness, disc_map, err)
         except SpheremouseError as e:
-            complain(_about(recording, str(e)))
+            terminal.error(_about(recording, str(e)))
             failed = True
             continue
         reference = Reference(recording.truth, recording.discs, recording.pose, recording.truth_directions)
@@ -116,7 +115,7 @@ def evaluate(
             if plot_file is not None:
                 _plot(run, recording, plot_file)
         except SpheremouseError as e:
-            complain(str(e))
+            terminal.error(str(e))
             failed = True
     if results:
         out.print(_table(results, settings, pose))
@@ -207,7 +206,7 @@ def _about(recording: Recording, message: str) -> str:
 
 
 def _fail(message: str) -> NoReturn:
-    complain(message)
+    terminal.error(message)
     raise typer.Exit(2)
 
 
@@ -227,7 +226,7 @@ def _run(
     # by their index, which is what the truth's rows go by: a live camera counts those too that were dropped
     numbered = (replace(frame, sequence=i) for i, frame in enumerate(read_frames(recording)))
     frames = degraded(numbered, noise, brightness)
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         task = progress.add_task(recording.name, total=recording.frames)
         passed_over: list[str] = []  # why the first views gave no pose: said only where later ones did
         start = initialise(frames, rig, settings, report=passed_over.append)
@@ -256,9 +255,6 @@ def _console(stderr: bool) -> Console:
     if not console.is_terminal:
         console.width = 1000
     return console
-
-
-# ---- for a reader ----
 
 
 def _table(results: list[dict[str, Any]], settings: Settings, pose: str) -> Table:

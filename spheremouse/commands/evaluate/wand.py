@@ -1,6 +1,6 @@
 """`spheremouse evaluate --tracker wand`: run the particle filter on recordings of wands, compare with their truth.
 
-The command line is that of `cli_evaluate`, which hands over here.
+The command line is that of `evaluate`, which hands over here.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,17 +10,16 @@ from typing import Any
 
 from rich.console import Console
 
-from spheremouse.commands.complaint import complain
-from spheremouse.commands.terminal import progress_bar
+from spheremouse.commands import terminal
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.evaluate.wand import WandHistory, followed, wand_report
 from spheremouse.files import config
 from spheremouse.files.dataset.wand import WandRecording, open_wand, read_wand_frames
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.balls import read_balls, told_apart
 from spheremouse.session.settings import Configuration
 from spheremouse.session.wand.offline import Known, track_wand
-from spheremouse.session.wand.plan import read_balls, told_apart
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
@@ -31,7 +30,7 @@ _NO_TRUTH = "no truth.csv to compare with: no errors are known; frames tracked a
 
 @dataclass(frozen=True, slots=True)
 class WandEvaluation:
-    """What is asked for."""
+    """Options of an evaluation."""
 
     datasets: list[Path]
     assignments: list[str]
@@ -48,7 +47,7 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
         raise ConfigurationError(f"--runs: must be 1 or more, is {asked.runs}")
     settings = config.in_force(asked.config_file, asked.assignments, Configuration).wand
     camera = None if asked.camera_file is None else load_camera(asked.camera_file)
-    given, colours = read_balls(asked.ball_files)
+    given = read_balls(asked.ball_files)
     recordings = [open_wand(path) for path in asked.datasets]
     for recording in recordings:
         if asked.known_pose and recording.truth is None:
@@ -57,13 +56,13 @@ def evaluate_wands(asked: WandEvaluation, say: Console) -> tuple[list[dict[str, 
     failed = False
     for recording in recordings:
         try:
-            balls = told_apart(given or recording.balls)
+            balls = told_apart(given.balls or recording.balls)
             histories = [
-                _run(recording, balls, settings, colours, camera, seed, asked.known_pose, say)
+                _run(recording, balls, settings, given.colours, camera, seed, asked.known_pose, say)
                 for seed in range(1, asked.runs + 1)
             ]
         except SpheremouseError as e:
-            complain(_about(recording, str(e)))
+            terminal.error(_about(recording, str(e)))
             failed = True
             continue
         first, *more = _reports(recording, balls, histories)
@@ -122,7 +121,7 @@ def _run(
         truths = recording.truths[: len(balls)]
         known = {k: (truth.position[0], truth.rotation[0]) for k, truth in enumerate(truths)}
     history = WandHistory()
-    with progress_bar() as progress:
+    with terminal.progress_bar() as progress:
         task = progress.add_task(f"{recording.name}, seed {seed}", total=recording.frames)
         for epoch in track_wand(read_wand_frames(recording), tracker, seed, known):
             history.add(epoch)
@@ -135,6 +134,3 @@ def _run(
 
 def _about(recording: WandRecording, message: str) -> str:
     return message if str(recording.path) in message else f"{recording.path}: {message}"
-
-
-# ---- for a reader ----

@@ -12,12 +12,10 @@ import typer
 from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 
 if TYPE_CHECKING:
-    from spheremouse.capture import Source
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.session.overlay.file import OverlayFile
+    from spheremouse.commands.run.view import View
+    from spheremouse.session.follower import Setup
     from spheremouse.session.plan import Plan, Request
-    from spheremouse.session.screen import Board, Tally
-    from spheremouse.session.worker import Step
 
 
 def run(
@@ -115,62 +113,53 @@ def run(
     by frame, as fast as it goes. What changes goes to standard error. Ctrl-C ends the run.
 
     A ball in a hand is tracked with --tracker wand: it needs a camera file and no rig, moves the pointer as the ball
-    turns, and writes position and attitude as text. It cannot be asked by `spheremouse ctl`.
+    turns, and writes position and attitude as text.
     """
-    from spheremouse.capture import open_source
     from spheremouse.capture.stopping import Stopping
+    from spheremouse.commands.run.view import view
+    from spheremouse.session import trackers
     from spheremouse.session.cameras import is_camera
-    from spheremouse.session.overlay.file import OverlayFile
-    from spheremouse.session.plan import Request, check_kinds, read_plan, without_map
+    from spheremouse.session.plan import Request, check_kinds, read_plan
     from spheremouse.session.process.standard_error import unhurried
-    from spheremouse.session.screen import Board, Tally
 
     if output is not None and len(output) > 1:
         raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")
     to = output[0] if output else None
     said = [] if tracker is None else [f"tracker={tracker}"]
     said += [] if axes is None else [f"wand.axes={json.dumps(axes)}"]
-    request = Request(config, (*(assignments or ()), *said), source, to, rig, camera, map_file, no_map)
+    request = Request(
+        config, (*(assignments or ()), *said), source, to, rig, camera, map_file, no_map, tuple(balls or ())
+    )
     plan = read_plan(request)
     check_kinds(plan)
     if overlay is not None:
         _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
-    with unhurried() if is_camera(plan.source) or realtime else nullcontext():
-        of_wand = plan.configuration.tracker == "wand"
-        shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
-        wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
-        if of_wand:
-            from spheremouse.commands.run.wand import WandOptions, run_wand
-
-            run_wand(request, plan, WandOptions(tuple(balls or ()), realtime, wanted, overlay, frames))
-            return
-        for name, value in (("--ball", balls), ("--axes", axes)):
-            if value:
-                raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
-        tally = Tally()
-        failure: SpheremouseError | None = None
-        picture = None
+    of_wand, live = plan.configuration.tracker == "wand", is_camera(plan.source) or realtime
+    for name, value in (("--ball", balls), ("--axes", axes)):
+        if value and not of_wand:
+            raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
+    shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
+    wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
+    failure: SpheremouseError | None = None
+    words: tuple[str, ...] = ()
+    with unhurried() if live else nullcontext():
         with ExitStack() as stack:
             stopping = stack.enter_context(Stopping())
-            given = None if is_camera(plan.source) else open_source(plan.source, realtime=realtime)
-            board = stack.enter_context(Board(plan.source, wanted, tally))
-            if given is not None and given.rig is not None and map_file is None and plan.configuration.map is None:
-                plan = without_map(plan)
-            if overlay is not None:
-                picture = stack.enter_context(OverlayFile(overlay, None if given is None else given.fps))
+            setup = trackers.setup(plan, realtime)
+            plan = setup.planned(request, plan)
+            shown = view(plan, wanted, overlay, None if setup.source is None else setup.source.fps, stack)
             try:
-                if given is None or realtime:
-                    _serve(request, plan, given, stopping, board, tally, picture, frames)
-                else:
-                    _follow(plan, stack.enter_context(given), stopping, board, tally, picture, frames)
-            except PoseError as e:
-                failure = None if stopping.asked else e  # asked to stop: no frame came any more
-            except SpheremouseError as e:
+                end = (_serve if live else _follow)(request, plan, setup, stopping, shown, frames)
+            except SpheremouseError as e:  # before there was anything to follow
                 failure = e
-        if picture is not None and picture.written:
+            else:
+                failure, words = end
+        if shown.overlay is not None and shown.overlay.written:
             print(f"overlay: {overlay}", file=sys.stderr)
-        if tally.frames or failure is None:
-            print(tally, file=sys.stderr)
+        if shown.tally.frames or failure is None:
+            print(shown.tally, file=sys.stderr)
+        for line in words:
+            print(line, file=sys.stderr)
         if failure is not None:
             raise failure
 
@@ -189,82 +178,58 @@ def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) ->
 
 
 def _serve(
-    request: "Request",
-    plan: "Plan",
-    given: "Source | None",
-    stopping: "Stopping",
-    board: "Board",
-    tally: "Tally",
-    picture: "OverlayFile | None",
-    frames: int | None,
-) -> None:
+    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "View", frames: int | None
+) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """As a service: frames are taken when they come, and a device that fails is waited for."""
     from spheremouse.session.cameras import opener, refuse_if_taken
-    from spheremouse.session.overlay.ball import target_marks
     from spheremouse.session.service import Daemon
 
-    rig = None if given is None else given.rig
-    device = plan.device(rig)
     refuse_if_taken(plan)
-
-    def show(made: "Step") -> None:
-        tally.add(made.epoch)
-        board.show(made.epoch)
-        if picture is not None:
-            tracker = daemon.tracker
-            if tally.frames == 1 and tracker is not None:
-                picture.begin(tracker, target_marks(device, tracker.pose, None))
-            picture.add(made.epoch, tally.counts)
-
-    daemon = Daemon(request, plan, rig, opener(plan, given), opener, say=board.say, show=show, frames=frames)
-    daemon.run(stopping)
-    if daemon.never_posed and not (stopping.asked or daemon.told_to_stop):
-        raise PoseError(daemon.never_posed)
+    first = opener(plan, setup.open, setup.source)
+    daemon = Daemon(
+        request,
+        plan,
+        setup,
+        first,
+        lambda other: opener(other, setup.open),
+        say=view.say,
+        show=view.show,
+        frames=frames,
+    )
+    failure: SpheremouseError | None = None
+    try:
+        daemon.run(stopping)
+    except SpheremouseError as e:
+        failure = e
+    if daemon.latency is not None:
+        median, slow = (1e3 * seconds for seconds in daemon.latency)
+        view.tally.words = f"from stamp to output {median:.1f} ms (99 %: {slow:.1f} ms)"
+    if daemon.finished and failure is None and not stopping.asked:
+        failure = daemon.follower.failure(daemon.trouble)
+    return failure, daemon.follower.last_words(failed=failure is not None)
 
 
 def _follow(
-    plan: "Plan",
-    given: "Source",
-    stopping: "Stopping",
-    board: "Board",
-    tally: "Tally",
-    picture: "OverlayFile | None",
-    frames: int | None,
-) -> None:
+    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "View", frames: int | None
+) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """A recording: every frame, one after the other."""
-    from spheremouse.ball.build import build
-    from spheremouse.ball.pose import describe
-    from spheremouse.output import open_output
-    from spheremouse.session.map_keeper import MapKeeper
-    from spheremouse.session.offline import initialise, track
-    from spheremouse.session.overlay.ball import target_marks
+    from spheremouse.session.follower import here
+    from spheremouse.session.offline import follow
 
-    device, settings = plan.device(given.rig), plan.configuration
-    with ExitStack() as stack:
-        keeper = None
-        if plan.map_path is not None:
-            keeper = stack.enter_context(MapKeeper(plan.map_path, device, board.say))
-        sink = stack.enter_context(open_output(plan.output))  # its reader may go away: a quiet end
-        said: list[str] = []
-        start = initialise(stopping.frames(iter(given)), device, settings, report=said.append)
-        for passed_over in said:
-            board.say(f"views passed over: {passed_over}")
-        tracker = build(device, start.pose, settings)
-        found = start.resection
-        board.say(f"camera pose: {'as the rig says' if found is None else describe(found, device)}")
-        if device.scale_free:
-            scale = settings.motion.scale(None)
-            board.say(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")
-        if picture is not None:
-            picture.begin(tracker, target_marks(device, start.pose, found))
-        known = None if keeper is None else keeper.known
-        for epoch in track(stopping.frames(islice(start.frames, frames)), tracker, known):
-            sink.send(epoch.motion)
-            tally.add(epoch)
-            if keeper is not None:
-                keeper.keep(epoch.state)
-            if epoch.state.event:
-                board.say(f"{epoch.frame.stamp:9.3f} s  {epoch.state.event}")
-            board.show(epoch)
-            if picture is not None:
-                picture.add(epoch, tally.counts)
+    assert setup.source is not None
+    failure: SpheremouseError | None = None
+    with ExitStack() as stack:  # readers of the outputs may go away: a quiet end
+        source = stack.enter_context(setup.source)
+        follower = setup.follower(plan, view.say, here)
+        stack.callback(follower.close)
+        sinks = [stack.enter_context(open_it()) for open_it in follower.outputs]
+        setup.make_ready(plan)
+        try:
+            tracked = islice(setup.begin(stopping.frames(iter(source)), follower), frames)
+            follow(stopping.frames(tracked), follower, sinks, view)
+            failure = None if stopping.asked else follower.failure("")
+        except PoseError as e:
+            failure = None if stopping.asked else e  # asked to stop: no frame came any more
+        except SpheremouseError as e:
+            failure = e
+    return failure, follower.last_words(failed=failure is not None)

@@ -15,8 +15,9 @@ import typer
 
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import UNIT, USER, Place
-from spheremouse.errors import ServiceError
+from spheremouse.errors import ServiceError, printable
 from spheremouse.files.atomic import exchangeable
+from spheremouse.files.service import service_files
 
 app = typer.Typer(no_args_is_help=True, help="Start with the computer: install, uninstall, status.")
 
@@ -42,14 +43,14 @@ def install(
     """
     place = _place(root, user)
     program = service.executable(place)
-    deeds = [*service.install(place, program, _systemd_version()), *_conversions(place)]
+    actions = [*service.install(place, program, _systemd_version()), *_conversions(place)]
     if dry_run:
-        _would(deeds)
+        _would(actions)
     else:
-        _allowed(place, deeds, "install")
-        for line in service.carry_out(deeds, umask=0o077 if user else 0o022):
+        _allowed(place, actions, "install")
+        for line in service.carry_out(actions, umask=0o077 if user else 0o022):
             typer.echo(line)
-    if not deeds:
+    if not actions:
         typer.echo("all files are in place")
     if place.root != _ROOT:
         return
@@ -72,20 +73,20 @@ def uninstall(
 ) -> None:
     """Stop the service and remove what was placed; configuration, calibration and recordings stay, unless --purge."""
     place = _place(root, user)
-    deeds = list(service.uninstall(place, purge))
+    actions = list(service.uninstall(place, purge))
     live = place.root == _ROOT and _booted(place)
     if dry_run:
-        _would(deeds)
-        if not deeds:
+        _would(actions)
+        if not actions:
             typer.echo("there is no service")
         return
-    _allowed(place, deeds, "uninstall")
-    if live and deeds:
+    _allowed(place, actions, "uninstall")
+    if live and actions:
         _run([[*_systemctl(place), "stop", UNIT]], quiet=True)
-    for line in service.carry_out(deeds):
+    for line in service.carry_out(actions):
         typer.echo(line)
     service.tidy(place)
-    if live and deeds:
+    if live and actions:
         after = [[*_systemctl(place), "daemon-reload"], [*_systemctl(place), "reset-failed", UNIT]]
         after += [] if user else [["udevadm", "control", "--reload"]]
         _run(after, quiet=True)
@@ -98,8 +99,8 @@ def uninstall(
         again = "" if user else f", and the user {USER}"
         typer.echo(f"stays{again}; --purge removes it, too:")
         for path in stays:
-            typer.echo(f"  {service.shown(path)}")
-    typer.echo("the service is gone" if deeds else "there was no service")
+            typer.echo(f"  {printable(path)}")
+    typer.echo("the service is gone" if actions else "there was no service")
 
 
 @app.command(epilog="Example: spheremouse service status")
@@ -155,7 +156,7 @@ def _place(root: Path, user: bool) -> Place:
     return Place(root.resolve(), user)
 
 
-def _conversions(place: Place) -> Iterator[service.Deed]:
+def _conversions(place: Place) -> Iterator[service.FileAction]:
     """Files of an older schema, to be brought to this one's: each as the owner of its folder, who may lay traps there.
 
     What another user's folder refuses is no reason to stop.
@@ -167,11 +168,11 @@ def _conversions(place: Place) -> Iterator[service.Deed]:
         try:
             found = as_owner(folder, partial(migrate.due_in, folder)) if folder.is_dir() else []
         except (OSError, ServiceError) as e:
-            typer.echo(f"nothing converted: {service.shown(e)}")
+            typer.echo(f"nothing converted: {printable(e)}")
             continue
         for name, words in found:
             do = partial(as_owner, folder, partial(migrate.migrate_file, folder / name))
-            yield service.Deed("convert", folder / name, do, words, must=folder == place.configuration)
+            yield service.FileAction("convert", folder / name, do, words, must=folder == place.configuration)
 
 
 def _again(place: Place, command: str) -> str:
@@ -181,8 +182,8 @@ def _again(place: Place, command: str) -> str:
     )
 
 
-def _allowed(place: Place, deeds: list[service.Deed], command: str) -> None:
-    if deeds and not service.may(place):
+def _allowed(place: Place, actions: list[service.FileAction], command: str) -> None:
+    if actions and not service.may(place):
         given = [a for a in sys.argv[1:] if a.startswith("-")] if "service" in sys.argv else []
         raise ServiceError(
             f"service: this account may not write below {place.inside(place.unit.parent.parent)}; repeat it with: "
@@ -190,9 +191,9 @@ def _allowed(place: Place, deeds: list[service.Deed], command: str) -> None:
         )
 
 
-def _would(deeds: list[service.Deed]) -> None:
-    for deed in deeds:
-        typer.echo(f"would {deed}")
+def _would(actions: list[service.FileAction]) -> None:
+    for action in actions:
+        typer.echo(f"would {action}")
 
 
 def _activation(place: Place, start: bool) -> list[list[str]]:
@@ -211,7 +212,7 @@ def _activation(place: Place, start: bool) -> list[list[str]]:
 
 
 def _modules() -> list[str]:
-    text = (service.folder() / "systemd" / "modules-load.conf").read_text(encoding="utf-8")
+    text = (service_files() / "systemd" / "modules-load.conf").read_text(encoding="utf-8")
     return re.findall(r"^\w+$", text, re.M)
 
 
@@ -283,7 +284,7 @@ def _by_hand(place: Place, commands: list[list[str]], dry_run: bool) -> None:
 
 
 def _next(place: Place, starts: bool = True) -> None:
-    """What is left to do; `starts` is whether it has been told to start."""
+    """Say what is left to do; `starts` is whether it has been told to start."""
     rig = place.configuration / "rig.yaml"
     log = f"journalctl {'--user ' if place.user else ''}-u {UNIT}"
     if not rig.exists():

@@ -1,7 +1,7 @@
 """The files that make spheremouse a service of systemd: which there are, where they go, and what became of them there.
 
 What is placed begins with a line that holds the digest of the rest, so that a file edited by hand is known without any
-list kept elsewhere: it is never replaced or removed without a copy. Everything is first worked out as deeds, then done.
+list kept elsewhere: it is never replaced or removed without a copy. All is first worked out as actions, then done.
 """
 
 import contextlib
@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-import spheremouse
-from spheremouse.errors import ConfigurationError, ServiceError
+from spheremouse.errors import ConfigurationError, ServiceError, printable
 from spheremouse.files.atomic import open_to_read, remove_tree, replace
+from spheremouse.files.service import service_files
 
 UNIT = "spheremouse.service"
 USER = "spheremouse"  # and its group
@@ -36,7 +36,7 @@ State = Literal["missing", "ok", "older", "edited"]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a service is placed: of the system or of the user who asks, all of it below `root`."""
+    """Places of a service: of the system or of the user who asks, all of it below `root`."""
 
     root: Path = Path("/")
     user: bool = False
@@ -74,7 +74,7 @@ class Place:
         return users if self.user else self.at("/var/cache/spheremouse")
 
     def files(self) -> list[tuple[str, Path]]:
-        """What is placed: name in the folder of this program's service files, and where it goes; the unit first."""
+        """Files to place: name in the folder of this program's service files, and path; the unit first."""
         if self.user:
             configuration = self._users("XDG_CONFIG_HOME", ".config")
             return [
@@ -106,7 +106,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Deed:
+class FileAction:
     """One change, worked out and not done yet."""
 
     what: str  # "write", "update", ...
@@ -116,21 +116,7 @@ class Deed:
     must: bool = True  # what follows is not done unless this is
 
     def __str__(self) -> str:
-        return shown(f"{self.what} {self.path}{f' ({self.note})' if self.note else ''}")
-
-
-def shown(thing: object) -> str:
-    """As a message says it: names in folders of others, and errors about them, shall not steer the terminal."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(thing))
-
-
-def folder() -> Path:
-    """Where the service's files are: in the repository, or within the installed package."""
-    package = Path(spheremouse.__file__).parent
-    for path in (package.parent / "service", package / "_service"):
-        if (path / "systemd").is_dir():
-            return path
-    raise ServiceError("the service's files are not here; install spheremouse again")
+        return printable(f"{self.what} {self.path}{f' ({self.note})' if self.note else ''}")
 
 
 def executable(place: Place) -> str:
@@ -157,8 +143,8 @@ def executable(place: Place) -> str:
 # ---- what is to be done ----
 
 
-def install(place: Place, program: str, systemd: int | None) -> Iterator[Deed]:
-    """What is left to do until the service is in place; nothing where it is. `systemd`: its version, where known."""
+def install(place: Place, program: str, systemd: int | None) -> Iterator[FileAction]:
+    """Actions left until the service is in place; none where it is. `systemd`: its version, where known."""
     fresh = not place.unit.exists()
     for name, path in place.files():
         text = rendered(name, program, systemd)
@@ -167,37 +153,37 @@ def install(place: Place, program: str, systemd: int | None) -> Iterator[Deed]:
             yield _backup(path)
         if state != "ok":
             what = "write" if state == "missing" else "update"
-            yield Deed(what, path, partial(_write, path, text))
+            yield FileAction(what, path, partial(_write, path, text))
     if fresh and not place.link.is_symlink():  # one that was there and is not enabled stays so
-        yield Deed("enable", place.link, partial(_link, place))
+        yield FileAction("enable", place.link, partial(_link, place))
     config = place.configuration / "config.yaml"
     if not config.exists():
-        yield Deed("write", config, partial(_write, config, configuration(place)))
+        yield FileAction("write", config, partial(_write, config, configuration(place)))
 
 
-def uninstall(place: Place, purge: bool) -> Iterator[Deed]:
-    """What is left to do until the service is gone. Configuration, calibration and map stay unless `purge`."""
+def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
+    """Actions left until the service is gone. Configuration, calibration and map stay unless `purge`."""
     if place.link.is_symlink():
-        yield Deed("disable", place.link, place.link.unlink)
+        yield FileAction("disable", place.link, place.link.unlink)
     for _, path in place.files():
         if path.exists() or path.is_symlink():
             if state_of(path, None) == "edited" and not purge:
                 yield _backup(path)
-            yield Deed("remove", path, path.unlink)
+            yield FileAction("remove", path, path.unlink)
         for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
-            yield Deed("remove", backup, backup.unlink)
+            yield FileAction("remove", backup, backup.unlink)
     if place.cache.exists():
-        yield Deed("remove", place.cache, partial(remove_tree, place.cache), "compiled code")
+        yield FileAction("remove", place.cache, partial(remove_tree, place.cache), "compiled code")
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
-        yield Deed("remove", config, config.unlink, "as it was placed")
+        yield FileAction("remove", config, config.unlink, "as it was placed")
     for path in (place.configuration, place.state, place.changes) if purge else ():
         if path.exists():
-            yield Deed("remove", path, partial(remove_tree, path))
+            yield FileAction("remove", path, partial(remove_tree, path))
 
 
 def left(place: Place) -> list[Path]:
-    """What an uninstallation leaves, since somebody may want it."""
+    """Paths that an uninstallation leaves, since somebody may want them."""
     found = [p for folder in (place.configuration, place.state, place.changes) for p in _below(folder)]
     return sorted([*found, *(p for _, path in place.files() for p in path.parent.glob(f"{path.name}.bak*"))])
 
@@ -214,7 +200,7 @@ def tidy(place: Place) -> None:
 
 
 def state_of(path: Path, text: str | None) -> State:
-    """What became of a file that was to hold `text`; None: whatever some version of ours placed."""
+    """State of a file that was to hold `text`; None: whatever some version of ours placed."""
     if not path.exists():
         return "missing"
     try:
@@ -230,7 +216,7 @@ def state_of(path: Path, text: str | None) -> State:
 
 def rendered(name: str, program: str, systemd: int | None) -> str:
     """A file of the service as it is placed: with the program's path, without what this systemd does not know."""
-    text = (folder() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
+    text = (service_files() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
     known = systemd is not None and systemd >= RESTART_STEPS
     text = re.sub(r"^@254@(.*\n)", r"\1" if known else "", text, flags=re.M)
     return _MARK.format(_digest(text)) + text
@@ -240,28 +226,28 @@ def configuration(place: Place) -> str:
     """The configuration to begin with."""
     own = place.configuration
     learnt = own if place.user else place.state
-    text = (folder() / "config.yaml").read_text(encoding="utf-8")
+    text = (service_files() / "config.yaml").read_text(encoding="utf-8")
     for name, path in (("@RIG@", own / "rig.yaml"), ("@MAP@", learnt / "rig.map.yaml")):
         text = text.replace(name, place.inside(path))
     return text
 
 
-def carry_out(deeds: Iterator[Deed] | list[Deed], umask: int = 0o022) -> Iterator[str]:
+def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o022) -> Iterator[str]:
     """Do them one by one, in words; ServiceError where the system does not let us.
 
     The umask is ours and not the account's: with 077, what is placed would be closed to those who are to read it.
     """
-    for deed in list(deeds):
+    for action in list(actions):
         try:
             with _umask(umask):
-                deed.do()
+                action.do()
         except (OSError, RecursionError, ConfigurationError, ServiceError) as e:
-            why = f"{deed}: {shown(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
-            if deed.must:
+            why = f"{action}: {printable(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
+            if action.must:
                 raise ServiceError(why) from None
             yield f"did not work: {why}"
         else:
-            yield str(deed)
+            yield str(action)
 
 
 def may(place: Place) -> bool:
@@ -301,10 +287,10 @@ def _link(place: Place) -> None:
     place.link.symlink_to(place.inside(place.unit))
 
 
-def _backup(path: Path) -> Deed:
+def _backup(path: Path) -> FileAction:
     names = (path.with_name(f"{path.name}.bak{n or ''}") for n in range(1000))
     free = next(p for p in names if not os.path.lexists(p))
-    return Deed("keep", free, partial(_copy, path, free), f"{path.name} as it was edited")
+    return FileAction("keep", free, partial(_copy, path, free), f"{path.name} as it was edited")
 
 
 def _copy(path: Path, free: Path) -> None:

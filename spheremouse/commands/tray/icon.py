@@ -94,7 +94,7 @@ class Tray:
             shown.close()
 
     def tell(self, icon: Any, v: View) -> None:
-        """What is worth a notice."""
+        """Show a notice of what is worth one."""
         text = self._notices.see(v, time.monotonic())
         if v.there:
             if self._recording is not None and v.recording is None:
@@ -178,7 +178,7 @@ def _letters(items: tuple[tray.Item, ...]) -> list[Any]:
 
 
 def _mend_xorg(icon: Any) -> None:
-    """What pystray 0.19.5 does not do on bare X11.
+    """Do what pystray 0.19.5 does not do on bare X11.
 
     It asks for no clicks, docks again with every picture, which trays take for another icon, stretches pictures, and
     ends where a title is not Latin-1.
@@ -340,7 +340,7 @@ def _wait_for_host(backend: str, over: threading.Event, seconds: float = _FOR_A_
 
 
 def advice(backend: str, desktop: str, *, wayland: bool) -> str:
-    """What to do where no tray takes the icon."""
+    """Advice where no tray takes the icon."""
     first = "this desktop has no tray for the icon: "
     gnome = "gnome" in desktop.lower()
     if gnome:

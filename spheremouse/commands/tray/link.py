@@ -39,7 +39,7 @@ class Link:
         self._wake.set()
 
     def do(self, action: str) -> None:
-        """What an item of the menu stands for; returns at once. The same thing twice at a time is once."""
+        """Do what an item of the menu stands for; returns at once. The same thing twice at a time is once."""
         with self._lock:
             if action in self._doing:
                 return

@@ -28,7 +28,7 @@ _PAPER = (255, 255, 255, 255)
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the tray needs of a status."""
+    """The parts of a status that the tray needs."""
 
     state: str
     reason: str = ""
@@ -82,7 +82,7 @@ def headline(v: View) -> str:
 
 
 def tooltip(v: View) -> str:
-    """What is shown where the mouse rests on the icon; short enough for Windows."""
+    """Text shown where the mouse rests on the icon; short enough for Windows."""
     figures = [] if v.fps is None else [f"{v.fps:.0f} frames/s"]
     if v.recording is not None:
         figures.append("recording")
@@ -134,7 +134,7 @@ def menu(v: View, note: str = "") -> tuple[Item, ...]:
 
 @dataclass(slots=True)
 class Notices:
-    """Which troubles are worth a notice: those that last, and each not again for some minutes. Times in s."""
+    """Troubles worth a notice: those that last, and each not again for some minutes. Times in s."""
 
     after: dict[str, float] = field(
         default_factory=lambda: {"no-camera": 5.0, "lost": 15.0, "failed-output": 5.0, NO_DAEMON: 15.0}
@@ -168,7 +168,7 @@ class Notices:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a state looks: colour (RGB), outline and sign."""
+    """Looks of a state: colour (RGB), outline and sign."""
 
     colour: tuple[int, int, int]
     outline: str

@@ -25,7 +25,7 @@ _USUAL = 0.05  # s, the longest time between two reports of a mouse that moves
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """How the ball turned from one frame to the next, where it was tracked in both."""
+    """Rotation of the ball from one frame to the next, where it was tracked in both."""
 
     begin: Array  # (n,) s, stamp of the one
     end: Array  # (n,) s, stamp of the other

@@ -22,6 +22,7 @@ from spheremouse.evaluate.metrics import Run, pearson
 from spheremouse.evaluate.trackball.lag import Peak, Travel, Turning, search, travel
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import mad_sigma
 
 INTERVAL = 0.1  # s
 _LONGEST = 0.5  # s between two frames; beyond that nobody knows what a hand did
@@ -42,7 +43,7 @@ UNKNOWN = 0.1  # standard deviation, in units of the scale, beyond which a colum
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """What a recording and a log say of each other."""
+    """The regression of a trackball's counts on the ball's rotation, with its lag and its residuals."""
 
     lag: float  # s, stamp of the log less stamp of the frame of the same moment, in the middle of what both have
     drift: float  # -, by which the log's clock is faster
@@ -90,7 +91,7 @@ class Match:
 
     @property
     def condition(self) -> float:
-        """How many times better the best known combination of A's columns is known than the worst."""
+        """Condition of A's columns: how many times better the best known combination is known than the worst."""
         values = np.linalg.eigvalsh(self.covariance[:6, :6])
         return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
 
@@ -272,7 +273,7 @@ def _plausible(rows: _Rows, counts: Travel, state: _State) -> NDArray[np.bool_]:
     difference = np.abs(counted - expected)
     if not np.any(moving):
         return np.ones(len(difference), dtype=bool)
-    usual = 1.4826 * np.median(difference[moving], axis=0)
+    usual = mad_sigma(difference[moving])
     return np.all(difference <= np.maximum(_FAR * usual, _FAR_COUNTS), axis=1)
 
 
@@ -378,7 +379,7 @@ def _alike(a: Array, b: Array) -> float:
 
 
 def reproduced(ball: Turning, log: MouseLog, found: Match, matrix: Array) -> tuple[float, Array]:
-    """How near another matrix (2, 3) counts/rad comes to the counts: `r_interval`, and RMSE (2,) counts/s of 0.1 s."""
+    """Fit of another matrix (2, 3) counts/rad to the counts: `r_interval`, and RMSE (2,) counts/s of 0.1 s."""
     counts = travel(log)
     state = _State(matrix, found.lag, found.drift, found.middle)
     every = _intervals(ball)

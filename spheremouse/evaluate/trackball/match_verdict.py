@@ -22,7 +22,7 @@ _MOVE = ("roll the ball towards you and away", "spin it about the vertical", "ro
 
 
 class Kind(StrEnum):
-    """What came out."""
+    """Outcomes of a match."""
 
     AGREES = "agrees"
     ROUGHLY = "agrees roughly"
@@ -33,7 +33,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a match means."""
+    """The outcome of a match, and its reasons in words."""
 
     kind: Kind
     text: str  # one sentence
@@ -110,7 +110,7 @@ def _of_time(found: Match) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """How the trackball lies, as far as settings can say it, and what is left over."""
+    """Directions of the trackball's axes, as far as settings can say them, and what is left over."""
 
     swapped: bool
     scale: tuple[float, float]  # counts/rad of x and y, with their signs

@@ -50,7 +50,7 @@ class Film:
     truth: Reference
 
 
-def made(simulation: Simulation, name: str = "film") -> Film:
+def film_of(simulation: Simulation, name: str = "film") -> Film:
     """A film simulated in memory: 1 MB a frame of 640x480."""
     shots = list(simulate(simulation))
     scene = simulation.scene
@@ -63,7 +63,7 @@ def made(simulation: Simulation, name: str = "film") -> Film:
     return Film(name, tuple(s.frame for s in shots), scene.rig(), truth)
 
 
-def taken(path: Path | str, frames: int | None = None) -> Film:
+def film_from_dataset(path: Path | str, frames: int | None = None) -> Film:
     """A dataset, or its first `frames`."""
     recording = open_dataset(path)
     chosen = [
@@ -128,7 +128,7 @@ def bound_rms(limit: Bound | None, first: int = 1) -> Result | None:
     return {k: per_axis(np.degrees(np.sqrt(np.diagonal(P[first:], axis1=1, axis2=2))), "xyz") for k, P in least.items()}
 
 
-def compared(film: Film, variants: dict[str, Settings], **how: Any) -> Result:
+def track_all(film: Film, variants: dict[str, Settings], **how: Any) -> Result:
     """`tracked` of each variant, with its `bound`; a pose that is not found is a row that says so."""
     results: Result = {}
     for name, settings in variants.items():

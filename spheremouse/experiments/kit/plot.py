@@ -1,7 +1,7 @@
 """How figures look: quiet axes, colours that colour-blind eyes tell apart, on light pages and on dark ones.
 
-Needs matplotlib, which is loaded when something is drawn. Colours are those of Okabe and Ito (2008), lines differ in
-their dashes as well.
+Needs matplotlib, which is loaded when something is drawn. The style is that of `files/report`; the colours of curves
+are those of Okabe and Ito (2008), and they differ in their dashes as well.
 """
 
 import io
@@ -13,66 +13,28 @@ import numpy as np
 
 from spheremouse.experiments.kit.job import Figure
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.report.style import require_matplotlib
+from spheremouse.files.report.style import styled
 
 # ---- for a reader ----
 
-_OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-_LIGHT, _DARK = ("#2b2b2b", "#8a8a8a", "#e6e6e6"), ("#e2e2e2", "#8f8f8f", "#3a3a3a")  # ink, axes, grid
 BOUND, THESIS = {"linestyle": ":", "linewidth": 1.2}, {"linestyle": "--", "linewidth": 1.0}  # how these are drawn
-
-
-def style(dark: bool) -> Any:
-    """rcParams."""
-    from cycler import cycler
-
-    ink, axes, grid = _DARK if dark else _LIGHT
-    dashes = ["-", (0, (5, 1.5)), (0, (1.5, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)), "-"]
-    return {
-        "font.family": "sans-serif",
-        "font.size": 9.0,
-        "axes.facecolor": "none",
-        "axes.edgecolor": axes,
-        "axes.labelcolor": ink,
-        "axes.linewidth": 0.6,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.titlesize": 10.0,
-        "axes.titlelocation": "left",
-        "axes.grid": True,
-        "axes.prop_cycle": cycler(color=_OKABE_ITO) + cycler(linestyle=dashes),
-        "grid.color": grid,
-        "grid.linewidth": 0.6,
-        "lines.linewidth": 1.4,
-        "lines.markersize": 4.0,
-        "text.color": ink,
-        "xtick.color": axes,
-        "ytick.color": axes,
-        "xtick.labelcolor": ink,
-        "ytick.labelcolor": ink,
-        "xtick.major.width": 0.6,
-        "ytick.major.width": 0.6,
-        "legend.frameon": False,
-        "legend.fontsize": 8.5,
-        "figure.facecolor": "none",
-        "savefig.facecolor": "none",
-        "image.cmap": "cividis",
-        "svg.hashsalt": "spheremouse",
-        "svg.fonttype": "path",
-    }
+_OVER = {
+    "axes.grid": True,
+    "axes.prop_cycle": 'cycler("color", ["0072B2", "D55E00", "009E73", "CC79A7", "56B4E9", "E69F00"])'
+    '+ cycler("linestyle", ["-", (0, (5, 1.5)), (0, (1.5, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1)), "-"])',
+    "text.parse_math": True,
+}
 
 
 def save(figure: Figure, folder: Path) -> list[Path]:
     """NAME-light.svg and NAME-dark.svg; the same data give the same bytes."""
-    require_matplotlib()
-    import matplotlib as mpl
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure as Canvas
-
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for kind in ("light", "dark"):
-        with mpl.rc_context(style(kind == "dark")):
+        with styled(kind, _OVER):
+            from matplotlib.backends.backend_svg import FigureCanvasSVG
+            from matplotlib.figure import Figure as Canvas
+
             canvas = Canvas(figsize=figure.size, layout="constrained")
             FigureCanvasSVG(canvas)
             figure.draw(canvas)

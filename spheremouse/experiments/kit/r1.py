@@ -13,7 +13,7 @@ import numpy as np
 from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.metrics import Run, pearson, surface_travel
 from spheremouse.evaluate.trackball.lag import travel
-from spheremouse.experiments.kit.film import Film, made, options_of
+from spheremouse.experiments.kit.film import Film, film_of, options_of
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare
@@ -69,7 +69,7 @@ def filmed(seconds: float = SECONDS, pace: float = PACE, seed: int = 0) -> tuple
     """The film, in memory, and what the mouse logged meanwhile."""
     motion = Slowed(play(pace * seconds, np.random.default_rng([seed, 2])), pace)
     simulation = prepare(options_of({**OPTIONS, "seconds": seconds, "seed": seed}))
-    film = made(replace(simulation, profile=motion), "R1-like")
+    film = film_of(replace(simulation, profile=motion), "R1-like")
     return film, simulate_log(motion.rate, 0.0, seconds, TRACKBALL, seed)
 
 

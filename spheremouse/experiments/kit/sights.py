@@ -69,8 +69,8 @@ def filtered(sights: Sights, settings: Settings, film: Film) -> Run:
     state, history = begin(tracker, sights.stamps[0]), History()
     last = len(film.frames) - len(sights.stamps)  # frames before the first view that showed the targets
     for frame, seen in zip(film.frames[last:], sights.detections, strict=True):
-        state, motion = advance(state, frame.stamp, seen, tracker)
-        history.add(Epoch(frame, state, motion, {}))
+        state, motion, events = advance(state, frame.stamp, seen, tracker)
+        history.add(Epoch(frame, state, motion, events, {}))
     return history.run()
 
 
@@ -94,7 +94,7 @@ def errors(run: Run, truth: Reference, radius: float, since: float = -np.inf) ->
     return {
         "frames": len(run.frame),
         "tracked": len(kept),
-        "lost_episodes": lost_episodes(whole.phase),
+        "lost_episodes": lost_episodes(whole.status),
         "attitude_rmse_deg": per_axis(None if attitude is None else np.rad2deg(attitude), "xyz"),
         "rate_rmse_deg_s": per_axis(None if rate is None else np.rad2deg(rate), "xyz"),
         "surface_speed_rmse_mm_s": per_axis(None if speed is None or true is None else speed - true, "xy"),

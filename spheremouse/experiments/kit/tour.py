@@ -31,7 +31,7 @@ def filmed(film: dict[str, Any], seed: int, seconds: float) -> kit.Film:
     """A film with the options `film` of the ball on a tour, with places of the discs of its own."""
     plain = {"noise": NOISE, "fps": float(USUAL), "seed": seed, "seconds": seconds}
     simulation = prepare(kit.options_of({**plain, **film}))
-    return kit.made(replace(simulation, profile=tour(seed, seconds)), f"tour {seed}")
+    return kit.film_of(replace(simulation, profile=tour(seed, seconds)), f"tour {seed}")
 
 
 def tour(seed: int, seconds: float) -> Gestures:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
-from spheremouse.ball.state import Phase, Tracker, TrackState
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance
 from spheremouse.experiments.kit.film import TRACKERS, settings_of
 from spheremouse.geometry.camera import project, unproject
@@ -16,6 +16,7 @@ from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.film import Scene, default_scene
 from spheremouse.simulate.ball.profile import Profile, rest, still
 from spheremouse.simulate.shapes import Sphere, look
+from spheremouse.tracker import Status
 
 NEW = "so3, new ball"  # so3 before a ball that it has not seen from all sides
 WHO = (*TRACKERS, NEW)
@@ -115,7 +116,7 @@ def _looked_at(tracker: Tracker, world: World, motion: Profile) -> TrackState:
     rng, state = np.random.default_rng(1), begin(tracker, 0.0)
     stamps = np.arange(0.0, motion.seconds, 1.0 / 60.0)
     for t, R in zip(stamps, motion.attitude(stamps), strict=True):
-        state, _ = advance(state, float(t), world.see(R, rng), tracker)
+        state = advance(state, float(t), world.see(R, rng), tracker).state
     return state
 
 
@@ -137,7 +138,7 @@ class Course:
         now, error = state.filter.stamp, rotation_error(state, attitude)
         recent = self.time >= now - HOLD
         cosine = 0.5 * (np.sum(self.error[recent] * error, axis=(1, 2)) - 1.0)
-        if state.phase is not Phase.TRACKING or np.any(cosine < np.cos(np.radians(WRONG))):
+        if state.status is not Status.TRACKING or np.any(cosine < np.cos(np.radians(WRONG))):
             return None
         return Course(state, np.append(self.time[recent], now), np.concatenate([self.error[recent], error[None]]))
 

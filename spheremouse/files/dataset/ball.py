@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
@@ -22,7 +20,6 @@ from spheremouse.files.dataset.format import (
     DISC_COLUMNS,
     MATRIX_COLUMNS,
     MOTION_COLUMNS,
-    STAMP_COLUMNS,
     CameraEntry,
     Entry,
     Number,
@@ -31,14 +28,11 @@ from spheremouse.files.dataset.format import (
     check_frames,
     check_times,
     described,
-    in_video,
     is_rotation,
-    picture_file,
     read_description,
     read_json,
-    read_picture,
-    recorded_images,
 )
+from spheremouse.files.dataset.stamps import Stamps, fractional, read_stamps, recorded_frames
 from spheremouse.files.dataset.write import DatasetWriter
 from spheremouse.files.rig import load_rig
 from spheremouse.files.tables import read_columns
@@ -71,16 +65,7 @@ class Recording:
     truth: Truth | None
     discs: DiscTruth | None
     truth_directions: Array | None  # (m, 3) true unit vectors to the discs, ball
-    stamps: "Stamps | None" = None
-
-
-@dataclass(frozen=True, slots=True)
-class Stamps:
-    """What a live camera said of each of its n frames."""
-
-    stamp: Array  # (n,) s, on any clock; not even sure to grow
-    sequence: NDArray[np.int64]  # (n,) of the camera's frames: gaps are frames that were dropped
-    colour: NDArray[np.bool_]  # (n,) the tracker was given this one in colour
+    stamps: Stamps | None = None
 
 
 # ---- scene.json ----
@@ -118,7 +103,7 @@ def open_dataset(path: Path | str) -> Recording:
     scene = read_description(path, _read_scene)
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
     discs = _read_discs(path / "discs.csv", scene.frames) if (path / "discs.csv").exists() else None
-    stamps = _read_stamps(path / "stamps.csv", scene.frames) if (path / "stamps.csv").exists() else None
+    stamps = read_stamps(path, scene.frames)
     directions = None
     if scene.truth_disc_directions is not None:
         directions = np.array(scene.truth_disc_directions, dtype=float).reshape(-1, 3)
@@ -228,7 +213,7 @@ def _read_truth(path: Path, frames: int) -> Truth:
 def _read_discs(path: Path, frames: int) -> DiscTruth:
     table = read_columns(path, DISC_COLUMNS, optional=BLOB_COLUMNS)
     whole = [table[c] for c in ("frame", "disc", "state")]
-    if any(map(_fractional, whole)) or np.any((whole[0] < 0) | (whole[0] >= frames)):
+    if any(map(fractional, whole)) or np.any((whole[0] < 0) | (whole[0] >= frames)):
         raise DatasetError(f"{path}: frame, disc and state must be whole numbers, frame below {frames}")
     return DiscTruth(
         frame=table.pop("frame").astype(np.intp),
@@ -238,22 +223,6 @@ def _read_discs(path: Path, frames: int) -> DiscTruth:
         area=table.pop("area_px"),
         state=table.pop("state").astype(np.intp),
     )
-
-
-def _read_stamps(path: Path, frames: int) -> Stamps:
-    table = read_columns(path, STAMP_COLUMNS, most=frames)
-    check_frames(path, table, frames)
-    sequence, colour = table.pop("sequence"), table.pop("colour")
-    if _fractional(sequence):
-        raise DatasetError(f"{path}: sequence must be a whole number")
-    if not np.all((colour == 0.0) | (colour == 1.0)):
-        raise DatasetError(f"{path}: colour must be 0 or 1")
-    return Stamps(table["t"], sequence.astype(np.int64), colour == 1.0)
-
-
-def _fractional(column: Array) -> bool:
-    """Is a number of (n,) not a whole one?"""
-    return bool(np.any((column != np.rint(column)) | (np.abs(column) > 2**53)))
 
 
 # ---- frames ----
@@ -266,20 +235,7 @@ def read_frames(recording: Recording) -> Iterator[Frame]:
 
     A recording cut short gives what is there and then raises DatasetError.
     """
-    camera, stamps, video = recording.rig.camera, recording.stamps, in_video(recording.path)
-    images = recorded_images(recording.path, (camera.width, camera.height), recording.frames)
-    for count, image in enumerate(images):
-        if stamps is not None:
-            yield _as_recorded(recording.path, image, count, stamps, video)
-        else:
-            stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
-            yield Frame(image, stamp, count)
-
-
-def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Stamps, in_video: bool) -> Frame:
-    """A picture of the video (h, w, 3), or what stands for it: one in colour of its own file, or its grey."""
-    if not stamps.colour[index]:
-        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)  # of equal channels: their value
-    elif in_video and (file := picture_file(folder, index)).is_file():
-        image = read_picture(file, (image.shape[1], image.shape[0]))
-    return Frame(image, float(stamps.stamp[index]), int(stamps.sequence[index]))
+    camera, truth = recording.rig.camera, recording.truth
+    times = None if truth is None else truth.stamp
+    size = camera.width, camera.height
+    return recorded_frames(recording.path, size, recording.frames, recording.fps, times, recording.stamps)

@@ -16,9 +16,14 @@ from spheremouse.files.bounded import read_bytes, read_text
 from spheremouse.files.films import film_images, film_size, open_film
 from spheremouse.files.pictures import FRAME_PIXELS, decoded, px, read_header
 from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 
-FILES = ("scene.json", "video.mkv", "frames", "truth.csv", "discs.csv", "stamps.csv", "rig.yaml", "config.yaml")
+MOST_BALLS = 8  # in hands: each takes its time in every frame, and two people have four
+BALL_FILES = tuple(f"wand-{k + 1}.yaml" for k in range(MOST_BALLS))
+FILES = (
+    "scene.json", "video.mkv", "frames", "truth.csv", "discs.csv", "stamps.csv", "rig.yaml", "config.yaml", *BALL_FILES,
+)  # fmt: skip
 MATRIX_COLUMNS = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))  # R_obj_ball by rows
 MOTION_COLUMNS = ("frame", "t", *MATRIX_COLUMNS, "wx", "wy", "wz")
 TRUTH_COLUMNS = (*MOTION_COLUMNS, "omega", "phi", "kappa")
@@ -49,8 +54,14 @@ class CameraEntry(Entry):
     dist: tuple[Number, Number, Number, Number, Number]
 
 
+def camera_description(camera: InteriorOrientation) -> dict[str, Any]:
+    """A `CameraEntry`, as scene.json has it."""
+    intrinsic = dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True))
+    return {**intrinsic, "dist": camera.distortion.tolist()}
+
+
 class SceneEntry(Entry):
-    """What scene.json says of every recording."""
+    """Entries of scene.json that every recording has."""
 
     name: str = ""
     width: Annotated[int, Field(gt=0)]
@@ -91,7 +102,7 @@ def described(path: Path, content: Any, kind: type[Scene]) -> Scene:
 
 
 def read_description(folder: Path, read: Callable[[Path], Scene]) -> Scene:
-    """What `read` makes of a dataset's scene.json; DatasetError where the folder or its pictures are missing."""
+    """A dataset's scene.json, read by `read`; DatasetError where the folder or its pictures are missing."""
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
     scene = read(folder / "scene.json")
@@ -152,7 +163,7 @@ def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterato
 
 
 def picture_file(folder: Path, index: int) -> Path:
-    """Where a dataset keeps a picture that is not in its video."""
+    """Path of a dataset's picture that is not in its video."""
     return folder / "frames" / f"{index:06d}.png"
 
 

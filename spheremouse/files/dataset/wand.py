@@ -21,14 +21,15 @@ from spheremouse.files.dataset.format import (
     Number,
     Positive,
     SceneEntry,
+    camera_description,
     check_frames,
     check_times,
     described,
     is_rotation,
     read_description,
     read_json,
-    recorded_images,
 )
+from spheremouse.files.dataset.stamps import Stamps, read_stamps, recorded_frames
 from spheremouse.files.tables import read_columns
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.tracker import Frame
@@ -55,6 +56,7 @@ class WandRecording:
     frames: int
     exposure_s: float
     truths: tuple[WandTruth, ...]  # of each ball; empty where there is no truth.csv
+    stamps: Stamps | None = None
 
     @property
     def ball(self) -> WandBall:
@@ -120,6 +122,7 @@ def open_wand(path: Path | str) -> WandRecording:
         frames=scene.frames,
         exposure_s=scene.exposure_s,
         truths=_read_truths(truth, scene.frames, len(wands)) if truth.exists() else (),
+        stamps=read_stamps(path, scene.frames),
     )
 
 
@@ -173,18 +176,29 @@ def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
 
 
 def read_wand_frames(recording: WandRecording) -> Iterator[Frame]:
-    """The frames in order, in colour; stamps are the truth's times, or index / fps.
+    """The frames in order, with the stamps and numbers of the recording; else the truth's times, or index / fps.
 
     A recording cut short gives what is there and then raises DatasetError.
     """
-    camera = recording.camera
-    images = recorded_images(recording.path, (camera.width, camera.height), recording.frames)
-    for count, image in enumerate(images):
-        stamp = count / recording.fps if recording.truth is None else float(recording.truth.stamp[count])
-        yield Frame(image, stamp, count)
+    camera, truth = recording.camera, recording.truth
+    times = None if truth is None else truth.stamp
+    size = camera.width, camera.height
+    return recorded_frames(recording.path, size, recording.frames, recording.fps, times, recording.stamps)
 
 
 # ---- writing ----
+
+
+def wand_scene(camera: InteriorOrientation, balls: tuple[WandBall, ...]) -> dict[str, Any]:
+    """The content of scene.json, but for `name`, `fps` and `frames`."""
+    described = [wand_description(ball) for ball in balls]
+    return {
+        "width": int(camera.width),
+        "height": int(camera.height),
+        "camera": camera_description(camera),
+        "wand": described[0],
+        **({"wands": described} if len(described) > 1 else {}),
+    }
 
 
 def wand_description(ball: WandBall) -> dict[str, Any]:

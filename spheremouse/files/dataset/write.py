@@ -5,7 +5,6 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -15,11 +14,9 @@ import numpy as np
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import DiscTruth
 from spheremouse.errors import DatasetError
-from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS
+from spheremouse.files.dataset.format import DISC_COLUMNS, FILES, STAMP_COLUMNS, TRUTH_COLUMNS, camera_description
 from spheremouse.files.dataset.pictures import FAST, PictureWriter
 from spheremouse.files.folders import NewFolder
-from spheremouse.files.rig import rig_text
-from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.tracker import Frame
 
@@ -109,16 +106,12 @@ class DatasetWriter:
 class FilmWriter:
     """Writes what a live camera showed, without truth: all of it at `finish`, or nothing.
 
-    Pictures and stamps come back to the last bit, and so do the device and the camera's pose, with covariances.
+    Pictures and stamps come back to the last bit.
     """
 
-    def __init__(self, path: Path, rig: Rig, pose: Pose, scene: Mapping[str, Any], files: Mapping[str, str]) -> None:
-        """`scene`: more keys for scene.json; `files`: further files of a dataset, name and text.
-
-        Raises DatasetError where `path` is there and not empty, or cannot be written.
-        """
-        self._path = path.absolute()
-        self._rig, self._scene, self._files = replace(rig, pose=pose), scene, files
+    def __init__(self, path: Path, size: tuple[int, int]) -> None:
+        """`size`: (w, h) px. Raises DatasetError where `path` is there and not empty, or cannot be written."""
+        self._path, self._size = path.absolute(), size
         self._stamps: list[float] = []
         self._pictures: PictureWriter | None = None
         refuse_to_overwrite(self._path, False)
@@ -127,8 +120,7 @@ class FilmWriter:
 
     def open(self, fps: float) -> None:
         """Find out how to write, which takes some tenths of a second; `fps` is what a player of the video goes by."""
-        camera = self._rig.camera
-        self._pictures = PictureWriter(self.folder, (camera.width, camera.height), fps, FAST, mixed=True)
+        self._pictures = PictureWriter(self.folder, self._size, fps, FAST, mixed=True)
         self._file = (self.folder / "stamps.csv").open("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file, lineterminator="\n")
         self._rows.writerow(STAMP_COLUMNS)
@@ -141,10 +133,6 @@ class FilmWriter:
         self._pictures.add(frame.image)
         self._stamps.append(stamp)
 
-    def seen_from(self, pose: Pose) -> None:
-        """The camera's pose, where it is another by the first frame."""
-        self._rig = replace(self._rig, pose=pose)
-
     @property
     def frames(self) -> int:
         """Written so far."""
@@ -154,18 +142,20 @@ class FilmWriter:
         """Bytes on the disk so far."""
         return 0 if self._pictures is None else self._pictures.size() + (self.folder / "stamps.csv").stat().st_size
 
-    def finish(self) -> None:
-        """Give it its name, once all is on the disk; DatasetError where that cannot be."""
+    def finish(self, scene: Mapping[str, Any], files: Mapping[str, str]) -> None:
+        """Give it its name, once all is on the disk; DatasetError where that cannot be.
+
+        `scene`: the content of scene.json but for name, rate and number of frames; `files`: further files of a
+        dataset, name and text.
+        """
         assert self._pictures is not None
         try:
             self._file.close()
             finish_pictures(self._pictures, self._path)
-            for name, text in {"rig.yaml": rig_text(self._rig), **self._files}.items():
+            for name, text in files.items():
                 (self.folder / name).write_text(text, encoding="utf-8")
-            scene = {"name": self._path.name, **self._scene, **device_description(self._rig)}
-            assert self._rig.pose is not None
-            scene["T_obj_cam"] = self._rig.pose.matrix().tolist()
-            write_scene(self.folder, {**scene, "fps": _rate(self._stamps), "frames": self.frames})
+            said = {"name": self._path.name, **scene, "fps": _rate(self._stamps), "frames": self.frames}
+            write_scene(self.folder, said)
             for file in [*self.folder.rglob("*"), self.folder]:
                 _sync(file)
             self.folder.chmod(0o750)  # of people, perhaps: not for everybody
@@ -220,7 +210,7 @@ def _rate(stamps: list[float]) -> float:
 
 
 def _sync(path: Path) -> None:
-    """What is written is on the disk, as far as the system lets us ask."""
+    """Have what is written on the disk, as far as the system lets us ask."""
     with suppress(OSError):  # folders cannot be opened everywhere
         handle = os.open(path, os.O_RDONLY)
         try:
@@ -230,16 +220,13 @@ def _sync(path: Path) -> None:
 
 
 def device_description(rig: Rig) -> dict[str, Any]:
-    """What scene.json says of a device, without its covariances."""
+    """Entry of scene.json for a device, without its covariances."""
     camera, targets = rig.camera, rig.targets
     description: dict[str, Any] = {
         "width": int(camera.width),
         "height": int(camera.height),
         "exposure_s": float(rig.exposure_s),
-        "camera": {
-            **dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True)),
-            "dist": camera.distortion.tolist(),
-        },
+        "camera": camera_description(camera),
         "ball": {"radius": float(rig.ball.radius)},
         "disc_radius": float(rig.disc_radius),
         "targets": [

@@ -1,12 +1,18 @@
-"""matplotlib, where it is installed."""
+"""How figures look: matplotlib, where it is installed, in the project's style (`light.mplstyle`, `dark.mplstyle`).
+
+And the colours that figures name: a page in HTML has a variable for each, lighter where the screen is dark.
+"""
 
 import importlib
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
 
 from spheremouse.errors import ConfigurationError
 
-if TYPE_CHECKING:
-    pass
+INK, MUTED, GRID, PAPER = "#2b2b2b", "#8a8a8a", "#e6e6e6", "#fefefd"
+RED, GREEN, BLUE, GOLD = "#c8553d", "#3a7d5d", "#2f6690", "#b8860b"  # apart in grey and for most colour-blind eyes
 
 
 def has_matplotlib() -> bool:
@@ -22,3 +28,23 @@ def require_matplotlib() -> None:
     """Raise ConfigurationError where matplotlib is not installed."""
     if not has_matplotlib():
         raise ConfigurationError("plots need matplotlib: pip install 'spheremouse[plot]'")
+
+
+@contextmanager
+def styled(*over: str | Mapping[str, Any]) -> Iterator[None]:
+    """The light style for figures that are made and saved in this block, with others ("dark") or rcParams over it.
+
+    Nothing of a user's matplotlibrc. Raises ConfigurationError without matplotlib.
+    """
+    require_matplotlib()
+    from matplotlib import style
+
+    sheets = [f"{__package__}.{s}" if isinstance(s, str) else s for s in ("light", *over)]
+    with style.context(["default", *sheets]):  # type: ignore[list-item]
+        yield
+
+
+def round_number(most: float) -> float:
+    """The largest 1, 2 or 5 times a power of ten that is not above `most`: by what a figure magnifies."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= most * (1.0 + 1e-9))

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq
-from scipy.stats import chi2
 
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.statistics import gate, mad_sigma
 
 FEWEST = 5  # points: four fix a sphere, the fifth checks it (Wittich 2017, section 3.7)
 _STILL = 1e-9  # m
@@ -66,7 +66,7 @@ def fit_sphere(observations: Array, covariance: Array, where: NDArray[np.intp]) 
     first = _adjust(observations[where], C, x, 0.0)
     freedom = n - 4
     extra = 0.0
-    if first.omega > chi2.ppf(_ROUND, freedom):
+    if first.omega > gate(_ROUND, freedom):
         # as much variance along the normals as brings the contradictions to what chance would leave
         def excess(log: float) -> float:
             return _adjust(observations[where], C, x, float(np.exp(log))).omega / freedom - 1.0
@@ -103,7 +103,7 @@ def off_sphere(points: Array, covariance: Array, sphere: Sphere) -> NDArray[np.b
     normal = way / distance[:, None]
     off = distance - sphere.radius
     variance = np.einsum("ni,nij,nj->n", normal, covariance, normal)
-    spread = 1.4826 * float(np.median(np.abs(off)))
+    spread = float(mad_sigma(off))
     extra = max(spread**2 - float(np.median(variance)), 0.0)
     return off**2 > _FALSE * (variance + extra)
 

@@ -3,7 +3,7 @@
 The board may be plugged into another computer than this one. docs/protocol.md says what goes over the line: counters,
 not steps, so that nothing is lost and nothing doubled. `auto` takes the board whose USB product is "spheremouse", or
 else the only USB serial adapter there is; `id` is its USB serial number where there are several.
-A motion is written by whoever sends it, without ever waiting; a thread reads answers, keeps the line alive and comes
+A report is written by whoever sends it, without ever waiting; a thread reads answers, keeps the line alive and comes
 back to a port that went away. Messages and, at the end, round-trip times go to standard error.
 """
 
@@ -18,13 +18,12 @@ from types import TracebackType
 from typing import Self
 
 from spheremouse.errors import OutputError
-from spheremouse.files.spec import options
-from spheremouse.output import Passage
+from spheremouse.files.registry import options
+from spheremouse.output import Passage, Report
 from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, example_port, find_board, foreign_text, nobody
 from spheremouse.output.sparing import Sparing
-from spheremouse.tracker import Motion
 
 BAUD, SLOWEST = 115200, 38400
 THIRD = ("none", "wheel", "pan")
@@ -41,7 +40,7 @@ _AXIS = {"wheel": 2, "pan": 3}
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """What a run over the line came to."""
+    """Figures of a run over the line."""
 
     round_trip: tuple[float, float]  # s, median and 99 %; NaN without answers
     motions: int  # frames
@@ -71,7 +70,7 @@ class Statistics:
 
 
 class Serial:
-    """Sends motions to a board."""
+    """Sends reports to a board."""
 
     def __init__(self, find: Callable[[], str], baud: int, third: str, say: Callable[[str], None]) -> None:
         """`find` names the port, anew each time it is opened. Waits for the board's first answer."""
@@ -91,9 +90,9 @@ class Serial:
         self._thread = threading.Thread(target=self._run, name="serial", daemon=True)
         self._thread.start()
 
-    def send(self, motion: Motion) -> None:
+    def send(self, report: Report) -> None:
         """Add the counts and write a frame if the line takes one now; never waits."""
-        x, y, z = motion.counts
+        x, y, z = report.counts
         counts = [x, y, 0, 0]
         if self._third != "none":
             counts[_AXIS[self._third]] = z
@@ -110,15 +109,15 @@ class Serial:
             self._link.alive(time.perf_counter())
             self._flush()
 
-    def describe(self, motion: Motion) -> str:
+    def describe(self, report: Report) -> str:
         """The text twin: what the mouse will do, as in `X +3 Y -2 wheel +1`; and if there is none now."""
-        x, y, z = motion.counts
+        x, y, z = report.counts
         named = (("X", x), ("Y", y), (self._third, z if self._third != "none" else 0))
         text = " ".join(f"{name} {n:+d}" for name, n in named if n)
         return f"{text} (waits for the board)" if text and not self._link.running else text
 
     def passage(self) -> Passage:
-        """How far the board has got, and why it gets no further."""
+        """Counts that the board has not passed on, and the reason why."""
         axes = (0, 1, *(() if self._third == "none" else (_AXIS[self._third],)))
         with self._lock:
             link, waiting = self._link, self._link.waiting
@@ -132,7 +131,7 @@ class Serial:
             self._link.give_up(time.perf_counter())
 
     def _trouble(self) -> str:
-        """What keeps counts from getting through."""
+        """The reason why counts do not get through."""
         if self._port is None:
             return f"{self._gone}; plug the board in again"
         if self._link.running and self._link.ack is not None and not self._link.ack.flags & Flags.USB_READY:
@@ -142,7 +141,7 @@ class Serial:
         return f"{self._port.name}: the board does not answer; plug it in again"
 
     def statistics(self) -> Statistics:
-        """How the line does."""
+        """Figures of the line so far."""
         with self._lock:
             link = self._link
             return Statistics(
@@ -159,7 +158,7 @@ class Serial:
             )
 
     def status(self, timeout: float = 1.0) -> Status | None:
-        """What the board says of how it fares; None if it does not within `timeout` s."""
+        """The board's STATUS; None if it does not come within `timeout` s."""
         self._link.status = None
         asked, until = -_ASK, time.perf_counter() + timeout
         while (found := self._link.status) is None and (now := time.perf_counter()) < until:
@@ -173,7 +172,7 @@ class Serial:
 
     @property
     def identity(self) -> Identity | None:
-        """Who answered."""
+        """The device that answered."""
         return self._link.identity
 
     @property

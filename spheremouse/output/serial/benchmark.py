@@ -8,9 +8,10 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from spheremouse.geometry.rotation import Array
+from spheremouse.output import Report
 from spheremouse.output.serial import Serial, Statistics
 from spheremouse.output.serial.simulator import Simulator
-from spheremouse.tracker import Motion
+from spheremouse.tracker import no_motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +35,12 @@ def measure(rate: float, motions: int, damage: float = 0.0, baud: int | None = N
         port: str = here.recv()
         output = Serial(lambda: port, 115200, "none", lambda _: None)
         began, call = np.empty(motions), np.empty(motions)
-        nothing = np.zeros(3)
+        one = Report((1, 0, 0), (0.0, 0.0, 0.0), no_motion(0.0))
         start = time.monotonic() + 0.1
         for k in range(motions):
             _wait_until(start + k / rate)
             began[k] = time.monotonic()
-            output.send(Motion(0.0, (1, 0, 0), nothing, nothing))
+            output.send(one)
             call[k] = time.monotonic() - began[k]
         took = began[-1] - began[0]
         until = time.monotonic() + 1.0

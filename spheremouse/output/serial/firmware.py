@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-import spheremouse
-from spheremouse.errors import OutputError
+from spheremouse.errors import OutputError, printable
 from spheremouse.files.atomic import replace
+from spheremouse.files.service import service_files
 
+PICO = "firmware/pico"  # in `service/`
 FILES = ("boot.py", "mouse.py", "protocol.py", "code.py")  # code.py last: the board runs it when it changes
 MARK = "boot_out.txt"
 BOOT_LOADER = "INFO_UF2.TXT"
@@ -40,18 +41,9 @@ class Drive:
     serial_number: str | None  # as USB tells it, where boot_out.txt does
 
 
-def folder(kind: str = "pico") -> Path:
-    """Where the firmware's files are: in the repository, or within the installed package."""
-    package = Path(spheremouse.__file__).parent
-    for path in (package.parent / "service" / "firmware" / kind, package / "_firmware" / kind):
-        if path.is_dir():
-            return path
-    raise OutputError("the firmware's files are not here; install spheremouse again")
-
-
 def load_protocol() -> ModuleType:
     """The board's own protocol.py as a module; it runs here too."""
-    spec = importlib.util.spec_from_file_location("spheremouse_firmware_protocol", folder() / "protocol.py")
+    spec = importlib.util.spec_from_file_location("spheremouse_firmware_protocol", service_files(PICO) / "protocol.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -74,7 +66,7 @@ def words(version: Version | None) -> str:
 
 
 def read_drive(path: Path) -> Drive:
-    """What a drive says of its board."""
+    """The board of a drive, as the drive's files tell."""
     told = _bytes(path / MARK)
     if told is None:
         if (path / BOOT_LOADER).exists():
@@ -85,10 +77,7 @@ def read_drive(path: Path) -> Drive:
         raise OutputError(
             f"{path}: no {MARK} in it, so this is no board with CircuitPython; name the drive called CIRCUITPY"
         )
-    # said on a terminal: a stick that is no board shall not steer it
-    text = "".join(
-        c if c.isprintable() or c in "\r\n\t" else "\N{REPLACEMENT CHARACTER}" for c in told.decode("utf-8", "replace")
-    )
+    text = "\n".join(map(printable, told.decode("utf-8", "replace").splitlines()))
     found = _IDENTITY.search(text)
     if found is None:
         raise OutputError(f"{path / MARK}: says nothing of CircuitPython; install CircuitPython on the board first")
@@ -117,7 +106,7 @@ def in_boot_loader() -> list[Path]:
 
 
 def _mounts() -> Iterator[Path]:
-    """Where drives are mounted, on each system."""
+    """Folders below which drives are mounted, on each system."""
     if os.name == "nt":
         yield from (Path(f"{letter}:\\") for letter in "DEFGHIJKLMNOPQRSTUVWXYZ")
         return

@@ -52,7 +52,7 @@ _REMEMBERED = 64  # sessions
 
 
 class Link:
-    """What was given, sent and passed on, over sessions, breaks and resets. Times in s of any steady clock."""
+    """Ledger of counts given, sent and passed on, over sessions, breaks and resets. Times in s of any steady clock."""
 
     def __init__(self, session: Callable[[], int], baud: int = 115200) -> None:
         """`session` draws numbers that are not 0 and never come again."""
@@ -119,7 +119,7 @@ class Link:
         return self.broken is not None and now - self.broken > STUCK
 
     def ask_status(self) -> None:
-        """Have STATUS? sent."""
+        """Ask the device for its STATUS."""
         self._wants_status = True
 
     def stop(self) -> None:
@@ -141,7 +141,7 @@ class Link:
         self._asked = 0
 
     def receive(self, data: bytes, now: float) -> None:
-        """What came in."""
+        """Take in bytes that the device sent."""
         for frame in self._frames.take(data):
             if frame.version != VERSION:
                 if frame.type == IDENTITY:
@@ -229,7 +229,7 @@ class Link:
         return (self._number - 1 - self._answered) & 0xFFFF
 
     def _target(self) -> list[int]:
-        """Where the next MOTION goes: not far from anything that is under way, whichever of it the board has obeyed.
+        """Target of the next MOTION: not far from anything that is under way, whichever of it the board has obeyed.
 
         So no step is too large, and a board that is reset is nowhere farther from `sent` than that.
         """

@@ -41,7 +41,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a device says of itself."""
+    """A device's answer on its kind, version and number."""
 
     session: int
     last: int  # session that ended before; 0: none
@@ -60,7 +60,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """What a device has passed on."""
+    """A device's account of the counts it has passed on."""
 
     number: int
     counters: tuple[int, int, int, int]  # modulo 2^16
@@ -71,7 +71,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How a device fares."""
+    """A device's condition and counters."""
 
     session: int
     uptime: int  # s
@@ -102,7 +102,7 @@ def motion(number: int, counters: Sequence[int], buttons: int) -> bytes:
 
 
 def decode(coded: bytes) -> Frame | None:
-    """What stands between two 0x00 as a frame; None where it is damaged. Another version's length is not judged."""
+    """The frame that stands between two 0x00; None where it is damaged. Another version's length is not judged."""
     try:
         content = cobs.decode(coded)
     except cobs.DecodeError:

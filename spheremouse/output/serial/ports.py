@@ -57,7 +57,7 @@ class Port:
         self._posix = os.name == "posix"
 
     def read(self, timeout: float) -> bytes:
-        """What has come in; waits for `timeout` s at most."""
+        """Bytes that have come in; waits for `timeout` s at most."""
         try:
             if not self._posix:
                 return self._read_elsewhere(timeout)

@@ -130,7 +130,7 @@ class Simulator:
             self._write(bytes(frame))
 
     def _move(self, report: bytearray) -> None:
-        """What the computer makes of a report."""
+        """Add a report to the pointer, as the computer does."""
         values = [int.from_bytes(report[k : k + 2], "little", signed=True) for k in (1, 3, 5, 7)]
         for k, n in enumerate(values):
             self.moved[k] += n * (1 if k < 2 or self._fine else self._protocol.NOTCH)

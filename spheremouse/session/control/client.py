@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from spheremouse.errors import ControlError
+from spheremouse.errors import ControlError, printable
 from spheremouse.files import plain_json
 from spheremouse.session.control import places
 from spheremouse.session.control.protocol import MAX_LINE, misfit
@@ -63,7 +63,7 @@ class Client:
         given = {k: v for k, v in arguments.items() if v is not None}
         reply = self._exchange({"command": command, **given}, _PATIENCE.get(command, _LONGEST))
         if reply.pop("ok", None) is not True:
-            raise RefusedError(_printable(str(reply.get("error", "the daemon refuses and does not say why"))))
+            raise RefusedError(printable(str(reply.get("error", "the daemon refuses and does not say why"))))
         return self._status(reply) if command == "status" else reply
 
     def watch(self, interval: float = 1.0) -> Iterator[dict[str, Any]]:
@@ -78,7 +78,7 @@ class Client:
         if (wrong := misfit(status)) is not None:
             self.close()
             raise NoDaemonError(
-                f"{self._path}: what answers there gives no status of spheremouse ({_printable(wrong)}); is the daemon "
+                f"{self._path}: what answers there gives no status of spheremouse ({printable(wrong)}); is the daemon "
                 "of another version? Start it anew"
             )
         return status
@@ -174,8 +174,3 @@ def _connect(connection: socket.socket, path: str) -> None:
             if time.monotonic() > end:
                 raise TimeoutError("no room in its queue") from None
             time.sleep(0.01)
-
-
-def _printable(text: str) -> str:
-    """Text for a terminal: what the daemon quotes from files and devices must not steer it."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)

@@ -16,9 +16,9 @@ from typing import Any, Self
 
 from spheremouse.errors import ControlError
 from spheremouse.files.yaml import one_line
-from spheremouse.session.control.settings import MetricsSettings
 from spheremouse.session.control.status import STATES
 from spheremouse.session.process.threads import begin
+from spheremouse.session.settings.control import MetricsSettings
 
 _AT_ONCE = 4  # requests; who comes when there are more is hung up on
 _LONGEST = 5.0  # s that one may take

@@ -36,8 +36,8 @@ from spheremouse.session.control.protocol import (
     refused,
 )
 from spheremouse.session.control.reply import Reply
-from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.process.threads import begin
+from spheremouse.session.settings.control import ControlSettings
 
 Handle = Callable[[Request, Reply], None]
 

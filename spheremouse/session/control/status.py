@@ -29,6 +29,17 @@ class PoseStatus(_Part):
     age_s: float
 
 
+class BallStatus(_Part):
+    """A ball in a hand, in `cam`; null where it is not known."""
+
+    name: str
+    state: Literal["searching", "tracking", "hidden", "lost"]
+    position_m: list[float] | None
+    angles_deg: list[float] | None
+    sigma_mm: list[float] | None
+    sigma_deg: list[float] | None
+
+
 class OutputStatus(_Part):
     """Where motion goes."""
 
@@ -65,14 +76,16 @@ class StatusReport(_Part):
     fps: float | None
     latency_ms: Quantiles | None
     stages_ms: dict[str, Quantiles]
-    discs: int
-    discs_seen: int
-    discs_known: int
+    tracker: str = "so3"
+    discs: int | None
+    discs_seen: int | None
+    discs_known: int | None
     frames: int
     skipped: int
     dropped: int
     damaged: int
     pose: PoseStatus | None
+    balls: list[BallStatus] | None = None
     output: OutputStatus
     source: SourceStatus
     unseen_s: float

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.appearance import appearance, ball_outline
 from spheremouse.ball.pose import Resection, predict_targets
 from spheremouse.ball.rig import Rig, directions_at
-from spheremouse.ball.state import Epoch, Phase, Tracker, TrackState, current
+from spheremouse.ball.state import Epoch, Tracker, TrackState, current
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.conics import ellipse_to_pixel, project_circle
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.overlay.pen import EPOCHS, WHITE, Image, Mark, Pen, canvas_of
+from spheremouse.tracker import Status
 
 
 def target_marks(rig: Rig, pose: Pose, seen: Resection | None) -> tuple[Mark, ...]:
@@ -47,7 +48,7 @@ class Overlay:
             self._targets = target_marks(tracker.rig, tracker.pose, None)
             self._trace.clear()
         seen = _predicted(state, self._tracker)
-        self._trace.append(seen if state.phase is not Phase.LOST else seen[:0])
+        self._trace.append(seen if state.status is not Status.LOST else seen[:0])
 
     def draw(self, epoch: Epoch, counts: tuple[int, int, int]) -> Image:
         """The epoch that was remembered last, with the sum of counts so far."""
@@ -101,7 +102,7 @@ def _cells(epoch: Epoch, counts: tuple[int, int, int]) -> tuple[tuple[str, float
     state = epoch.state
     rate = "  ".join(f"{n} {np.rad2deg(v):+.1f}" for n, v in zip("XYZ", state.filter.rate, strict=True))
     return (
-        (f"{epoch.frame.stamp:.2f} s  {state.phase}", 0.012),
+        (f"{epoch.frame.stamp:.2f} s  {state.status}", 0.012),
         (f"{rate} deg/s", 0.2),
         (f"counts {counts[0]:+d} {counts[1]:+d} {counts[2]:+d}", 0.55),
         (f"discs {len(epoch.state.filter.used)} of {len(state.filter.discs)}", 0.86),

@@ -12,9 +12,10 @@ from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.conics import sphere_outline
 from spheremouse.geometry.rotation import Array, tangent_basis
 from spheremouse.session.overlay.pen import GREEN, SHADOW, WHITE, Colour, Image, Pen, canvas_of
+from spheremouse.tracker import Status
 from spheremouse.wand.axes import axes_of
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.state import WandEpoch, WandPhase, WandPose, WandTracker
+from spheremouse.wand.state import WandEpoch, WandPose, WandTracker
 
 _STEPS = 96  # points along a rim
 _TRACE = 0.5  # s
@@ -100,7 +101,7 @@ def _draw(pen: Pen, ball: WandBall, name: str, pose: WandPose, camera: InteriorO
 
 def _cells(epoch: WandEpoch, pose: WandPose, counts: tuple[int, int, int]) -> tuple[tuple[str, float], ...]:
     """Time and state, counts; position and angles where they are known."""
-    state = "hidden" if pose.phase is WandPhase.TRACKING and not pose.seen else str(pose.phase)
+    state = "hidden" if pose.phase is Status.TRACKING and not pose.seen else str(pose.phase)
     cells = [
         (f"{epoch.frame.stamp:.2f} s  {state}", 0.012),
         (f"counts {counts[0]:+d} {counts[1]:+d} {counts[2]:+d}", 0.755),

@@ -27,7 +27,10 @@ class Notifier:
     """Talks to the service manager."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._send: Callable[[str], Any] = sdnotify.SystemdNotifier().notify
+        notifier = sdnotify.SystemdNotifier()
+        if notifier.socket is not None:  # a manager that does not listen holds nobody up: what it misses is dropped
+            notifier.socket.setblocking(False)
+        self._send: Callable[[str], Any] = notifier.notify
         self._clock, self.interval = clock, _interval()
         self._token: Any = None
         self._due = -math.inf

@@ -60,7 +60,7 @@ def _fold_up_code() -> int:
     from numba.core.dispatcher import Dispatcher
 
     folded = 0
-    # The collector knows them all, as long as they have not been taken out of its sight (Quiet).
+    # The collector knows them all, as long as they have not been taken out of its sight (GcPause).
     # By type(): a weak proxy whose object is gone cannot be asked for its class.
     for function in [o for o in gc.get_objects() if issubclass(type(o), Dispatcher)]:
         for made in function.overloads.values():
@@ -115,7 +115,7 @@ def _lock_memory() -> str:
     return "memory locked"
 
 
-class Quiet:
+class GcPause:
     """Python itself at rest while a frame is worked on: from its making until `close`.
 
     Garbage is collected when a frame has been sent. What is there now, libraries above all, is set aside and never

@@ -54,11 +54,11 @@ class Crew:
             self._left[kind] += 1
         self._given[kind].put(work)
 
-    def make(self, kind: str, work: Callable[[], None]) -> "Made":
+    def make(self, kind: str, work: Callable[[], None]) -> "Task":
         """Do it, elsewhere; what is returned can be waited for."""
-        made = Made(work)
-        self.do(kind, made.run)
-        return made
+        task = Task(work)
+        self.do(kind, task.run)
+        return task
 
     def busy(self, kind: str) -> bool:
         """Is something of that kind not done yet?"""
@@ -91,15 +91,15 @@ class Crew:
             return None
 
 
-class Made:
-    """One thing made elsewhere; an error of it comes out where it is waited for."""
+class Task:
+    """One thing done elsewhere; an error of it comes out where it is waited for."""
 
     def __init__(self, work: Callable[[], None]) -> None:
         self._work, self._done = work, threading.Event()
         self._error: Exception | None = None
 
     def run(self) -> None:
-        """Make it."""
+        """Do it."""
         try:
             self._work()
         except Exception as e:
@@ -107,7 +107,7 @@ class Made:
         self._done.set()
 
     def wait(self, seconds: float) -> bool:
-        """Is it made? Waits at most so long."""
+        """Is it done? Waits at most so long."""
         if not self._done.wait(seconds):
             return False
         if self._error is not None:

@@ -12,20 +12,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from spheremouse.ball.rig import Rig
-from spheremouse.ball.state import Tracker
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
-from spheremouse.files import config
-from spheremouse.geometry.camera import Pose
+from spheremouse.output.pointer import Counts
 from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.protocol import Record, Snapshot, refused
 from spheremouse.session.control.reply import Reply
+from spheremouse.session.follower import Follower, Tracked
+from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import Crew
 from spheremouse.session.record.places import made_folder, next_name, recordings_folder, refuse_full_disk
 from spheremouse.session.record.recorder import Recorder
 from spheremouse.session.record.snapshot import snapshot
 from spheremouse.session.settings import Configuration
-from spheremouse.session.worker import Step
+from spheremouse.session.subject import Subject
 
 RECORDING, SNAPSHOT = "recording", "snapshot"  # kinds of the crew's work
 _GONE = ControlError("given up: who asked has hung up")
@@ -53,16 +52,16 @@ class Archive:
         """Is the next frame needed in colour? A snapshot is; and what tracks a recording needs the targets' colours."""
         return self._bare or self._wanted is not None
 
-    def keep(self, made: Step, tracker: Tracker | None) -> None:
-        """A tracked frame, for all that want it; its image is copied."""
+    def keep(self, made: Tracked, follower: Follower, counts: Counts) -> None:
+        """A tracked frame, for all that want it, and the sum of counts with it; its image is copied."""
         self._give_up()
-        frame = made.epoch.frame
-        if self._recorder is not None and self._recorder.add(frame, None if tracker is None else tracker.pose):
-            self._bare &= frame.image.ndim != 3
+        if self._recorder is not None and self._recorder.add(made.frame, follower.subject):
+            self._bare &= made.frame.image.ndim != 3
             self._tell_first()
-        if self._wanted is not None and tracker is not None:
-            self._take_snapshot(made, tracker, *self._wanted)
+        if self._wanted is not None:
+            path, asked, c = self._wanted
             self._wanted = None
+            self._take_snapshot(follower.picture(made, counts, c.record.everything), path, asked, c)
 
     def interrupted(self, reason: str) -> None:
         """No frames come any more: who waits for one is told."""
@@ -101,8 +100,8 @@ class Archive:
 
     # ---- recordings ----
 
-    def record(self, request: Record, c: Configuration, rig: Rig, pose: Pose, described: str, asked: Asked) -> None:
-        """Begin a recording with the rig and the pose in use; `described` is the camera in a line.
+    def record(self, request: Record, c: Configuration, subject: Subject, described: str, asked: Asked) -> None:
+        """Begin a recording; `described` is the camera in a line.
 
         ControlError where one is being made.
         """
@@ -117,15 +116,14 @@ class Archive:
         )
         places = recordings_folder(settings)
         folder = next_name(places) if request.folder is None else places / request.folder
-        kept = "whole pictures" if settings.everything else "the ball and the targets"
+        kept = "whole pictures" if settings.everything else subject.parts
         words = f"{folder}: recording {kept}, {settings.seconds:g} s at most"
         told = {"folder": str(folder), "seconds": settings.seconds, "message": words}
 
         def begin() -> None:
             if asked.gone:
                 raise _GONE
-            text = config.dump(_of_the_tracker(c), type(c)())
-            self._made = Recorder(folder, rig, pose, settings, described, tracker=c, configuration=text)
+            self._made = Recorder(folder, subject, settings, described)
             self._ask(lambda: self._has_begun(told, asked))
 
         self._crew.do(RECORDING, lambda: self._answer(asked, begin))
@@ -161,11 +159,12 @@ class Archive:
             raise ControlError("nothing is being recorded")
         self._end(asked)
 
-    def configuration_changes(self) -> None:
-        """A recording is of one configuration."""
-        if self._recorder is not None:
-            self._say("record: ended, for the configuration changes: a recording is of one")
-            self._end(Reply())
+    def configuration_changes(self) -> bool:
+        """End what is being recorded, for a recording is of one configuration; whether there was one."""
+        if self._recorder is None:
+            return False
+        self._end(Reply())
+        return True
 
     def _end(self, asked: Asked | Reply) -> None:
         recorder, self._recorder, self._bare = self._recorder, None, False
@@ -203,15 +202,13 @@ class Archive:
         path = next_name(places, suffix=".png") if request.file is None else places / request.file
         self._wanted = path, asked, c
 
-    def _take_snapshot(self, made: Step, tracker: Tracker, path: Path, asked: Asked, c: Configuration) -> None:
-        epoch = replace(made.epoch, frame=replace(made.epoch.frame, image=made.epoch.frame.image.copy()))
-
+    def _take_snapshot(self, draw: Callable[[], Image], path: Path, asked: Asked, c: Configuration) -> None:
         def write() -> dict[str, Any]:
             if asked.gone:
                 raise _GONE
             made_folder(path.parent, OutputError)
             refuse_full_disk(path, c.record)
-            snapshot(path, epoch, tracker, everything=c.record.everything)
+            snapshot(path, draw)
             self._say(f"snapshot: {path}")
             return {"file": str(path)}
 
@@ -227,13 +224,3 @@ class Archive:
             self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
             answer = refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it")
         return None if answer is None else partial(asked, answer)
-
-
-def _of_the_tracker(c: Configuration) -> Configuration:
-    """Without what belongs to this computer: its devices, files and doors. A replay brings its own."""
-    plain = type(c)()
-    return replace(
-        c,
-        source=None, output=None, rig=None, camera_file=None, map=None,
-        control=plain.control, record=plain.record, metrics=plain.metrics,
-    )  # fmt: skip

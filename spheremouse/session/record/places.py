@@ -14,7 +14,7 @@ from typing import IO, Any
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.atomic import clear_left
 from spheremouse.files.folders import clear_left_folders
-from spheremouse.session.record.settings import RecordSettings
+from spheremouse.session.settings.record import RecordSettings
 
 try:
     import fcntl

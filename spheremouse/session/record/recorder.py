@@ -11,21 +11,19 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball import settings as settings_module
-from spheremouse.ball.detect.detections import Image
-from spheremouse.ball.rig import Rig
 from spheremouse.errors import DatasetError, SpheremouseError
 from spheremouse.files.dataset.write import FilmWriter
-from spheremouse.geometry.camera import Pose
+from spheremouse.session.overlay.pen import Image
 from spheremouse.session.process.threads import begin
 from spheremouse.session.record.places import disk_is_full, made_folder, marked, refuse_full_disk, release
-from spheremouse.session.record.privacy import kept
-from spheremouse.session.record.settings import RecordSettings
+from spheremouse.session.settings.record import RecordSettings
+from spheremouse.session.subject import Subject
 from spheremouse.tracker import Frame
 
 _BUFFERS = 32e6  # bytes that wait for the writer: half a second of 640x480 in colour at 60 Hz
@@ -54,44 +52,38 @@ class Recorder:
     def __init__(
         self,
         folder: Path,
-        rig: Rig,
-        pose: Pose,
+        subject: Subject,
         settings: RecordSettings,
         camera_line: str = "",
         *,
-        tracker: settings_module.Settings | None = None,
-        configuration: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`folder` must not be there, or be empty. `rig` and `pose` are those in use, `tracker` the settings in use;
-        `configuration` is kept beside them as config.yaml. DatasetError where it cannot be begun."""
-        self._rig, self._pose, self._settings, self._clock = rig, pose, settings, clock
-        self._tracker = settings_module.Settings() if tracker is None else tracker
-        self._folder = folder.absolute()
-        scene = {
-            "made_by": "spheremouse record",
-            "camera_says": camera_line,
-            "kept": "everything" if settings.everything else "ball and targets; the rest is black",
-        }
-        files = {"config.yaml": configuration} if configuration else {}
+        """`folder` must not be there, or be empty. DatasetError where it cannot be begun."""
+        if not settings.everything and not subject.parts:
+            raise DatasetError("whoever holds the ball is in the picture, all of which it takes to track it: give "
+                               "--everything, or set record.everything, where they know and agree")  # fmt: skip
+        self._subject, self._settings, self._clock = subject, settings, clock
+        self._folder, self._camera_line = folder.absolute(), camera_line
         made_folder(self._folder.parent, DatasetError)
         refuse_full_disk(self._folder, settings, _BEHIND)
-        self._film = FilmWriter(self._folder, rig, pose, scene, files)
+        camera = subject.camera
+        self._size_px = camera.width, camera.height
+        self._film = FilmWriter(self._folder, self._size_px)
         try:
             self._mark = marked(self._film.folder)
         except BaseException:
             self._film.discard()
             raise
-        pixels = rig.camera.width * rig.camera.height
-        self._frame_bytes = 3 * pixels
+        self._frame_bytes = 3 * camera.width * camera.height
         self._free: queue.SimpleQueue[_Buffer] = queue.SimpleQueue()
         self._full: queue.SimpleQueue[_Buffer | None] = queue.SimpleQueue()
         for _ in range(min(max(int(_BUFFERS / self._frame_bytes), 4), 64)):
             self._free.put(_Buffer(self._frame_bytes))
+        self._view = subject.view  # of the last frame; `_subject` is that of the first
         self._keep: Image | None = None
         self._masks = 0  # different ones so far
         self._open = self._taken = False
-        self._dropped = self._size = 0
+        self._dropped = self._bytes = 0
         self._begun = self._last = clock()
         self._ended: str | None = None
         self._failed = False
@@ -108,8 +100,8 @@ class Recorder:
         """Wait until frames are taken, which is some tenths of a second after the beginning; False: not yet."""
         return self._ready.wait(timeout)
 
-    def add(self, frame: Frame, pose: Pose | None = None) -> bool:
-        """One frame that was tracked, and the camera's pose now that it was; whether it is kept. Never waits.
+    def add(self, frame: Frame, subject: Subject | None = None) -> bool:
+        """One frame that was tracked, and of what, now that it was; whether it is kept. Never waits.
 
         Its image may be used for something else afterwards.
         """
@@ -118,11 +110,10 @@ class Recorder:
         if self._clock() - self._begun >= self._settings.seconds:
             self.stop()
             return False
-        camera = self._rig.camera
-        if frame.image.shape[:2] != (camera.height, camera.width) or not np.isfinite(frame.stamp):
+        if frame.image.shape[1::-1] != self._size_px or not np.isfinite(frame.stamp):
             self._dropped += 1
             return False
-        keep, number = self._mask(pose)
+        keep, number = self._mask(subject)
         try:
             buffer = self._free.get_nowait()
         except queue.Empty:
@@ -153,26 +144,26 @@ class Recorder:
             self._folder,
             self._film.frames,
             self._last - self._begun,
-            self._size,
+            self._bytes,
             self._dropped,
             0 if self._done.is_set() else self._full.qsize(),
             self._ended,
             self._failed,
         )
 
-    def _mask(self, pose: Pose | None) -> tuple[Image | None, int]:
+    def _mask(self, subject: Subject | None) -> tuple[Image | None, int]:
         """What to keep of a frame, and the number of that mask. Where the camera was moved, of that frame both views:
         it was looked at from the pose before, and then from the new one."""
         keep, number = self._keep, self._masks
-        if pose is None or pose is self._pose:
+        if subject is None or subject.view is self._view:
             return keep, number
-        self._pose = pose
+        self._view = subject.view
         if not self._taken:
-            self._film.seen_from(pose)
+            self._subject = subject
         if keep is None:
             return keep, number
         try:
-            self._keep = kept(self._rig, pose, self._tracker)
+            self._keep = subject.kept()
         except SpheremouseError:  # the ball is out of the picture: keep no more of it than before
             return keep, number
         self._masks += 2
@@ -186,13 +177,14 @@ class Recorder:
         try:
             why = self._record()
             self._open = False
-            self._size = self._film.size()
+            self._bytes = self._film.size()
             if os.name == "nt":  # where a folder with an open file in it cannot be moved
                 self._mark.close()
-            self._film.finish()  # the mark goes along: a kill until then leaves what tidy knows
+            # the mark goes along: a kill until then leaves what tidy knows
+            self._film.finish(self._scene(), self._subject.files())
             release(self._mark, self._folder)
             lost = f", {self._dropped} dropped" if self._dropped else ""
-            length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._size / 1e6:.1f} MB{lost}"
+            length = f"{self._film.frames} frames in {self._last - self._begun:.1f} s, {self._bytes / 1e6:.1f} MB{lost}"
             self._ended = f"{self._folder}: {length}; {why}"
         except (SpheremouseError, OSError, cv2.error) as e:
             text = " ".join(str(e).split())
@@ -205,10 +197,15 @@ class Recorder:
             self._ready.set()
             self._done.set()
 
+    def _scene(self) -> dict[str, Any]:
+        kept = "everything" if self._settings.everything else f"{self._subject.parts}; the rest is black"
+        said = {"made_by": "spheremouse record", "camera_says": self._camera_line, "kept": kept}
+        return {**said, **self._subject.scene()}
+
     def _record(self) -> str:
         """Write until there is a reason to end, and say it."""
         if not self._settings.everything:
-            self._keep = kept(self._rig, self._pose, self._tracker)
+            self._keep = self._subject.kept()
         self._film.open(_FPS)
         self._begun = self._last = looked = self._clock()
         self._open = True
@@ -225,8 +222,8 @@ class Recorder:
             if buffer is None:
                 over = now - self._begun >= seconds
                 return f"ended after {seconds:g} s" if over else "ended as asked"
-            self._size = self._film.size()
-            if self._size > limit:
+            self._bytes = self._film.size()
+            if self._bytes > limit:
                 return f"ended at {self._settings.megabytes:g} MB (record.megabytes)"
             if now - looked >= _LOOK:
                 looked = now

@@ -1,10 +1,12 @@
-"""What is said of hand-held balls while they are tracked: each change once, in words. Poses in, lines out."""
+"""What is said of hand-held balls while they are tracked: each change once, in words. Poses in, sentences out."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.output.sparing import letters
-from spheremouse.wand.state import WandPhase, WandPose
+from spheremouse.session.follower import News
+from spheremouse.tracker import Status
+from spheremouse.wand.state import WandPose
 
 PATIENCE = 5.0  # s of frames without a ball that was never seen, after which that is worth a word
 _GREY = 3.0  # grey values by which the colours of a pixel differ, on average, in a picture without colour
@@ -13,57 +15,71 @@ _GREY = 3.0  # grey values by which the colours of a pixel differ, on average, i
 class Told:
     """Remembers what was said last."""
 
-    def __init__(self) -> None:
-        self._trouble = ""
-        self._phases: dict[int, WandPhase] = {}
+    def __init__(self, points: int, name: str) -> None:
+        """`points` is the index of the ball that moves the pointer, `name` what it is called."""
+        self._points = points
+        self._phases: dict[int, Status] = {}
         self._events: dict[int, str] = {}
         self._began: float | None = None
         self._complained = False
         self.found: set[int] = set()  # balls that have been seen
-        self.why = ""  # the first ball is not seen; empty while it is
+        self.why = ""  # the ball that points is not seen; empty while it is
+        self.reason = f"{name} is looked for"  # what is known of it
         self._unseen: dict[int, str] = {}  # balls until they are found: why not, in words
 
-    def camera(self, trouble: str) -> list[str]:
-        """Why no frame can be used; empty where they can."""
-        news = bool(trouble) and letters(trouble) != letters(self._trouble)
-        if trouble:
-            self._phases.clear()  # said anew when frames come again
-            self._began = None
-        self._trouble = trouble
-        return [f"no-camera: {trouble}"] if news else []
+    def interrupted(self) -> None:
+        """No frames come: what is there is said anew when they come again."""
+        self._phases.clear()
+        self._began = None
 
-    def frame(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8], points: int) -> list[str]:
-        """The poses of a frame; `points` is the index of the ball that moves the pointer."""
-        lines: list[str] = []
+    def frame(self, stamp: float, poses: tuple[WandPose, ...], image: NDArray[np.uint8]) -> News:
+        """What the poses of a frame have that is new."""
         self._began = stamp if self._began is None else self._began
+        change, more = "", list[str]()
         for k, pose in enumerate(poses):
-            before, self._phases[k] = self._phases.get(k), pose.phase
-            if k not in self.found:
-                self._unseen[k] = f"{pose.name} was never found: {pose.event}"
-            if pose.phase is WandPhase.TRACKING:
-                self.found.add(k)
-                if before is not pose.phase:
-                    lines.append(f"tracking: {pose.name} is followed")
-                if self._is_news(k, pose):
-                    lines.append(pose.event)
-            elif pose.phase is WandPhase.LOST and before is not pose.phase:
-                lines.append(f"lost: {pose.event}")
-            elif before is None and pose.phase is WandPhase.SEARCHING:
-                lines.append(f"searching: {pose.name} is looked for")
-        pose = poses[points]
-        self.why = "" if pose.phase is WandPhase.TRACKING else _why(pose, image)
-        if pose.phase is WandPhase.SEARCHING and not self._complained and stamp - self._began > PATIENCE:
+            new = self._phase(k, pose)
+            if new and k == self._points:
+                change = f"{pose.phase}: {new}"
+            elif new:
+                more.append(new)
+            if self._is_news(k, pose):
+                more.append(pose.event)
+        pose = poses[self._points]
+        self.why = "" if pose.phase is Status.TRACKING else _why(pose, image)
+        self.reason = self.why or f"{pose.name} is followed"
+        if pose.phase is Status.SEARCHING and not self._complained and stamp - self._began > PATIENCE:
             self._complained = True
-            lines.append(f"searching: for {PATIENCE:g} s: {self.why}")
-        return lines
+            more.append(f"not found for {PATIENCE:g} s: {self.why}")
+        return News(change, tuple(more))
 
-    def never_found(self, but: int | None = None) -> list[str]:
+    def never_found(self, but: int | None = None) -> tuple[str, ...]:
         """A line for each ball that has never been seen, at the end; `but` the one of that index, told otherwise."""
-        return [line for k, line in self._unseen.items() if k != but and k not in self.found]
+        return tuple(line for k, line in self._unseen.items() if k != but and k not in self.found)
+
+    def _phase(self, k: int, pose: WandPose) -> str:
+        """What is to be said of one ball's phase, where it is another one."""
+        before, self._phases[k] = self._phases.get(k), pose.phase
+        if k not in self.found:
+            self._unseen[k] = f"{pose.name} was never found: {pose.event}"
+        match pose.phase:
+            case Status.TRACKING:
+                self.found.add(k)
+                return "" if before is pose.phase else f"{pose.name} is followed"
+            case Status.LOST if before is not pose.phase:
+                return pose.event
+            case Status.SEARCHING if before is None:
+                return f"{pose.name} is looked for"
+            case _:
+                return ""
 
     def _is_news(self, k: int, pose: WandPose) -> bool:
         """Is it worth a word? A ball that is hidden for a moment is not."""
-        if not pose.seen or not pose.event or letters(pose.event) == letters(self._events.get(k, "")):
+        if (
+            pose.phase is not Status.TRACKING
+            or not pose.seen
+            or not pose.event
+            or letters(pose.event) == letters(self._events.get(k, ""))
+        ):
             return False
         self._events[k] = pose.event
         return True

@@ -9,7 +9,7 @@ from spheremouse.wand.axes import axes_of
 from spheremouse.wand.state import WandPose
 
 
-class WandBoard(Screen):
+class WandStatusTable(Screen):
     """Shows poses."""
 
     def __init__(self, wanted: bool, tally: Tally, console: Console | None = None) -> None:

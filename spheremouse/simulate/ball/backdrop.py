@@ -95,7 +95,7 @@ def _tiles(h: int, w: int, size: int = 16) -> NDArray[np.intp]:
 
 
 def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
-    """What bundles of rays meet, (m, k): shape * _IDS + stripe, below zero for nothing; and z in cam, (m, k) m."""
+    """Shapes that bundles of rays meet, (m, k): shape * _IDS + stripe, below zero for none; and z in cam, (m, k) m."""
     first, depth = view.cast(xy)
     ids = first * _IDS
     for index, shape in enumerate(view.shapes):

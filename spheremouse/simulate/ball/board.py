@@ -55,7 +55,7 @@ class Board:
 
 
 class BoardCoverage(NamedTuple):
-    """What pixels show of a board."""
+    """Parts of a board that pixels show."""
 
     place: Array  # (n, 2) m on the board, from its middle; nan where a ray misses its plane
     card: Array  # (n,) share that shows the card
@@ -102,7 +102,7 @@ def _room(scene: Scene) -> NDArray[np.float32]:
 
 
 def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Array) -> BoardCoverage:
-    """What pixels `uv`, (n, 2), that are whole numbers or not, show of the board: a square of 1 px around each."""
+    """The board in pixels `uv`, (n, 2), that are whole numbers or not: a square of 1 px around each."""
     place, slope = _on_board(uv, camera, pose)
     reach = np.abs(slope[:, :, 0]) + np.abs(slope[:, :, 1])  # m on the board, from the middle of a pixel to the next
     lines = place / board.square + 0.5 * np.array([board.columns + 1, board.rows + 1])
@@ -124,7 +124,7 @@ def board_coverage(board: Board, camera: InteriorOrientation, pose: Pose, uv: Ar
 
 
 def _on_board(uv: Array, camera: InteriorOrientation, pose: Pose) -> tuple[Array, Array]:
-    """Where rays of pixels (n, 2) meet the board's plane: (n, 2) m from its middle, and dplace_duv, (n, 2, 2)."""
+    """Points where rays of pixels (n, 2) meet the board's plane: (n, 2) m from its middle, and dplace_duv (n, 2, 2)."""
     xy, dxy_duv = unproject(uv, camera)
     ray = xy @ pose.rotation[:, :2].T + pose.rotation[:, 2]
     s = (MIDDLE[2] - pose.position[2]) / ray[:, 2]

@@ -28,7 +28,7 @@ _MARGIN = 2  # px around a disc that are looked at
 
 
 class Coverage(NamedTuple):
-    """Where discs are in an image."""
+    """Shares of an image's pixels that discs cover."""
 
     pixel: NDArray[np.intp]  # (k,) index into the image's pixels, row by row
     disc: NDArray[np.intp]  # (k,)
@@ -36,7 +36,7 @@ class Coverage(NamedTuple):
 
 
 class BallView(NamedTuple):
-    """How much of each pixel the ball fills: together they say what is hidden."""
+    """Shares of each pixel that the ball fills: together they say what is hidden."""
 
     shown: NDArray[np.float32]  # (h, w) as it is seen
     alone: NDArray[np.float32]  # (h, w) were nothing in front of it

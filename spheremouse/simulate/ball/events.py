@@ -47,7 +47,7 @@ class Lift:
     shift: tuple[float, float, float]  # m, obj
 
     def at(self, t: float) -> Array:
-        """Where the ball's centre is at time `t`, (3,) m from its place."""
+        """Offset of the ball's centre at time `t`, (3,) m from its place."""
         ramp = min(0.3, (self.end - self.start) / 3.0)
         x = min(max(min(t - self.start, self.end - t) / ramp, 0.0), 1.0)
         return np.array(self.shift) * (x * x * (3.0 - 2.0 * x))

@@ -48,7 +48,7 @@ _MOST_PIXELS = 8192  # px, a side
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """What to film; the fields are the options of `spheremouse simulate`."""
+    """A film to make; the fields are the options of `spheremouse simulate`."""
 
     discs: int = 26
     view: View = "far"
@@ -99,7 +99,7 @@ class Simulation:
 
     @property
     def frames(self) -> int:
-        """How many there will be."""
+        """Number of frames to come."""
         return max(1, round(self.seconds * self.fps))
 
 
@@ -210,7 +210,7 @@ def _effects(options: SimulationOptions, seconds: float) -> RenderOptions:
 
 
 def _changes(options: SimulationOptions, scene: Scene, profile: Profile, named: Named) -> tuple[Change, ...]:
-    """What changes, by time, each from what the one before has left."""
+    """Changes of the scene, by time, each from what the one before has left."""
     times = {"bump": options.bump, "disc off": options.disc_off, "disc moved": options.disc_moved}
     changes: list[Change] = []
     for what, time in sorted(((w, t) for w, t in times.items() if t is not None), key=lambda item: item[1]):

@@ -21,7 +21,7 @@ from spheremouse.simulate.shapes import look
 
 
 class Layers(NamedTuple):
-    """What a picture of the ball in any place is put together from; grey values 0..255, blue, green, red."""
+    """Layers of a picture of the ball in any place; grey values 0..255, blue, green, red."""
 
     scene: Scene
     alone: Backdrop  # the ball and nothing else: white and black are 0 beside it

@@ -33,7 +33,7 @@ _LIMITED = np.rint(16.0 + 219.0 / 255.0 * np.arange(256)).astype(np.uint8)  # IT
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """What happens to ball and picture."""
+    """Disturbances of ball and picture."""
 
     noise: float = 0.0  # grey values, standard deviation, normal, independent in every channel
     brightness: float = 0.0  # grey values, added to all (Wittich 2017, table 24)
@@ -71,7 +71,7 @@ class _Set(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """What the last frame showed, to be used again while the ball stands."""
+    """The last frame's discs and ball, to be used again while the ball stands."""
 
     attitude: Array  # (3, 3) R_obj_ball
     centre: Array  # (3,) m
@@ -129,7 +129,7 @@ class Renderer:
         return self._away
 
     def _look(self, profile: Profile, t: float, attitude: Array, scenery: _Set) -> _Seen:
-        """Where the discs are; known already while ball and centre stay as they were throughout the frame."""
+        """The discs in the picture; known already while ball and centre stay as they were throughout the frame."""
         half = 0.5 * (self.scene.exposure_s + self.scene.readout_s)
         throughout = profile.attitude(t + half * np.linspace(-1.0, 1.0, 5))
         last = self._last

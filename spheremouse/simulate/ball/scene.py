@@ -54,7 +54,7 @@ class Scene:
         return self.disc_radius / self.ball_radius
 
     def rig(self) -> Rig:
-        """What is known of the device beforehand; the camera's pose is not."""
+        """The device as it is known beforehand, without the camera's pose."""
         return Rig(
             self.camera,
             Ball(self.ball_radius),

@@ -32,7 +32,7 @@ _BOLT = 0.525  # radii of a disc: as in the reference recordings
 
 @dataclass(frozen=True, slots=True)
 class StillsOptions:
-    """What is photographed with what; the fields are the options of `spheremouse calibrate practice`."""
+    """Photos to take, and the camera; the fields are the options of `spheremouse calibrate practice`."""
 
     photos: int = 6  # of the device
     boards: int = 15
@@ -112,7 +112,7 @@ def device_picture(scene: Scene) -> NDArray[np.float32]:
 
 
 def truth_of(stills: Stills) -> dict[str, Any]:
-    """What truth.json holds: camera, device and device poses (T_obj_cam), all in `obj`."""
+    """Content of truth.json: camera, device and device poses (T_obj_cam), all in `obj`."""
     scene, camera = stills.scene, stills.scene.camera
     return {
         "made_by": "spheremouse calibrate practice",

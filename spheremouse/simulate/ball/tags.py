@@ -99,7 +99,7 @@ def _paint(out: NDArray[np.float32], scene: Scene, sheet: Sheet) -> None:
 
 
 def _on_plane(uv: Array, scene: Scene, sheet: Sheet) -> tuple[Array, Array]:
-    """Where rays of pixels (n, 2) meet the plane of a sheet, (n, 3) m from its centre, and how far, (n,) in rays."""
+    """Points where rays of pixels (n, 2) meet a sheet's plane, (n, 3) m from its centre, and distances (n,) in rays."""
     xy, _ = unproject(uv, scene.camera)
     rays = xy @ scene.pose.rotation[:, :2].T + scene.pose.rotation[:, 2]
     s = (sheet.centre[2] - scene.pose.position[2]) / rays[:, 2]

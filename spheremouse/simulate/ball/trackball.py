@@ -23,7 +23,7 @@ Rate = Callable[[Array], Array]  # times (n,) s -> w_obj (n, 3) rad/s, as `Profi
 
 @dataclass(frozen=True, slots=True)
 class Trackball:
-    """What is under the ball."""
+    """The trackball under the ball."""
 
     matrix: Array  # (2, 3) counts/rad of w_obj
     slowest: float = 80.0  # Hz; the time between two reports is drawn between this and `fastest`
@@ -56,7 +56,7 @@ def rate_of(truth: Truth) -> Rate:
 
 
 def simulate_log(rate: Rate, begin: float, end: float, trackball: Trackball, seed: int = 0) -> MouseLog:
-    """What the trackball logs while the ball turns with `rate` from `begin` to `end`, s."""
+    """Log of the trackball while the ball turns with `rate` from `begin` to `end`, s."""
     rng = np.random.default_rng([seed, 0x7B])
     steps = max(1, round((end - begin) / _STEP))
     t = np.linspace(begin, end, steps + 1)

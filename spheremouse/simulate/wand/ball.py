@@ -43,7 +43,7 @@ class Layer(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WandLight:
-    """What shines on the ball; powers are linear, 1 is the white of the picture."""
+    """Lights on the ball; powers are linear, 1 is the white of the picture."""
 
     towards: Array  # (k, 3) unit vectors to lamps or sun, cam
     power: Array  # (k, 3) blue, green, red
@@ -111,7 +111,7 @@ def paint_ball(
 def label_at(
     uv: Array, centre: Array, rotation: Array, ball: WandBall, camera: InteriorOrientation
 ) -> NDArray[np.int64]:
-    """What rays through pixels (n, 2) meet, (n,): -1 nothing, 0 the body, k + 1 the k-th disc."""
+    """Labels of what rays through pixels (n, 2) meet, (n,): -1 nothing, 0 the body, k + 1 the k-th disc."""
     directions = np.array([d.direction for d in ball.discs]).reshape(-1, 3)
     cosines = np.cos([d.angle for d in ball.discs]).reshape(-1)
     found, normal = np.empty(len(uv), dtype=np.int64), np.empty(3)

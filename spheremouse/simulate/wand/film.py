@@ -34,7 +34,7 @@ _MOST_BALLS = 3
 
 @dataclass(frozen=True, slots=True)
 class WandOptions:
-    """What to film; the fields are the options of `spheremouse wand simulate`."""
+    """A film to make; the fields are the options of `spheremouse wand simulate`."""
 
     motion: Motion = "drive"
     seed: int = 0
@@ -73,7 +73,7 @@ class WandFilm:
         return np.arange(self.frames) / self.fps
 
     def truth(self, ball: int = 0) -> WandTruth:
-        """What one of the balls does."""
+        """True motion of one of the balls."""
         return WandTruth(self.stamps, *self.scene.balls[ball].path.pose(self.begin + self.stamps))
 
 

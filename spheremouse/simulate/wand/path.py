@@ -28,7 +28,7 @@ _HALF_WIDTH, _LANES = 0.63, (3.72, 4.0, 4.28)  # m, world x and z
 
 
 class WandPath(Protocol):
-    """Where the ball is at any time."""
+    """Pose of the ball at any time."""
 
     @property
     def seconds(self) -> float:

@@ -118,7 +118,7 @@ class WandRenderer:
         return image if self._noise is None else self._noisy(image, rng)
 
     def _layers(self, t: float) -> list[Layer]:
-        """What moves, farther things first."""
+        """Layers of what moves, farther things first."""
         found: list[tuple[float, list[Layer | None]]] = []
         camera, light = self.scene.camera, self._brightness
         for carried, paints in zip(self.scene.balls, self._paints, strict=True):

@@ -37,7 +37,7 @@ class Passing:
     around: float  # s before and after, as long as it is there
 
     def at(self, t: float) -> Array | None:
-        """Where it is, (3,) m in cam; None while it is away."""
+        """Its position, (3,) m in cam; None while it is away."""
         since = t - self.middle
         return None if abs(since) > self.around else self.nearest + since * self.velocity
 
@@ -100,7 +100,7 @@ def stick(centre: Array, rotation: Array, radius: float, camera: InteriorOrienta
 
 
 def grip(centre: Array, rotation: Array, radius: float) -> tuple[Array, Array]:
-    """Where a hand holds the stick, (3,) m in cam, and which way its fingers point, (3,) unit vector."""
+    """Point where a hand holds the stick, (3,) m in cam, and direction of its fingers, (3,) unit vector."""
     return centre - (radius + _STICK[0] - 0.05) * rotation[:, 2], rotation[:, 2]
 
 

@@ -14,12 +14,14 @@ from spheremouse.ball.detect.rings import MOST, TargetDetections, detect_targets
 from spheremouse.ball.pose import PoseSettings, Sighting, find_pose, predict_targets, resect
 from spheremouse.capture.newest import Arrival
 from spheremouse.errors import PoseError
+from spheremouse.session.ball.follower import BallFollower
+from spheremouse.session.follower import here
 from spheremouse.session.worker import Worker
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.simulate.ball.scene import default_scene
 from tests.ball.detect.test_rings import INK, RADII, SETTINGS, blank, photo, target
 from tests.session.test_worker import SETTINGS as TWO_VIEWS
-from tests.session.test_worker import Shot
+from tests.session.test_worker import RawFrame
 
 PROPORTION = RADII / RADII[-1]
 PATIENCE = 30.0  # s, for what takes a fraction of one
@@ -228,7 +230,7 @@ class Elsewhere:
     def __init__(self):
         self.waiting = []
 
-    def __call__(self, work):
+    def __call__(self, kind, work):
         self.waiting.append(work)
 
     def do(self):
@@ -240,54 +242,58 @@ class Elsewhere:
 
 
 def film(seconds, **options):
-    """Shots of a simulated ball, and of what scene the last is."""
+    """Raw frames of a simulated ball, and of what scene the last is."""
     sim = prepare(SimulationOptions(motion="roll", turns=1.0, noise=3.0, seconds=seconds, **options))
-    shots = []
+    frames = []
     for k, made in enumerate(simulate(sim)):
         colour = made.frame.image
-        shots.append(Shot(colour, np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY), dtype=np.uint8), k))
-    return sim, shots
+        frames.append(RawFrame(colour, np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY), dtype=np.uint8), k))
+    return sim, frames
 
 
-def work(worker, shot):
-    return worker.work(Arrival(shot, time.monotonic()))
+def follower(rig, do):
+    return BallFollower(rig, TWO_VIEWS, None, lambda _: None, do)
+
+
+def work(follower, raw):
+    return Worker(follower, lambda _: None).work(Arrival(raw, time.monotonic()))
 
 
 def test_whole_pictures_are_looked_through_elsewhere_and_the_pose_is_that_of_here():
-    sim, shots = film(0.1)
-    here, elsewhere = Worker(sim.scene.rig(), TWO_VIEWS, None, lambda _: None), Elsewhere()
+    sim, frames = film(0.1)
+    at_once, elsewhere = follower(sim.scene.rig(), here), Elsewhere()
     for _ in range(2):
-        work(here, shots[0])
-    worker = Worker(sim.scene.rig(), TWO_VIEWS, None, lambda _: None, elsewhere)
+        work(at_once, frames[0])
+    worker = follower(sim.scene.rig(), elsewhere)
     for _ in range(2):
         for _ in range(5):  # no frame waits, and only the first is looked through
-            work(worker, shots[0])
+            work(worker, frames[0])
         assert len(elsewhere.waiting) == 1
         assert worker.tracker is None
         elsewhere.do()
-    work(worker, shots[0])
-    assert worker.targets == ""
-    assert np.array_equal(worker.pose.position, here.pose.position)
+    work(worker, frames[0])
+    assert worker.waiting == ""
+    assert np.array_equal(worker.pose.position, at_once.pose.position)
 
 
 @pytest.mark.parametrize("stale", [False, True])
 def test_a_camera_that_was_moved_is_sought_elsewhere_while_frames_go_on(stale):
     """And where it was moved on before that was done, what was found is of the past, and it is sought again."""
-    sim, shots = film(1.2, bump=0.3, bump_by=(5.0, -40.0, 20.0, 3.0, -4.0, 1.0))
+    sim, frames = film(1.2, bump=0.3, bump_by=(5.0, -40.0, 20.0, 3.0, -4.0, 1.0))
     elsewhere = Elsewhere()
-    worker = Worker(replace(sim.scene.rig(), pose=sim.scene.pose), TWO_VIEWS, None, lambda _: None, elsewhere)
-    before = shots[:8]
-    for shot in shots[:24]:
-        assert work(worker, shot) is not None
+    worker = follower(replace(sim.scene.rig(), pose=sim.scene.pose), elsewhere)
+    before = frames[:8]
+    for raw in frames[:24]:
+        assert work(worker, raw) is not None
     assert len(elsewhere.waiting) == 1
     assert worker.pose is worker.tracker.pose
     assert np.array_equal(worker.pose.position, sim.scene.pose.position)
     elsewhere.do()
     if stale:
-        for k, shot in enumerate(before):
-            work(worker, Shot(shot.frame(True).image, shot.frame(False).image, 24 + k))
+        for k, raw in enumerate(before):
+            work(worker, RawFrame(raw.frame(True).image, raw.frame(False).image, 24 + k))
         assert np.array_equal(worker.pose.position, sim.scene.pose.position)
     else:
-        work(worker, shots[24])
-        assert "camera was moved" in worker.take_event()
+        work(worker, frames[24])
+        assert "camera was moved" in worker.take_news().change
         assert np.linalg.norm(worker.pose.position - sim.changes[0].scene.pose.position) < 5e-3

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
-from spheremouse.ball.detect.search import Hunt
+from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -184,7 +184,7 @@ AT_REST = np.zeros(3)
 
 
 def follow(image, directions, rate=AT_REST, readout=0.0, detector=DETECTOR):
-    return detector.follow(image, directions, rate, readout, Hunt())[0]
+    return detector.follow(image, directions, rate, readout, SearchState())[0]
 
 
 def displaced(directions, rng, pixels):
@@ -199,7 +199,7 @@ def displaced(directions, rng, pixels):
 @pytest.mark.parametrize("noise", [2.0, 10.0])
 def test_noise_and_size_are_learnt_and_remembered(noise):
     image, still = photo(CLEAN, noise), np.zeros(3)
-    _, learnt = DETECTOR.follow(image, DISCS, still, 0.0, Hunt())
+    _, learnt = DETECTOR.follow(image, DISCS, still, 0.0, SearchState())
     assert abs(learnt.noise / noise - 1.0) < 0.1
     assert abs(learnt.size - 1.0) < 0.05
     seen, same = DETECTOR.follow(image, DISCS, still, 0.0, replace(learnt, turn=1))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings, judge, mask, unmasked
+from spheremouse.ball.detect.lookalikes import Lookalikes, StaticSettings, classify_candidates, mask, unmasked
 from spheremouse.ball.rig import Ball, Rig, Targets, directions_at
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp
@@ -35,7 +35,7 @@ def look(state, uv, attitude, stamp):
     free, state = unmasked(state, uv, stamp, SETTINGS)
     d, index = directions_at(uv[free], RIG, POSE)
     assert len(index) == np.count_nonzero(free)
-    p, s, state = judge(state, uv[free], d, attitude, stamp, RIG, POSE, SETTINGS)
+    p, s, state = classify_candidates(state, uv[free], d, attitude, stamp, RIG, POSE, SETTINGS)
     proven, still = np.zeros(len(uv), dtype=bool), np.zeros(len(uv), dtype=bool)
     proven[free], still[free] = p, s
     return proven, still, free, state
@@ -141,7 +141,7 @@ def test_empty_sets_pass_through():
     state = Lookalikes()
     free, state = unmasked(state, nothing, 0.0, SETTINGS)
     assert len(free) == 0
-    proven, still, state = judge(state, nothing, np.zeros((0, 3)), np.eye(3), 0.0, RIG, POSE, SETTINGS)
+    proven, still, state = classify_candidates(state, nothing, np.zeros((0, 3)), np.eye(3), 0.0, RIG, POSE, SETTINGS)
     assert len(proven) == len(still) == len(state.place) == 0
 
 

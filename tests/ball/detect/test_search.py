@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 
 from spheremouse.ball.detect.appearance import Appearance, appearance
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
-from spheremouse.ball.detect.search import Hunt, hunt, went
+from spheremouse.ball.detect.search import SearchState, places_to_look_at, went
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 
@@ -73,11 +73,13 @@ def photo(image, noise=NOISE, seed=0):
 def look(image, state, known=NOWHERE, detector: DiscDetector = PLAIN, light=False):
     f = detector.fit
     radius = 0.5 * detector.diameter
-    return hunt(image, detector.mask, detector.lattice, state, known, f.reduction, radius, f.contrast, NOISE, light)
+    return places_to_look_at(
+        image, detector.mask, detector.lattice, state, known, f.reduction, radius, f.contrast, NOISE, light
+    )
 
 
 def four_turns(image, first=0, **more):
-    return np.concatenate([look(image, Hunt(turn), **more) for turn in range(first, first + 4)])
+    return np.concatenate([look(image, SearchState(turn), **more) for turn in range(first, first + 4)])
 
 
 def distances(places, to):
@@ -149,7 +151,7 @@ def test_a_disc_of_ordinary_size_is_met_in_the_first_turn_wherever_it_is():
     n = 0
     for k in range(60):
         centres, shapes = random_discs(rng, 4, PLAIN, 70.0)
-        places = look(photo(drawn(centres, shapes), seed=k), Hunt(k))
+        places = look(photo(drawn(centres, shapes), seed=k), SearchState(k))
         assert len(places) <= 4  # each of them once
         high = np.sqrt(shapes[:, 1, 1]) > 5.0
         assert distances(places, centres)[high].max(initial=0.0) < 1.0
@@ -162,7 +164,7 @@ def test_all_of_many_discs_come_in_the_end():
     centres, shapes = random_discs(np.random.default_rng(3), 14, PLAIN, 60.0)
     image, met = photo(drawn(centres, shapes)), []
     for turn in range(32):
-        met.append(look(image, Hunt(turn)))
+        met.append(look(image, SearchState(turn)))
         assert len(met[-1]) == 4
     assert distances(np.concatenate(met), centres).max() < 1.0
 
@@ -199,16 +201,16 @@ def test_colour_and_grey_agree():
 def test_a_detector_measures_what_the_search_meets():
     """The whole way: centres with their covariance, none twice, and none known."""
     centres, shapes = random_discs(np.random.default_rng(7), 4, PLAIN, 40.0)
-    image, state, met = photo(drawn(centres, shapes))[:, :, 0], Hunt(), []
+    image, state, met = photo(drawn(centres, shapes))[:, :, 0], SearchState(), []
     for _ in range(4):
-        found, state = PLAIN.hunt(image, state, centres[:1])
+        found, state = PLAIN.find_new_discs(image, state, centres[:1])
         met.append(found.centre)
     assert state.turn == 4
     met = np.concatenate(met)
     # the ellipse's middle is not the disc's centre: by a fraction of a pixel
     assert distances(met, centres)[1:].max() < 0.3
     assert distances(met, centres)[0] > PLAIN.diameter
-    assert len(state.duds) == 0  # discs are none
+    assert len(state.rejected) == 0  # discs are none
 
 
 # --- what is no disc -------------------------------------------------------------------------------------------------
@@ -234,7 +236,7 @@ def clutter(kind):
 @pytest.mark.parametrize("kind", ["plain", "struts", "shadow", "curved shadow"])
 def test_struts_and_shadows_cost_next_to_nothing(kind):
     """Candidates in 256 turns, when none of them is a disc."""
-    image, state, counts = clutter(kind), Hunt(), []
+    image, state, counts = clutter(kind), SearchState(), []
     for _ in range(256):
         places = look(image, state)
         counts.append(len(places))
@@ -250,22 +252,22 @@ def test_struts_and_shadows_cost_next_to_nothing(kind):
 @pytest.mark.parametrize("sigma", [3.0, 10.0, 30.0])
 def test_noise_shows_no_disc(sigma):
     """Of much noise a pixel is a candidate now and then; none of them is measured as a disc."""
-    rng, state, count = np.random.default_rng(9), Hunt(), 0
+    rng, state, count = np.random.default_rng(9), SearchState(), 0
     empty = drawn(NOWHERE, np.zeros((0, 2, 2)))
     for turn in range(16):
         image = photo(empty, sigma, rng.integers(1000))
-        found, state = PLAIN.hunt(image[:, :, 0], state, NOWHERE)
+        found, state = PLAIN.find_new_discs(image[:, :, 0], state, NOWHERE)
         assert len(found) == 0
-        count = len(state.duds)
+        count = len(state.rejected)
         assert state.turn == turn + 1
     assert count == 0 or sigma > 5.0
 
 
-def duds_at(n_turns, gone=0):
+def rejected_at(n_turns, gone=0):
     """Turns at which one dark place came up that turned out to be no disc, each time; not there from turn `gone` on."""
     centre, shape = np.array([[300.3, 250.6]]), 36.0 * np.eye(2)[None]
     dark, empty = photo(drawn(centre, shape)), photo(drawn(NOWHERE, np.zeros((0, 2, 2))))
-    state, turns = Hunt(), []
+    state, turns = SearchState(), []
     for turn in range(n_turns):
         assert state.turn == turn
         places = look(empty if 0 < gone <= turn else dark, state)
@@ -278,24 +280,24 @@ def duds_at(n_turns, gone=0):
 
 
 def test_a_place_that_is_none_is_put_off_for_twice_as_long_each_time():
-    turns, state = duds_at(2200)
+    turns, state = rejected_at(2200)
     assert_array_equal(np.diff(turns) - 1, [32, 64, 128, 256, 512, 512, 512])  # frames it was left out
-    assert len(state.duds) == 1
+    assert len(state.rejected) == 1
 
 
 def test_a_place_where_nothing_is_any_more_is_forgotten():
     """When the next one comes: until then nobody is in the way."""
-    _, state = duds_at(120, gone=10)
+    _, state = rejected_at(120, gone=10)
     assert np.all(state.until <= state.turn)
     far = np.array([[340.0, 200.0]])
-    assert_array_equal(went(state, far, 1).duds, far)
+    assert_array_equal(went(state, far, 1).rejected, far)
 
 
-def test_a_dud_hides_no_disc_beside_it():
+def test_a_rejected_place_hides_no_disc_beside_it():
     """What is two radii away from a bolt is another thing."""
     centres = np.array([[300.3, 250.6], [322.0, 251.0]])
     image = photo(drawn(centres, np.repeat(36.0 * np.eye(2)[None], 2, axis=0)))
-    state = went(Hunt(), centres[:1], 1)
+    state = went(SearchState(), centres[:1], 1)
     places = np.concatenate([look(image, went_on) for went_on in (state, went(state, NOWHERE, 1))])
     assert distances(places, centres)[1] < 1.0
     assert distances(places, centres)[0] > 10.0
@@ -303,8 +305,8 @@ def test_a_dud_hides_no_disc_beside_it():
 
 def test_places_remembered_are_bounded():
     rng = np.random.default_rng(8)
-    state = Hunt()
+    state = SearchState()
     for _ in range(200):
         state = went(state, rng.uniform(100.0, 400.0, (4, 2)), 1)
-        assert len(state.duds) == len(state.until) == len(state.wait) <= 256
+        assert len(state.rejected) == len(state.until) == len(state.wait) <= 256
     assert state.turn == 200

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.filters.so3_state import augment, inject
 from spheremouse.ball.points import SpherePoints, intersect
@@ -30,6 +30,8 @@ SETTINGS = So3Settings()
 FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, RADIUS)
 DISCS = directions(26, 4, 0.3)
 STILL = np.zeros((CORE, CORE))
+
+LAST = slice(-REFERENCE - 2, -REFERENCE)  # of the newest disc in the joint covariance
 
 
 def points_at(direction, sigma=SIGMA, rng=None):
@@ -74,10 +76,12 @@ def settled(rate=(0.3, -0.2, 0.4), n=30, seed=0):
 
 
 def difference(a, b):
-    """Error vector of state a against state b with the same discs, (20 + 2m,)."""
+    """Error vector of state a against state b with the same discs, (23 + 2m,)."""
     d = np.einsum("mij,mi->mj", b.basis, a.discs - b.discs).ravel()
     core = [log(a.attitude @ b.attitude.T), a.rate - b.rate, a.acceleration - b.acceleration]
-    return np.concatenate([*core, np.zeros(CONSIDER), [a.readout - b.readout], d])  # pose and ball: never corrected
+    return np.concatenate(
+        [*core, np.zeros(CONSIDER), [a.readout - b.readout], d, np.zeros(3)]
+    )  # pose, ball and reference: never corrected
 
 
 def draw(joint, rng, n):
@@ -152,13 +156,43 @@ def test_a_new_disc_is_as_uncertain_as_sampling_says():
         d = (points_at(place, sigma, rng).direction @ truth.attitude)[0]
         samples.append(np.concatenate([e, founded.basis[-1].T @ (founded.discs[-1] - d)]))
     scatter = np.cov(np.array(samples).T)
-    own, ours = scatter[-2:, -2:], founded.joint[-2:, -2:]
+    own, ours = scatter[-2:, -2:], founded.joint[LAST, LAST]
     assert_allclose(own, ours, atol=0.08 * np.abs(ours).max())
-    scale = np.sqrt(np.outer(np.diag(founded.joint)[-2:], np.diag(founded.joint)[:3]))
-    assert_allclose(scatter[-2:, :3] / scale, founded.joint[-2:, :3] / scale, atol=0.06)
+    scale = np.sqrt(np.outer(np.diag(founded.joint)[LAST], np.diag(founded.joint)[:3]))
+    assert_allclose(scatter[-2:, :3] / scale, founded.joint[LAST, :3] / scale, atol=0.06)
 
 
 # --- covariance against independent truth ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_motion_since_the_reference_is_as_certain_as_runs_drawn_from_the_own_model_say(every):
+    """NEES of rotation vector and rate, 95 % band; and what two attitudes have wrong alike does not count."""
+    rng = np.random.default_rng(21)
+    own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
+    F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    jerk, runs, squares, shares = np.linalg.cholesky(Q), 60, [], []
+    for _ in range(runs):
+        R, w = np.eye(3), SETTINGS.start_rate_sigma * rng.normal(size=3)
+        a = SETTINGS.acceleration_sigma * rng.normal(size=3)
+        state, reference = own.initial(0.0, R), (R, R)
+        for k in range(41):
+            if k:
+                now = F @ np.stack([np.zeros(3), w, a]) + jerk @ rng.normal(size=(3, 3))
+                R, w, a = exp(now[0]) @ R, now[1], now[2]
+            state = own.update(own.predict(state, k * DT), points_at(seen(R), rng=rng))
+            if k % every:
+                continue
+            turn, true = log(state.attitude @ reference[0].T), log(R @ reference[1].T)
+            C = state.covariance_since(turn)
+            if k == 40:
+                e = np.concatenate([turn - true, state.rate - w])
+                squares.append(e @ np.linalg.solve(C, e))
+                shares.append(np.trace(C[:3, :3]) / np.trace(state.covariance[:3, :3]))
+            state, reference = state.with_reference(), (state.attitude, R)
+    low, high = chi2.ppf([0.025, 0.975], 6 * runs) / runs
+    assert low < np.mean(squares) < high
+    assert np.median(shares) < (0.9 if every == 1 else 1.2)  # two that were independent would have 2
 
 
 @pytest.mark.parametrize("dt", [DT, 0.5])
@@ -227,7 +261,7 @@ def test_update_is_the_batch_solution():
     assert_allclose(log(state.attitude), fit.x[15:18], atol=0.02 * sd[:3].max())
     assert_allclose(state.rate, fit.x[18:21], atol=0.02 * sd[3:6].max())
     assert_allclose(state.acceleration, fit.x[21:24], atol=0.02 * sd[6:9].max())
-    own = np.delete(np.arange(len(state.joint)), np.arange(CORE, FIRST))
+    own = np.delete(np.arange(len(state.joint) - REFERENCE), np.arange(CORE, FIRST))
     assert_allclose(state.joint[np.ix_(own, own)] / np.outer(sd, sd), C / np.outer(sd, sd), atol=0.02)
 
 
@@ -303,9 +337,9 @@ def test_axes_of_a_disc_go_along_when_it_crosses_z_0():
     z0 = np.array([np.sqrt(1.0 - 1e-12), 0.0, 1e-6])
     state = augment(state, points_at(z0 @ state.attitude.T), np.array([0]), RADIUS)
     m = len(state.discs)
-    dx = np.zeros(FIRST + 2 * m)
+    dx = np.zeros(FIRST + 2 * m + REFERENCE)
     down = state.basis[-1].T @ [0.0, 0.0, -1e-4]
-    dx[-2:] = down
+    dx[LAST] = down
     moved = inject(state, dx)
     assert state.discs[-1, 2] > 0.0 > moved.discs[-1, 2]
     assert_allclose(moved.basis[-1], state.basis[-1], atol=2e-4)
@@ -369,7 +403,7 @@ def test_a_disc_on_trial_goes_and_a_kept_one_stays():
             points = with_ghost if k < sightings else points_at(real)
             state = FILTER.update(FILTER.predict(state, t[k]), points)
         assert bool(np.any(state.discs @ ghost > 0.999)) == stays
-        assert len(state.joint) == FIRST + 2 * len(state.discs)
+        assert len(state.joint) == FIRST + 2 * len(state.discs) + REFERENCE
 
 
 def test_a_disc_that_never_comes_again_is_dropped_in_the_end():
@@ -404,7 +438,7 @@ def test_a_flick_takes_a_wider_level_and_then_the_quiet_one_again():
     angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * DT)])
     attitudes = exp(angle[:, None] * np.array([0.0, 0.0, 1.0]))
     states = film(FILTER, attitudes, t, rng)
-    level = np.array([s.level for s in states])
+    level = np.array([s.manoeuvre_level for s in states])
     assert np.all(level[8:14] < 5.0)
     assert level.max() > 50.0
     assert np.all(level[60:] < 10.0)
@@ -425,7 +459,7 @@ def test_spurious_points_do_not_raise_the_level():
         ghosts = ghosts[np.max(ghosts @ (DISCS @ R.T).T, axis=1) < np.cos(0.15)]
         points = points_at(np.vstack([p[:3], ghosts]), rng=rng)
         state = FILTER.update(FILTER.predict(state, state.stamp + DT), points, np.zeros(len(points), dtype=bool))
-        assert state.level < 5.0
+        assert state.manoeuvre_level < 5.0
         assert set(state.used) == {0, 1, 2}
 
 
@@ -667,7 +701,7 @@ def test_innovation_and_founding_depend_on_pose_and_ball_as_finite_differences_s
     rows = columns = np.arange(len(d))
     known = replace(state, joint=np.eye(len(state.joint)))  # then H @ joint is H
     _, H, _, _ = consider._innovation(known, points, rows, columns, STILL)
-    bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(FIRST))
+    bare = replace(known, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(FIRST + REFERENCE))
     founded = augment(bare, points, rows, RADIUS)
     h = 1e-5
     for i in range(CONSIDER):
@@ -677,7 +711,7 @@ def test_innovation_and_founding_depend_on_pose_and_ball_as_finite_differences_s
         assert_allclose(-(z[0] - z[1]) / (2 * h), H[:, CORE + i], atol=1e-4 * np.abs(H[:, CORE + i]).max())
         new = [augment(bare, p, rows, RADIUS).discs for p in ends]
         slope = np.einsum("mij,mi->mj", founded.basis, (new[0] - new[1]) / (2 * h)).ravel()
-        assert_allclose(founded.joint[FIRST:, CORE + i], slope, atol=1e-4 * np.abs(slope).max())
+        assert_allclose(founded.joint[FIRST:-REFERENCE, CORE + i], slope, atol=1e-4 * np.abs(slope).max())
 
 
 def test_update_with_considered_errors_is_the_batch_solution():
@@ -722,7 +756,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
     sd = np.sqrt(np.diag(C))
     assert_allclose(ours / sd[6:15], (fit.x * unit)[6:15] / sd[6:15], atol=0.03)
     at = np.concatenate([np.arange(6, 15), np.arange(25, 35)])
-    rest = np.concatenate([np.arange(CORE), np.arange(FIRST, len(state.joint))])
+    rest = np.concatenate([np.arange(CORE), np.arange(FIRST, len(state.joint) - REFERENCE)])
     scale_at = np.outer(sd[at], sd[at])
     assert_allclose(state.joint[np.ix_(rest, rest)] / scale_at, C[np.ix_(at, at)] / scale_at, atol=0.02)
     cross = np.outer(sd[at], np.sqrt(np.diag(consider.considered)))
@@ -841,11 +875,11 @@ def test_a_disc_founded_by_a_row_read_late_is_where_it_is_on_the_ball():
         d = points_at(place, rng=rng).direction[0] @ exp(delay * truth.rate) @ truth.attitude
         samples.append(np.concatenate([e, founded.basis[-1].T @ (founded.discs[-1] - d)]))
     scatter = np.cov(np.array(samples).T)
-    ours = founded.joint[-2:, -2:]
+    ours = founded.joint[LAST, LAST]
     assert_allclose(scatter[-2:, -2:], ours, atol=0.08 * np.abs(ours).max())
-    sd = np.sqrt(np.outer(np.diag(founded.joint)[-2:], np.diag(founded.joint)[3:6]))
-    assert_allclose(scatter[-2:, 3:6] / sd, founded.joint[-2:, 3:6] / sd, atol=0.06)
-    assert np.abs(founded.joint[-2:, 3:6] / sd).max() > 0.5
+    sd = np.sqrt(np.outer(np.diag(founded.joint)[LAST], np.diag(founded.joint)[3:6]))
+    assert_allclose(scatter[-2:, 3:6] / sd, founded.joint[LAST, 3:6] / sd, atol=0.06)
+    assert np.abs(founded.joint[LAST, 3:6] / sd).max() > 0.5
 
 
 # --- a rolling shutter whose time nobody knows ------------------------------------------------------------------------
@@ -909,10 +943,13 @@ def test_innovation_and_founding_depend_on_the_readout_as_finite_differences_say
     slope = -(z[0] - z[1]) / (2 * h)
     assert np.abs(slope).max() > 0.2 * np.linalg.norm(rate)
     assert_allclose(HP[:, READOUT], slope, atol=1e-4 * np.abs(slope).max())
-    bare = [replace(s, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(FIRST)) for s in (state, *ends)]
+    bare = [
+        replace(s, discs=np.zeros((0, 3)), basis=np.zeros((0, 3, 2)), joint=np.eye(FIRST + REFERENCE))
+        for s in (state, *ends)
+    ]
     founded, *new = [augment(s, points, rows, RADIUS) for s in bare]
     slope = np.einsum("mij,mi->mj", founded.basis, (new[0].discs - new[1].discs) / (2 * h)).ravel()
-    assert_allclose(founded.joint[FIRST:, READOUT], slope, atol=1e-4 * np.abs(slope).max())
+    assert_allclose(founded.joint[FIRST:-REFERENCE, READOUT], slope, atol=1e-4 * np.abs(slope).max())
 
 
 def test_a_still_ball_teaches_nothing_of_the_readout():
@@ -1059,9 +1096,12 @@ def test_covariance_stays_symmetric_and_positive_over_5000_updates(sigma):
         by_pose, by_ball = rng.normal(size=(len(points), 3, 6)), rng.normal(size=(len(points), 3, 4))
         points = replace(points, dposition_dpose=by_pose, dposition_dball=by_ball, row=-0.5 * p[some, 1])
         state = own.update(own.predict(state, k * 0.01), points)
+        if k % 3 == 0:
+            state = state.with_reference()
         if k % 50 == 0:
             sd = np.sqrt(np.diag(state.joint))
-            assert np.all(sd[(0 if k else 3) :] > 0.0)
+            assert np.all(sd[3:-REFERENCE] > 0.0)
+            assert np.all(sd[[0, -1]] > 0.0) or k == 0
             sd = np.where(sd > 0.0, sd, 1.0)
             assert_allclose(state.joint / np.outer(sd, sd), state.joint.T / np.outer(sd, sd), atol=1e-14)
             worst = min(worst, np.linalg.eigvalsh(state.joint / np.outer(sd, sd))[0])

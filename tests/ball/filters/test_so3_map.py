@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters.so3 import So3Filter, relocate
-from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT
+from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.filters.so3_settings import So3Settings
 from spheremouse.ball.filters.so3_state import So3State, augment, consider, drop, inject, to_map, with_map
 from spheremouse.ball.points import SpherePoints
@@ -21,6 +21,8 @@ SETTINGS = So3Settings()
 FILTER = So3Filter(SETTINGS, np.array([0.0, 0.0, 1.0]), HORIZON, 0.02 / RADIUS, RADIUS)
 DISCS = directions(24, 7, 0.35)
 SPIN = np.array([2.0, -0.3, 0.2])
+
+LAST = slice(-REFERENCE - 2, -REFERENCE)  # of the newest disc in the joint covariance
 
 
 def points_at(d, rng, sigma=SIGMA):
@@ -102,7 +104,7 @@ def test_covariance_of_the_map_is_in_the_axes_of_its_directions():
     scatter = np.cov(np.array(samples).T)
     sd = np.sqrt(np.diag(known.covariance))
     assert_allclose(scatter / np.outer(sd, sd), known.covariance / np.outer(sd, sd), atol=0.1)
-    own = state.joint[FIRST:, FIRST:] / np.outer(sd, sd)
+    own = state.joint[FIRST:-REFERENCE, FIRST:-REFERENCE] / np.outer(sd, sd)
     assert np.abs(own - known.covariance / np.outer(sd, sd)).max() > 0.3  # in the state's axes it is another matrix
 
 
@@ -128,7 +130,7 @@ def test_with_map_leaves_the_rest_of_the_state():
     state = with_map(fresh, known, 50)
     assert state.stamp == 5.0
     assert_array_equal(state.attitude, fresh.attitude)
-    assert_array_equal(state.joint[:FIRST, :FIRST], fresh.joint)
+    assert_array_equal(state.joint[:FIRST, :FIRST], fresh.joint[:FIRST, :FIRST])
     assert_array_equal(state.joint[CORE:READOUT, CORE:READOUT], considered)
     assert_allclose(state.readout_sigma, 0.015)
     assert_array_equal(state.joint[:FIRST, FIRST:], 0.0)
@@ -192,7 +194,8 @@ def test_drop_forgets_discs_and_their_rows_and_no_others():
     state, _ = learnt()
     keep = np.arange(24) % 3 > 0
     some = drop(state, keep)
-    rows = np.concatenate([np.arange(FIRST), FIRST + np.flatnonzero(np.repeat(keep, 2))])
+    discs = FIRST + np.flatnonzero(np.repeat(keep, 2))
+    rows = np.concatenate([np.arange(FIRST), discs, np.arange(-REFERENCE, 0)])
     assert_array_equal(some.discs, state.discs[keep])
     assert_array_equal(some.basis, state.basis[keep])
     assert_array_equal(some.hits, state.hits[keep])
@@ -223,8 +226,8 @@ def test_a_new_disc_in_a_saved_map_knows_what_the_attitude_does():
     d = np.array([[0.1, 0.2, 1.0]]) / np.linalg.norm([0.1, 0.2, 1.0])
     rng = np.random.default_rng(6)
     founded = augment(state, points_at(d, rng), np.array([0]), RADIUS)
-    assert_allclose(np.sqrt(np.diag(founded.joint)[-2:]), np.hypot(1e-2, SIGMA), rtol=1e-3)
+    assert_allclose(np.sqrt(np.diag(founded.joint)[LAST]), np.hypot(1e-2, SIGMA), rtol=1e-3)
     points = seen(np.eye(3), rng)
     after = FILTER.update(founded, points, np.zeros(len(points), dtype=bool))
     assert len(after.used) >= 4
-    assert np.all(np.sqrt(np.diag(after.joint)[-2:]) < 1e-3)  # what fixed the attitude fixed the disc
+    assert np.all(np.sqrt(np.diag(after.joint)[LAST]) < 1e-3)  # what fixed the attitude fixed the disc

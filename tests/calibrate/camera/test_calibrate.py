@@ -14,7 +14,7 @@ from spheremouse.calibrate.camera.corners import Pattern, find_board
 from spheremouse.calibrate.camera.live import Session
 from spheremouse.commands import app
 from spheremouse.errors import CalibrationError, SpheremouseError
-from spheremouse.files.report import page
+from spheremouse.files.report import page, style, svg
 from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import project
 
@@ -294,16 +294,16 @@ def test_figures_follow_the_page_and_are_the_same_every_time():
     from matplotlib.figure import Figure
 
     def drawn():
-        with page.drawn():
+        with style.styled():
             figure = Figure(figsize=(2.0, 1.0))
-            figure.subplots().plot([0, 1], [0, 1], color=page.BLUE)
-            return page.svg(figure, 'a "line"')
+            figure.subplots().plot([0, 1], [0, 1], color=style.BLUE)
+            return svg.of_figure(figure, 'a "line"')
 
     text = drawn()
     assert text.startswith("<svg ")
     assert "var(--blue)" in text
-    assert page.BLUE not in text
-    assert 'aria-label="a &quot;line&quot;"' in text
+    assert style.BLUE not in text
+    assert 'aria-label="a &#34;line&#34;"' in text
     assert drawn() == text
 
 

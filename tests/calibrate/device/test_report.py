@@ -16,9 +16,8 @@ from spheremouse.calibrate.device.report import write_device_report
 from spheremouse.calibrate.device.results import device_json
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.commands.calibrate.device import device_text
-from spheremouse.errors import ConfigurationError
 from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
-from spheremouse.files.report import page
+from spheremouse.files.report import style
 from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
@@ -158,10 +157,7 @@ def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_p
 
 
 def test_page_without_matplotlib_has_the_tables_and_says_what_to_install(calibration, photos, tmp_path, monkeypatch):
-    def missing():
-        raise ConfigurationError("plots need matplotlib: pip install 'spheremouse[plot]'")
-
-    monkeypatch.setattr(page, "require_matplotlib", missing)
+    monkeypatch.setattr(style, "has_matplotlib", lambda: False)
     elements = Elements(written(tmp_path / "r.html", calibration, photos))
     tags = [tag for tag, _ in elements.seen]
     assert tags.count("svg") == 0

@@ -95,17 +95,17 @@ def test_a_shot_is_a_view_of_the_driver_s_buffer_until_it_is_released():
     device = Device()
     with camera(device) as cam:
         device.push(41)
-        shot = cam.next(5.0)
-        frame = shot.frame(colour=False)
+        raw = cam.next(5.0)
+        frame = raw.frame(colour=False)
         assert np.shares_memory(frame.image, device.buffers[0])
         assert (frame.image.shape, frame.image.dtype, int(frame.image.max())) == ((H, W), np.uint8, 41)
-        assert (frame.stamp, frame.sequence) == (shot.stamp, shot.sequence) == (shot.stamp, 0)
-        assert shot.frame(colour=True).image.shape == (H, W, 3)
+        assert (frame.stamp, frame.sequence) == (raw.stamp, raw.sequence) == (raw.stamp, 0)
+        assert raw.frame(colour=True).image.shape == (H, W, 3)
         assert 0 not in device.queued
-        shot.release()
+        raw.release()
         assert device.queued == [1, 2, 0]
         with pytest.raises(ValueError, match="released"):
-            shot.frame(colour=False)
+            raw.frame(colour=False)
 
 
 def test_release_is_idempotent_even_when_the_buffer_is_out_again():
@@ -116,7 +116,7 @@ def test_release_is_idempotent_even_when_the_buffer_is_out_again():
         first.release()
         device.push(2)
         second = cam.next(5.0)
-        first.release()  # must not queue what the second shot holds
+        first.release()  # must not queue what the second raw frame holds
         assert device.queued == []
         assert int(second.frame(False).image[0, 0]) == 2
         second.release()
@@ -135,15 +135,15 @@ def test_while_all_buffers_are_held_the_driver_drops_and_the_numbers_show_it():
     with camera(device) as cam:
         device.push(0)
         device.push(1)
-        shots = [cam.next(5.0), cam.next(5.0)]
+        frames = [cam.next(5.0), cam.next(5.0)]
         device.push(2)
         device.push(3)
         assert cam.next(0.02) is None
-        assert [int(s.frame(False).image[0, 0]) for s in shots] == [0, 1]
-        shots[0].release()
+        assert [int(s.frame(False).image[0, 0]) for s in frames] == [0, 1]
+        frames[0].release()
         device.push(4)
         late = cam.next(5.0)
-        assert [s.sequence for s in (*shots, late)] == [0, 1, 4]
+        assert [s.sequence for s in (*frames, late)] == [0, 1, 4]
 
 
 def test_a_release_in_another_thread_lets_next_go_on():
@@ -165,12 +165,12 @@ def test_shots_outlive_the_camera():
     device, controls = Device(), Controls()
     cam = camera(device, controls=controls)
     device.push(9)
-    shot = cam.next(5.0)
+    raw = cam.next(5.0)
     cam.close()
     cam.close()
     assert (device.closed, controls.restored) == (1, 1)
-    assert int(shot.frame(False).image[3, 3]) == 9
-    shot.release()
+    assert int(raw.frame(False).image[3, 3]) == 9
+    raw.release()
     assert 0 not in device.queued
     with pytest.raises(SourceError, match="closed"):
         cam.next(0.0)
@@ -180,11 +180,11 @@ def test_an_unplugged_camera_is_said_once_and_shots_can_still_be_released():
     device = Device()
     with camera(device) as cam:
         device.push(5)
-        shot = cam.next(5.0)
+        raw = cam.next(5.0)
         device.unplug()
         with pytest.raises(SourceError, match="gone; plug it in again"):
             cam.next(5.0)
-        shot.release()
+        raw.release()
 
 
 @pytest.mark.parametrize(
@@ -200,10 +200,10 @@ def test_a_damaged_frame_is_said_and_the_next_is_whole(push, words):
     with camera(device) as cam:
         device.push(1, **push)
         device.push(2)
-        shot = cam.next(5.0)
+        raw = cam.next(5.0)
         with pytest.raises(DamagedFrameError, match=words):
-            shot.frame(colour=False)
-        shot.release()
+            raw.frame(colour=False)
+        raw.release()
         good = cam.next(5.0)
         assert int(good.frame(colour=False).image[0, 0]) == 2
 
@@ -217,9 +217,9 @@ def test_stamps_are_mid_exposure_and_what_is_wrong_with_them_is_noted_once():
         assert cam.notes == ()
         for _ in range(2):
             device.push(0, stamp=0.0)
-            shot = cam.next(5.0)
-            assert at < shot.stamp < time.monotonic()
-            shot.release()
+            raw = cam.next(5.0)
+            assert at < raw.stamp < time.monotonic()
+            raw.release()
         assert len(cam.notes) == 1
         assert "no stamps" in cam.notes[0]
         assert cam.describe() == (
@@ -267,9 +267,9 @@ def test_the_plain_source_gives_up_on_a_still_or_broken_camera(monkeypatch):
     dequeue = device.dequeue
 
     def one_more():
-        shot = dequeue()
+        raw = dequeue()
         device.push(0, flags=LOST)
-        return shot
+        return raw
 
     device.dequeue = one_more
     monkeypatch.setattr(

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import reporting
 import typer
 from rich.console import Console
 from typer.testing import CliRunner
@@ -44,12 +45,11 @@ from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import exp
 from spheremouse.output import text
 from spheremouse.session.plan import Request, read_plan
-from spheremouse.session.record.settings import RecordSettings
-from spheremouse.tracker import Motion
+from spheremouse.session.settings.record import RecordSettings
 
 OK, WARNING, WRONG, UNCHECKED = Verdict.OK, Verdict.WARNING, Verdict.WRONG, Verdict.UNCHECKED
 FAR26_RIG = "the source brings its own"
-STILL = Motion(0.0, (0, 0, 0), np.zeros(3), np.zeros(3))
+STILL = reporting.report()
 
 
 @pytest.fixture(autouse=True)
@@ -724,7 +724,7 @@ def test_a_status_without_keys_is_no_trouble():
 def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
     pytest.importorskip("fcntl")
     from spheremouse.session.control.server import ControlServer
-    from spheremouse.session.control.settings import ControlSettings
+    from spheremouse.session.settings.control import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     monkeypatch.setattr(doctor.nodes, "present", lambda *_: [])
@@ -740,7 +740,7 @@ def test_a_daemon_that_runs_keeps_its_camera(tmp_path_factory, monkeypatch):
 def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
     pytest.importorskip("fcntl")
     from spheremouse.session.control.server import ControlServer
-    from spheremouse.session.control.settings import ControlSettings
+    from spheremouse.session.settings.control import ControlSettings
 
     path = Path(tmp_path_factory.mktemp("s")) / "c"
     with ControlServer(path, ControlSettings(), lambda _, reply: reply({**STATUS, "version": "0.0.1"})):
@@ -758,8 +758,8 @@ def test_a_daemon_of_another_version_is_to_be_started_anew(tmp_path_factory):
 def test_the_service_and_what_is_missing_of_it(tmp_path, monkeypatch):
     place = Place(tmp_path)
     assert installed.check(None, tmp_path)[0].text.startswith("not installed")
-    for deed in list(service.install(place, "/opt/spheremouse/bin/spheremouse", 252)):
-        deed.do()
+    for action in list(service.install(place, "/opt/spheremouse/bin/spheremouse", 252)):
+        action.do()
     told = {"ActiveState": "active", "SubState": "running", "Result": "success", "NRestarts": "0"}
     monkeypatch.setattr(installed, "_asked", lambda command: told)
     assert {f.verdict for f in installed.check(None, tmp_path)} == {OK}

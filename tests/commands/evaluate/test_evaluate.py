@@ -17,7 +17,6 @@ from typer.testing import CliRunner
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.ball.state import Phase
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.commands import evaluate as cli_evaluate
 from spheremouse.errors import ConfigurationError
@@ -51,12 +50,12 @@ from spheremouse.output.counts import MotionSettings
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import SimulationOptions, prepare
 from spheremouse.simulate.to_dataset import write_simulation
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 620.0, 318.0, 243.0)
 POSE = Pose(Rotation.from_euler("XYZ", [175.0, 4.0, 80.0], degrees=True).as_matrix(), np.array([0.1, -0.05, 2.3]))
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
-T, L, S = Phase.TRACKING, Phase.LOST, Phase.SEARCHING
+T, L, S = Status.TRACKING, Status.LOST, Status.SEARCHING
 
 
 def random_motion(n, seed=0):
@@ -83,7 +82,7 @@ def perfect_run(truth, detected=None, used=None):
     return Run(
         frame=np.arange(n),
         stamp=truth.stamp,
-        phase=(T,) * n,
+        status=(T,) * n,
         attitude=truth.attitude.copy(),
         rate=truth.rate.copy(),
         rotation=np.concatenate([np.zeros((1, 3)), truth_turns(truth)]),
@@ -140,7 +139,7 @@ def test_surface_speed_is_what_the_mouse_does_per_second():
         [matrix @ rotation_between(a, b) * 30.0 for a, b in zip(truth.attitude[:-1], truth.attitude[1:], strict=True)]
     )
     run = perfect_run(truth)
-    run = replace(run, rotation=run.rotation * 1.01, phase=(*(T,) * 10, Phase.LOST, *(T,) * 19))
+    run = replace(run, rotation=run.rotation * 1.01, status=(*(T,) * 10, Status.LOST, *(T,) * 19))
     sent, true = surface_speeds(run, truth, 0.6)
     kept = [k for k in range(1, 30) if k not in {10, 11}]
     assert_allclose(true, travel[:, :2][np.array(kept) - 1], rtol=1e-9, atol=1e-9)
@@ -258,11 +257,11 @@ def test_nis_is_per_degree_of_freedom_of_the_discs_used_and_known_before():
     nis = np.array([np.sum(rng.normal(size=2 * len(u)) ** 2) for u in used])
     nis[:500], nis[500:1000] = 0.0, 1e6
     phase = (T,) * 500 + (L,) * 500 + (T,) * 3000
-    run = replace(perfect_run(truth, used=used), nis=nis, phase=phase)
+    run = replace(perfect_run(truth, used=used), nis=nis, status=phase)
     freedom = 2 * sum(len(u) for u in used[1000:])
     assert mean_nis(run) == pytest.approx(1.0, abs=5 * math.sqrt(2.0 / freedom))
     assert mean_nis(replace(run, nis=None)) is None
-    assert mean_nis(replace(run, phase=(L,) * 4000)) is None
+    assert mean_nis(replace(run, status=(L,) * 4000)) is None
 
 
 # ---- the report ----
@@ -330,7 +329,7 @@ def test_only_tracked_frames_count_and_frames_are_found_by_their_index():
     garbage = np.array([p is not T for p in phase])
     run.attitude[garbage] = Rotation.random(rng=5).as_matrix()
     run.rate[garbage] = 1e3
-    result = figures(replace(run, frame=np.arange(10, 60), phase=tuple(phase)), Reference(truth), frames=60)
+    result = figures(replace(run, frame=np.arange(10, 60), status=tuple(phase)), Reference(truth), frames=60)
     assert (result["frames"], result["tracked"], result["lost_episodes"]) == (60, 35, 1)
     assert result["attitude_rmse_deg"]["combined"] == pytest.approx(0.0, abs=1e-9)
     assert result["rate_rmse_deg_s"]["combined"] == pytest.approx(0.0, abs=1e-9)
@@ -349,7 +348,7 @@ def test_what_is_not_known_is_null():
 
 def test_never_tracked_is_null_not_zero():
     truth = random_motion(5)
-    result = figures(replace(perfect_run(truth), phase=(S,) * 5), Reference(truth))
+    result = figures(replace(perfect_run(truth), status=(S,) * 5), Reference(truth))
     assert_has_all_keys(result, without=("detection", "pose_error"))
     assert (result["tracked"], result["mean_discs"]) == (0, None)
     assert result["attitude_rmse_deg"]["combined"] is None

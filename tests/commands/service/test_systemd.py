@@ -17,6 +17,7 @@ from spheremouse.commands.service import app
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import Place
 from spheremouse.errors import ServiceError
+from spheremouse.files.service import service_files
 
 PROGRAM = "/opt/spheremouse/current/bin/spheremouse"
 UNIT = "etc/systemd/system/spheremouse.service"
@@ -352,7 +353,7 @@ def test_before_the_calibration_nothing_is_started_again_and_again(name):
 def test_the_kernel_knows_every_driver_of_the_device_list_before_the_service_starts():
     """A `char-` line whose name is not in /proc/devices then is skipped, and what is plugged in later stays closed."""
     modules = {"video4linux": "videodev", "ttyACM": "cdc_acm", "ttyUSB": "usbserial"}
-    loaded = (service.folder() / "systemd/modules-load.conf").read_text().split("\n")
+    loaded = (service_files() / "systemd/modules-load.conf").read_text().split("\n")
     listed = re.findall(r"^DeviceAllow=char-(\S+) rw$", unit(), re.M)
     assert set(listed) == set(modules)
     assert {modules[name] for name in listed} | {"uinput"} <= set(loaded)
@@ -362,11 +363,11 @@ def test_the_kernel_knows_every_driver_of_the_device_list_before_the_service_sta
 def test_names_agree_with_the_code():
     from spheremouse.output import uinput
 
-    xorg = (service.folder() / "desktop/90-spheremouse-xorg.conf").read_text()
+    xorg = (service_files() / "desktop/90-spheremouse-xorg.conf").read_text()
     assert f'MatchProduct "{uinput.NAME}"' in xorg
     assert 'Option "AccelProfile" "flat"' in xorg
-    rules = (service.folder() / "udev/70-spheremouse.rules").read_text()
-    boot = (service.folder() / "firmware/pico/boot.py").read_text()
+    rules = (service_files() / "udev/70-spheremouse.rules").read_text()
+    boot = (service_files() / "firmware/pico/boot.py").read_text()
     product = re.search(r'set_usb_identification\("\w+", "(\w+)"\)', boot)
     assert product is not None
     assert f'ENV{{ID_MODEL}}!="{product[1]}*"' in rules
@@ -446,7 +447,7 @@ def test_the_unit_is_closed(tmp_path):
 def test_udev_finds_nothing_wrong_with_the_rules():
     if "verify" not in judged("udevadm", "--help")[1]:
         pytest.skip("udevadm verify came with systemd 254")
-    code, said = judged("udevadm", "verify", str(service.folder() / "udev/70-spheremouse.rules"))
+    code, said = judged("udevadm", "verify", str(service_files() / "udev/70-spheremouse.rules"))
     assert code == 0, said
 
 
@@ -455,7 +456,7 @@ def test_sysusers_and_tmpfiles_are_what_systemd_makes_of_them(tmp_path):
     if os.geteuid() != 0:
         pytest.skip("only root can make users and give folders away")
     (tmp_path / "etc").mkdir()
-    folder = service.folder() / "systemd"
+    folder = service_files() / "systemd"
     code, said = judged("systemd-sysusers", f"--root={tmp_path}", str(folder / "sysusers.conf"))
     assert code == 0, said
     passwd = (tmp_path / "etc/passwd").read_text()
@@ -478,7 +479,7 @@ def test_the_tray_starts_with_a_desktop(tmp_path):
 
 
 def test_the_installer_is_a_script_that_bash_reads_and_refuses_what_it_does_not_know():
-    script = str(service.folder() / "install.sh")
+    script = str(service_files() / "install.sh")
     assert judged("bash", "-n", script) == (0, "")
     code, said = judged("bash", script, "--backwards")
     assert code == 1

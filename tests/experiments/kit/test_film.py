@@ -2,14 +2,14 @@
 
 import pytest
 
-from spheremouse.experiments.kit.film import bound, bound_rms, made, options_of, settings_of, tracked
+from spheremouse.experiments.kit.film import bound, bound_rms, film_of, options_of, settings_of, tracked
 from spheremouse.simulate.ball.film import prepare
 
 
 def test_the_bound_of_a_run_is_that_of_its_report_and_noisier_pictures_have_a_higher_one():
     limits = []
     for noise in (1.0, 12.0):
-        film = made(prepare(options_of({"discs": 40, "seconds": 1.0, "noise": noise})))
+        film = film_of(prepare(options_of({"discs": 40, "seconds": 1.0, "noise": noise})))
         run = tracked(film, settings_of())
         limit = bound(film, run)
         n = run.report["tracked"]

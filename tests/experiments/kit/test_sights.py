@@ -5,13 +5,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.film import made, options_of, settings_of, tracked
+from spheremouse.experiments.kit.film import film_of, options_of, settings_of, tracked
 from spheremouse.simulate.ball.film import prepare
 
 
 @pytest.fixture(scope="module")
 def film():
-    return made(prepare(options_of({"seconds": 1.4})))
+    return film_of(prepare(options_of({"seconds": 1.4})))
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_filtering_again_gives_the_run_of_tracking(film, seen):
     whole, again = tracked(film, settings), sights.filtered(seen, settings, film)
     assert_array_equal(again.attitude, whole.run.attitude)
     assert_array_equal(again.rotation, whole.run.rotation)
-    assert again.phase == whole.run.phase
+    assert again.status == whole.run.status
     errors = sights.errors(again, film.truth, film.rig.ball.radius)
     assert errors == {key: whole.report[key] for key in errors}
     assert errors["tracked"] > 30

@@ -17,12 +17,13 @@ from typer.testing import CliRunner
 
 from spheremouse.commands.firmware import app
 from spheremouse.errors import OutputError
+from spheremouse.files.service import service_files
 from spheremouse.output.serial import firmware, messages
 from spheremouse.output.serial import link as host
 from spheremouse.output.serial.firmware import words
 
 HERE = Path(__file__).parents[2]
-PICO = firmware.folder()
+PICO = service_files(firmware.PICO)
 MICROPYTHON = "@micropython/micropython-webassembly-pyscript@1.27.0"
 
 
@@ -662,7 +663,7 @@ def test_each_file_says_whose_it_is():
 
 
 def test_both_firmwares_have_the_version_that_check_compares_with():
-    text = (firmware.folder("avr") / "spheremouse" / "protocol.c").read_text()
+    text = (service_files("firmware/avr") / "spheremouse" / "protocol.c").read_text()
     assert f"FIRMWARE[3] = {{{words(firmware.version_of(PICO)).replace('.', ', ')}}}" in text
 
 

@@ -8,9 +8,10 @@ import avr_board
 import numpy as np
 import pytest
 
+from spheremouse.files.service import service_files
 from spheremouse.output.serial import link as host
 from spheremouse.output.serial import messages
-from spheremouse.output.serial.firmware import folder, load_protocol
+from spheremouse.output.serial.firmware import PICO, load_protocol
 
 HELLO_1 = messages.hello(0, 0xABCD0001)
 FINE = 0b0101  # both resolution multipliers
@@ -387,7 +388,7 @@ class Pico:
 @pytest.mark.parametrize("seed", range(8))
 def test_the_same_bytes_as_the_pico(code, seed):
     """Whatever comes, both boards give the same answers and the same reports."""
-    if not (folder("pico") / "protocol.py").exists():
+    if not (service_files(PICO) / "protocol.py").exists():
         pytest.skip("no firmware of the Pico here")
     rng = random.Random(seed)
     avr, pico = avr_board.Board(code), Pico()

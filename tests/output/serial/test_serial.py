@@ -6,9 +6,9 @@ import threading
 import time
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import serial as pyserial
+from reporting import report
 from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
@@ -19,17 +19,12 @@ from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.messages import STOP, Flags, encode
 from spheremouse.output.serial.ports import find_board
-from spheremouse.tracker import Motion
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402
 import tty  # noqa: E402
 
 from spheremouse.output.serial.simulator import Simulator  # noqa: E402  needs them
-
-
-def motion(x=0, y=0, z=0):
-    return Motion(0.0, (x, y, z), np.zeros(3), np.zeros(3))
 
 
 def until(what, seconds=10.0):
@@ -56,7 +51,7 @@ def board():
 def test_what_is_sent_is_what_the_mouse_does(board, capsys):
     with open_output(f"serial:{board.port},third=wheel") as output:
         for k in range(200):
-            output.send(motion(k % 7, -(k % 5), 1))
+            output.send(report(k % 7, -(k % 5), 1))
         until(lambda: output.settled)
         assert board.moved == [sum(k % 7 for k in range(200)), -sum(k % 5 for k in range(200)), 200, 0]
         assert output.statistics().answers > 0
@@ -71,7 +66,7 @@ def test_what_is_sent_is_what_the_mouse_does(board, capsys):
 @pytest.mark.parametrize(("third", "moved"), [("none", [1, 2, 0, 0]), ("wheel", [1, 2, 3, 0]), ("pan", [1, 2, 0, 3])])
 def test_the_third_axis(board, third, moved):
     with open_output(f"serial:{board.port},third={third}") as output:
-        output.send(motion(1, 2, 3))
+        output.send(report(1, 2, 3))
         until(lambda: output.settled)
     assert board.moved == moved
 
@@ -80,7 +75,7 @@ def test_leaving_passes_on_the_last_motion_and_releases_buttons(board):
     with open_output(f"serial:{board.port}") as output:
         output.hold(0b11)
         until(lambda: board.buttons == 0b11)
-        output.send(motion(50_000, 0, 0))  # many frames: 600 at most in each
+        output.send(report(50_000, 0, 0))  # many frames: 600 at most in each
     assert board.moved[0] == 50_000
     until(lambda: board.buttons == 0)
     assert board.reports >= 50_000 / 600
@@ -88,17 +83,17 @@ def test_leaving_passes_on_the_last_motion_and_releases_buttons(board):
 
 def test_the_text_twin(board):
     with open_output(f"serial:{board.port},third=pan") as output:
-        assert output.describe(motion(3, -2, 1)) == "X +3 Y -2 pan +1"
-        assert output.describe(motion(0, 5, 0)) == "Y +5"
-        assert output.describe(motion()) == ""
+        assert output.describe(report(3, -2, 1)) == "X +3 Y -2 pan +1"
+        assert output.describe(report(0, 5, 0)) == "Y +5"
+        assert output.describe(report()) == ""
         board.unplug()
-        until(lambda: output.describe(motion(1)) == "X +1 (waits for the board)")
+        until(lambda: output.describe(report(1)) == "X +1 (waits for the board)")
 
 
 def test_a_line_that_damages_bytes():
     with Simulator(damage=0.01, seed=1) as board, open_output(f"serial:{board.port}") as output:
         for k in range(1500):
-            output.send(motion(3, -(k % 3), 0))
+            output.send(report(3, -(k % 3), 0))
             time.sleep(0.001)
         until(lambda: output.settled)
         assert board.moved[:2] == [4500, -1500]
@@ -109,7 +104,7 @@ def test_a_board_that_is_reset(board):
     with open_output(f"serial:{board.port}") as output:
         sent = 0
         for k in range(400):
-            output.send(motion(2, 0, 0))
+            output.send(report(2, 0, 0))
             sent += 2
             if k % 100 == 50:
                 board.reset()
@@ -127,7 +122,7 @@ def test_a_host_that_goes_silent_holds_no_button_down(board):
         until(lambda: board.buttons == 1)
         until(lambda: board.buttons == 0)  # the tracker said nothing for a second
         output.hold(1)
-        output.send(motion(1))
+        output.send(report(1))
         until(lambda: board.buttons == 1 and board.moved[0] == 1)
 
 
@@ -139,17 +134,17 @@ def test_the_board_comes_back_at_another_port(tmp_path, capsys):
         os.symlink(first.port, link)
         with open_output(f"serial:{link}") as output:
             output.hold(1)
-            output.send(motion(5))
+            output.send(report(5))
             until(lambda: first.moved[0] == 5 and first.buttons == 1)
             link.unlink()
             first.unplug()
             until(lambda: first.buttons == 0)
-            until(lambda: "unplugged" in output.describe(motion(1)) or "waits" in output.describe(motion(1)))
+            until(lambda: "unplugged" in output.describe(report(1)) or "waits" in output.describe(report(1)))
             stack.enter_context(second)
             os.symlink(second.port, link)
             output.hold(0)
-            until(lambda: "waits" not in output.describe(motion(1)))
-            output.send(motion(7))
+            until(lambda: "waits" not in output.describe(report(1)))
+            output.send(report(7))
             until(lambda: second.moved[0] == 7)
             assert output.statistics().breaks == 1
     said = capsys.readouterr().err
@@ -166,7 +161,7 @@ def test_sending_never_waits_for_a_line_that_takes_nothing(board):
     board._over.set()
     board._thread.join()
     frames = output.statistics().motions
-    sender = threading.Thread(target=lambda: [output.send(motion(1)) for _ in range(20_000)], daemon=True)
+    sender = threading.Thread(target=lambda: [output.send(report(1)) for _ in range(20_000)], daemon=True)
     sender.start()
     sender.join(20.0)
     assert not sender.is_alive()
@@ -178,7 +173,7 @@ def test_sending_never_waits_for_a_line_that_takes_nothing(board):
 def test_a_slow_line_holds_no_old_news():
     with Simulator(baud=38400) as board, open_output(f"serial:{board.port},baud=38400") as output:
         for _ in range(500):
-            output.send(motion(10))
+            output.send(report(10))
             time.sleep(0.001)
         until(lambda: output.settled)
         assert board.moved[0] == 5000
@@ -188,7 +183,7 @@ def test_a_slow_line_holds_no_old_news():
 def test_how_it_fares(board):
     with open_output(f"serial:{board.port}") as output:
         assert isinstance(output, Serial)
-        output.send(motion(1))
+        output.send(report(1))
         until(lambda: output.settled)
         status = output.status()
         assert status is not None
@@ -198,16 +193,16 @@ def test_how_it_fares(board):
 
 def test_what_did_not_arrive_is_told(board, capsys):
     with open_output(f"serial:{board.port}") as output:
-        output.send(motion(5))
+        output.send(report(5))
         until(lambda: output.settled)
         board.awake = False
 
         def asleep():
-            output.send(motion())
+            output.send(report())
             return not output._link.ack.flags & Flags.USB_READY
 
         until(asleep)
-        output.send(motion(7))
+        output.send(report(7))
     assert board.moved[0] == 5
     said = capsys.readouterr().err.splitlines()
     assert said[-1].endswith("; counts that did not arrive: 7 not confirmed at the end")
@@ -215,18 +210,18 @@ def test_what_did_not_arrive_is_told(board, capsys):
 
 def test_a_computer_that_sleeps_is_told_of_when_it_does_and_when_it_is_over(board, capsys):
     with open_output(f"serial:{board.port}") as output:
-        output.send(motion(5))
+        output.send(report(5))
         until(lambda: output.settled)
         board.nods_off = True  # while the next report waits for it
         said = ""
 
         def tells(what):
             nonlocal said
-            output.send(motion())
+            output.send(report())
             said += capsys.readouterr().err
             return what in said
 
-        output.send(motion(3))
+        output.send(report(3))
         until(lambda: tells(output_module.NOT_TAKEN))
         assert board.moved[0] == 5
         board.awake = True
@@ -253,7 +248,7 @@ def returning(first, finding):
 
     said = []
     output = Serial(find, 115200, "none", said.append)
-    output.send(motion(1))
+    output.send(report(1))
     until(lambda: output.settled)
     first.unplug()
     return output, said
@@ -280,7 +275,7 @@ def test_a_board_comes_back_whatever_goes_wrong_meanwhile(board, monkeypatch):
         output, said = returning(board, finding)
         with output:
             until(lambda: any(s.endswith(f"{second.port} is back") for s in said))
-            output.send(motion(4))
+            output.send(report(4))
             until(lambda: second.moved[0] == 4)
         assert not fails
 
@@ -317,7 +312,7 @@ def test_sending_does_not_wait_for_a_port_that_closes_slowly(board, monkeypatch)
     monkeypatch.setattr(ports_module.Port, "close", drain)
     output, _ = returning(board, finding)
     assert closing.wait(10.0)
-    sender = threading.Thread(target=lambda: output.send(motion(1)), daemon=True)
+    sender = threading.Thread(target=lambda: output.send(report(1)), daemon=True)
     sender.start()
     sender.join(5.0)
     assert not sender.is_alive()
@@ -352,7 +347,7 @@ def test_a_board_of_another_version_that_comes_back_is_told_of_once(board):
     with Simulator(protocol=other) as second:
         output, said = returning(board, lambda n: second.port)
         with output:
-            until(lambda: len(said) == 3 or output.send(motion()))
+            until(lambda: len(said) == 3 or output.send(report()))
             time.sleep(0.3)
             assert len(said) == 3
             assert "the board speaks version 2 of the protocol, this program 1; update spheremouse" in said[2]
@@ -517,7 +512,7 @@ def test_a_board_that_flaps_fills_no_log():
         output = Serial(lambda: board.port, 115200, "none", said.append)
         began = time.monotonic()
         board._turn = flap
-        until(lambda: output._link.sessions > 200 or output.send(motion(1)))
+        until(lambda: output._link.sessions > 200 or output.send(report(1)))
         board._turn = handled
         output.close()
         lasted = time.monotonic() - began

@@ -14,8 +14,8 @@ import pytest
 
 from spheremouse.errors import ControlError
 from spheremouse.session.control import metrics
-from spheremouse.session.control.settings import MetricsSettings
 from spheremouse.session.control.status import STATES
+from spheremouse.session.settings.control import MetricsSettings
 from tests.session.control.test_server import Daemon
 
 pytest.importorskip("prometheus_client")

@@ -31,9 +31,9 @@ from spheremouse.session.control.client import Client, NoDaemonError, RefusedErr
 from spheremouse.session.control.limits import Limits
 from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, Request, encode, parse
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.control.settings import ControlSettings
 from spheremouse.session.control.socket import Peer
 from spheremouse.session.control.status import StatusReport
+from spheremouse.session.settings.control import ControlSettings
 
 PAGE = Path(__file__).parents[3] / "docs" / "control.md"
 GENEROUS = 20.0  # s, for what takes milliseconds
@@ -958,7 +958,7 @@ def test_what_a_daemon_that_was_killed_left_is_replaced(path):
 import os
 from pathlib import Path
 from spheremouse.session.control.server import ControlServer
-from spheremouse.session.control.settings import ControlSettings
+from spheremouse.session.settings.control import ControlSettings
 ControlServer(Path({str(path)!r}), ControlSettings(), lambda request, reply: None)
 os.kill(os.getpid(), 9)
 """

@@ -12,7 +12,7 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.appearance import ball_outline
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import Epoch, Phase
+from spheremouse.ball.state import Epoch, lost
 from spheremouse.ball.track import step
 from spheremouse.errors import OutputError
 from spheremouse.geometry.camera import project
@@ -42,8 +42,8 @@ def epochs(width, height, detector="default", frames=1) -> Iterator[tuple]:
     state = begin(tracker, 0.0)
     for k in range(frames):
         frame = Frame(image, k / 30, k)
-        state, motion = step(state, frame, tracker)
-        yield tracker, Epoch(frame, state, motion, {"detect": 0.0, "filter": 0.0})
+        state, motion, events = step(state, frame, tracker)
+        yield tracker, Epoch(frame, state, motion, events, {"detect": 0.0, "filter": 0.0})
 
 
 def is_near(image, colour, tolerance=60):
@@ -118,17 +118,17 @@ def overlay_after(overlay, state, tracker, epoch):
     if not overlay._trace:
         overlay.remember(state)
     drawn = overlay.draw(epoch, (0, 0, 0))
-    overlay.remember(replace(state, phase=Phase.LOST))
+    overlay.remember(lost(state))
     return drawn
 
 
 def test_a_grey_frame_and_a_picture_without_anything_can_be_drawn():
     tracker, epoch = next(epochs(640, 480))
     blank = Frame(np.full((480, 640), 128, np.uint8), 1.0, 30)
-    state, motion = step(begin(tracker, 0.0), blank, tracker)
+    state, motion, events = step(begin(tracker, 0.0), blank, tracker)
     overlay = Overlay(tracker, scale=2)
     overlay.remember(state)
-    drawn = overlay.draw(Epoch(blank, state, motion, {}), (0, 0, 0))
+    drawn = overlay.draw(Epoch(blank, state, motion, events, {}), (0, 0, 0))
     assert drawn.shape == (960, 1280, 3)
     assert len(state.points) == 0
     assert epoch.frame.image.ndim == 3

@@ -17,9 +17,9 @@ from spheremouse.session.overlay.pen import GREEN, WHITE
 from spheremouse.session.overlay.wand import WandOverlay, pin, rims
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import grzonka_ball
-from spheremouse.wand.state import WandEpoch, WandPhase, WandPose
+from spheremouse.wand.state import WandEpoch, WandPose
 from spheremouse.wand.track import begin, build
 
 CAMERA = InteriorOrientation(640, 480, 500.0, 505.0, 322.0, 238.0, np.array([-0.2, 0.05, 0.001, -0.001, 0.0]))
@@ -40,7 +40,7 @@ def epoch(pose, image=None):
 
 
 def pose(**changes):
-    whole = WandPose("grzonka", PLACE, ATTITUDE, 1e-4 * np.eye(6), WandPhase.TRACKING, "", 1.0, 100.0, True)
+    whole = WandPose("grzonka", PLACE, ATTITUDE, 1e-4 * np.eye(6), Status.TRACKING, "", 1.0, 100.0, True)
     return replace(whole, **changes)
 
 
@@ -94,7 +94,7 @@ def test_rims_are_where_discs_end_on_the_near_side(turn):
 
 def test_what_is_seen_is_white_and_what_is_predicted_is_grey_and_what_is_lost_is_not_drawn():
     seen, hidden = drawn(pose()), drawn(pose(seen=False, event="grzonka is hidden"))
-    lost = drawn(pose(position=None, rotation=None, covariance=None, phase=WandPhase.LOST, seen=False))
+    lost = drawn(pose(position=None, rotation=None, covariance=None, phase=Status.LOST, seen=False))
     assert count(seen, WHITE) > 40
     assert count(hidden, WHITE) < 0.05 * count(seen, WHITE)
     assert count(seen, GREEN) > 10

@@ -107,3 +107,14 @@ def test_nobody_listens(monkeypatch, tmp_path):
         notifier.ready()
         notifier.status("x")
         notifier.stopping()
+
+
+def test_a_manager_that_does_not_listen_holds_nobody_up(manager):
+    """The kernel keeps ten messages or some hundreds, and then whoever sends would wait."""
+    notifier = Notifier(lambda: manager.now)
+    for k in range(2000):
+        manager.now += 10.0
+        notifier.progress(k)
+    assert 0 < len(manager.heard()) < 2000
+    notifier.status("it listens again")
+    assert manager.heard() == ["STATUS=it listens again"]

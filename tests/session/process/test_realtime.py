@@ -152,22 +152,22 @@ class Cycle:
 def test_garbage_waits_for_a_rest_and_goes_however_old_it_is():
     """Also what has lived through several collections: a daemon runs for months."""
     switch = sys.getswitchinterval()
-    quiet = realtime.Quiet()
+    pause = realtime.GcPause()
     try:
         assert not gc.isenabled()
         assert sys.getswitchinterval() < 0.005
         cycle = Cycle()
         gone = weakref.ref(cycle)
         for k in range(3):
-            quiet.rest(10.0 * k)
+            pause.rest(10.0 * k)
         del cycle
         assert gone() is not None
-        quiet.rest(20.1)  # not yet
+        pause.rest(20.1)  # not yet
         assert gone() is not None
-        quiet.rest(30.0)
+        pause.rest(30.0)
         assert gone() is None
     finally:
-        quiet.close()
+        pause.close()
     assert gc.isenabled()
     assert sys.getswitchinterval() == pytest.approx(switch)
 

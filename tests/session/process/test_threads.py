@@ -40,9 +40,9 @@ def test_a_kind_waits_for_its_own_and_for_no_other(crew):
 
 
 def test_an_error_is_told_and_the_next_work_is_done(crew):
-    made = crew.make("one", lambda: 1 // 0)
+    task = crew.make("one", lambda: 1 // 0)
     with pytest.raises(ZeroDivisionError):
-        made.wait(20.0)
+        task.wait(20.0)
     crew.do("one", lambda: 1 // 0)
     assert crew.make("one", lambda: None).wait(20.0)
     wait_for(lambda: not crew.busy("one"))

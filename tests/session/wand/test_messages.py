@@ -5,24 +5,25 @@ from dataclasses import replace
 import numpy as np
 
 from spheremouse.session.wand.messages import Told
-from spheremouse.wand.state import WandPhase, WandPose
+from spheremouse.tracker import Status
+from spheremouse.wand.state import WandPose
 
-SEARCHING = WandPose("ball", None, None, None, WandPhase.SEARCHING, "no ball like ball in view: hold it up")
-TRACKING = WandPose("ball", np.zeros(3), np.eye(3), np.eye(6), WandPhase.TRACKING, "", seen=True)
+SEARCHING = WandPose("ball", None, None, None, Status.SEARCHING, "no ball like ball in view: hold it up")
+TRACKING = WandPose("ball", np.zeros(3), np.eye(3), np.eye(6), Status.TRACKING, "", seen=True)
 HIDDEN = replace(TRACKING, seen=False, event="ball is hidden: its pose is predicted")
-LOST = WandPose("ball", None, None, None, WandPhase.LOST, "ball is lost: hold it up")
+LOST = WandPose("ball", None, None, None, Status.LOST, "ball is lost: hold it up")
 COLOUR = np.tile(np.array([30, 90, 200], np.uint8), (40, 40, 1))
 
 
 def transcript(*steps, image=COLOUR):
-    """Lines of steps: a text is trouble with the camera, a pose or several are a frame, 0.1 s after the one before."""
-    told, lines = Told(), []
+    """Lines of steps: a pose or several are a frame, 0.1 s after the one before; None: no frames come."""
+    told, lines = Told(0, "ball"), []
     for k, step in enumerate(steps):
-        if isinstance(step, str):
-            lines += told.camera(step)
-            continue
-        told.camera("")
-        lines += told.frame(0.1 * k, step if isinstance(step, tuple) else (step,), image, 0)
+        if step is None:
+            told.interrupted()
+        else:
+            news = told.frame(0.1 * k, step if isinstance(step, tuple) else (step,), image)
+            lines += filter(None, (news.change, *news.more))
     return lines
 
 
@@ -35,14 +36,8 @@ def test_each_change_is_said_once():
     ]
 
 
-def test_a_camera_that_goes_is_said_once_and_what_is_there_when_it_is_back():
-    gone = "no frame for 3 s"
-    assert transcript(TRACKING, gone, "no frame for 4 s", "", TRACKING, TRACKING, gone) == [
-        "tracking: ball is followed",
-        "no-camera: no frame for 3 s",
-        "tracking: ball is followed",
-        "no-camera: no frame for 3 s",
-    ]
+def test_what_is_there_is_said_anew_when_frames_come_again():
+    assert transcript(TRACKING, TRACKING, None, None, TRACKING, TRACKING) == 2 * ["tracking: ball is followed"]
 
 
 def test_events_are_said_when_they_are_new():
@@ -57,34 +52,37 @@ def test_events_are_said_when_they_are_new():
 
 def test_a_ball_that_is_not_found_for_long_is_told_once_with_what_to_do():
     lines = transcript(*[SEARCHING] * 200)
-    assert lines == ["searching: ball is looked for", f"searching: for 5 s: {SEARCHING.event}"]
+    assert lines == ["searching: ball is looked for", f"not found for 5 s: {SEARCHING.event}"]
     assert transcript(*[SEARCHING] * 40) == lines[:1]
     grey = transcript(*[SEARCHING] * 60, image=np.full((40, 40, 3), 120, np.uint8))
-    assert grey[1] == f"searching: for 5 s: {SEARCHING.event} (the frames are grey, or dark)"
+    assert grey[1] == f"not found for 5 s: {SEARCHING.event} (the frames are grey, or dark)"
     assert transcript(*[SEARCHING] * 60, image=np.full((40, 40), 120, np.uint8))[1] == lines[1]  # a grey camera's own
 
 
 def test_several_balls_are_told_apart():
-    other = replace(LOST, name="other", phase=WandPhase.SEARCHING)
-    told = Told()
-    assert told.frame(0.0, (TRACKING, other), COLOUR, 0) == [
+    other = replace(LOST, name="other", phase=Status.SEARCHING)
+    told = Told(0, "ball")
+    assert told.reason == "ball is looked for"
+    assert told.frame(0.0, (TRACKING, other), COLOUR) == (
         "tracking: ball is followed",
-        "searching: other is looked for",
-    ]
+        ("other is looked for",),
+    )
     assert told.found == {0}
-    assert told.why == ""
-    told.frame(0.1, (LOST, replace(TRACKING, name="other")), COLOUR, 0)
+    assert (told.why, told.reason) == ("", "ball is followed")
+    assert told.frame(0.1, (LOST, replace(TRACKING, name="other")), COLOUR) == (
+        f"lost: {LOST.event}", ("other is followed",),
+    )  # fmt: skip
     assert told.found == {0, 1}
-    assert told.why == LOST.event
+    assert (told.why, told.reason) == (LOST.event, LOST.event)
 
 
 def test_a_ball_that_was_never_seen_is_told_at_the_end():
     other = replace(SEARCHING, name="other")
-    told = Told()
-    assert told.never_found() == []
-    told.frame(0.0, (SEARCHING, other), COLOUR, 0)
-    assert told.never_found() == [f"{p.name} was never found: {p.event}" for p in (SEARCHING, other)]
-    assert told.never_found(but=0) == [f"other was never found: {other.event}"]
-    told.frame(0.1, (TRACKING, replace(other, event="bounds that match nothing")), COLOUR, 0)
-    told.frame(0.2, (LOST, replace(other, event="bounds that match nothing")), COLOUR, 0)  # it was found once
-    assert told.never_found() == ["other was never found: bounds that match nothing"]
+    told = Told(0, "ball")
+    assert told.never_found() == ()
+    told.frame(0.0, (SEARCHING, other), COLOUR)
+    assert told.never_found() == tuple(f"{p.name} was never found: {p.event}" for p in (SEARCHING, other))
+    assert told.never_found(but=0) == (f"other was never found: {other.event}",)
+    told.frame(0.1, (TRACKING, replace(other, event="bounds that match nothing")), COLOUR)
+    told.frame(0.2, (LOST, replace(other, event="bounds that match nothing")), COLOUR)  # it was found once
+    assert told.never_found() == ("other was never found: bounds that match nothing",)

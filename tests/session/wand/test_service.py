@@ -1,43 +1,56 @@
-"""The wand before a live camera, in this process: a film behind a scripted camera, and faults at each edge.
+"""The service with a wand, in this process: a film behind a scripted camera, and faults at each edge.
 
 Laws that hold in every test, checked at its end: nothing is sent but while the ball is seen; what frames gave is what
-was sent or was counted as unsent; every shot was given back.
+was sent or was counted as unsent; every raw frame was given back.
 """
 
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from spheremouse.capture import fetch as capture_module
-from spheremouse.errors import DamagedFrameError, OutputError, SourceError
+from spheremouse.errors import ControlError, DamagedFrameError, OutputError, SourceError
+from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.wand import wand_text
 from spheremouse.output import OutputClosed
 from spheremouse.output import reporter as reporter_module
-from spheremouse.output.axes import AxesOutput, AxesText
-from spheremouse.output.pointer import PointerSettings
+from spheremouse.session.control.client import Client
+from spheremouse.session.control.status import StatusReport
+from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.process import realtime
-from spheremouse.session.settings import Configuration
-from spheremouse.session.wand.messages import Told
-from spheremouse.session.wand.plan import Outputs
-from spheremouse.session.wand.service import WandLive
+from spheremouse.session.service import Daemon
+from spheremouse.session.wand.setup import WandSetup
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
-from spheremouse.wand.track import build
 from spheremouse.wand.warm import warm_up
 
 DT = 1.0 / 30.0
+CONFIG = """\
+schema: 1
+tracker: wand
+source: film:played
+output: sink:quiet
+realtime: "off"
+pointer: {{horizon: 0}}
+control: {{socket: {folder}/s}}
+record: {{folder: {folder}/recordings, seconds: 20, free_megabytes: 0}}
+wand: {{axes: {axes}}}
+"""
 PATIENCE = 30.0  # s
 
 
-class Shot:
+class RawFrame:
     def __init__(self, world, stamp, sequence, place):
         self.stamp, self.sequence, self.place, self._world, self._out = stamp, sequence, place, world, True
 
     def frame(self, colour):
-        assert self._out, "a shot that was given back is looked at"
+        assert self._out, "a raw frame that was given back is looked at"
         assert colour
         fault, image = self._world.fault, self._world.images[self.place]
         if fault == "damaged":
@@ -66,11 +79,13 @@ class World:
 
     asked = False  # to stop
 
-    def __init__(self, film, shots):
+    def __init__(self, film, shots, folder):
+        self.folder, self.config = folder, folder / "config.yaml"
         self.film, self.images = film, [s.frame.image for s in shots]
         self.rotation = np.array([s.rotation[0] for s in shots])
+        self.position = np.array([s.position[0] for s in shots])
         self.missing = self.fault = self.broken = ""
-        self.place, self._way, self.moves, self.sequence, self.out, self.opened = 0, 1, 0, 0, 0, 0
+        self.place, self._way, self.moves, self.sequence, self.out, self.opened, self.outputs = 0, 1, 0, 0, 0, 0, 0
         self.stamp = time.monotonic()
         self.shown, self.frames, self.sent, self.said, self.closed = [], [], [], [], False
         self._free, self._lock = threading.Event(), threading.Lock()
@@ -103,7 +118,7 @@ class World:
         self._free.clear()
         with self._lock:
             self.out += 1
-        return Shot(self, self.stamp, self.sequence, self.place)
+        return RawFrame(self, self.stamp, self.sequence, self.place)
 
     def given_back(self):
         with self._lock:
@@ -122,6 +137,7 @@ class World:
     # the output
 
     def open_output(self):
+        self.outputs += 1
         if self.broken:
             raise OutputError(self.broken)
         return Sink(self)
@@ -133,19 +149,20 @@ class World:
     # the run
 
     def start(self, axes=None, frames=None):
-        tracker = build(self.film.scene.camera, (self.film.scene.balls[0].ball,))
-        settings = Configuration(realtime="off", pointer=PointerSettings(horizon=0.0))
-        outputs = Outputs(self.open_output, None if axes is None else axes.open, () if axes is None else (axes,))
-        self.live = WandLive(
-            tracker, settings, self.open_camera, outputs, Told(),
-            say=self.said.append, show=lambda epoch, made: self.frames.append((epoch, made)), frames=frames,
+        self.config.write_text(CONFIG.format(axes="null" if axes is None else axes, folder=self.folder))
+        self.request = Request(self.config)
+        plan = read_plan(self.request)
+        self.daemon = Daemon(
+            self.request, plan, WandSetup(camera=self.film.scene.camera), self.open_camera, lambda _: self.open_camera,
+            say=self.said.append, show=lambda made, _: self.frames.append((made.epoch, made.report)), frames=frames,
         )  # fmt: skip
+        self.client = Client(self.folder / "s")
         self.thread = threading.Thread(target=self._run)
         self.thread.start()
 
     def _run(self):
         try:
-            self.live.run(self)
+            self.daemon.run(self)
         except BaseException as e:
             self.error = e
 
@@ -156,6 +173,10 @@ class World:
                 raise self.error
             assert time.monotonic() < end, f"it never came to be: {what}; {self.said}"
             time.sleep(0.002)
+
+    def news(self):
+        """What was said since it began to track."""
+        return self.said[next(k for k, line in enumerate(self.said) if line.startswith("tracking")) :]
 
     def heard(self, text, times=1):
         self.until(lambda: sum(text in line for line in self.said) >= times, text)
@@ -176,6 +197,10 @@ class World:
         x, y, z = (R[1:] * R[:-1].inv()).as_rotvec().sum(axis=0)
         return self.counts - before, 1800 * np.array([y, x, -z])
 
+    def film_position(self):
+        """(3,) m, of the picture that is shown."""
+        return self.position[self.place]
+
     def turned_unseen(self, place):
         """The ball is turned while nobody sees it, by more than 200 counts."""
         turn = Rotation.from_matrix(self.rotation[place] @ self.rotation[self.place].T).magnitude()
@@ -187,12 +212,12 @@ class World:
         assert not self.thread.is_alive()
 
     def check_laws(self):
-        given = np.sum([m.motion.counts for _, m in self.frames], axis=0) if self.frames else np.zeros(3)
-        status = self.live._reporters[0].status()
-        left = np.sum([g.motion.counts for g in self.live._reporters[0]._given] or [(0, 0, 0)], axis=0)
+        given = np.sum([r.counts for _, r in self.frames], axis=0) if self.frames else np.zeros(3)
+        status = self.daemon._reporter.status()
+        left = np.sum([g.report.counts for g in self.daemon._reporter._given] or [(0, 0, 0)], axis=0)
         assert np.array_equal(self.counts + status.unsent + left, given)
         seen = {e.frame.stamp for e, _ in self.frames if e.poses[0].seen}
-        assert all(m.stamp in seen for m in self.sent if any(m.counts))
+        assert all(m.motion.stamp in seen for m in self.sent if any(m.counts))
         assert self.out == 0
 
 
@@ -200,14 +225,14 @@ class Sink:
     def __init__(self, world):
         self._world = world
 
-    def send(self, motion):
+    def send(self, report):
         if self._world.broken:
             raise OutputError(self._world.broken)
         if self._world.closed:
             raise OutputClosed("sink")
-        self._world.sent.append(replace(motion))
+        self._world.sent.append(report)
 
-    def describe(self, motion):
+    def describe(self, report):
         return ""
 
     def __enter__(self):
@@ -225,14 +250,15 @@ def film():
 
 
 @pytest.fixture
-def world(film, monkeypatch):
-    monkeypatch.setattr("spheremouse.session.wand.service._TICK", 0.02)
+def world(film, tmp_path, monkeypatch):
+    monkeypatch.setattr("spheremouse.session.service._TICK", 0.02)
     monkeypatch.setattr(capture_module, "BACK_OFF", (0.01, 0.02))
     monkeypatch.setattr(reporter_module, "BACK_OFF", (0.01, 0.02))
     monkeypatch.setattr(reporter_module, "LATE", PATIENCE)
     monkeypatch.setattr(realtime, "_give_back", lambda: None)
     monkeypatch.setattr(realtime, "_fold_up_code", lambda: 0)
-    made, threads = World(*film), threading.active_count()
+    made, threads = World(*film, tmp_path), threading.active_count()
+    monkeypatch.setattr("spheremouse.session.wand.follower.open_output", lambda _: made.open_output())
     yield made
     made.asked = True
     made.join()
@@ -258,8 +284,8 @@ def test_counts_are_the_turn_of_the_ball(playing):
     counts, true = playing.turn(28)
     near(counts, true)
     playing.settle(20)
-    assert playing.said == ["tracking: grzonka is followed"]
-    assert playing.live.latency is not None
+    assert playing.news() == ["tracking: grzonka is followed"]
+    assert playing.daemon.latency is not None
 
 
 def test_a_camera_is_missing_goes_and_comes_back(world):
@@ -280,7 +306,6 @@ def test_a_camera_is_missing_goes_and_comes_back(world):
     world.settle()
     assert np.abs(world.counts - before).max() < 30  # and nothing jumps
     near(*world.turn(20))
-    assert len(world.said) == 4
     assert world.opened == 2
 
 
@@ -302,8 +327,8 @@ def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
     [("size", "frames are 320x240"), ("grey", "the frames are grey"), ("damaged", "nothing but damaged frames")],
 )
 def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
-    monkeypatch.setattr("spheremouse.session.wand.service._USELESS", 0.1)
-    monkeypatch.setattr("spheremouse.session.wand.service._DAMAGED", 0.05)
+    monkeypatch.setattr("spheremouse.session.service._USELESS", 0.1)
+    monkeypatch.setattr("spheremouse.session.worker._DAMAGED", 0.05)
     playing.fault = fault
     playing.heard(f"no-camera: {reason}")
     playing.until(lambda: playing.opened > 1, "opened anew")
@@ -346,12 +371,13 @@ def test_an_output_that_fails_is_opened_again_and_nothing_is_sent_in_one_jump(pl
     near(*playing.turn(10))
 
 
-def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wanted(world, film):
+def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wanted(world, film, tmp_path_factory):
     world.start()
     world.settle()
     world.closed = True
     world.join()
-    other = World(*film)
+    world.closed = False
+    other = World(*film, tmp_path_factory.mktemp("other"))
     other.start(frames=4)
     other.join()
     assert len(other.frames) == 4
@@ -360,13 +386,213 @@ def test_it_ends_when_the_reader_has_gone_and_after_as_many_frames_as_were_wante
 
 def test_axes_are_written_beside_the_pointer(world, tmp_path):
     path = tmp_path / "axes.txt"
-    axes = AxesOutput(str(path))
-    assert isinstance(axes.open(), AxesText)
-    world.start(axes)
+    world.start(path)
     world.turn(10)
     world.asked = True
     world.join()
     rows = [line.split() for line in path.read_text().splitlines() if not line.startswith("#")]
-    stamps = {repr(e.frame.stamp): m.motion.counts for e, m in world.frames}
+    stamps = {repr(e.frame.stamp): r.counts for e, r in world.frames}
     assert len(rows) > 10
     assert all(tuple(map(int, row[13:16])) == stamps[row[0]] for row in rows)
+
+
+# ---- what is asked of it ----
+
+
+def test_status_tells_where_the_ball_is(playing):
+    status = playing.client.ask("status")
+    StatusReport.model_validate({k: v for k, v in status.items() if k != "ok"})
+    assert (status["state"], status["tracker"], status["reason"]) == ("tracking", "wand", "grzonka is followed")
+    assert status["discs"] is None
+    assert status["pose"] is None
+    (ball,) = status["balls"]
+    assert (ball["name"], ball["state"]) == ("grzonka", "tracking")
+    assert np.linalg.norm(ball["position_m"]) == pytest.approx(np.linalg.norm(playing.film_position()), rel=0.1)
+    assert all(0.0 < s < 100.0 for s in ball["sigma_mm"])
+    playing.until(lambda: set(playing.client.ask("status")["stages_ms"]) == {"wait", "decode", "track"})
+    playing.fault = "hidden"
+    playing.heard("lost: ")
+    (ball,) = playing.client.ask("status")["balls"]
+    assert (ball["state"], ball["position_m"]) == ("lost", None)
+    assert playing.client.ask("status")["lost_count"] == 1
+
+
+def test_nothing_moves_while_it_is_paused_and_nothing_jumps_after(playing):
+    playing.client.ask("pause")
+    before = playing.counts
+    _, true = playing.turn(20)
+    assert np.array_equal(playing.counts, before)
+    playing.client.ask("resume")
+    playing.settle()
+    assert np.abs(playing.counts - before).max() < 20 < 0.2 * np.abs(true).max()
+    near(*playing.turn(8))
+
+
+def test_reinit_looks_for_the_balls_anew(playing):
+    followed = playing.frames[-1][0].state.tracks[0]
+    counts = playing.counts
+    assert playing.client.ask("reinit")["message"] == "grzonka: looked for anew"
+    playing.settle()
+    assert playing.frames[-1][0].state.tracks[0].course.velocity is not followed.course.velocity
+    assert np.abs(playing.counts - counts).max() < 30
+    near(*playing.turn(20))
+
+
+def test_other_parameters_are_used_and_the_ball_is_followed_on(playing):
+    answer = playing.client.ask("set", assignments=["wand.particles=60", "wand.pointing.scale_x=2"])
+    assert answer["changed"] == ["tracker", "motion"]
+    playing.settle()
+    assert len(playing.frames[-1][0].state.tracks[0].particles.position) == 60
+    counts, true = playing.turn(20)
+    near(counts / [2, 1, 1], true)
+    assert not any("lost" in line for line in playing.said)
+    assert playing.client.ask("reload")["changed"] == ["tracker", "motion"]
+
+
+@pytest.mark.parametrize(
+    ("assignment", "why"),
+    [
+        ("wand.points=2", "wand.points: is 2, but there is one ball; balls are counted from 1"),
+        ("wand.balls=[none.yaml]", "none.yaml: no such file; check the path"),
+        ("tracker=so3", "stop this run and start again"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_nothing_changes(playing, assignment, why):
+    with pytest.raises(ControlError, match=why.replace("(", r"\(")):
+        playing.client.ask("set", assignments=[assignment])
+    near(*playing.turn(20))
+    assert playing.client.ask("status")["state"] == "tracking"
+
+
+def test_other_balls_are_looked_for_and_a_changed_file_is_heard_of(playing, monkeypatch):
+    monkeypatch.setattr("spheremouse.session.service._EVERY", 0.05)
+    ball = playing.film.scene.balls[0].ball
+    (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="mine")))
+    playing.config.write_text(playing.config.read_text().replace("axes: null", "balls: [mine.yaml]"))
+    playing.heard("configuration applied: balls")
+    playing.heard("tracking: mine is followed")
+    (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="hers")))
+    playing.heard("tracking: hers is followed")
+    near(*playing.turn(20))
+
+
+def rows(path):
+    return [line.split() for line in path.read_text().splitlines() if not line.startswith("#")] if path.exists() else []
+
+
+def test_axes_begin_when_they_are_asked_for_and_the_pointer_stays(playing):
+    path, opened = playing.folder / "axes.txt", playing.outputs
+    assert playing.client.ask("set", assignments=[f"wand.axes={path}"])["changed"] == ["axes"]
+    playing.until(lambda: len(rows(path)) > 10, "axes")
+    assert playing.outputs == opened
+    near(*playing.turn(20))
+
+
+def test_axes_go_on_with_other_balls(playing):
+    path, ball = playing.folder / "axes.txt", playing.film.scene.balls[0].ball
+    playing.client.ask("set", assignments=[f"wand.axes={path}"])
+    playing.until(lambda: len(rows(path)) > 3, "axes")
+    (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="mine")))
+    playing.client.ask("set", assignments=["wand.balls=[mine.yaml]"])
+    playing.heard("tracking: mine is followed")
+    n = len(rows(path))
+    playing.until(lambda: len(rows(path)) > n + 5, "axes")
+
+
+def test_without_another_thread_no_output_is_changed(playing, monkeypatch):
+    path, other = playing.folder / "axes.txt", playing.folder / "other.txt"
+    playing.client.ask("set", assignments=[f"wand.axes={path}"])
+    playing.until(lambda: len(rows(path)) > 3, "axes")
+
+    def none(_):
+        raise ControlError("no thread to be had")
+
+    monkeypatch.setattr("spheremouse.session.service.begin", none)
+    with pytest.raises(ControlError, match="no thread"):
+        playing.client.ask("set", assignments=[f"wand.axes={other}"])
+    n = len(rows(path))
+    playing.until(lambda: len(rows(path)) > n + 5, "axes")
+    near(*playing.turn(20))
+
+
+def test_what_another_tracker_reads_changes_nothing(playing):
+    assert playing.client.ask("set", assignments=["motion.scale_x=3"])["changed"] == []
+
+
+def test_a_complaint_is_said_with_the_frame_that_finds_the_ball(world, monkeypatch):
+    from spheremouse.session.wand import follower
+
+    def complaining(state, frame, tracker):
+        state, poses = step(state, frame, tracker)
+        return state, tuple(replace(p, event="a second ball like grzonka") if p.seen else p for p in poses)
+
+    step = follower.step
+    monkeypatch.setattr(follower, "step", complaining)
+    world.start()
+    world.heard("tracking: grzonka is followed")
+    world.heard("a second ball like grzonka")
+
+
+def test_a_recording_shows_who_holds_the_ball_and_so_has_to_be_asked_for_in_whole(playing):
+    with pytest.raises(ControlError, match=r"whoever holds the ball is in the picture.*--everything"):
+        playing.client.ask("record")
+    assert not (playing.folder / "recordings").exists() or not list((playing.folder / "recordings").iterdir())
+
+
+def test_a_recording_is_tracked_again_to_the_last_bit(world, tmp_path):
+    """Poses, covariances and counts, of a recording that was begun before the ball was in view."""
+    world.start()
+    world.heard("tracking: grzonka is followed")
+    world.fault = "hidden"
+    world.heard("lost: ")
+    world.client.ask("record", folder="made", everything=True)
+    world.settle()
+    world.fault = ""
+    world.heard("tracking: grzonka is followed", times=2)
+    world.turn(20)
+    world.client.ask("record", stop=True)
+    folder = world.folder / "recordings" / "made"
+    recording = open_wand(folder)
+    live = {e.frame.stamp: (e, r) for e, r in world.frames}
+    setup = WandSetup(camera=recording.camera)
+    plan = read_plan(Request(folder / "config.yaml", source=f"dataset:{folder}", output="null"))
+    follower = setup.follower(plan, lambda _: None, lambda _, work: work())
+    seen = 0
+    for frame in read_wand_frames(recording):
+        epoch, report = live[frame.stamp]
+        assert np.array_equal(frame.image, epoch.frame.image)
+        assert frame.sequence == epoch.frame.sequence
+        made = follower.follow(frame)
+        assert made.report.counts == report.counts
+        (a,), (b,) = made.epoch.poses, epoch.poses
+        assert a.seen == b.seen
+        if a.seen:
+            seen += 1
+            assert np.array_equal(a.position, b.position)
+            assert np.array_equal(a.rotation, b.rotation)
+            assert np.array_equal(a.covariance, b.covariance)
+    assert seen > 20
+
+
+def test_nothing_is_shown_of_what_hides_a_ball(playing):
+    playing.client.ask("set", assignments=["wand.lost_after=30"])
+    playing.settle()
+    playing.fault = "hidden"
+    playing.until(lambda: playing.client.ask("status")["balls"][0]["state"] == "hidden", "hidden")
+    image = cv2.imread(playing.client.ask("snapshot", file="hidden.png")["file"])
+    assert np.mean(image[:-80].any(axis=2)) < 0.05  # outlines alone
+
+
+def test_a_ball_is_not_said_to_be_there_while_no_frames_come(playing):
+    playing.missing = "unplugged"
+    playing.heard("no-camera: unplugged")
+    (ball,) = playing.client.ask("status")["balls"]
+    assert (ball["state"], ball["position_m"]) == ("searching", None)
+
+
+def test_a_snapshot_shows_the_balls_and_nobody_who_holds_them(playing):
+    path = Path(playing.client.ask("snapshot", file="seen.png")["file"])
+    image = cv2.imread(str(path))
+    assert image.shape == (960, 1280, 3)
+    assert np.mean(image[:-80].any(axis=2)) < 0.5
+    assert image[:-80].any()

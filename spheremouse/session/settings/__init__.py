@@ -5,16 +5,19 @@ from typing import Literal
 
 from spheremouse.ball.settings import Settings
 from spheremouse.capture.settings import CameraSettings
+from spheremouse.output.counts import MotionSettings
 from spheremouse.output.pointer import PointerSettings
-from spheremouse.session.control.settings import ControlSettings, MetricsSettings
-from spheremouse.session.record.settings import RecordSettings
-from spheremouse.session.wand.settings import WandRunSettings
+from spheremouse.session.settings.control import ControlSettings, MetricsSettings
+from spheremouse.session.settings.record import RecordSettings
+from spheremouse.session.settings.wand import WandRunSettings
 from spheremouse.settings import param
 
 
 @dataclass(frozen=True, slots=True)
 class Configuration(Settings):
     """All parameters. Options of the command line, where there are some for the same, come before these."""
+
+    motion: MotionSettings = field(default_factory=MotionSettings)
 
     tracker: Literal["so3", "ekf1", "ekf2", "wand"] = param(  # pyright: ignore[reportIncompatibleVariableOverride]
         "so3", "-", "filter; `ekf1` and `ekf2` are the published ones, `wand` tracks balls in a hand"

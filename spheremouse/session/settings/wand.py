@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, field
 
+from spheremouse.files.dataset.format import MOST_BALLS
 from spheremouse.output.hand import PointingSettings
 from spheremouse.settings import param
 from spheremouse.wand.settings import WandSettings
-
-MOST_BALLS = 8  # each takes its time in every frame, and two people have four hands
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from spheremouse.tracker import Frame
 
 
-class Owned:
-    """Copies what a camera only lends, into a picture that is used again for the next one."""
+class ContiguousBuffer:
+    """A picture to copy what a camera only lends into, used again for the next frame."""
 
     def __init__(self) -> None:
         self._image: NDArray[np.uint8] = np.zeros(0, np.uint8)
 
     def __call__(self, frame: Frame) -> Frame:
-        """The frame itself where it is so already."""
+        """The frame with its picture contiguous and writeable: itself where it is so already."""
         image = frame.image
         if image.flags.c_contiguous and image.flags.writeable:
             return frame

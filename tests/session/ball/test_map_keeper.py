@@ -16,8 +16,8 @@ from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.geometry.camera import InteriorOrientation
-from spheremouse.session import map_keeper as session_map
-from spheremouse.session.map_keeper import MapKeeper, changed, succession
+from spheremouse.session.ball import map_keeper as session_map
+from spheremouse.session.ball.map_keeper import MapKeeper, changed, succession
 
 CAMERA = InteriorOrientation(640, 480, 600.0, 600.0, 320.0, 240.0)
 RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)

@@ -1,0 +1,80 @@
+"""What can change with a frame of the ball, as data."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from spheremouse.tracker import Event
+
+
+class Why(StrEnum):
+    """Why a ball that was tracked is lost."""
+
+    UNSEEN = "unseen"  # no disc confirms where it should be
+    GAP = "gap"  # no frame came
+    OFF_CENTRE = "off-centre"  # it does not turn about its centre
+    CAMERA = "camera"  # the camera was moved, and its pose is not found
+
+
+@dataclass(frozen=True, slots=True)
+class Found(Event):
+    """Tracking begins, with so many discs in view."""
+
+    discs: int
+
+
+@dataclass(frozen=True, slots=True)
+class Turned(Event):
+    """The ball's first turn tells discs from look-alikes: so many are masked."""
+
+    masked: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recognised(Event):
+    """The attitude is found by so many discs of the map: one that was saved, or that of a ball that was lost."""
+
+    discs: int
+    saved: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class BallLost(Event):
+    """Nothing is sent until the ball is found again."""
+
+    why: Why
+    figure: float = 0.0  # s without a confirmation or a frame; m, or radii, off the centre
+    discs: int = 0  # in view
+    radii: bool = False  # the figure counts in radii
+
+
+@dataclass(frozen=True, slots=True)
+class NewMap(Event):
+    """A map is begun anew: at the last attitude known of a ball that was lost, or in place of one that was saved."""
+
+    saved: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class OutOfRound(Event):
+    """The discs do not fit a ball that turns about its centre, though it is followed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadoutKnown(Event):
+    """Play has shown how long the rolling shutter takes for all rows."""
+
+    readout: float  # s
+
+
+@dataclass(frozen=True, slots=True)
+class CameraMoved(Event):
+    """The camera's pose was estimated anew."""
+
+    path: float  # m
+    turn: float  # rad
+    asked: bool = False  # on demand: it need not have moved
+
+
+@dataclass(frozen=True, slots=True)
+class TargetsHidden(Event):
+    """The ball is lost while the targets are out of sight: nobody can say whether the camera was moved."""

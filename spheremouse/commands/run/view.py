@@ -1,0 +1,85 @@
+"""What a person sees of a run: the table on the terminal, the overlay in a file, and what it comes to at the end."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Protocol
+
+from spheremouse.session import offline
+from spheremouse.session.ball.follower import BallFollower
+from spheremouse.session.follower import Follower, Tracked
+from spheremouse.session.overlay.ball import target_marks
+from spheremouse.session.overlay.file import OverlayFile
+from spheremouse.session.overlay.wand import WandOverlay
+from spheremouse.session.plan import Plan
+from spheremouse.session.screen import StatusTable, Tally
+from spheremouse.session.wand.follower import WandFollower
+from spheremouse.session.wand.screen import WandStatusTable
+from spheremouse.wand.state import WandTracker
+
+
+class View(offline.View, Protocol):
+    """Shows tracked frames, and knows what they come to."""
+
+    tally: Tally
+    overlay: OverlayFile | None
+
+
+class BallView:
+    """The ball in its frame."""
+
+    def __init__(self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack) -> None:
+        """`wanted`: a table; it is left with the `stack`."""
+        self.tally = Tally()
+        self._screen = stack.enter_context(StatusTable(plan.source, wanted, self.tally))
+        self.overlay = overlay
+
+    def say(self, text: str) -> None:
+        """One or more lines, which stay."""
+        self._screen.say(text)
+
+    def show(self, made: Tracked, follower: Follower) -> None:
+        """Table and overlay."""
+        self.tally.add(made.report.counts, sum(made.seconds.values()))
+        self._screen.show(made.epoch)
+        if self.overlay is not None:
+            assert isinstance(follower, BallFollower)
+            tracker = follower.tracker
+            assert tracker is not None
+            if self.tally.frames == 1:
+                self.overlay.begin(tracker, target_marks(tracker.rig, tracker.pose, follower.resection))
+            self.overlay.add(made.epoch, self.tally.counts)
+
+
+class WandView:
+    """Balls in a hand."""
+
+    def __init__(self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack) -> None:
+        """`wanted`: lines; they are left with the `stack`."""
+        self.tally = Tally()
+        self._screen = stack.enter_context(WandStatusTable(wanted, self.tally))
+        self.overlay = overlay
+        self._pen: tuple[WandTracker, WandOverlay] | None = None
+
+    def say(self, text: str) -> None:
+        """One or more lines, which stay."""
+        self._screen.say(text)
+
+    def show(self, made: Tracked, follower: Follower) -> None:
+        """Line and overlay."""
+        self.tally.add(made.report.counts, sum(made.seconds.values()))
+        self._screen.show(made.frame.stamp, made.epoch.poses)
+        if self.overlay is not None:
+            assert isinstance(follower, WandFollower)
+            tracker = follower.tracker
+            if self._pen is None or self._pen[0] is not tracker:
+                self._pen = tracker, WandOverlay(tracker, follower.points, self.overlay.scale(tracker.camera.width))
+            (_, pen), counts = self._pen, self.tally.counts
+            pen.remember(made.epoch)
+            self.overlay.show(lambda: pen.draw(made.epoch, counts))
+
+
+def view(plan: Plan, wanted: bool, overlay: Path | None, fps: float | None, stack: ExitStack) -> View:
+    """What shows a run of this plan; `fps` is what a video plays at."""
+    file = None if overlay is None else stack.enter_context(OverlayFile(overlay, fps))
+    kind = WandView if plan.configuration.tracker == "wand" else BallView
+    return kind(plan, wanted, file, stack)

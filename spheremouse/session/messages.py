@@ -1,0 +1,94 @@
+"""What is said of the ball in its frame: an event in, a sentence out. Nothing reads the sentences again."""
+
+from collections.abc import Iterable
+from typing import assert_never, cast
+
+import numpy as np
+
+from spheremouse.ball import events
+from spheremouse.ball.events import BallLost, Why
+from spheremouse.tracker import Event
+
+_Ball = (
+    events.Found
+    | events.Turned
+    | events.Recognised
+    | BallLost
+    | events.NewMap
+    | events.OutOfRound
+    | events.ReadoutKnown
+    | events.CameraMoved
+    | events.TargetsHidden
+)
+
+
+def line(happened: Iterable[Event]) -> str:
+    """What a log has of a frame's events, each with the state that it leads to; empty where there are none."""
+    return "; ".join(f"{_state(e)}{sentence(e)}" for e in happened)
+
+
+def reason(happened: Iterable[Event]) -> str:
+    """The same where the state is told beside it."""
+    return "; ".join(f"{_state(e) if k else ''}{sentence(e)}" for k, e in enumerate(happened))
+
+
+def _state(event: Event) -> str:
+    match event:
+        case BallLost():
+            return "lost: "
+        case events.Found() | events.Recognised(saved=True):
+            return "tracking: "
+        case _:
+            return ""
+
+
+def sentence(event: Event) -> str:
+    """An event in words."""
+    happened = cast(_Ball, event)
+    match happened:
+        case events.Found(discs):
+            return f"{discs} discs in view"
+        case events.Turned(masked):
+            more = f"; {masked} look-alike{'s' if masked > 1 else ''} masked" if masked else ""
+            return f"the ball turns{more}"
+        case events.Recognised(discs, saved=True):
+            return f"recognised by {discs} discs of the saved map"
+        case events.Recognised(discs):
+            return f"tracking again: attitude kept, recognised by {discs} discs"
+        case BallLost():
+            return _why(happened)
+        case events.NewMap(saved=True):
+            return "the saved map does not fit: another ball, or its discs were moved; a new map is begun"
+        case events.NewMap():
+            again = "attitude reset to the last one known, a new map begun; unseen motion not counted"
+            return f"tracking again: {again}"
+        case events.OutOfRound():
+            why = "it is out of round, the camera was moved, or the rig is wrong"
+            return f"the discs do not fit a ball that turns about its centre: {why}"
+        case events.ReadoutKnown(readout):
+            return (
+                f"rolling shutter: {1e3 * readout:.1f} ms for all rows (say readout_s: {readout:.4f} in the rig file)"
+            )
+        case events.CameraMoved(path, turn, asked):
+            moved = "" if asked else "the camera was moved: "
+            return f"{moved}pose estimated anew ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
+        case events.TargetsHidden():
+            return "the targets are out of sight: if the camera was moved, initialise again"
+        case _:
+            assert_never(happened)
+
+
+def _why(lost: BallLost) -> str:
+    match lost.why:
+        case Why.UNSEEN:
+            seen = f"{lost.discs} discs in view, none where it should be" if lost.discs else "no disc in view"
+            return f"{seen} for {lost.figure:.1f} s"
+        case Why.GAP:
+            return f"no frame for {lost.figure:.1f} s"
+        case Why.OFF_CENTRE:
+            by = f"{100.0 * lost.figure:.1f} % of its radius" if lost.radii else f"{1e3 * lost.figure:.0f} mm"
+            return f"the ball does not turn about its centre, off by {by}: lifted, or out of round"
+        case Why.CAMERA:
+            return "the camera was moved, and its pose is not found: uncover the targets, or initialise again"
+        case _:
+            assert_never(lost.why)

@@ -1,0 +1,16 @@
+"""Which tracker a plan names, with the source that it reads."""
+
+from spheremouse.capture import open_source
+from spheremouse.session.ball.setup import BallSetup
+from spheremouse.session.cameras import is_camera
+from spheremouse.session.follower import Setup
+from spheremouse.session.plan import Plan
+from spheremouse.session.wand.setup import WandSetup, wand_setup
+
+
+def setup(plan: Plan, realtime: bool = False) -> Setup:
+    """Of a plan: a recording is opened here, and its frames held to their stamps where it is to be `realtime`."""
+    camera = is_camera(plan.source)
+    if plan.configuration.tracker == "wand":
+        return WandSetup() if camera else wand_setup(plan.source, realtime)
+    return BallSetup() if camera else BallSetup(open_source(plan.source, realtime=realtime))

@@ -1,0 +1,205 @@
+"""Hand-held balls at work: each frame tracked, the pointer moved by one of them, all of their axes as text."""
+
+import time
+from collections.abc import Callable, Collection
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spheremouse.errors import ConfigurationError, SourceError, SpheremouseError
+from spheremouse.output import Output, open_output
+from spheremouse.output.axes import AxesOutput
+from spheremouse.output.hand import HandMapping
+from spheremouse.output.pointer import Counts
+from spheremouse.session.follower import Change, Follower, News, Tracked
+from spheremouse.session.overlay.pen import Image
+from spheremouse.session.plan import Plan
+from spheremouse.session.wand.messages import Told
+from spheremouse.session.wand.offline import check_wand_frame
+from spheremouse.session.wand.subject import WandSubject, picture
+from spheremouse.tracker import Frame, Status
+from spheremouse.wand.axes import axes_of as six_axes
+from spheremouse.wand.state import WandEpoch, WandPose, WandState, WandTracker
+from spheremouse.wand.track import begin, step
+
+Make = Callable[[Plan], WandTracker]
+
+
+class WandFollower:
+    """Frames in, motion out, for balls and their settings."""
+
+    def __init__(
+        self, make: Make, plan: Plan, say: Callable[[str], None], axes: tuple[AxesOutput, ...] | None = None
+    ) -> None:
+        """`make` gives the tracker that a plan asks for, `axes` are those that go on. Raises ConfigurationError."""
+        self._make, self._say = make, say
+        self._hand = HandMapping(plan.configuration.wand.pointing, plan.configuration.wand.points - 1)
+        self._state: WandState | None = None
+        self._poses: tuple[WandPose, ...] = ()
+        self._frames = 0
+        self._change, self._more = "", list[str]()
+        self.waiting = ""
+        self.status = Status.SEARCHING
+        self._take_on(plan, make(plan), axes_of(plan) if axes is None else axes)
+        self._told = Told(self.points, self.tracker.balls[self.points].name)
+
+    def _take_on(self, plan: Plan, tracker: WandTracker, axes: tuple[AxesOutput, ...]) -> None:
+        self._plan, self.tracker, self._axes = plan, tracker, axes
+        self.points = plan.configuration.wand.points - 1  # index of the ball that moves the pointer
+        self.subject = WandSubject(tracker, plan.configuration)
+
+    @property
+    def reason(self) -> str:
+        """What is known of the ball that points."""
+        return self._told.reason
+
+    @property
+    def outputs(self) -> tuple[Callable[[], Output], ...]:
+        """The pointer's, and the axes' where they go elsewhere: text outputs get the axes with the counts."""
+        return outputs_of(self._plan, self._axes)
+
+    def introduce(self) -> None:
+        """Say which balls are looked for."""
+        balls = (f"ball: {b.name}, {2e3 * b.radius:g} mm across, {len(b.discs)} discs" for b in self.tracker.balls)
+        self._say("\n".join(balls))
+
+    def wants_colour(self, stamp: float) -> bool:
+        """Always: it is colours that are looked for."""
+        return True
+
+    def check(self, frame: Frame) -> None:
+        """Raise SourceError where a frame has another size than the camera's, or no colour."""
+        check_wand_frame(frame, self.tracker)
+
+    def follow(self, frame: Frame) -> Tracked:
+        """Track the balls."""
+        begun = time.perf_counter()
+        state = self._state or begin(self.tracker, 0, frame.stamp)
+        self._state, self._poses = step(state, frame, self.tracker)
+        epoch = WandEpoch(frame, self._poses, self._state, time.perf_counter() - begun)
+        report = self._hand.report(epoch)
+        for axes in self._axes:
+            axes.expect(frame.stamp, self._poses, self.points)
+        self._frames += 1
+        self.status = self._poses[self.points].phase
+        news = self._told.frame(frame.stamp, self._poses, frame.image)
+        self._change = news.change or self._change
+        self._more += news.more
+        return Tracked(frame, report, {"track": epoch.seconds}, epoch)
+
+    def take_news(self) -> News:
+        """What is to be said since this was last asked."""
+        news = News(self._change, tuple(self._more))
+        self._change = ""
+        self._more.clear()
+        return news
+
+    def interrupted(self, reason: str) -> None:
+        """Nothing moves to where the ball is next seen."""
+        self._hand.interrupted()
+        self._told.interrupted()
+
+    def restart(self, reason: str) -> None:
+        """All balls looked for anew."""
+        self._state, self._poses, self.status = None, (), Status.SEARCHING
+        self._hand.interrupted()
+        self._told.reason = reason
+
+    def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
+        """Other parameters, and the balls followed on; or other balls, or another camera, and all looked for anew."""
+        axes = axes_of(plan) if {"output", "axes"} & set(changed) else self._axes
+        if {"balls", "rig"} & set(changed):
+            other = WandFollower(self._make, plan, self._say, axes)
+
+            def begin_other() -> Follower:
+                other.introduce()
+                return other
+
+            return Change(other.outputs, begin_other)
+        tracker = self._make(plan) if "tracker" in changed else self.tracker
+
+        def go_over() -> Follower:
+            before = self.points
+            self._take_on(plan, tracker, axes)
+            if "motion" in changed or self.points != before:
+                self._hand = HandMapping(plan.configuration.wand.pointing, self.points)
+            if self.points != before:
+                self._told = Told(self.points, tracker.balls[self.points].name)
+                self.status = self._poses[self.points].phase if self._poses else Status.SEARCHING
+            return self
+
+        return Change(outputs_of(plan, axes), go_over)
+
+    def reinitialise(self, answer: Callable[[str | None, str], None], wanted: Callable[[], bool]) -> None:
+        """All balls looked for anew with the next frame: where it follows something else, this is the way out."""
+        self.restart("looked for anew, as asked")
+        names = " and ".join(ball.name for ball in self.tracker.balls)
+        answer(None, f"{names}: looked for anew")
+
+    def figures(self, seeing: bool) -> dict[str, Any]:
+        """Where each ball is."""
+        none, poses = dict.fromkeys(("discs", "discs_seen", "discs_known", "pose")), self._poses
+        if not seeing or not poses:
+            poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, "") for b in self.tracker.balls)
+        return {**none, "balls": [_figures(pose) for pose in poses]}
+
+    def picture(self, tracked: Tracked, counts: Counts, everything: bool) -> Callable[[], Image]:
+        """The overlay of a frame, whose picture is copied; black but about the balls unless `everything`."""
+        epoch, tracker = tracked.epoch, self.tracker
+        assert isinstance(epoch, WandEpoch)
+        image = epoch.frame.image.copy()
+        return lambda: picture(epoch, image, tracker, self.points, counts, everything=everything)
+
+    def failure(self, unused: str) -> SpheremouseError | None:
+        """SourceError where the ball that points was never seen."""
+        if self.points in self._told.found:
+            return None
+        frames = f"{self._frames} frame{'' if self._frames == 1 else 's'}"
+        why = f"{self._told.why} (looked for in {frames})" if self._frames else unused or "gave no frame"
+        return SourceError(f"{self._plan.source}: {why}")
+
+    def last_words(self, failed: bool) -> tuple[str, ...]:
+        """A line for each ball that was never seen, but for the one that points where that is told as the failure."""
+        return self._told.never_found(but=self.points if failed else None)
+
+    def close(self) -> None:
+        """Nothing is learnt of balls."""
+
+
+def axes_of(plan: Plan) -> tuple[AxesOutput, ...]:
+    """Where the axes of a plan go. ConfigurationError where that is the same place twice."""
+    kind, _, argument = plan.output.partition(":")
+    places = [argument] if kind == "text" else []
+    further = plan.configuration.wand.axes
+    if further is not None:
+        if places and _place(argument) == _place(further):
+            raise ConfigurationError(f"--axes {further}: is the output already, which has the axes; leave it out")
+        places.append(further)
+    return tuple(map(AxesOutput, places))
+
+
+def outputs_of(plan: Plan, axes: tuple[AxesOutput, ...]) -> tuple[Callable[[], Output], ...]:
+    """What opens the pointer's output, which is that of axes where it is text, and those of further axes."""
+    opened = [a.open for a in axes]
+    return tuple(opened) if plan.output.partition(":")[0] == "text" else (partial(open_output, plan.output), *opened)
+
+
+def _place(argument: str) -> str:
+    return "-" if argument in ("", "-") else str(Path(argument).absolute())
+
+
+def _figures(pose: WandPose) -> dict[str, Any]:
+    """A ball as a status has it; the pose null where it is not known."""
+    known: dict[str, Any] = dict.fromkeys(("position_m", "angles_deg", "sigma_mm", "sigma_deg"))
+    if pose.position is not None and pose.rotation is not None and pose.covariance is not None:
+        axes = six_axes(pose.position, pose.rotation, pose.covariance)
+        known = {
+            "position_m": axes.position.tolist(),
+            "angles_deg": np.degrees(axes.angles).tolist(),
+            "sigma_mm": (1e3 * axes.position_sigma).tolist(),
+            "sigma_deg": np.degrees(axes.angles_sigma).tolist(),
+        }
+    hidden = pose.phase is Status.TRACKING and not pose.seen
+    return {"name": pose.name, "state": "hidden" if hidden else str(pose.phase), **known}
