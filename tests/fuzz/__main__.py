@@ -33,7 +33,7 @@ for _module in pkgutil.iter_modules([str(Path(__file__).parent)]):  # each adds 
         importlib.import_module(f"tests.fuzz.{_module.name}")
 
 _SHORT, _LONG = 28.0, 600.0  # s in all
-_FIRST = 5.0  # s in which a target shows how fast it is
+_ROUND = 60.0  # s of one target before it is the next one's turn
 _LEAST = 20  # examples of each target, however long they take
 # What a target calls is compiled beforehand, by a process of its own: it takes longer than an example may.
 _READY = """
@@ -61,16 +61,20 @@ def _for_seconds(names: list[str], seconds: float, seed: int, batch: int, every:
 
 
 def _for_examples(names: list[str], examples: int, seed: int, batch: int) -> dict[str, Result]:
-    """So many examples in all, as much time for each target: the fast ones have most of them."""
-    results = {name: tried(name, seed, Limit(_FIRST, examples, batch, every=int(batch == 0))) for name in names}
-    pace = {name: max(r.count, 1) / max(r.seconds, 1e-3) for name, r in results.items()}
-    missing = examples - sum(r.count for r in results.values())
-    for name in names:
-        before, more = results[name], math.ceil(missing * pace[name] / sum(pace.values()))
-        if before.found is None and more > 0:
-            results[name] = before.joined(tried(name, seed, Limit(math.inf, more, before.batch, every=0)))
-        _tell(name, results[name])
+    """So many examples in all, in rounds of as much time for each target: the fast ones have most of them."""
+    results, every = {name: Result(batch=batch) for name in names}, int(batch == 0)
+    while (sound := [n for n in names if results[n].found is None]) and _missing(results, examples):
+        for name in sound:
+            if missing := _missing(results, examples):
+                limit = Limit(_ROUND, missing, results[name].batch, every)
+                results[name] = results[name].joined(tried(name, seed, limit))
+                _tell(name, results[name])
+        every = 0
     return results
+
+
+def _missing(results: dict[str, Result], examples: int) -> int:
+    return max(examples - sum(r.count for r in results.values()), 0)
 
 
 def _tell(name: str, r: Result) -> None:
