@@ -1,6 +1,6 @@
 """A calibration board before a camera: places for it, what its corners project to, and its picture."""
 
-from functools import cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -44,17 +44,15 @@ def views(R, t, rng, sigma, pattern=PATTERN, camera=CAMERA):
     return result
 
 
+FINE = 3  # samples a pixel, each way
+
+
 def picture(R, t, pattern=PATTERN, camera=CAMERA, rng=None, noise=0.0, blur=0.6):
     """Grey image of the board on a grey wall; R None: the wall alone."""
-    fine = 3
-    offset = (np.arange(fine) + 0.5) / fine - 0.5
-    u = (np.arange(camera.width)[:, None] + offset).ravel()
-    v = (np.arange(camera.height)[:, None] + offset).ravel()
-    grey = np.full((len(v), len(u)), 120.0, np.float32)
+    grey = np.full((FINE * camera.height, FINE * camera.width), 120.0, np.float32)
     if R is not None:
-        at = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-        at += np.random.default_rng(0).uniform(-0.5, 0.5, at.shape) / fine  # or edges along the rows would be stairs
-        xy, _ = unproject(at, camera)
+        part = _about(R, t, pattern, camera)
+        xy = _rays(camera.width, camera.height, *camera.intrinsic, *camera.distortion)[part].reshape(-1, 2)
         ray = np.column_stack([xy, np.ones(len(xy))])
         s = (R[:, 2] @ t) / (ray @ R[:, 2])
         x, y = (((ray * s[:, None] - t) @ R[:, :2]) / pattern.square + 1.0).T  # in squares from the outer corner
@@ -64,12 +62,40 @@ def picture(R, t, pattern=PATTERN, camera=CAMERA, rng=None, noise=0.0, blur=0.6)
         inside = (x > 0.0) & (y > 0.0) & (x < w) & (y < h)
         paint = np.where(card, 230.0, 120.0)
         paint[inside] = _ink(pattern, x[inside], y[inside])
-        grey = paint.reshape(grey.shape).astype(np.float32)
+        grey[part] = paint.reshape(grey[part].shape)
     image = cv2.resize(grey, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     image = cv2.GaussianBlur(image, (0, 0), blur)
     if rng is not None and noise > 0.0:
         image = image + rng.normal(0.0, noise, image.shape)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+@lru_cache(maxsize=2)
+def _rays(width, height, *lens):
+    """(FINE * height, FINE * width, 2): where each sample of a picture looks, x/z and y/z."""
+    camera = InteriorOrientation(width, height, *lens[:4], np.array(lens[4:]))
+    offset = (np.arange(FINE) + 0.5) / FINE - 0.5
+    u = (np.arange(width)[:, None] + offset).ravel()
+    v = (np.arange(height)[:, None] + offset).ravel()
+    at = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    at += np.random.default_rng(0).uniform(-0.5, 0.5, at.shape) / FINE  # or edges along the rows would be stairs
+    return unproject(at, camera)[0].reshape(len(v), len(u), 2)
+
+
+def _about(R, t, pattern, camera):
+    """The samples among which the whole card is: rows and columns."""
+    along = np.linspace(0.0, 1.0, 20)
+    x, y = pattern.columns + 1.8, pattern.rows + 1.8
+    edge = [(x * a, 0.0) for a in along] + [(x * a, y) for a in along]
+    edge += [(0.0, y * a) for a in along] + [(x, y * a) for a in along]
+    points = (np.array([(*at, 0.0) for at in edge]) - [1.4, 1.4, 0.0]) * pattern.square
+    uv, _ = project(points @ R.T + t, camera)
+    if not np.isfinite(uv).all():
+        return slice(None), slice(None)
+    (left, top), (right, bottom) = uv.min(axis=0) - 4.0, uv.max(axis=0) + 4.0
+    return slice(max(int(FINE * top), 0), max(int(FINE * bottom), 0)), slice(
+        max(int(FINE * left), 0), max(int(FINE * right), 0)
+    )
 
 
 def _ink(pattern, x, y):
