@@ -170,8 +170,9 @@ def _placed(block: Block, image: ImagePoints) -> tuple[Array, Array, Array]:
 
 def _centroids(cam: Array, normal: Array, problem: Problem, camera: InteriorOrientation) -> Array:
     """Mean centroids of the circles of targets at `cam`, (k, 3), that face `normal`, (k, 3), in px, (k, 2)."""
-    radii = problem.device.target_radii
-    return np.mean([ellipse_to_pixel(*project_circle(cam, normal, float(r)), camera)[0] for r in radii], axis=0)
+    radii = np.asarray(problem.device.target_radii, dtype=float)
+    circles = project_circle(np.tile(cam, (len(radii), 1)), np.tile(normal, (len(radii), 1)), np.repeat(radii, len(cam)))
+    return ellipse_to_pixel(*circles, camera)[0].reshape(len(radii), -1, 2).mean(axis=0)
 
 
 def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
@@ -186,17 +187,14 @@ def _eccentricity_slopes(problem: Problem, block: Block) -> Array:
     normal = R[:, 2]
     if not np.all(cam[:, 2] > 0.0):
         return slopes
+    step = np.concatenate([np.eye(6), -np.eye(6)])[:, None] * 1e-4  # of the depth; of a unit vector
+    places = (cam + step[..., :3] * cam[:, 2:]).reshape(-1, 3)
+    normals = (normal + step[..., 3:]).reshape(-1, 3)
     try:
-        for j in range(6):
-            step = np.zeros(6)
-            step[j] = 1e-4  # of the depth; of a unit vector
-            h = step[:3] * cam[:, 2:]
-            moved = [
-                _centroids(cam + s * h, normal + s * step[3:], problem, block.camera)
-                - project(cam + s * h, block.camera)[0]
-                for s in (1.0, -1.0)
-            ]
-            slopes[ring, :, j] = (moved[0] - moved[1]) / (2e-4 * (cam[:, 2:] if j < 3 else 1.0))
+        off = _centroids(places, normals, problem, block.camera) - project(places, block.camera)[0]
+        ahead, behind = off.reshape(2, 6, -1, 2)
+        depth = np.concatenate([np.tile(cam[:, 2:], (1, 3)), np.ones((len(cam), 3))], axis=1)
+        slopes[ring] = (ahead - behind).transpose(1, 2, 0) / (2e-4 * depth[:, None])
     except np.linalg.LinAlgError:
         slopes[:] = 0.0
     return slopes
