@@ -13,7 +13,7 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter
 from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import So3State, with_map
+from spheremouse.ball.filters.so3_state import with_map
 from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
@@ -80,7 +80,7 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     """
     R = np.eye(3) if attitude is None else attitude
     start: Any = tracker.filter.initial(stamp, R)
-    saved = known is not None and len(known) >= 3 and isinstance(start, So3State)
+    saved = known is not None and len(known) >= 3 and not tracker.classic
     if saved and known is not None:
         start = with_map(start, known, _REMEMBERED)
     return TrackState(
@@ -90,7 +90,7 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         stamp,
         no_detections(),
         no_points(tracker),
-        watch=watching.begin(tracker.rig, tracker.pose) if isinstance(start, So3State) else None,
+        watch=None if tracker.classic else watching.begin(tracker.rig, tracker.pose),
     )
 
 

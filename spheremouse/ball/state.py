@@ -1,7 +1,7 @@
 """What tracking carries from frame to frame: the phase it is in, and what all phases have."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from spheremouse.tracker import Event, Frame, Motion, Status
 _SURE = 10  # sightings from which a disc is worth keeping
 
 Events = tuple[Event, ...]
+F = TypeVar("F", bound=FilterState)
+K = TypeVar("K", bound=Filter[Any])
 
 
 class Detector(Protocol):
@@ -33,14 +35,19 @@ class Detector(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Tracker:
+class Tracker(Generic[K]):
     """What stays the same from frame to frame: device, camera pose, stages with their settings."""
 
     settings: Settings
     rig: Rig
     pose: Pose
     detector: Detector
-    filter: Filter[Any]
+    filter: K
+
+    @property
+    def classic(self) -> bool:
+        """Is it the tracker of the published filters (`ball.classic`)?"""
+        return self.settings.tracker != "so3"
 
 
 class View(NamedTuple):
@@ -97,11 +104,11 @@ Phase = Recognising | Learning | Tracking | Lost
 
 
 @dataclass(frozen=True, slots=True)
-class TrackState:
+class TrackState(Generic[F]):
     """What one frame hands to the next."""
 
     phase: Phase
-    filter: FilterState
+    filter: F
     reported_attitude: Array  # (3, 3) at the last motion
     confirmed_at: float  # s, stamp of the last frame whose discs confirmed the attitude
     detections: Detections  # all of the last frame
@@ -111,7 +118,7 @@ class TrackState:
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: Watch | None = None  # on the targets: does the camera stand?
-    rebuilt: Tracker | None = None  # for the pose found after the camera was moved; None: it never was
+    rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
     readout_known: bool = False  # play has shown what the rolling shutter takes
 
     @property
@@ -132,7 +139,7 @@ class TrackState:
         return isinstance(phase, Tracking)
 
 
-def current(state: TrackState, tracker: Tracker) -> Tracker:
+def current(state: TrackState, tracker: Tracker[K]) -> Tracker[K]:
     """The tracker in use: the one given, or the one rebuilt since, when the camera was moved."""
     return tracker if state.rebuilt is None else state.rebuilt
 
@@ -144,7 +151,7 @@ def disc_map(state: TrackState) -> DiscMap | None:
     return to_map(state.filter, _SURE)
 
 
-def lost(state: TrackState, lifted_at: float | None = None) -> TrackState:
+def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:
     """The ball lost with this frame; frames off its centre are counted anew when it is found."""
     last = state.phase
     assert isinstance(last, Learning | Tracking)
@@ -158,8 +165,8 @@ def unused(filter_state: Any) -> Any:
 
 
 def tracked(
-    state: TrackState, phase: Learning | Tracking, filtered: FilterState, reported: Array, stamp: float
-) -> TrackState:
+    state: TrackState[F], phase: Learning | Tracking, filtered: F, reported: Array, stamp: float
+) -> TrackState[F]:
     """Tracked from this frame on, by a filter just found or begun; motion counts from the attitude `reported`."""
     return replace(
         state,

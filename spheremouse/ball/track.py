@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.ball import camera_watch as watching
+from spheremouse.ball import classic
 from spheremouse.ball.build import begin, build, check_size
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
@@ -135,7 +136,7 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
     anew = build(tracker.rig, current(state, tracker).pose, settings)
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
-    if settings.so3.levels != tracker.settings.so3.levels and isinstance(state.filter, So3State):
+    if settings.so3.levels != tracker.settings.so3.levels and not anew.classic:
         state = replace(state, filter=replace(state.filter, weights=np.zeros(0)))  # they were those of other levels
     return replace(state, rebuilt=None, search=SearchState()), anew
 
@@ -145,7 +146,10 @@ def _stages(
 ) -> Step[TrackState]:
     """One frame of a camera that stands."""
     predicted = tracker.filter.predict(state.filter, frame.stamp)
-    detections, search = look(state, frame, tracker, predicted)
+    if tracker.classic:
+        detections, search = tracker.detector.detect(frame.image), state.search
+    else:
+        detections, search = look(state, frame, tracker, predicted)
     detected()
     return advance(state, frame.stamp, detections, tracker, predicted, search)
 
@@ -201,14 +205,14 @@ def _with_new_pose(
     if not (state.known_to_turn or isinstance(state.phase, Recognising)):
         # nothing is known yet but where candidates were in the picture
         filtered = anew.filter.initial(state.filter.stamp, state.filter.attitude).with_reference_of(filtered)
-    elif isinstance(filtered, So3State) and isinstance(anew.filter, So3Filter):
+    elif not anew.classic:
         joint = filtered.joint.copy()
         if added is None:
             consider(joint, anew.filter.considered)
         else:
             joint[CORE : CORE + 6, CORE : CORE + 6] += added
         filtered = replace(filtered, joint=joint)
-    watch = watching.begin(anew.rig, anew.pose)
+    watch = None if anew.classic else watching.begin(anew.rig, anew.pose)
     if watch is not None:
         watch = replace(with_references(watch, frame, anew), due=frame.stamp)
     phase = _from_elsewhere(state.phase)
@@ -259,7 +263,7 @@ def advance(
     search: SearchState | None = None,
 ) -> Step[TrackState]:
     """The stages after detection; `predicted` is the filter carried on to `stamp`, where that was done before."""
-    carried: FilterState = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
+    carried: Any = tracker.filter.predict(state.filter, stamp) if predicted is None else predicted
     free, lookalikes = static.unmasked(state.lookalikes, detections.centre, stamp, tracker.settings.static)
     if free.all():
         points = intersect(detections, tracker.rig, tracker.pose)
@@ -275,23 +279,31 @@ def advance(
         confirmed=False,
         search=search or state.search,
     )
-    state, events = lost_in_a_gap(state, stamp, tracker)
-    match state.phase:
-        case Recognising():
-            state, events = recognise(state, state.phase, stamp, tracker)
-        case Learning():
-            state, events = learn(state, state.phase, stamp, tracker, carried)
-        case Tracking():
-            state, events = check_bearings(follow(state, stamp, tracker, carried), stamp, tracker, carried)
-        case Lost():
-            state, more = recover(state, state.phase, stamp, tracker)
-            events = more or events
+    what_next = classic.next_phase if tracker.classic else _next_phase
+    state, events = what_next(state, stamp, tracker, carried)
     state, more = _lost_in_time(state, stamp, tracker)
     events = (*more, *events)  # what leads to the state comes first
-    if tracker.rig.readout_sigma_s > 0.0 and not state.readout_known:
+    if tracker.rig.readout_sigma_s > 0.0 and not (state.readout_known or tracker.classic):
         state, more = learn_readout(state, tracker)
         events = (*events, *more)
     return _reported(state, stamp, events)
+
+
+def _next_phase(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> tuple[TrackState[So3State], Events]:
+    """The state after the points of a frame, and what has changed."""
+    state, events = lost_in_a_gap(state, stamp, tracker)
+    match state.phase:
+        case Recognising():
+            return recognise(state, state.phase, stamp, tracker)
+        case Learning():
+            return learn(state, state.phase, stamp, tracker, predicted)
+        case Tracking():
+            return check_bearings(follow(state, stamp, tracker, predicted), stamp, tracker, predicted)
+        case Lost():
+            state, more = recover(state, state.phase, stamp, tracker)
+            return state, more or events
 
 
 def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:

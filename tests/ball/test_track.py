@@ -616,3 +616,34 @@ def test_another_filter_begins_at_the_last_attitude():
     after, other = with_settings(state, tracker, replace(SO3, tracker="ekf2"))
     assert other.settings.tracker == "ekf2"
     assert_allclose(after.filter.attitude, state.filter.attitude, atol=1e-12)
+
+
+# --- the published trackers ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["ekf1", "ekf2"])
+def test_the_published_keep_no_map_and_begin_anew_where_they_lost_the_ball(name):
+    """With the first frame that shows discs again, at the last attitude, and without a motion for what was not seen."""
+    out = film(lambda t: start(t, 0.5), seconds(4.0), settings=Settings(tracker=name), extra=BOLTS, hidden=[(2.0, 3.0)])
+    back = round(3.0 / DT)
+    assert [type(e) for e in out.events if isinstance(e, (BallLost, NewMap, Recognised))] == [BallLost, NewMap]
+    assert out.states[back - 1].status is Status.LOST
+    assert out.states[back].status is Status.TRACKING
+    assert_allclose(out.states[back].filter.attitude, out.states[back - 1].filter.attitude, atol=0.02)
+    assert np.abs(out.rotation[round(2.3 / DT) : back + 1]).max() < 1e-15
+    assert not out.motions[back].covariance[:3].any()
+    assert_allclose(out.motions[-1].rate[:3], ROLL, atol=0.1)
+
+
+@pytest.mark.parametrize("name", ["ekf1", "ekf2"])
+def test_the_published_do_not_watch_the_camera(name):
+    """Neither from the beginning nor from where the pose was estimated anew."""
+    tracker = build(RIG, POSE, Settings(tracker=name))
+    state = begin(tracker, 0.0)
+    image = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
+    assert state.watch is None
+    assert not wants_colour(state, 1.0)
+    pushed = replace(POSE, position=np.array([0.01, 0.0, 2.35]))
+    done = with_pose(state, Frame(image, 0.1, 1), tracker, pushed)
+    assert done.state.watch is None
+    assert [type(e) for e in done.events] == [CameraMoved]

@@ -79,3 +79,7 @@ class Filter(Protocol[S]):
         Points that belong to no known disc found a new one where they may, `may_start_landmark` (n,) (None: all).
         """
         ...
+
+    def beyond_chance(self, predicted: S, used: int, points: int) -> bool:
+        """Would so many of a frame's points, most of them no disc, meet a predicted disc only if it is there?"""
+        ...

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import pdtrc
 
 from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
@@ -25,6 +26,7 @@ from spheremouse.geometry.rotation import Array
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _LINEAR = 0.02  # rad: a correction larger than that is made again about where it led
 _NONE = np.zeros(0, dtype=np.intp)
+_POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _STILL = np.zeros((CORE, CORE))
 _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense; the allowance for it grows no more
 
@@ -98,6 +100,16 @@ class So3Filter:
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices of the discs that face the camera."""
         return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)
+
+    def beyond_chance(self, predicted: So3State, used: int, points: int) -> bool:
+        """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
+
+        Each point lies in each disc's gate by chance with that gate's share of what the camera sees of the ball.
+        """
+        which = self.visible(predicted)
+        areas = self.settings.gate * np.pi * (self.place_sigma(predicted, which) ** 2 + _POINT_SIGMA**2)
+        chance = points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - self.horizon))  # pairs to be expected
+        return bool(pdtrc(used - 1, chance) < 1e-3)
 
     def place_sigma(self, state: So3State, which: NDArray[np.intp]) -> Array:
         """Standard deviation, (k,) rad, along its worse axis, of where each of the discs `which` is predicted."""

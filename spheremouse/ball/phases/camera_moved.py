@@ -23,9 +23,9 @@ def hidden(watch: Watch | None) -> bool:
     return int(np.count_nonzero(watch.seen)) < 3
 
 
-def surprised(state: TrackState) -> bool:
+def surprised(state: TrackState[So3State]) -> bool:
     """Did the last frame's discs say something that a bumped camera would say?"""
-    if state.status is not Status.TRACKING or not isinstance(state.filter, So3State):
+    if state.status is not Status.TRACKING:
         return state.status is Status.LOST
     freedom = 2 * len(state.filter.used)
     return (

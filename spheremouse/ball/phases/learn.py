@@ -9,10 +9,9 @@ from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.events import Found, Turned
-from spheremouse.ball.filters import FilterState
-from spheremouse.ball.phases.follow import confirms
+from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.points import SpherePoints
-from spheremouse.ball.state import Events, Learning, Tracker, Tracking, TrackState, View
+from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 
@@ -20,8 +19,8 @@ _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again wi
 
 
 def learn(
-    state: TrackState, phase: Learning, stamp: float, tracker: Tracker, predicted: FilterState
-) -> tuple[TrackState, Events]:
+    state: TrackState[F], phase: Learning, stamp: float, tracker: Tracker, predicted: F
+) -> tuple[TrackState[F], Events]:
     """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
@@ -52,7 +51,7 @@ def learn(
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 
 
-def found(state: TrackState, phase: Learning, stamp: float) -> tuple[TrackState, Events]:
+def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
     """The ball is tracked from where two discs are seen."""
     if phase.found:
         return replace(state, phase=phase), ()

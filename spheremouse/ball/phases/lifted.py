@@ -8,7 +8,6 @@ from spheremouse.ball import bearings as bearing
 from spheremouse.ball.bearings import Shift
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.events import BallLost, OutOfRound, Why
-from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_predict import FIRST, REFERENCE
 from spheremouse.ball.filters.so3_state import So3State, delays
@@ -22,8 +21,8 @@ _FRAME = 0.1  # s, the longest that one frame counts for
 
 
 def check_bearings(
-    state: TrackState, stamp: float, tracker: Tracker, predicted: FilterState
-) -> tuple[TrackState, Events]:
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> tuple[TrackState[So3State], Events]:
     """What the followed frame says of the ball's centre: a frame that shows it off its place is set aside.
 
     A second one in a row is a ball that was lifted: lost, and nothing sent, until the discs fit a rotation again. A
@@ -61,21 +60,14 @@ def check_bearings(
     return replace(state, phase=Tracking(Roundness(0, misfit, still, turned))), ()
 
 
-def _all_fit(state: TrackState) -> bool:
+def _all_fit(state: TrackState[So3State]) -> bool:
     """Is every point of the last frame a known disc in its place? Then there is nothing to look into."""
     f, used = state.filter, len(state.filter.used)
-    return (
-        isinstance(f, So3State)
-        and used == len(state.points)
-        and f.nis < 4.0 * used + 10.0
-        and f.manoeuvre_level < _PUSHED
-    )
+    return used == len(state.points) and f.nis < 4.0 * used + 10.0 and f.manoeuvre_level < _PUSHED
 
 
-def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Shift | None:
+def _shift(state: TrackState[So3State], filter_state: So3State, tracker: Tracker[So3Filter]) -> Shift | None:
     """How far the last frame's discs show the ball's centre off its place, with a filter's attitude and map."""
-    if not isinstance(filter_state, So3State) or not isinstance(tracker.filter, So3Filter):
-        return None
     sure = np.flatnonzero(filter_state.hits >= tracker.filter.settings.trial)
     variance = filter_state.joint.diagonal()[FIRST:-REFERENCE].reshape(-1, 2).mean(axis=1)[sure]
     return bearing.shift_of(
@@ -90,7 +82,9 @@ def _shift(state: TrackState, filter_state: FilterState, tracker: Tracker) -> Sh
     )
 
 
-def back_on_bearings(state: TrackState, phase: Lost, filter_state: FilterState, tracker: Tracker) -> bool:
+def back_on_bearings(
+    state: TrackState[So3State], phase: Lost, filter_state: So3State, tracker: Tracker[So3Filter]
+) -> bool:
     """Does a ball that was lifted turn about its centre again, at the attitude that its map tells?"""
     if phase.lifted_at is None:
         return True

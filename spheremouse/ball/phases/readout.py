@@ -10,9 +10,9 @@ _READOUT_SURE = 8e-5  # s, standard deviation from which a readout is known
 _READOUT_LEAST = 2e-3  # s: less moves nothing by more than a tenth of a degree
 
 
-def learn_readout(state: TrackState, tracker: Tracker) -> tuple[TrackState, Events]:
+def learn_readout(state: TrackState[So3State], tracker: Tracker) -> tuple[TrackState[So3State], Events]:
     """Once play has shown how long a rolling shutter takes, that is an event, if it is one."""
-    if not isinstance(state.filter, So3State) or state.filter.readout_sigma > _READOUT_SURE:
+    if state.filter.readout_sigma > _READOUT_SURE:
         return state, ()
     readout = tracker.rig.readout_s + state.filter.readout
     state = replace(state, readout_known=True)

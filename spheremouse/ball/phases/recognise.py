@@ -3,7 +3,6 @@
 import numpy as np
 
 from spheremouse.ball.associate import identify
-from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.state import Tracker, TrackState
@@ -11,14 +10,14 @@ from spheremouse.geometry.rotation import rotation_between
 from spheremouse.tracker import Status
 
 
-def recognised_attitude(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, int] | None:
+def recognised_attitude(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[So3State, int] | None:
     """The filter with its attitude found by the map alone, and by how many discs; None where it is not certain.
 
     After a short gap the rate is that from the last attitude confirmed; after a long one it is unknown.
     """
     points, s = state.points, tracker.settings.loss
-    if not isinstance(state.filter, So3State) or not isinstance(tracker.filter, So3Filter):
-        return None
     known = identify(
         points.direction,
         state.filter.discs,

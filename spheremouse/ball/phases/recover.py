@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 from spheremouse.ball.events import BallLost, NewMap, Recognised, Why
-from spheremouse.ball.filters import FilterState
+from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.learn import found
 from spheremouse.ball.phases.lifted import back_on_bearings
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.state import (
     Events,
+    F,
     Learning,
     Lost,
     Recognising,
@@ -25,7 +26,7 @@ from spheremouse.ball.state import (
 _SPEAKS = 4  # discs in view: fewer say nothing against a map
 
 
-def lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
+def lost_in_a_gap(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
     """No frame came for so long that the prediction is a guess: the map says where the ball is, or nothing does."""
     gap = stamp - state.filter.stamp
     if not isinstance(state.phase, Tracking) or gap <= tracker.settings.loss.lost_after:
@@ -33,32 +34,48 @@ def lost_in_a_gap(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Tr
     return lost(state), (BallLost(Why.GAP, gap),)
 
 
-def recover(state: TrackState, phase: Lost, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
-    """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
-    points, s = state.points, tracker.settings.loss
-    if len(points) < 2:
-        return replace(state, phase=phase._replace(in_view_since=None)), ()
+def seen_since(state: TrackState[F], phase: Lost, stamp: float) -> TrackState[F]:
+    """Lost, and since when discs are in view again."""
+    if len(state.points) < 2:
+        return replace(state, phase=phase._replace(in_view_since=None))
     since = stamp if phase.in_view_since is None else min(phase.in_view_since, stamp)  # a clock that starts again
-    phase = phase._replace(in_view_since=since)
-    if isinstance(state.filter, So3State):
-        recognised = recognised_attitude(state, stamp, tracker)
-        if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
-            filtered, pairs = recognised
-            last = phase.last
-            if isinstance(last, Learning):
-                last = Learning(found=True, views=(View(stamp, state.detections, points, filtered.attitude),))
-            state = replace(state, lookalikes=forget(state.lookalikes))
-            return tracked(state, last, filtered.with_reference(), filtered.attitude, stamp), (Recognised(pairs),)
-        waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < tracker.settings.bearing.patience
-        if waits or stamp - since < s.reset_after:
-            return replace(state, phase=phase), ()
+    return replace(state, phase=phase._replace(in_view_since=since))
+
+
+def recover(
+    state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events]:
+    """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
+    state = seen_since(state, phase, stamp)
+    assert isinstance(state.phase, Lost)
+    phase = state.phase
+    if phase.in_view_since is None:
+        return state, ()
+    recognised = recognised_attitude(state, stamp, tracker)
+    if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
+        filtered, pairs = recognised
+        last = phase.last
+        if isinstance(last, Learning):
+            last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered.attitude),))
+        state = replace(state, lookalikes=forget(state.lookalikes))
+        return tracked(state, last, filtered.with_reference(), filtered.attitude, stamp), (Recognised(pairs),)
+    waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < tracker.settings.bearing.patience
+    if waits or stamp - phase.in_view_since < tracker.settings.loss.reset_after:
+        return state, ()
+    return begin_anew(state, stamp, tracker)
+
+
+def begin_anew(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
+    """A lost ball tracked from its last attitude on, with a new map."""
     attitude = state.filter.attitude
-    filtered, view = _begun_anew(state, stamp, tracker)
+    filtered, view = _new_map(state, stamp, tracker)
     state = replace(state, lookalikes=forget(state.lookalikes))
     return tracked(state, Learning(found=True, views=(view,)), filtered, attitude, stamp), (NewMap(),)
 
 
-def recognise(state: TrackState, phase: Recognising, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
+def recognise(
+    state: TrackState[So3State], phase: Recognising, stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events]:
     """The ball is where the saved map says, once that is certain; never recognised, it is another ball's map."""
     recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None:
@@ -70,12 +87,12 @@ def recognise(state: TrackState, phase: Recognising, stamp: float, tracker: Trac
     state = replace(state, confirmed_at=stamp)
     if stamp - since < tracker.settings.loss.reset_after:
         return replace(state, phase=Recognising(since)), ()
-    filtered, view = _begun_anew(state, stamp, tracker)
+    filtered, view = _new_map(state, stamp, tracker)
     state, events = found(replace(state, filter=filtered), Learning(views=(view,)), stamp)
     return state, (NewMap(saved=True), *events)
 
 
-def _begun_anew(state: TrackState, stamp: float, tracker: Tracker) -> tuple[FilterState, View]:
+def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, View]:
     """A new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
     attitude = state.filter.attitude
     filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), state.points)

@@ -171,7 +171,9 @@ def _placed(block: Block, image: ImagePoints) -> tuple[Array, Array, Array]:
 def _centroids(cam: Array, normal: Array, problem: Problem, camera: InteriorOrientation) -> Array:
     """Mean centroids of the circles of targets at `cam`, (k, 3), that face `normal`, (k, 3), in px, (k, 2)."""
     radii = np.asarray(problem.device.target_radii, dtype=float)
-    circles = project_circle(np.tile(cam, (len(radii), 1)), np.tile(normal, (len(radii), 1)), np.repeat(radii, len(cam)))
+    circles = project_circle(
+        np.tile(cam, (len(radii), 1)), np.tile(normal, (len(radii), 1)), np.repeat(radii, len(cam))
+    )
     return ellipse_to_pixel(*circles, camera)[0].reshape(len(radii), -1, 2).mean(axis=0)
 
 
