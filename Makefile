@@ -18,6 +18,7 @@ SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/t
 # What there are no wheels of.
 SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=
+PROCESSES ?= auto
 DEMO_ARGS ?=
 SYSTEM_TEST_ARGS ?=
 SOAK_ARGS ?=
@@ -31,7 +32,7 @@ OLDEST_PYTHON ?= python3.11
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
-	@echo "make test         the tests (minutes); TEST_ARGS=... goes to pytest"
+	@echo "make test         the tests (minutes); TEST_ARGS=... goes to pytest, PROCESSES=N are used"
 	@echo "make test-oldest  a short form of them with the oldest of each package that pyproject.toml allows"
 	@echo "make test-newest  the same with the newest; make test takes the locked ones"
 	@echo "make lock         the lock files anew, with the newest of each package; LOCK_ARGS= keeps what is locked"
@@ -55,7 +56,7 @@ picture: demo
 # Compiled by one process before the tests are several; a test process that crashes ends them all, and is told.
 test: $(STAMP)
 	$(BIN)/python -m spheremouse.wand.warm
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --max-worker-restart 0 $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
+	$(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(addprefix --ignore=,$(SLOW_TESTS)) $(TEST_ARGS)
 
 # The environments that the locked one is not: what a later lock may hold, and what the ranges promise.
 test-oldest: OTHER := --python $(OLDEST_PYTHON)
@@ -66,7 +67,7 @@ test-oldest test-newest: $(STAMP)
 	$(BIN)/uv venv --quiet --clear --no-python-downloads $(OTHER) $(VENV)/$@
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[plot,metrics,tray,desktop]'
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
-	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses auto --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
+	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 
 # Three lists from one resolution: all that make installs; what a machine gets as wheels; and what there are no wheels
 # of, which service/install.sh builds without root's rights. No address of an index is in them.

@@ -1,8 +1,11 @@
 """Where the reference recordings are, and what to do without them."""
 
 import os
+import pickle
 import signal
 import sys
+from collections import OrderedDict
+from dataclasses import fields
 from pathlib import Path
 
 import hypothesis
@@ -12,12 +15,66 @@ from threadpoolctl import threadpool_limits
 
 from spheremouse import commands as cli
 from spheremouse.session.process import realtime
+from spheremouse.simulate.ball import backdrop, layers, render
+from spheremouse.simulate.wand import render as wand_render
 
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, name)]
 
 threadpool_limits(1)  # as the command line does
 hypothesis.settings.register_profile("untimed", deadline=None)  # machines are shared
 hypothesis.settings.load_profile("untimed")
+
+
+# ---- what does not move in a film takes a second or two to render, and hundreds of films show the same ----
+
+
+def _shared(make, key_of, most=12):
+    """`make`, asked once of what is alike; what it gave cannot be written to."""
+    made = OrderedDict()
+
+    def shared(*args, **kwargs):
+        key = pickle.dumps(key_of(*args, **kwargs))
+        if key not in made:
+            made[key] = make(*args, **kwargs)
+            while len(made) > most:
+                made.popitem(last=False)
+        made.move_to_end(key)
+        return made[key]
+
+    return shared
+
+
+def _backdrop(scene, *, ball=True):
+    found = _render_backdrop(scene, ball=ball)
+    for part in fields(found):
+        getattr(found, part.name).flags.writeable = False
+    return found
+
+
+def _looks(scene, *, ball=True):
+    """What a backdrop is made of: no disc is."""
+    look = scene.surroundings, scene.lighting, scene.ball_radius, scene.ball_colour, scene.disc_colour
+    return scene.camera, scene.pose, look, ball
+
+
+def _background(camera, outdoors, clutter, rng):
+    """With the state in which the generator is left."""
+    picture = _render_background(camera, outdoors, clutter, rng)
+    picture.flags.writeable = False
+    return picture, rng.bit_generator.state
+
+
+def _background_with_its_luck(camera, outdoors, clutter, rng):
+    picture, rng.bit_generator.state = _shared_background(camera, outdoors, clutter, rng)
+    return picture
+
+
+_render_backdrop, _render_background = backdrop.render_backdrop, wand_render.background
+_shared_backdrop = _shared(_backdrop, _looks)
+_shared_background = _shared(_background, lambda *args: (*args[:-1], args[-1].bit_generator.state))
+for _module in (layers, render):
+    _module.render_backdrop = _shared_backdrop
+wand_render.background = _background_with_its_luck
 
 
 def datasets_dir() -> Path:

