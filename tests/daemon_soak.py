@@ -369,8 +369,8 @@ def _figure(cabinet: Cabinet) -> tuple[int, float, int, int]:
 
 def _ledger(cabinet: Cabinet, daemon: Any) -> None:
     """Is everything accounted for?"""
-    report: ReporterStatus = daemon._reporter.status()
-    reports, unsent = daemon._past
+    report: ReporterStatus = daemon._outputs.pointer.status()
+    reports, unsent = daemon._outputs.past
     laws = {
         "sent + unsent - ahead": (
             (cabinet.total + unsent + report.unsent + left_over(daemon) - report.ahead).tolist(),

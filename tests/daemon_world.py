@@ -311,8 +311,8 @@ class World:
             state = self.states.get(sent.motion.stamp)
             assert state in (None, "tracking") or not any(sent.counts), f"{sent.counts} while {state}"
             assert state is not None or self.carried or not any(sent.counts), "a report that belongs to no frame"
-        report = self.daemon._reporter.status()
-        reports, unsent = self.daemon._past
+        report = self.daemon._outputs.pointer.status()
+        reports, unsent = self.daemon._outputs.past
         given = np.sum(self.frames, axis=0) if self.frames else np.zeros(3)
         assert np.array_equal(self.counts + unsent + report.unsent + left_over(self.daemon) - report.ahead, given)
         assert reports + report.reports == sum(any(m.counts) for m in self.sent)
@@ -351,7 +351,7 @@ class Sink:
 
 def left_over(daemon: Daemon) -> Array:
     """(3,) counts still in the reporter's queue when it was closed."""
-    return np.sum([g.report.counts for g in daemon._reporter._given] or [(0, 0, 0)], axis=0)
+    return np.sum([g.report.counts for g in daemon._outputs.pointer._given] or [(0, 0, 0)], axis=0)
 
 
 def matrix(rig: Rig) -> Array:

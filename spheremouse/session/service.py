@@ -6,9 +6,6 @@ was asked for. Nothing in it waits but for the next shot.
 
 import contextlib
 import os
-import resource
-import sys
-import threading
 import time
 import traceback
 from collections import deque
@@ -26,9 +23,7 @@ from spheremouse.capture.fetch import PATIENCE, Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.stopping import Stopping, on_hang_up
 from spheremouse.errors import ControlError, SpheremouseError
-from spheremouse.output import Output
-from spheremouse.output.pointer import Counts, minus, plus
-from spheremouse.output.reporter import OutputThread
+from spheremouse.output.pointer import Counts, plus
 from spheremouse.output.sparing import Sparing, letters
 from spheremouse.session.cameras import held
 from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
@@ -39,11 +34,13 @@ from spheremouse.session.control.protocol import Record, Request, Set, Snapshot,
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.follower import MAP, POSE, TARGETS, Follower, Setup, Tracked
+from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.plan import Plan, check_kinds, read_plan
 from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.process.threads import Crew, begin
+from spheremouse.session.process.usage import memory_mb
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
 from spheremouse.session.states import Facts, State, judge, news
@@ -58,8 +55,7 @@ _USELESS = 5.0  # s of frames that cannot be used, after which the camera is ope
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
 _LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
-# kinds of the crew's work, besides the archive's and the follower's
-_READING, _OUTPUT = "reading", "output"
+_READING = "reading"  # kind of the crew's work, besides the archive's, the outputs' and the follower's
 
 Show = Callable[[Tracked, Follower], None]
 
@@ -104,7 +100,7 @@ class Daemon:
         self._files: dict[Path, int] = {}
         self._ring = LatestFrame()
         self._desk = Desk(self._ring.wake)
-        self._crew = Crew((_READING, TARGETS, POSE, MAP, _OUTPUT, RECORDING, SNAPSHOT), self.say)
+        self._crew = Crew((_READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self.say)
         self._archive = Archive(self._crew, self._ask, self.say)
         self._server: ControlServer | None = None
         self._listen_at = 0.0  # s, when the socket is tried for again
@@ -113,10 +109,9 @@ class Daemon:
         self._worker = Worker(self._follower, self.say)
         self._capture = Capture(open_camera, self._ring, self.say)
         self._cured = self._began
-        self._past: tuple[int, Counts] = (0, (0, 0, 0))  # reports and unsent counts of outputs before this one
-        self._given_out: Counts = (0, 0, 0)  # sum of the counts that the reporter was given
-        self._late: list[threading.Thread] | None = []  # of outputs, begun once the doors are open
-        self._reporter, *self._others = self._output_threads(self._follower.outputs, plan)
+        self._outputs = Outputs(
+            self._follower.outputs, plan.configuration.pointer, say=self.say, crew=self._crew, ask=self._ask
+        )
         self._counts: Counts = (0, 0, 0)  # of all frames
 
     def run(self, stopping: Stopping) -> None:
@@ -125,9 +120,7 @@ class Daemon:
             with on_hang_up(self._reload):  # as other services do
                 self._crew.begin()
                 self._open_doors()  # who is refused there has opened no output, and emptied no file
-                late, self._late = self._late, None
-                for thread in late or ():
-                    begin(thread)
+                self._outputs.begin()
                 if self._get_ready(stopping):
                     self._loop(stopping)
         finally:
@@ -152,7 +145,7 @@ class Daemon:
     @property
     def latency(self) -> tuple[float, float] | None:
         """s from a frame's stamp until its motion was sent: median, 99 %; None without frames."""
-        latency = self._reporter.status().latency
+        latency = self._outputs.latency
         return None if latency is None else (latency.p50, latency.p99)
 
     # ---- the loop ----
@@ -180,7 +173,7 @@ class Daemon:
                 break
             self._judge(now)
             self._tend(now)
-            self._over |= any(r.ended for r in (self._reporter, *self._others))
+            self._over |= self._outputs.ended
 
     def _act_on_all(self) -> None:
         while self._todo:
@@ -200,10 +193,7 @@ class Daemon:
     def _pass_on(self, made: Tracked, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         # where the output has come back since this was judged, the next frame is the first one for it
-        self._reporter.give(made.report, taken, self._state is not State.FAILED_OUTPUT)
-        for other in self._others:
-            other.give(made.report, taken)
-        self._given_out = plus(self._given_out, made.report.counts)
+        self._outputs.give(made.report, taken, self._state is not State.FAILED_OUTPUT)
         self._counts = plus(self._counts, made.report.counts)
         self._archive.keep(made, self._follower, self._counts)
         self._show(made, self._follower)
@@ -232,7 +222,7 @@ class Daemon:
 
     def _interrupted(self, now: float) -> None:
         """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
-        self._reporter.rest(now)
+        self._outputs.rest(now)
         self._follower.interrupted(self._reason)
         self._archive.interrupted(self._reason)
 
@@ -249,7 +239,7 @@ class Daemon:
             paused=self._paused,
             targets=self._follower.waiting,
             ball=self._follower.reason,
-            output=self._reporter.failed or "",
+            output=self._outputs.pointer.failed or "",
             tracker=self._follower.status,
         )
 
@@ -335,7 +325,7 @@ class Daemon:
         self._realtime = self._plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
-        self._claim(self._reporter.native_id)
+        self._claim(self._outputs.pointer.native_id)
         begin(self._capture)
         self._claim(self._capture.native_id)
         self._last = time.monotonic()
@@ -352,10 +342,9 @@ class Daemon:
             last.callback(self._stack.close)
             last.callback(self._follower.close)
             last.callback(self._archive.discard)
-            last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, _OUTPUT)  # what is read is of no use any more
+            last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # what is read is of no use any more
             last.callback(self._archive.close)
-            for reporter in (*self._others, self._reporter):
-                last.callback(reporter.close)
+            last.callback(self._outputs.close)
             last.callback(self._capture.close)
 
     def _reload(self) -> None:
@@ -450,12 +439,11 @@ class Daemon:
 
     def _pause(self, paused: bool) -> None:
         self._paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
-        reporters = (self._reporter, *self._others)
-        for reporter in reporters if paused else ():
-            reporter.pause(True)
+        if paused:
+            self._outputs.pause(True)
         self._judge(time.monotonic())
-        for reporter in () if paused else reporters:
-            reporter.pause(False)
+        if not paused:  # nothing moves before it is said that it may
+            self._outputs.pause(False)
 
     def _load(self, wanted: PlanRequest, asked: Asked) -> None:
         """Read all anew, by the crew, then apply it between two frames; nothing changes if it is wrong."""
@@ -493,9 +481,10 @@ class Daemon:
         try:
             change = self._follower.prepare(plan, changed)
             if "output" in changed:
-                self._change_outputs(change.outputs, plan)
+                self._outputs.exchange(change.outputs, plan.configuration.pointer)
+                self._claim(self._outputs.pointer.native_id)
             elif "axes" in changed:
-                self._change_others(change.outputs[1:], plan)
+                self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
         except SpheremouseError as e:
             self._not_applied(str(e), files, asked)
             return
@@ -509,8 +498,7 @@ class Daemon:
         if "source" in changed:
             self._capture.reopen(self._reopen(plan))
         if "pointer" in changed and "output" not in changed:
-            for reporter in (self._reporter, *self._others):
-                reporter.change(plan.configuration.pointer)
+            self._outputs.change(plan.configuration.pointer)
         text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
         later = [name for name in changed if name in AT_START]
         if later:
@@ -520,88 +508,13 @@ class Daemon:
             self.say(text)
         asked({"changed": changed, "message": text})
 
-    def _change_outputs(self, openers: tuple[Callable[[], Output], ...], plan: Plan) -> None:
-        """Others for all; ControlError where there is no thread to be had, then those before stay."""
-        old, given = self._reporter, self._given_out
-
-        def closed() -> None:
-            self._ask(lambda: self._count_past(old, given))
-
-        self._reporter, *self._others = self._after([old, *self._others], openers, plan, closed)
-        self._given_out = (0, 0, 0)
-        self._claim(self._reporter.native_id)
-
-    def _change_others(self, openers: tuple[Callable[[], Output], ...], plan: Plan) -> None:
-        """Others for those besides the pointer's."""
-        self._others = self._after(self._others, openers, plan, lambda: None)
-
-    def _after(
-        self, old: list[OutputThread], openers: tuple[Callable[[], Output], ...], plan: Plan, closed: Callable[[], None]
-    ) -> list[OutputThread]:
-        """The next ones, opened when those before are closed: they may be the same devices; then `closed`."""
-        waiting, closing, decided = list(reversed(old)), threading.Lock(), threading.Event()
-
-        def close() -> None:
-            with closing:
-                while waiting:
-                    waiting.pop().close()
-
-        def after(open_next: Callable[[], Output]) -> Callable[[], Output]:
-            def open_it() -> Output:
-                decided.wait()
-                close()
-                return open_next()
-
-            return open_it
-
-        def give_up() -> None:
-            waiting.clear()
-            decided.set()
-
-        made = self._output_threads(tuple(map(after, openers)), plan, give_up)
-        decided.set()
-        for reporter in made:
-            reporter.pause(bool(self._paused))
-
-        def retire() -> None:
-            close()
-            closed()
-
-        self._crew.do(_OUTPUT, retire)
-        return made
-
-    def _output_threads(
-        self, openers: tuple[Callable[[], Output], ...], plan: Plan, give_up: Callable[[], None] = lambda: None
-    ) -> list[OutputThread]:
-        """A thread for each; ControlError where there is none to be had for all, once that is given up."""
-        begun: list[OutputThread] = []
-        try:
-            for open_it in openers:
-                begun.append(OutputThread(open_it, plan.configuration.pointer, self.say, begin=self._begin))
-        except ControlError:
-            give_up()
-            for reporter in begun:
-                reporter.close()
-            raise
-        return begun
-
-    def _begin(self, thread: threading.Thread) -> None:
-        begin(thread) if self._late is None else self._late.append(thread)
-
-    def _count_past(self, old: OutputThread, given: Counts) -> None:
-        """What an output was given and did not send, in its queue when it was closed or before."""
-        status, (reports, unsent) = old.status(), self._past
-        left = minus(given, status.sent)
-        self._past = (reports + status.reports, plus(unsent, left))
-
     # ---- the status ----
 
     def status(self) -> dict[str, Any]:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
         worker, plan = self._worker, self._plan
-        report, (reports, unsent) = self._reporter.status(), self._past
-        latency = report.latency
+        latency = self._outputs.latency
         return {
             "state": str(self._state),
             "reason": self._reason,
@@ -615,13 +528,7 @@ class Daemon:
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
             "damaged": worker.damaged,
-            "output": {
-                "spec": plan.output,
-                "failed": "; ".join(filter(None, (r.failed for r in (self._reporter, *self._others)))) or None,
-                "reports": reports + report.reports,
-                "unsent": list(plus(unsent, report.unsent)),
-                "ahead": list(report.ahead),
-            },
+            "output": {"spec": plan.output, **self._outputs.status()},
             "source": {"spec": plan.source, "description": self._capture.description},
             "unseen_s": self._unseen,
             "lost_count": worker.lost,
@@ -633,7 +540,7 @@ class Daemon:
             "rig": _whole(plan.rig_path),
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),
-            "memory_mb": _memory_mb(),
+            "memory_mb": memory_mb(),
             "cpu_share": self._cpu_share,
             "scheduling": self._scheduling,
             "paused": bool(self._paused),
@@ -651,12 +558,3 @@ def _whole(path: Path | None) -> str | None:
 def _ms(median: float, slow: float, most: float | None = None) -> dict[str, float]:
     made = {"p50": 1e3 * median, "p99": 1e3 * slow}
     return made if most is None else {**made, "max": 1e3 * most}
-
-
-def _memory_mb() -> float:
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-        return pages * resource.getpagesize() / 1e6
-    except (OSError, ValueError, IndexError):
-        most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return most / (1e6 if sys.platform == "darwin" else 1e3)

@@ -1,0 +1,190 @@
+"""Where a run's motion goes: the pointer's output and those beside it, a thread each, exchanged while frames come.
+
+All methods but `status`, `troubles` and `latency`, which any thread may ask, are the worker's; none waits but `close`.
+"""
+
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from spheremouse.errors import ControlError
+from spheremouse.output import Output, Report
+from spheremouse.output.null import Null
+from spheremouse.output.pointer import Counts, PointerSettings, minus, plus
+from spheremouse.output.reporter import Latency, OutputThread
+from spheremouse.session.process.threads import Crew, begin
+
+OUTPUT = "output"  # kind of the crew's work
+
+Open = Callable[[], Output]
+_NONE: Counts = (0, 0, 0)
+
+
+class Outputs:
+    """The outputs of one run. The first of them is the pointer's."""
+
+    def __init__(
+        self,
+        openers: Sequence[Open],
+        settings: PointerSettings,
+        *,
+        say: Callable[[str], None],
+        crew: Crew,
+        ask: Callable[[Callable[[], None]], None],
+    ) -> None:
+        """`crew` closes what has been exchanged; `ask` takes, from any thread, what the worker is to do."""
+        self._say, self._crew, self._ask = say, crew, ask
+        self._late: list[threading.Thread] | None = []  # begun once the doors are open
+        self._paused = False
+        self._given = _NONE  # sum of the counts that the pointer's output was given
+        self.past: tuple[int, Counts] = (0, _NONE)  # reports and unsent counts of the pointer's outputs before this one
+        self.pointer, *self.others = self._threads(openers, settings)
+
+    def begin(self) -> None:
+        """Begin the threads, which open the outputs; ControlError where there is none to be had."""
+        late, self._late = self._late, None
+        for thread in late or ():
+            begin(thread)
+
+    def give(self, report: Report, taken: float, wanted: bool) -> None:
+        """A frame's report, taken at a time (s); the pointer first, which may not want it."""
+        self.pointer.give(report, taken, wanted)
+        for other in self.others:
+            other.give(report, taken)
+        self._given = plus(self._given, report.counts)
+
+    def rest(self, now: float) -> None:
+        """The pointer is carried on no longer."""
+        self.pointer.rest(now)
+
+    def pause(self, paused: bool) -> None:
+        """While paused nothing is sent."""
+        self._paused = paused
+        for thread in self._all:
+            thread.pause(paused)
+
+    def change(self, settings: PointerSettings) -> None:
+        """Other settings of the pointer."""
+        for thread in self._all:
+            thread.change(settings)
+
+    def exchange(self, openers: Sequence[Open], settings: PointerSettings) -> None:
+        """Others for all; ControlError where there is no thread to be had, then those before stay."""
+        old, given = self.pointer, self._given
+
+        def closed() -> None:
+            self._ask(lambda: self._count_past(old, given))
+
+        self.pointer, *self.others = self._next(self._all, openers, settings, closed)
+        self._given = _NONE
+
+    def exchange_others(self, openers: Sequence[Open], settings: PointerSettings) -> None:
+        """Others for those beside the pointer's; ControlError as in `exchange`."""
+        self.others = self._next(self.others, openers, settings, lambda: None)
+
+    def close(self) -> None:
+        """Close each; waits for it, if it does not take too long. The pointer's is closed first."""
+        for thread in self._all:
+            thread.close()
+
+    @property
+    def ended(self) -> bool:
+        """Whoever read one of them has gone, for good."""
+        return any(thread.ended for thread in self._all)
+
+    @property
+    def troubles(self) -> str | None:
+        """Why nothing can be sent, of each that fails; None: all work."""
+        return "; ".join(filter(None, (thread.failed for thread in self._all))) or None
+
+    @property
+    def latency(self) -> Latency | None:
+        """From a frame's stamp until its motion was sent; None without frames."""
+        return self.pointer.status().latency
+
+    def status(self) -> dict[str, Any]:
+        """Sums of the run, as docs/control.md says."""
+        report, (reports, unsent) = self.pointer.status(), self.past
+        return {
+            "failed": self.troubles,
+            "reports": reports + report.reports,
+            "unsent": list(plus(unsent, report.unsent)),
+            "ahead": list(report.ahead),
+        }
+
+    @property
+    def _all(self) -> list[OutputThread]:
+        return [self.pointer, *self.others]
+
+    def _next(
+        self, old: list[OutputThread], openers: Sequence[Open], settings: PointerSettings, closed: Callable[[], None]
+    ) -> list[OutputThread]:
+        """Threads for the next ones; `closed` is called once those before are."""
+        exchange = _Exchange(old)
+        try:
+            made = self._threads([exchange.after(open_next) for open_next in openers], settings, exchange.give_up)
+        finally:
+            exchange.decided.set()
+        for thread in made:
+            thread.pause(self._paused)
+
+        def retire() -> None:
+            exchange.close()
+            closed()
+
+        self._crew.do(OUTPUT, retire)
+        return made
+
+    def _threads(
+        self, openers: Sequence[Open], settings: PointerSettings, give_up: Callable[[], None] = lambda: None
+    ) -> list[OutputThread]:
+        """A thread for each; ControlError where there is none to be had for all, once that is given up."""
+        begun: list[OutputThread] = []
+        try:
+            for open_it in openers:
+                begun.append(OutputThread(open_it, settings, self._say, begin=self._begin))
+        except ControlError:
+            give_up()
+            for thread in begun:
+                thread.close()
+            raise
+        return begun
+
+    def _begin(self, thread: threading.Thread) -> None:
+        begin(thread) if self._late is None else self._late.append(thread)
+
+    def _count_past(self, old: OutputThread, given: Counts) -> None:
+        """What an output was given and did not send, in its queue when it was closed or before."""
+        status, (reports, unsent) = old.status(), self.past
+        self.past = (reports + status.reports, plus(unsent, minus(given, status.sent)))
+
+
+class _Exchange:
+    """The next outputs are opened when those before are closed, since they may be the same devices; or never."""
+
+    def __init__(self, old: Sequence[OutputThread]) -> None:
+        self._old, self._closing = list(reversed(old)), threading.Lock()
+        self._wanted, self.decided = True, threading.Event()
+
+    def after(self, open_next: Open) -> Open:
+        """What opens one of them, in its thread."""
+
+        def open_it() -> Output:
+            self.decided.wait()
+            if not self._wanted:
+                return Null()
+            self.close()
+            return open_next()
+
+        return open_it
+
+    def close(self) -> None:
+        """Close those before, in whichever thread comes first."""
+        with self._closing:
+            while self._old:
+                self._old.pop().close()
+
+    def give_up(self) -> None:
+        """Those before stay, and no other is opened."""
+        self._wanted = False
+        self.decided.set()

@@ -1,0 +1,144 @@
+"""The outputs of a run: the next are opened after those before are closed; where a thread is missing, never."""
+
+import time
+
+import numpy as np
+import pytest
+from reporting import report
+
+from spheremouse.errors import ControlError
+from spheremouse.output.null import Null
+from spheremouse.output.pointer import PointerSettings
+from spheremouse.session import outputs as module
+from spheremouse.session.outputs import OUTPUT, Outputs
+from spheremouse.session.process.threads import Crew
+
+PATIENCE = 20.0  # s, for what takes milliseconds
+EXACT = PointerSettings(horizon=0.0)
+
+
+def until(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it never came to be"
+        time.sleep(0.002)
+
+
+class Sink(Null):
+    """An output that writes down what is done with it, into a diary that several share."""
+
+    def __init__(self, name, diary):
+        self.name, self.diary, self.counts = name, diary, np.zeros(3, int)
+
+    def open(self):
+        self.diary.append(f"{self.name} opened")
+        return self
+
+    def send(self, given):
+        self.counts += given.counts
+
+    def __exit__(self, *error):
+        time.sleep(0.02)  # as devices take
+        self.diary.append(f"{self.name} closed")
+
+
+class Run:
+    """Outputs, and the worker that does what it is asked to."""
+
+    def __init__(self, *names):
+        self.diary, self.said, self.todo = [], [], []
+        self.crew = Crew((OUTPUT,), self.said.append)
+        self.crew.begin()
+        self.sinks = [Sink(name, self.diary) for name in names]
+        self.outputs = Outputs(
+            [s.open for s in self.sinks], EXACT, say=self.said.append, crew=self.crew, ask=self.todo.append
+        )
+        self.outputs.begin()
+        self.frames, self.sum = 0, np.zeros(3, int)
+
+    def next(self, *names):
+        sinks = [Sink(name, self.diary) for name in names]
+        self.outputs.exchange([s.open for s in sinks], EXACT)
+        return sinks
+
+    def give(self, *counts):
+        self.frames += 1
+        self.sum += counts
+        self.outputs.give(report(*counts, stamp=float(self.frames), confirmed=True), time.monotonic(), wanted=True)
+
+    def close(self):
+        self.outputs.close()
+        self.crew.end()
+
+
+@pytest.fixture
+def run():
+    begun = []
+
+    def begin(*names):
+        begun.append(Run(*names))
+        until(lambda: len(begun[-1].diary) == len(names))
+        return begun[-1]
+
+    yield begin
+    for made in begun:
+        made.close()
+
+
+def test_the_next_are_opened_when_those_before_are_closed(run):
+    """For they may be the same devices, and the same files."""
+    made = run("a", "b")
+    made.next("c", "d")
+    until(lambda: len(made.diary) == 6)
+    assert sorted(made.diary[2:4]) == ["a closed", "b closed"]
+    assert sorted(made.diary[4:]) == ["c opened", "d opened"]
+
+
+def test_what_was_given_is_what_arrived_and_what_is_told_as_unsent(run):
+    """Over all outputs of a run, whenever they are exchanged."""
+    made, sinks = run("0"), []
+    sinks += made.sinks
+    for k in range(1, 6):
+        for _ in range(40):
+            made.give(3, -2, k)
+        sinks += made.next(str(k))
+    until(lambda: len(made.todo) == 5)
+    for action in made.todo:
+        action()
+    until(lambda: len(made.diary) == 11)
+    made.give(1, 1, 1)
+    until(lambda: not made.outputs.pointer._given)
+    status = made.outputs.status()
+    until(lambda: np.array_equal(sum(s.counts for s in sinks) + made.outputs.status()["unsent"], made.sum))
+    assert status["failed"] is None
+
+
+def test_where_a_thread_is_missing_those_before_stay_and_no_other_is_opened(run, monkeypatch):
+    made, begun = run("a", "b"), []
+
+    def begin(thread):
+        if begun:
+            raise ControlError("no thread to be had")
+        begun.append(thread)
+        thread.start()
+
+    monkeypatch.setattr(module, "begin", begin)
+    with pytest.raises(ControlError):
+        made.next("c", "d")
+    begun[0].join(PATIENCE)
+    assert made.diary == ["a opened", "b opened"]
+    made.give(5, 6, 7)
+    until(lambda: all(np.array_equal(s.counts, (5, 6, 7)) for s in made.sinks))
+    assert made.said == []
+
+
+def test_paused_nothing_is_sent_by_those_to_come_either(run):
+    made = run("a")
+    made.outputs.pause(True)
+    (after,) = made.next("b")
+    until(lambda: len(made.diary) == 3)
+    made.give(5, 0, 0)
+    until(lambda: made.outputs.status()["unsent"] == [5, 0, 0])
+    made.outputs.pause(False)
+    made.give(1, 0, 0)
+    until(lambda: np.array_equal(after.counts, (1, 0, 0)))
