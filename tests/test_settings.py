@@ -6,7 +6,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.device import _DeviceFile
 from spheremouse.files.disc_map import _MapFile
-from spheremouse.files.rig import _CameraFile, _RigFile
+from spheremouse.files.rig.models import CameraFile, RigFile
 from spheremouse.files.wand import _Wand
 from spheremouse.geometry.camera import MAX_PIXELS, MAX_SIDE, too_large
 from spheremouse.session.settings import Configuration
@@ -41,8 +41,8 @@ def unbounded(schema, defs, path=""):
     [
         config.model_of(Configuration),
         config.model_of(ColourSettings),
-        _RigFile,
-        _CameraFile,
+        RigFile,
+        CameraFile,
         _MapFile,
         _Wand,
         _DeviceFile,

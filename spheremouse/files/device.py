@@ -16,7 +16,7 @@ from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.rig import CODES
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.migrate import without_schema
-from spheremouse.files.rig import Code
+from spheremouse.files.rig.models import Code
 from spheremouse.files.validate import validated
 from spheremouse.files.yaml import MAX_BYTES, SCHEMA, Document, Problem, read_document
 

@@ -1,0 +1,160 @@
+"""What a rig.yaml claims and cannot be: numbers that do not go together, each with its place and its remedy."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from spheremouse.files.rig.models import BallPart, CameraPart, Matrix, RigFile, matrix, targets_covariance
+from spheremouse.files.yaml import Key, Problem
+from spheremouse.geometry.camera import too_large
+from spheremouse.geometry.rotation import Array
+
+
+def camera_problems(c: CameraPart) -> Iterator[Problem]:
+    if problem := too_large(c.width, c.height):
+        yield Problem(("camera",), problem)
+    for name, value, size in (("cx", c.cx, c.width), ("cy", c.cy, c.height)):
+        if not -size <= value <= 2 * size:
+            text = f"is {value:g}, far outside an image of {size} px; it is given in px, and lies near {size / 2:g}"
+            yield Problem(("camera", name), text)
+    yield from _covariance_problems(("camera", "covariance"), c.covariance, 9)
+
+
+def rig_problems(file: RigFile) -> Iterator[Problem]:
+    ball = list(_covariance_problems(("ball", "covariance"), file.ball.covariance, 4))
+    yield from ball
+    if file.disc_radius >= file.ball.radius:
+        yield Problem(("disc_radius",), f"is {file.disc_radius:g} m, not smaller than the ball; both are in metres")
+    yield from _spread_problems(file)
+    yield from _target_problems(file)
+    targets = list(_targets_covariance_problems(file))
+    yield from targets
+    pose = list(_pose_problems(file))
+    yield from pose
+    if not ball and not targets:
+        key = ("targets_ball_covariance",)
+        yield from _cross_problems(key, targets_covariance(file), file.targets_ball_covariance, file.ball)
+    if not ball and not pose:
+        key = ("pose_ball_covariance",)
+        yield from _cross_problems(key, matrix(file.pose_covariance, 6), file.pose_ball_covariance, file.ball)
+    for i, disc in enumerate(file.discs):
+        if abs(np.linalg.norm(disc) - 1.0) > 1e-3:
+            yield Problem(("discs", i), f"has length {np.linalg.norm(disc):.4g}; give a unit vector")
+
+
+def _spread_problems(file: RigFile) -> Iterator[Problem]:
+    """Covariances so large that nothing is known: beyond a hundred of the ball's radii, or half a turn."""
+    r = 100.0 * file.ball.radius
+    own = [(("targets", i, "covariance"), target.covariance, [r] * 3) for i, target in enumerate(file.targets)]
+    for key, rows, most in (
+        (("ball", "covariance"), file.ball.covariance, [r] * 4),
+        (("targets_covariance",), file.targets_covariance, [r] * (3 * len(file.targets))),
+        (("pose_covariance",), file.pose_covariance, [r] * 3 + [math.pi] * 3),
+        *own,
+    ):
+        if rows is not None and _is_square(rows, len(most)):
+            for i, limit in enumerate(most):
+                if rows[i][i] > limit**2:
+                    text = f"has the variance {rows[i][i]:g}, of a standard deviation above {limit:g}"
+                    yield Problem((*key, i), f"{text}: that is not known at all")
+
+
+def _target_problems(file: RigFile) -> Iterator[Problem]:
+    radii = file.target_radii
+    if radii is not None and not radii[0] < radii[1] < radii[2]:
+        yield Problem(
+            ("target_radii",), f"are {', '.join(f'{r:g}' for r in radii)}; they must grow from inside to outside"
+        )
+    if radii is None and file.targets:
+        yield Problem((), "target_radii: missing; give [inner disc, middle ring, outer ring] in m")
+    for i, target in enumerate(file.targets):
+        before = file.targets[:i]
+        if target.id in (t.id for t in before):
+            yield Problem(("targets", i, "id"), f"{target.id} names another target already; give each its own")
+        if target.code in (t.code for t in before):
+            yield Problem(("targets", i, "code"), f"{target.code} is on another target already; each code appears once")
+        if target.position in (t.position for t in before):
+            yield Problem(("targets", i, "position"), "another target is in this very place; measure one of them again")
+
+
+def _targets_covariance_problems(file: RigFile) -> Iterator[Problem]:
+    for i, target in enumerate(file.targets):
+        key = ("targets", i, "covariance")
+        yield from _covariance_problems(key, target.covariance, 3)
+        if target.covariance is not None and file.targets_covariance is not None:
+            yield Problem(key, "stands in targets_covariance, too; remove one of them")
+    yield from _covariance_problems(("targets_covariance",), file.targets_covariance, 3 * len(file.targets))
+
+
+def _pose_problems(file: RigFile) -> Iterator[Problem]:
+    if file.pose_covariance is not None and file.T_obj_cam is None:
+        yield Problem(("pose_covariance",), "belongs to T_obj_cam, which is missing; give both or none")
+    if file.pose_ball_covariance is not None and file.pose_covariance is None:
+        yield Problem(("pose_ball_covariance",), "belongs to pose_covariance, which is missing; give both or none")
+    yield from _covariance_problems(("pose_covariance",), file.pose_covariance, 6)
+    if file.T_obj_cam is None:
+        return
+    key: Key = ("T_obj_cam",)
+    if not _is_square(file.T_obj_cam, 4):
+        yield Problem(key, f"must be 4 rows of 4 numbers, is {_shape(file.T_obj_cam)}")
+        return
+    T = matrix(file.T_obj_cam, 4)
+    R = T[:3, :3]
+    if not np.array_equal(T[3], [0, 0, 0, 1]):
+        yield Problem((*key, 3), "must be [0, 0, 0, 1]; is the matrix transposed?")
+    elif np.abs(R.T @ R - np.eye(3)).max() > 1e-3:
+        yield Problem(key, "its first 3 x 3 are not a rotation (columns of length 1 at right angles); copy all digits")
+    elif np.linalg.det(R) < 0:
+        yield Problem(key, "its first 3 x 3 mirror (determinant -1); all frames here are right-handed")
+    elif np.linalg.norm(T[:3, 3] - file.ball.center) <= file.ball.radius:
+        yield Problem(key, "puts the camera inside the ball; is it T_cam_obj, or not in metres?")
+
+
+def _covariance_problems(key: Key, rows: Matrix | None, n: int) -> Iterator[Problem]:
+    if rows is None:
+        return
+    if not _is_square(rows, n):
+        yield Problem(key, f"must be {n} rows of {n} numbers, is {_shape(rows)}")
+        return
+    C = matrix(rows, n)
+    scale = np.sqrt(np.abs(np.outer(np.diag(C), np.diag(C))))  # units differ from row to row
+    if np.any(np.diag(C) < 0):
+        i = int(np.argmin(np.diag(C)))
+        yield Problem((*key, i), f"has the negative variance {C[i, i]:g} on its diagonal; variances are squares")
+    elif np.any(np.abs(C - C.T) > 1e-6 * scale):
+        i, j = np.unravel_index(int(np.argmax(np.abs(C - C.T) - 1e-6 * scale)), C.shape)
+        yield Problem(
+            key, f"is not symmetric: {C[i, j]:g} against {C[j, i]:g} in rows {i + 1} and {j + 1}; make them equal"
+        )
+    elif not _is_covariance(C):
+        yield Problem(key, "is not positive semidefinite: some correlation is beyond 1; copy all digits")
+
+
+def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: BallPart) -> Iterator[Problem]:
+    """Problems of the block between what has the covariance C, (n, n), and the ball: the whole must be a covariance."""
+    if rows is None:
+        return
+    if len(rows) != len(C) or not all(len(row) == 4 for row in rows):
+        yield Problem(key, f"must be {len(C)} rows of 4 numbers, is {_shape(rows)}")
+        return
+    X = np.array(rows)
+    if not _is_covariance(np.block([[C, X], [X.T, matrix(ball.covariance, 4)]])):
+        text = "does not go with the covariances of its rows and of the ball: some correlation is beyond 1"
+        yield Problem(key, f"{text}; copy all digits")
+
+
+def _is_covariance(C: Array) -> bool:
+    """Is a symmetric matrix with a diagonal >= 0 positive semidefinite, to the digits a file gives?"""
+    scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.where(scale > 0, C / scale, np.where(C == 0, 0.0, np.inf))
+    return bool(np.isfinite(correlation).all() and np.linalg.eigvalsh(correlation).min(initial=0.0) >= -1e-6)
+
+
+def _is_square(rows: Matrix, n: int) -> bool:
+    return len(rows) == n and all(len(row) == n for row in rows)
+
+
+def _shape(rows: Matrix) -> str:
+    return f"{len(rows)} rows of {'/'.join(sorted({str(len(r)) for r in rows})) or 0}"
