@@ -95,10 +95,10 @@ format: $(STAMP)
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
 
-# -E reads every page anew: some are made from the code, and Sphinx looks only at the pages' own dates.
+# -E reads every page anew: some are made from the code, and Sphinx looks only at the pages' own dates. Once will do.
 docs: $(STAMP)
-	$(BIN)/python -m sphinx -W --keep-going -E -q -b html docs docs/_build/html
-	$(BIN)/python -m sphinx -W --keep-going -E -q -b doctest docs docs/_build/doctest
+	$(BIN)/python -m sphinx -W --keep-going -E -q -b html -d docs/_build/doctrees docs docs/_build/html
+	$(BIN)/python -m sphinx -W --keep-going -q -b doctest -d docs/_build/doctrees docs docs/_build/doctest
 	@echo "docs: examples run, site in docs/_build/html/index.html"
 
 experiments: $(STAMP)

@@ -507,7 +507,7 @@ def test_without_another_thread_no_output_is_changed(playing, monkeypatch):
     def none(_):
         raise ControlError("no thread to be had")
 
-    monkeypatch.setattr("spheremouse.session.service.begin", none)
+    monkeypatch.setattr("spheremouse.session.outputs.begin", none)
     with pytest.raises(ControlError, match="no thread"):
         playing.client.ask("set", assignments=[f"wand.axes={other}"])
     n = len(rows(path))
