@@ -37,6 +37,8 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 smartquotes = False
+# Titles are enough: every page carries the tree of all, which had thousands of names in it (half of the time to build).
+toc_object_entries = False
 
 doctest_global_setup = """
 import numpy as np
