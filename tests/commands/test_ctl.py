@@ -221,20 +221,24 @@ def test_times_are_said_as_people_say_them(seconds, words):
 @pytest.mark.parametrize(
     ("words", "request_", "said"),
     [
-        (["pause"], {"command": "pause"}, "paused"),
-        (["resume"], {"command": "resume"}, "tracking"),
+        (["pause"], {"command": "pause"}, "paused; go on with: spheremouse ctl resume"),
+        (["resume"], {"command": "resume"}, "resumed: tracking"),
         (["stop"], {"command": "stop"}, "the daemon ends"),
         (
             ["set", "motion.scale_x=2", "motion.scale_y=2"],
             {"command": "set", "assignments": ("motion.scale_x=2", "motion.scale_y=2")},
-            "2 parameters set",
+            "configuration applied: motion",
         ),
         (
             ["record", "bug-1", "--seconds", "60"],
             {"command": "record", "folder": "bug-1", "seconds": 60.0},
-            "recording the ball and the targets, 60 s at most",
+            "/var/lib/spheremouse/recordings/bug-1: recording the ball and the targets, 60 s at most",
         ),
-        (["record", "--stop"], {"command": "record", "stop": True}, "512 frames"),
+        (
+            ["record", "--stop"],
+            {"command": "record", "stop": True},
+            "/var/lib/spheremouse/recordings/bug-1: 512 frames in 8.5 s, 3.1 MB; ended as asked",
+        ),
         (
             ["snapshot", "bug-1.png"],
             {"command": "snapshot", "file": "bug-1.png"},
@@ -248,7 +252,18 @@ def test_a_command_is_passed_on_and_says_what_was_done(ctl, daemon, words, reque
     assert daemon.asked[-1].model_dump(exclude_unset=True) == request_
     code, out, _ = ctl(*words, "--json")
     assert code == 0
-    assert set(json.loads(out).values()) >= {said.removesuffix(": written")}
+    assert json.loads(out) == _shown(request_)
+
+
+def _shown(request_):
+    """The reply of the page to a request."""
+    for conversation in conversations():
+        for asked, (reply, *_) in conversation:
+            if asked.startswith("{") and reply.get("ok"):
+                wanted = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(asked).items() if k != "id"}
+                if wanted == request_:
+                    return {k: v for k, v in reply.items() if k not in ("ok", "id")}
+    raise AssertionError(f"docs/control.md does not show {request_}")
 
 
 def test_what_the_daemon_refuses_is_its_line_and_exit_code_1(ctl, daemon):

@@ -32,6 +32,7 @@ from spheremouse.session import service as run_module
 from spheremouse.session.ball.setup import BallSetup
 from spheremouse.session.control.client import Client
 from spheremouse.session.process import realtime
+from tests.session.control.test_server import conversations
 
 PATIENCE = 60.0  # s
 OTHER = 54321  # a uid that nobody has
@@ -82,6 +83,30 @@ def refused(world, command, **arguments):
     with pytest.raises(ControlError) as e:
         world.client.ask(command, **arguments)
     return str(e.value)
+
+
+def test_what_is_answered_has_the_keys_that_the_page_shows(world):
+    """docs/control.md, whose examples another test plays with a server that says them."""
+    world.start()
+    world.reach("tracking")
+    shown = {}
+    for conversation in conversations():
+        for asked, (reply, *_) in conversation:
+            with contextlib.suppress(ValueError):
+                request = json.loads(asked)
+                if reply.get("ok") and isinstance(request, dict):
+                    shown.setdefault(request["command"] + str(request.get("stop", "")), set(reply) - {"ok", "id"})
+    for command, arguments in {
+        "pause": {},
+        "resume": {},
+        "set": {"assignments": ["motion.scale_x=2"]},
+        "record": {"seconds": 60, "folder": "bug-1"},
+        "recordTrue": {"stop": True},
+        "snapshot": {"file": "bug-1.png"},
+        "stop": {},
+    }.items():
+        reply = ask(world, command.removesuffix("True"), **arguments)
+        assert set(reply) - {"ok", "id"} == shown[command], (command, reply)
 
 
 def in_thread(function):

@@ -132,25 +132,32 @@ class Daemon:
         folder = "/var/lib/spheremouse/recordings/"
         match request:
             case protocol.Set(assignments=what):
-                reply({"message": f"{len(what)} parameters set"})
+                names = sorted({a.partition(".")[0] for a in what})
+                reply({"changed": names, "message": f"configuration applied: {', '.join(names)}"})
             case protocol.Record(stop=True):
-                reply({"message": "512 frames", "folder": folder + "bug-1"})
+                words = f"{folder}bug-1: 512 frames in 8.5 s, 3.1 MB; ended as asked"
+                reply({"folder": folder + "bug-1", "frames": 512, "message": words})
             case protocol.Record(seconds=60.0, folder=name, everything=False):
-                reply({"message": "recording the ball and the targets, 60 s at most", "folder": folder + name})
+                words = f"{folder}{name}: recording the ball and the targets, 60 s at most"
+                reply({"folder": folder + name, "seconds": 60.0, "message": words})
             case protocol.Snapshot(file=None):
                 raise ControlError("a snapshot is being written already; ask again when it is done")
             case protocol.Snapshot(file=name):
                 reply({"file": folder + name})
             case Request(command="status"):
-                reply({"state": "paused", "reason": "ctl pause"} if self.paused else self.status)
+                reply(
+                    {"state": "paused", "reason": "by `spheremouse ctl pause`; `resume` ends it"}
+                    if self.paused
+                    else self.status
+                )
             case Request(command="pause"):
                 self.paused = True
-                reply({"message": "paused"})
+                reply({"state": "paused"})
             case Request(command="resume"):
                 self.paused = False
-                reply({"message": "tracking"})
+                reply({"state": "tracking"})
             case Request(command="stop"):
-                reply({"message": "the daemon ends"})
+                reply({})
             case Request(command="reinit"):
                 raise ControlError("no picture from the camera; plug it in")
             case Request(command="reload"):
