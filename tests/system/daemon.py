@@ -353,6 +353,11 @@ class Cabinet:
         with Client(self.socket) as client:
             return client.ask(command, **arguments)
 
+    def missed(self):
+        """Frames that were there and were not worked on: the daemon or its driver was behind."""
+        status = self.status()
+        return status["skipped"] + status["dropped"]
+
     def settle(self, frames=4):
         """Wait until so many more frames were worked on, and sent."""
         n = self.status()["frames"] + frames
@@ -426,9 +431,14 @@ def cabinet(tmp_path_factory):
 
 def test_the_sum_of_events_is_what_the_ball_has_turned_with_frames_missing(cabinet):
     n = len(cabinet.film)
-    way = [None if 0 < k < n - 1 and (k % 5 == 3 or k % 17 in (8, 9)) else k for k in cabinet.onward(n - 1)]
-    print(f"{way.count(None)} of {n} pictures left out")
-    check("exact", cabinet.play(way))
+    for _ in range(4):  # at five frames/s, a guest that is held up in between lets the ball turn by half a disc's way
+        before = cabinet.missed()
+        way = [None if 0 < k < n - 1 and (k % 5 == 3 or k % 17 in (8, 9)) else k for k in cabinet.onward(n - 1)]
+        played = cabinet.play(way)
+        print(f"{way.count(None)} of {n} pictures left out, {cabinet.missed() - before} more were missed")
+        if cabinet.missed() == before:
+            break
+    check("exact", played)
     code, out, said = cabinet.ctl("status", "--json")
     assert code == 0, said
     status = json.loads(out)
