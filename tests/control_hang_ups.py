@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 from spheremouse.errors import ControlError
-from spheremouse.session import service as run
+from spheremouse.session.ball import follower
 from spheremouse.session.control.client import Client
 from tests.daemon_world import Film, RawFrame, World
 from tests.soak import resident
@@ -115,7 +115,7 @@ def main() -> int:
     parser.add_argument("--way", action="append", choices=("at once", "served", "answered"), help="when they hang up")
     args = parser.parse_args()
     film = Film.render()
-    run.open_output = lambda spec: world.open_output(spec)  # noqa: PLW0108  it is made later
+    follower.open_output = lambda spec: world.open_output(spec)  # noqa: PLW0108  it is made later
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
