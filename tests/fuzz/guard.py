@@ -175,7 +175,9 @@ def _batches(name: str, first_seed: int, limit: Limit, where: Any) -> Result:
     except _Over:
         pass
     except (Exception, _TooMuchError) as e:
-        lines = "".join(traceback.format_exception(e))[-3000:] if isinstance(e, Exception) else f"{e}\n"
+        lines = "".join(traceback.format_exception(e)) if isinstance(e, Exception) else f"{e}\n"
+        if len(lines) > 6000:  # hypothesis adds the example, which may be long: where it happened comes before
+            lines = f"{lines[:4000]}\n...\n{lines[-2000:]}"
         found = f"batch {batch}:\n{lines}{told.getvalue()[-2000:]}\nlast example: {repr(current)[:2000]}"
     return Result(count, worst, _peak(), 0.0, batch + 1, found)
 
