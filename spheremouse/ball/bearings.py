@@ -58,7 +58,8 @@ def shift_of(
     points: SpherePoints, delay: Array, discs: Array, variance: Array, attitude: Array, rate: Array, radius: float,
     reach: float,
 ) -> Shift | None:  # fmt: skip
-    """The shift of the centre that makes known discs appear at `points`; None where fewer than four are seen.
+    """The shift of the centre that makes known discs appear at `points`; None where fewer than four are seen,
+    or all in one place.
 
     `discs` (m, 3) unit vectors in ball with variances (m,) rad² per axis; `delay` (n,) s of the points, `attitude`
     R_obj_ball (3, 3), `rate` (3,) rad/s; a point and a disc that are nearest to each other within `reach` rad are one.
@@ -67,19 +68,22 @@ def shift_of(
     if len(points) < 4 or len(discs) < 4:
         return None
     shift = np.empty(3)
-    pairs, sigma, certainty, before, after = _shift(
-        points.direction,
-        points.image_covariance,
-        points.dposition_dball,
-        delay,
-        discs,
-        variance,
-        attitude,
-        rate,
-        radius,
-        np.cos(reach),
-        shift,
-    )
+    try:
+        pairs, sigma, certainty, before, after = _shift(
+            points.direction,
+            points.image_covariance,
+            points.dposition_dball,
+            delay,
+            discs,
+            variance,
+            attitude,
+            rate,
+            radius,
+            np.cos(reach),
+            shift,
+        )
+    except np.linalg.LinAlgError:  # discs found in one place alone: no direction of a shift can be told from a turn
+        return None
     return Shift(pairs, shift, sigma, certainty, before, after) if pairs >= 4 and np.isfinite(certainty) else None
 
 
