@@ -133,12 +133,20 @@ def to_yaml(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return value if _is_plain_word(value) else "'" + value.replace("'", "''") + "'"
+        return value if _is_plain_word(value) else _quoted(value)
     if dataclasses.is_dataclass(value):
         return "{" + ", ".join(f"{f.name}: {to_yaml(getattr(value, f.name))}" for f in dataclasses.fields(value)) + "}"
     if isinstance(value, tuple):
         return "[" + ", ".join(to_yaml(v) for v in value) + "]"
     return repr(value)
+
+
+def _quoted(text: str) -> str:
+    """Text in quotes: single ones, in which nothing has a meaning, or where that needs one line, double ones."""
+    if text.isprintable():
+        return "'" + text.replace("'", "''") + "'"
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
 
 
 def _single_value(text: str, name: str) -> Any:

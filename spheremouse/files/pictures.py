@@ -56,6 +56,8 @@ def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header
         try:
             with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
                 _check_size(picture, pixels)
+                if picture.format == "PNG":
+                    _check_chunks(data)
                 size, orientation = picture.size, picture.getexif().get(ExifTags.Base.Orientation, 1)
                 if to_the_end:
                     picture.draft("L", (1, 1))
@@ -64,7 +66,7 @@ def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header
             raise OSError(errno.EINVAL, "not a picture that can be read; name JPEG, PNG, TIFF or BMP files") from None
         except Image.DecompressionBombError:
             raise _too_large("more than 180 megapixels", pixels) from None
-        except (MemoryError, _TooLargeError):
+        except (MemoryError, _RefusedError):
             raise
         except Exception as e:  # damaged files bring all sorts of errors out of decoders
             what = " ".join(str(e).split())[:80] or type(e).__name__
@@ -77,7 +79,7 @@ def px(size: Size) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-class _TooLargeError(OSError):
+class _RefusedError(OSError):
     pass
 
 
@@ -92,5 +94,15 @@ def _check_size(picture: Image.Image, pixels: int) -> None:
             raise _too_large(f"stored in tiles of {px(tile)}", pixels)
 
 
+def _check_chunks(data: bytes) -> None:
+    """No part of a PNG may say that it is longer than the file: OpenCV takes as much memory as it says."""
+    at, kind = 8, b""
+    while at + 8 <= len(data) and kind != b"IEND":  # length, kind, content, check sum: PNG specification, section 5.3
+        kind = data[at + 4 : at + 8]
+        at += 12 + int.from_bytes(data[at : at + 4])
+    if at > len(data):
+        raise _RefusedError(errno.EINVAL, "cut short or damaged; copy it from the camera again, or leave it out")
+
+
 def _too_large(what: str, pixels: int) -> OSError:
-    return _TooLargeError(errno.EFBIG, f"is {what}; scale it to at most {pixels // 1_000_000} megapixels")
+    return _RefusedError(errno.EFBIG, f"is {what}; scale it to at most {pixels // 1_000_000} megapixels")

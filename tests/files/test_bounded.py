@@ -125,6 +125,16 @@ def test_the_tiles_of_a_tiff_count_too():
         pictures.read_header(data, pictures.PHOTO_PIXELS)
 
 
+def test_a_part_of_a_png_that_says_it_is_longer_than_the_file_is_refused():
+    """OpenCV would take 3 GB for it."""
+    whole = png(16, 12)
+    at = whole.index(b"IDAT") - 4
+    for length in (0xB9910157, len(whole)):
+        with pytest.raises(OSError, match="cut short or damaged"):
+            pictures.read_header(whole[:at] + length.to_bytes(4) + whole[at + 4 :], 1000)
+    assert pictures.read_header(whole + b"what a camera's maker adds", 1000).size == (16, 12)
+
+
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.bmp"])
 def test_header_and_decoder_agree_on_the_size(name):
     data = cv2.imencode(Path(name).suffix, np.arange(7 * 5 * 3, dtype=np.uint8).reshape(7, 5, 3))[1].tobytes()

@@ -6,8 +6,11 @@ Each is refused in one line or read, and the process stays below a gigabyte.
 import contextlib
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
+import cv2
+import numpy as np
 from hypothesis import strategies as st
 
 from spheremouse.ball.settings import Settings
@@ -19,6 +22,7 @@ from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.wand import is_wand, open_wand
 from spheremouse.files.mouse_log import read_log
 from spheremouse.files.rig import load_camera
+from tests.fuzz.strategies import mutated_bytes
 from tests.fuzz.targets import file, refused, target
 from tests.oversized import bmp, jpeg, mkv, png, sparse, tiff
 
@@ -75,8 +79,34 @@ def check_sizes(drawn: tuple[str, str, int | str, int]) -> None:
     assert taken < MOST_MEMORY, f"{taken / 1e6:.0f} MB"
 
 
+@cache
+def _whole(kind: str) -> bytes:
+    """A picture of noise, 40 by 30."""
+    image = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    return bytes(cv2.imencode(f".{kind}", image)[1])
+
+
+@target(
+    "damaged pictures",
+    lambda: st.sampled_from(["png", "jpg", "bmp", "tif"]).flatmap(
+        lambda kind: st.tuples(st.just(kind), st.one_of(mutated_bytes(_whole(kind)), mutated_bytes(_whole(kind)[:200])))
+    ),
+)
+def check_damaged(drawn: tuple[str, bytes]) -> None:
+    kind, data = drawn
+    _forget()
+    before = _memory("VmRSS")
+    _shown(file(data, f"picture.{kind}"))
+    taken = _memory("VmHWM") - before
+    assert taken < MOST_MEMORY, f"{taken / 1e6:.0f} MB"
+
+
 def _picture(name: str, width: int, height: int) -> None:
-    path = file(_PICTURES[name](width, height), f"picture.{name}")
+    _shown(file(_PICTURES[name](width, height), f"picture.{name}"))
+
+
+def _shown(path: Path) -> None:
+    """A file as a photo, to the wand's colour picker, and as a frame of a dataset."""
     photos = refused(lambda: read_photos([path], lambda _: None))
     if photos:
         refused(lambda: image(photos[0]))
