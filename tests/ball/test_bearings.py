@@ -83,3 +83,13 @@ def test_one_bad_frame_does_not_spoil_the_mean():
     for _ in range(60):
         mean = averaged(mean, bad, 1.0 / 30.0, S)
     assert mean > S.out_of_round
+
+
+def test_discs_seen_many_times_over_in_one_place_tell_no_shift():
+    """Nothing tells a turn about the line of sight; the core raises nothing."""
+    p = DISCS[np.argmax(DISCS[:, 2])]
+    uv = np.tile(project(POSE.to_cam(0.6 * p[None]), CAMERA)[0], (9, 1))
+    points = intersect(Detections(uv, np.tile(SIGMA**2 * np.eye(2), (9, 1, 1)), np.full(9, 50.0)), RIG, POSE)
+    for variance in (1e-12, 1e-8, 1e-4):
+        out = shift_of(points, np.zeros(9), np.tile(p, (9, 1)), np.full(9, variance), np.eye(3), np.zeros(3), 0.6, 0.07)
+        assert out is None or np.isfinite(out.certainty)
