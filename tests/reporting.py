@@ -1,10 +1,22 @@
-"""Reports made up for tests of outputs, and counts of what was tracked."""
+"""Reports made up for tests of outputs, counts of what was tracked, and the wait for what a thread does."""
+
+import time
 
 import numpy as np
 
 from spheremouse.output import Report
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.tracker import Motion
+
+PATIENCE = 20.0  # s, for what takes milliseconds
+
+
+def until(condition):
+    """Wait until it is so."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it never came to be"
+        time.sleep(0.002)
 
 
 def report(

@@ -5,10 +5,12 @@ Look-alikes are told from discs as for any filter. But these keep no map, for a 
 the camera was pushed, or how long a shutter takes.
 """
 
+from dataclasses import replace
+
 from spheremouse.ball.filters.euler import EulerState
 from spheremouse.ball.phases.candidates import all_are_discs, judged, updated
 from spheremouse.ball.phases.learn import learn
-from spheremouse.ball.phases.recover import begin_anew, lost_in_a_gap, seen_since
+from spheremouse.ball.phases.recover import begin_anew, seen_since
 from spheremouse.ball.state import Events, Learning, Lost, Recognising, Tracker, Tracking, TrackState
 
 State = TrackState[EulerState]
@@ -16,16 +18,15 @@ State = TrackState[EulerState]
 
 def next_phase(state: State, stamp: float, tracker: Tracker, predicted: EulerState) -> tuple[State, Events]:
     """The state after the points of a frame, and what has changed."""
-    state, events = lost_in_a_gap(state, stamp, tracker)
     match state.phase:
         case Learning():
             return learn(state, state.phase, stamp, tracker, predicted)
         case Tracking():
             return _followed(state, stamp, tracker, predicted), ()
         case Lost():
-            state = seen_since(state, state.phase, stamp)
-            assert isinstance(state.phase, Lost)
-            return (state, events) if state.phase.in_view_since is None else begin_anew(state, stamp, tracker)
+            phase = seen_since(state.phase, len(state.points), stamp)
+            state = replace(state, phase=phase)
+            return (state, ()) if phase.in_view_since is None else begin_anew(state, stamp, tracker)
         case Recognising():
             raise AssertionError("no map, nothing to recognise")
 

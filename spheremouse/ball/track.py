@@ -280,7 +280,9 @@ def advance(
         search=search or state.search,
     )
     what_next = classic.next_phase if tracker.classic else _next_phase
+    state, gap = lost_in_a_gap(state, stamp, tracker)
     state, events = what_next(state, stamp, tracker, carried)
+    events = events or gap  # found again with the frame that ends it
     state, more = _lost_in_time(state, stamp, tracker)
     events = (*more, *events)  # what leads to the state comes first
     if tracker.rig.readout_sigma_s > 0.0 and not (state.readout_known or tracker.classic):
@@ -293,7 +295,6 @@ def _next_phase(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
     """The state after the points of a frame, and what has changed."""
-    state, events = lost_in_a_gap(state, stamp, tracker)
     match state.phase:
         case Recognising():
             return recognise(state, state.phase, stamp, tracker)
@@ -302,8 +303,7 @@ def _next_phase(
         case Tracking():
             return check_bearings(follow(state, stamp, tracker, predicted), stamp, tracker, predicted)
         case Lost():
-            state, more = recover(state, state.phase, stamp, tracker)
-            return state, more or events
+            return recover(state, state.phase, stamp, tracker)
 
 
 def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:

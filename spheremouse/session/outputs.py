@@ -1,6 +1,6 @@
 """Where a run's motion goes: the pointer's output and those beside it, a thread each, exchanged while frames come.
 
-All methods but `status`, `troubles` and `latency`, which any thread may ask, are the worker's; none waits but `close`.
+All methods but `status` and `troubles`, which any thread may ask, are the worker's; none waits but `close`.
 """
 
 import threading
@@ -97,20 +97,16 @@ class Outputs:
         """Why nothing can be sent, of each that fails; None: all work."""
         return "; ".join(filter(None, (thread.failed for thread in self._all))) or None
 
-    @property
-    def latency(self) -> Latency | None:
-        """From a frame's stamp until its motion was sent; None without frames."""
-        return self.pointer.status().latency
-
-    def status(self) -> dict[str, Any]:
-        """Sums of the run, as docs/control.md says."""
+    def status(self) -> tuple[dict[str, Any], Latency | None]:
+        """Sums of the run, as docs/control.md says, and the latency."""
         report, (reports, unsent) = self.pointer.status(), self.past
-        return {
+        sums = {
             "failed": self.troubles,
             "reports": reports + report.reports,
             "unsent": list(plus(unsent, report.unsent)),
             "ahead": list(report.ahead),
         }
+        return sums, report.latency
 
     @property
     def _all(self) -> list[OutputThread]:

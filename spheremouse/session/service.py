@@ -145,7 +145,7 @@ class Daemon:
     @property
     def latency(self) -> tuple[float, float] | None:
         """s from a frame's stamp until its motion was sent: median, 99 %; None without frames."""
-        latency = self._outputs.latency
+        _, latency = self._outputs.status()
         return None if latency is None else (latency.p50, latency.p99)
 
     # ---- the loop ----
@@ -514,7 +514,7 @@ class Daemon:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
         worker, plan = self._worker, self._plan
-        latency = self._outputs.latency
+        output, latency = self._outputs.status()
         return {
             "state": str(self._state),
             "reason": self._reason,
@@ -528,7 +528,7 @@ class Daemon:
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
             "damaged": worker.damaged,
-            "output": {"spec": plan.output, **self._outputs.status()},
+            "output": {"spec": plan.output, **output},
             "source": {"spec": plan.source, "description": self._capture.description},
             "unseen_s": self._unseen,
             "lost_count": worker.lost,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reporting import report
+from reporting import PATIENCE, report, until
 
 from spheremouse.errors import OutputError
 from spheremouse.output import OutputClosed, open_output
@@ -17,7 +17,6 @@ from spheremouse.output import reporter as module
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.output.reporter import OutputThread
 
-PATIENCE = 20.0  # s, for what takes milliseconds
 EXACT = PointerSettings(horizon=0.0)
 NONE = (0.0, 0.0, 0.0)
 
@@ -84,14 +83,6 @@ class WandSource:
         given = report(*counts, stamp=stamp, rotation=turn, rate=turning, counts_rate=rate, confirmed=tracking)
         self.sum += counts
         self._reporter.give(given, time.monotonic() if taken is None else taken, wanted)
-
-
-def until(condition):
-    """Wait until it is so."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it never came to be"
-        time.sleep(0.002)
 
 
 @pytest.fixture(autouse=True)

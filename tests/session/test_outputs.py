@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from reporting import report
+from reporting import PATIENCE, report, until
 
 from spheremouse.errors import ControlError
 from spheremouse.output.null import Null
@@ -13,15 +13,7 @@ from spheremouse.session import outputs as module
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.process.threads import Crew
 
-PATIENCE = 20.0  # s, for what takes milliseconds
 EXACT = PointerSettings(horizon=0.0)
-
-
-def until(condition):
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it never came to be"
-        time.sleep(0.002)
 
 
 class Sink(Null):
@@ -108,8 +100,8 @@ def test_what_was_given_is_what_arrived_and_what_is_told_as_unsent(run):
     until(lambda: len(made.diary) == 11)
     made.give(1, 1, 1)
     until(lambda: not made.outputs.pointer._given)
-    status = made.outputs.status()
-    until(lambda: np.array_equal(sum(s.counts for s in sinks) + made.outputs.status()["unsent"], made.sum))
+    status, _ = made.outputs.status()
+    until(lambda: np.array_equal(sum(s.counts for s in sinks) + made.outputs.status()[0]["unsent"], made.sum))
     assert status["failed"] is None
 
 
@@ -138,7 +130,7 @@ def test_paused_nothing_is_sent_by_those_to_come_either(run):
     (after,) = made.next("b")
     until(lambda: len(made.diary) == 3)
     made.give(5, 0, 0)
-    until(lambda: made.outputs.status()["unsent"] == [5, 0, 0])
+    until(lambda: made.outputs.status()[0]["unsent"] == [5, 0, 0])
     made.outputs.pause(False)
     made.give(1, 0, 0)
     until(lambda: np.array_equal(after.counts, (1, 0, 0)))

@@ -34,21 +34,20 @@ def lost_in_a_gap(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple
     return lost(state), (BallLost(Why.GAP, gap),)
 
 
-def seen_since(state: TrackState[F], phase: Lost, stamp: float) -> TrackState[F]:
+def seen_since(phase: Lost, points: int, stamp: float) -> Lost:
     """Lost, and since when discs are in view again."""
-    if len(state.points) < 2:
-        return replace(state, phase=phase._replace(in_view_since=None))
+    if points < 2:
+        return phase._replace(in_view_since=None)
     since = stamp if phase.in_view_since is None else min(phase.in_view_since, stamp)  # a clock that starts again
-    return replace(state, phase=phase._replace(in_view_since=since))
+    return phase._replace(in_view_since=since)
 
 
 def recover(
     state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[TrackState[So3State], Events]:
     """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
-    state = seen_since(state, phase, stamp)
-    assert isinstance(state.phase, Lost)
-    phase = state.phase
+    phase = seen_since(phase, len(state.points), stamp)
+    state = replace(state, phase=phase)
     if phase.in_view_since is None:
         return state, ()
     recognised = recognised_attitude(state, stamp, tracker)
