@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from spheremouse.experiments.kit.job import Figure, Job, Section, Table
-from spheremouse.experiments.kit.report import failures, value
+from spheremouse.experiments.report.page import failures, value
 
 TITLE = "Squares | and more"
 

@@ -14,8 +14,8 @@ from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit.job import Job, Request, Result, Section, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.kit.run import work_all
+from spheremouse.experiments.report.page import write_report
 from spheremouse.files.report.style import require_matplotlib
 
 

@@ -20,8 +20,8 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit import run as run_module
 from spheremouse.experiments.kit.job import Job, Request
-from spheremouse.experiments.kit.report import value
 from spheremouse.experiments.kit.run import work_all
+from spheremouse.experiments.report.page import value
 
 app = typer.Typer()
 app.command()(cli_experiments.experiments)

@@ -5,8 +5,8 @@ import numpy as np
 from spheremouse.experiments import count
 from spheremouse.experiments.count import jobs, with_discs
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.report.count import section
+from spheremouse.experiments.report.plot import save
 
 WHOLE = Request(False, None)
 

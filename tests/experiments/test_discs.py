@@ -8,8 +8,8 @@ import pytest
 from spheremouse.experiments import discs
 from spheremouse.experiments.discs import HANDS, LAYOUTS, SIZES, directions_of, in_rows, jobs
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report.discs import section
+from spheremouse.experiments.report.page import write_report
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 

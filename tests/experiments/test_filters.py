@@ -7,8 +7,8 @@ import pytest
 
 from spheremouse.experiments.filters import jobs, play, simulated
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.report.filters import _gapped, acceleration, section
+from spheremouse.experiments.report.plot import save
 from spheremouse.simulate.ball.profile import thesis
 
 HERE = Request(False, Path("sets"))

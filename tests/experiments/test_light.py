@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.light import _encoded, decoded, jobs, simulated
 from spheremouse.experiments.report.light import section
+from spheremouse.experiments.report.plot import save
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)

@@ -9,11 +9,11 @@ from spheremouse.experiments import covers, limits
 from spheremouse.experiments.covers import COVERS
 from spheremouse.experiments.kit import world as world_module
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.plot import save
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.kit.world import NEW, RATES, WHO, SpedUp, world
 from spheremouse.experiments.limits import ACCELERATIONS, FASTEST, TRACKERS, Trial, jobs
 from spheremouse.experiments.report.limits import section
+from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.report.plot import save
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.render import Renderer, RenderOptions

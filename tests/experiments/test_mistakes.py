@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from spheremouse.experiments import mistakes
 from spheremouse.experiments.kit import tour
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, wrong
 from spheremouse.experiments.report import mistakes as mistakes_module
 from spheremouse.experiments.report.mistakes import section
+from spheremouse.experiments.report.page import write_report
 from spheremouse.geometry.camera import project
 from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Status

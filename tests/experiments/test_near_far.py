@@ -7,8 +7,8 @@ import pytest
 
 from spheremouse.experiments import near_far
 from spheremouse.experiments.kit.job import Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import near_far as near_far_module
+from spheremouse.experiments.report.page import write_report
 
 QUICK = Request(True, None)
 

@@ -6,9 +6,9 @@ import pytest
 
 from spheremouse.experiments import parameters
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.parameters import jobs, simulated
 from spheremouse.experiments.report.parameters import apart, by_acceleration, by_ratio, section, spread
+from spheremouse.experiments.report.plot import save
 
 HERE = Request(False, Path("sets"))
 AWAY = Request(False, None)

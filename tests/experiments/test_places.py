@@ -9,9 +9,9 @@ from spheremouse.ball.truth import VISIBLE
 from spheremouse.experiments import places
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.places import Place, Size, expected, fitted, jobs, scene_from, targets_in_view
 from spheremouse.experiments.report import places as places_module
+from spheremouse.experiments.report.page import write_report
 from spheremouse.experiments.report.places import section
 from spheremouse.simulate.ball.profile import thesis
 from spheremouse.simulate.ball.render import Renderer

@@ -5,7 +5,6 @@ import pytest
 
 from spheremouse.experiments import pointer
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.pointer import (
     DEFAULT,
     EXACT,
@@ -19,6 +18,7 @@ from spheremouse.experiments.pointer import (
     latency,
     settings,
 )
+from spheremouse.experiments.report.page import write_report
 from spheremouse.experiments.report.pointer import section
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.pointer import PointerSettings

@@ -10,8 +10,8 @@ from spheremouse.ball.pose import Sighting, predict_targets
 from spheremouse.experiments import poses
 from spheremouse.experiments.kit import thesis
 from spheremouse.experiments.kit.job import Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import poses as poses_module
+from spheremouse.experiments.report.page import write_report
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
 from spheremouse.simulate.ball.scene import default_scene

@@ -10,8 +10,8 @@ from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.experiments import renderer
 from spheremouse.experiments.kit.job import Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import renderer as renderer_module
+from spheremouse.experiments.report.page import write_report
 from spheremouse.simulate.ball.scene import default_scene
 
 FINE = 9  # parts of a pixel's side in painted ellipses

@@ -8,8 +8,8 @@ import pytest
 
 from spheremouse.experiments import surface
 from spheremouse.experiments.kit.job import Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import surface as surface_module
+from spheremouse.experiments.report.page import write_report
 from spheremouse.simulate.ball.scene import default_scene
 
 QUICK = Request(True, None)

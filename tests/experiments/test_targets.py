@@ -10,8 +10,8 @@ from spheremouse.ball.pose import predict_targets
 from spheremouse.ball.rig import CODES
 from spheremouse.experiments import targets
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.report import targets as targets_module
+from spheremouse.experiments.report.page import write_report
 from spheremouse.experiments.report.targets import section
 from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of
 from spheremouse.simulate.ball.scene import default_scene

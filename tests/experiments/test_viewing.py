@@ -12,10 +12,10 @@ from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit import sights
 from spheremouse.experiments.kit import tour as tour_module
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.plot import apart, save
-from spheremouse.experiments.kit.report import write_report
 from spheremouse.experiments.kit.tour import thinned, tour
 from spheremouse.experiments.report import viewing as viewing_module
+from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.report.plot import apart, save
 from spheremouse.experiments.report.viewing import points, section
 from spheremouse.experiments.viewing import KINDS, jobs
 from spheremouse.geometry.rotation import log

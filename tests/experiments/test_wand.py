@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from spheremouse.experiments import wand
 from spheremouse.experiments import wand_films as wand_experiments
 from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.kit.plot import save
 from spheremouse.experiments.report import wand as wand_module
+from spheremouse.experiments.report.plot import save
 from spheremouse.experiments.wand_films import Film, Variant
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from spheremouse.experiments.kit.job import Result
-from spheremouse.experiments.kit.plot import decades
 from spheremouse.experiments.kit.tour import ESTIMATED, IGNORED, KNOWN, PUBLISHED
 from spheremouse.experiments.kit.world import (
     NEW,
     WHO,
 )
+from spheremouse.experiments.report.plot import decades
 
 CLEARLY = 1.05  # times another error
 COLOURS = {"ekf1": "C0", "ekf2": "C1", PUBLISHED: "C5", KNOWN: "C2", ESTIMATED: "C3", IGNORED: "C5", "bound": "0.5"}

@@ -8,8 +8,8 @@ import numpy as np
 from spheremouse.experiments.count import ATTITUDE, FAR_OFF, LAYOUTS, RATE, STORED, key_of
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
-from spheremouse.experiments.kit.report import failures, value
+from spheremouse.experiments.report.page import failures, value
+from spheremouse.experiments.report.plot import BOUND, THESIS, plain_numbers
 from spheremouse.simulate.ball.film import SimulationOptions
 
 _THESIS_FRAMES = 300

@@ -17,7 +17,6 @@ from spheremouse.experiments.covers import (
 )
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Result, Results, Table
-from spheremouse.experiments.kit.plot import BOUND
 from spheremouse.experiments.kit.world import (
     DISCS,
     WHO,
@@ -34,6 +33,7 @@ from spheremouse.experiments.report.cells import (
     span,
     with_broken,
 )
+from spheremouse.experiments.report.plot import BOUND
 
 
 def cover_about(good: Results) -> str:

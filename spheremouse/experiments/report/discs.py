@@ -23,10 +23,10 @@ from spheremouse.experiments.discs import (
 )
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, decades
-from spheremouse.experiments.kit.report import failures, value
 from spheremouse.experiments.kit.tour import FAR_OFF, FOLLOWED, brief, is_lost
 from spheremouse.experiments.report.cells import films_cell
+from spheremouse.experiments.report.page import failures, value
+from spheremouse.experiments.report.plot import BOUND, decades
 
 _RECOGNISED = 0.99  # of the pictures: good enough
 

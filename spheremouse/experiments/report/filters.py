@@ -8,7 +8,7 @@ from spheremouse.experiments.filters import ENOUGH, PACES, PUBLISHED, THESIS
 from spheremouse.experiments.kit import r1
 from spheremouse.experiments.kit.film import TRACKERS, settings_of
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.report import failures, value
+from spheremouse.experiments.report.page import failures, value
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball import profile
 from spheremouse.simulate.ball.film import SimulationOptions

@@ -6,9 +6,9 @@ import numpy as np
 
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, THESIS
-from spheremouse.experiments.kit.report import failures, value
 from spheremouse.experiments.light import SIGMAS, THESIS_24, WORST, decoded, key_of
+from spheremouse.experiments.report.page import failures, value
+from spheremouse.experiments.report.plot import BOUND, THESIS
 
 _AXES = ("C3", "C4", "C5")  # of angles and axes; C0 to C2 are the trackers'
 _CLEARLY = 1.25  # times: less than that is no growth

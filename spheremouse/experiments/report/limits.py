@@ -6,8 +6,6 @@ import numpy as np
 
 from spheremouse.experiments.kit.film import TRACKERS
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND
-from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.world import (
     DISCS,
     HOLD,
@@ -49,6 +47,8 @@ from spheremouse.experiments.report.covers import (
     hidden,
     waits_of,
 )
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import BOUND
 from spheremouse.simulate.ball.film import default_scene
 
 _SOFTEST = 1.0  # rad/s², the least that is tried

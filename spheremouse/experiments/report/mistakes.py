@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, label_ends, plain_numbers
-from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.tour import FOLLOWED, is_lost
 from spheremouse.experiments.mistakes import (
     ALONE,
@@ -24,6 +22,8 @@ from spheremouse.experiments.mistakes import (
     Kind,
 )
 from spheremouse.experiments.report.cells import CLEARLY, COLOURS, films_cell
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import BOUND, label_ends, plain_numbers
 
 
 def section(request: Request, results: Results) -> Section:

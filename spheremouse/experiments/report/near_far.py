@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, plain_numbers
-from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.near_far import DISCS, NOISE, THESIS, VARIANTS, VIEWS
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import BOUND, plain_numbers
 from spheremouse.simulate.ball.film import View
 
 _KEYS = {"attitude": ("attitude_rmse_deg", "°", 4), "rate": ("rate_rmse_deg_s", "°/s", 2)}

@@ -6,8 +6,6 @@ from typing import Any, TypeGuard
 from spheremouse.experiments.kit import r1
 from spheremouse.experiments.kit.film import settings_of
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
-from spheremouse.experiments.kit.report import failures, value
 from spheremouse.experiments.parameters import (
     ATTITUDE,
     BEYOND,
@@ -22,6 +20,8 @@ from spheremouse.experiments.parameters import (
     Grid,
     key_of,
 )
+from spheremouse.experiments.report.page import failures, value
+from spheremouse.experiments.report.plot import BOUND, THESIS, plain_numbers
 from spheremouse.simulate.ball.film import SimulationOptions
 
 _COLOURS = ("C3", "C4", "C5")  # by sigma_b; C0 to C2 are the trackers'

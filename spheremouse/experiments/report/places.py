@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND
-from spheremouse.experiments.kit.report import failures, value
 from spheremouse.experiments.places import (
     DISCS,
     FAR,
@@ -22,6 +20,8 @@ from spheremouse.experiments.places import (
     jobs,
     lens_of,
 )
+from spheremouse.experiments.report.page import failures, value
+from spheremouse.experiments.report.plot import BOUND
 
 _POSED = 3  # targets that make a pose
 _SPAN = 1.5  # times the least error: the least that colours tell apart

@@ -5,8 +5,6 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND
-from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.world import DISCS
 from spheremouse.experiments.pointer import (
     DEFAULT,
@@ -26,6 +24,8 @@ from spheremouse.experiments.pointer import (
     latency,
 )
 from spheremouse.experiments.report.cells import films_cell, label_lines, plain, rate_axis, those
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import BOUND
 from spheremouse.output.pointer import PointerSettings
 
 _MARKS = {NONE: ("C1", "s"), ONE: ("C3", "v"), NEXT: ("C2", "D"), DEFAULT: ("C0", "o")}

@@ -8,10 +8,10 @@ from scipy.special import gammaincinv
 
 from spheremouse.ball.pose import PoseSettings
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import THESIS
-from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.thesis import THESIS_TABLES
 from spheremouse.experiments.poses import BLANK, NAMES, NOISE, STRONG, VIEWS, VIEWS_USED
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import THESIS
 
 _CLEAR = 0.1  # a correlation whose sign means something
 

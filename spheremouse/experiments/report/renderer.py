@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, THESIS, plain_numbers
-from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.renderer import AREAS, ASKED, GREY, LINEAR, REACH, RINGS, STEP
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import BOUND, THESIS, plain_numbers
 from spheremouse.geometry.rotation import Array
 
 _WORST = 3  # discs

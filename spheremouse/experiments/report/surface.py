@@ -6,8 +6,8 @@ import numpy as np
 
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import THESIS, plain_numbers
-from spheremouse.experiments.kit.report import failures
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import THESIS, plain_numbers
 from spheremouse.experiments.surface import (
     FIGURE_39,
     LEVELS,

@@ -7,8 +7,8 @@ import numpy as np
 from spheremouse.ball.pose import PoseSettings
 from spheremouse.ball.rig import CODES
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, THESIS, decades
-from spheremouse.experiments.kit.report import failures
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import BOUND, THESIS, decades
 from spheremouse.experiments.targets import (
     ABOUT,
     CONDITIONS,

@@ -8,8 +8,6 @@ import numpy as np
 from spheremouse.ball.rig import UNKNOWN_READOUT
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import BOUND, label_ends, plain_numbers
-from spheremouse.experiments.kit.report import failures
 from spheremouse.experiments.kit.tour import (
     AXES,
     ESTIMATED,
@@ -24,6 +22,8 @@ from spheremouse.experiments.kit.tour import (
     is_lost,
 )
 from spheremouse.experiments.report.cells import CLEARLY, COLOURS, DASHES, MARKS, films_cell
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import BOUND, label_ends, plain_numbers
 from spheremouse.experiments.viewing import FASTEST, KINDS, Kind
 
 

@@ -8,8 +8,8 @@ from spheremouse.evaluate.table import axes, shown
 from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
 from spheremouse.experiments import wand_films as wand
 from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.plot import plain_numbers
-from spheremouse.experiments.kit.report import failures
+from spheremouse.experiments.report.page import failures
+from spheremouse.experiments.report.plot import plain_numbers
 from spheremouse.experiments.wand import SPEEDS
 from spheremouse.geometry.rotation import log
 

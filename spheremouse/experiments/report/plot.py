@@ -15,8 +15,6 @@ from spheremouse.experiments.kit.job import Figure
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report.style import styled
 
-# ---- for a reader ----
-
 BOUND, THESIS = {"linestyle": ":", "linewidth": 1.2}, {"linestyle": "--", "linewidth": 1.0}  # how these are drawn
 _OVER = {
     "axes.grid": True,

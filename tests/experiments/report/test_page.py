@@ -1,7 +1,7 @@
 """The page: what a reader is told before the sections, and how failures stand in it."""
 
 from spheremouse.experiments.kit.job import Section, Table
-from spheremouse.experiments.kit.report import write_report
+from spheremouse.experiments.report.page import write_report
 
 SECTION = {"x": ("Title", Section(("words", Table(("a|b",), (("–",),)))))}
 

@@ -5,10 +5,8 @@ from pathlib import Path
 
 from spheremouse import __version__
 from spheremouse.experiments.kit.job import Figure, Result, Section, Table
-from spheremouse.experiments.kit.plot import save
+from spheremouse.experiments.report.plot import save
 from spheremouse.files.atomic import write_atomically, write_json
-
-# ---- for a reader ----
 
 _MISSING = "–"
 _QUICK = " A quick run: mostly one short film where the whole has several; not to be quoted."
