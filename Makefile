@@ -15,6 +15,8 @@ SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/t
     commands/tray/test_tray) \
     tests/commands/doctor/test_doctor.py::test_a_source_that_gives_no_frame_is_an_error_that_says_so \
     tests/commands/test_run.py::test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones
+# Optional parts that a cabinet may have.
+CABINET := plot metrics tray desktop
 # What there are no wheels of.
 SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=
@@ -76,7 +78,7 @@ set -euo pipefail
 lock() { $(BIN)/uv pip compile --quiet --universal --generate-hashes --fork-strategy fewest --no-annotate \
     --custom-compile-command "make lock" --no-python-downloads "$$@"; }
 lock pyproject.toml --all-extras --group dev --group docs --group release $(LOCK_ARGS) -o tests/requirements.lock
-lock pyproject.toml --all-extras --group release -c tests/requirements.lock $(addprefix --no-emit-package=,$(SOURCES)) \
+lock pyproject.toml $(addprefix --extra=,$(CABINET)) --group release -c tests/requirements.lock $(addprefix --no-emit-package=,$(SOURCES)) \
     -o service/requirements.lock
 printf '%s\n' $(SOURCES) | lock - --no-deps -c tests/requirements.lock -o service/sources.lock
 endef

@@ -1,22 +1,25 @@
 """`spheremouse experiments`: repeat the experiments of the theses, and those that they left open, on all cores."""
 
 import os
+import re
 from dataclasses import replace
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table as Shown
+from rich.markdown import Markdown
 
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.experiments import NAMES
-from spheremouse.experiments.kit.job import Job, Request, Result, Section, Table
+from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.run import work_all
-from spheremouse.experiments.report.page import write_report
-from spheremouse.files.report.style import require_matplotlib
+from spheremouse.experiments.report.page import Said, of_section, said, write_report
+
+_FIGURES = re.compile(r"^```\{figure\}.*?^```$\n", re.MULTILINE | re.DOTALL)
 
 
 def experiments(
@@ -46,7 +49,8 @@ def experiments(
         raise ConfigurationError(f"--cores: must be 1 or more, is {cores}")
     if datasets is not None and not datasets.is_dir():
         raise ConfigurationError(f"--datasets: {datasets}: no such folder")
-    require_matplotlib()
+    if find_spec("matplotlib") is None or find_spec("pandas") is None:
+        raise ConfigurationError("experiments need matplotlib and pandas: pip install 'spheremouse[lab]'")
     folder = out / "experiments" / "jobs"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -57,15 +61,24 @@ def experiments(
     jobs = {name: module.jobs(request) for name, module in modules.items()}
     results = _worked(jobs, folder, cores or os.cpu_count() or 1, again)
     reports = {name: import_module(f"spheremouse.experiments.report.{name}") for name in chosen}
-    sections = {n: (modules[n].TITLE, report.section(request, results[n])) for n, report in reports.items()}
-    console = Console(soft_wrap=True, highlight=False)
-    if not console.is_terminal:
-        console.width = 1000
-    for title, section in sections.values():
-        _show(console, title, section)
+    sections, numbers = dict[str, Said](), dict[str, Any]()
+    for name, report in reports.items():
+        if hasattr(report, "page"):
+            sections[name], numbers[name] = said(name, report.page, results[name]), results[name]
+        else:
+            worded = report.section(request, results[name])
+            sections[name], numbers[name] = of_section(modules[name].TITLE, worded), worded.figures
+    console = Console(highlight=False)
+    for section in sections.values():
+        console.print(Markdown(_FIGURES.sub("", section.text)))
     words = ["spheremouse experiments", *(names or ()), *(["--quick"] if quick else [])]
-    written = write_report(out, sections, " ".join([*words, *(["--datasets DIR"] if datasets else []), "--out DIR"]))
+    written = write_report(
+        out, sections, numbers, " ".join([*words, *(["--datasets DIR"] if datasets else []), "--out DIR"])
+    )
     failed = [f"{name}/{key}: {r['error']}" for name, of in results.items() for key, r in of.items() if "error" in r]
+    for name, section in sections.items():
+        if section.doubts:
+            print(f"{name}: {section.doubts} of its sentences are not borne out by this run; the page marks them")
     for line in failed:
         console.print(f"failed: {line}", markup=False)
     print(f"{written[0]}: written, with {len(written) - 1} files beside it; what each film gave is kept in {folder}")
@@ -87,15 +100,3 @@ def _worked(jobs: dict[str, list[Job]], folder: Path, cores: int, again: bool) -
         task = bar.add_task("experiments", total=len(wanted))
         found = work_all(wanted, folder, cores, again, lambda job: bar.update(task, advance=1, description=job.key))
     return {name: {job.key: found[f"{name}/{job.key}"] for job in of} for name, of in jobs.items()}
-
-
-def _show(console: Console, title: str, section: Section) -> None:
-    console.print(f"\n[bold]{title}[/bold]")
-    for part in section.parts:
-        if isinstance(part, Table):
-            shown = Shown(title=part.title or None, title_justify="left")
-            for k, name in enumerate(part.head):
-                shown.add_column(name, justify="left" if k == 0 else "right")
-            for row in part.rows:
-                shown.add_row(*row)
-            console.print(shown)

@@ -21,7 +21,6 @@ from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit import run as run_module
 from spheremouse.experiments.kit.job import Job, Request
 from spheremouse.experiments.kit.run import work_all
-from spheremouse.experiments.report.page import value
 
 app = typer.Typer()
 app.command()(cli_experiments.experiments)
@@ -145,14 +144,15 @@ def test_nothing_goes_on_after_a_run_that_was_ended(number, tmp_path):
 
 
 def test_words_are_no_part_of_the_program_and_all_else_is(tmp_path, monkeypatch):
-    """What stands below the line for readers changes no result."""
-    code, seen = tmp_path / "experiments" / "some.py", []
-    code.parent.mkdir()
+    """What stands in `experiments/report` changes no result."""
+    code, words, seen = tmp_path / "experiments" / "some.py", tmp_path / "experiments" / "report" / "some.py", []
+    words.parent.mkdir(parents=True)
     (tmp_path / "session" / "control").mkdir(parents=True)
     monkeypatch.setattr(run_module.spheremouse, "__file__", str(tmp_path / "__init__.py"))
     for text, shell in (("a = 1", "x"), ("a = 2", "x"), ("a = 2", "y")):
-        for words in ("one", "another"):
-            code.write_text(f"{text}\n\n\n# ---- for a reader ----\n\n{words} = 1\n", encoding="utf-8")
+        for said in ("one", "another"):
+            code.write_text(text, encoding="utf-8")
+            words.write_text(said, encoding="utf-8")
             (tmp_path / "session" / "control" / "server.py").write_text(shell, encoding="utf-8")
             run_module.program.cache_clear()
             seen.append(run_module.program())
@@ -206,10 +206,3 @@ def test_every_experiment_has_jobs_with_keys_of_their_own(name):
         assert all(re.fullmatch(r"[\w.+-]+", key) for key in keys), keys
         assert all(json.loads(json.dumps(job.parameters)) == job.parameters for job in jobs)
     assert len(module.jobs(Request(True, None))) <= len(jobs)
-
-
-def test_a_value_says_what_is_missing():
-    assert value({"a": {"b": 2.0}}, "a", "b", digits=1, factor=10) == "20.0"
-    assert value(None, "a") == "–"
-    assert value({"error": "as if"}, "a") == "failed"
-    assert value({"a": None}, "a", "b") == "–"

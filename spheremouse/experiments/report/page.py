@@ -1,71 +1,122 @@
-"""The sections of experiments as a page of Markdown, and their numbers as JSON."""
+"""A page of Markdown written by hand, `NAME.md`, with the numbers of a run put in, and the numbers as JSON.
 
-from collections.abc import Mapping
+A template (Jinja2) has the words; `NAME.py` beside it gives what they name: numbers, tables, figures. In a template
+`{{ x | fixed(2) }}` is a number with two digits, `{{ figure("name", "caption") }}` a picture, and what follows
+`{{ shown(a < b) }}` is a claim that the page marks where a run does not bear it out.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from spheremouse import __version__
-from spheremouse.experiments.kit.job import Figure, Result, Section, Table
-from spheremouse.experiments.report.plot import save
+from spheremouse.experiments.kit.job import Figure, Result, Results, Section, Table
+from spheremouse.experiments.report.plot import Drawing, save
 from spheremouse.files.atomic import write_atomically, write_json
 
-_MISSING = "–"
-_QUICK = " A quick run: mostly one short film where the whole has several; not to be quoted."
+MISSING = "–"
+_NOT_SHOWN = "**Not borne out by this run:** "
 
 
-def write_report(out: Path, sections: Mapping[str, tuple[str, Section]], command: str) -> list[Path]:
+class Page(NamedTuple):
+    """What a template names."""
+
+    values: Mapping[str, Any]  # numbers that are not known are nan
+    drawings: tuple[Drawing, ...] = ()
+
+
+class Said(NamedTuple):
+    """A section as it is read."""
+
+    text: str  # Markdown
+    drawings: tuple[Drawing, ...] = ()
+    doubts: int = 0  # claims that the numbers do not bear out
+
+
+def said(name: str, page: Callable[[Results], Page], results: Results) -> Said:
+    """The section of an experiment: its template with the values of its page, and what failed.
+
+    Nothing but the title where nothing came of it.
+    """
+    good = {key: result for key, result in results.items() if "error" not in result}
+    values, drawings = page(good) if good else Page({})
+    drawn, doubts = {drawing.name for drawing in drawings}, 0
+
+    def figure(which: str, caption: str) -> str:
+        return "\n".join(_figure(which, caption)) if which in drawn else ""
+
+    def shown(claim: Any) -> str:
+        nonlocal doubts
+        doubts += not claim
+        return "" if claim else _NOT_SHOWN
+
+    if good:
+        text = _TEMPLATES.get_template(f"{name}.md").render(values, figure=figure, shown=shown)
+    else:
+        text = _LOADER.get_source(_TEMPLATES, f"{name}.md")[0].partition("\n")[0]
+    failed = failures(results)
+    parts = [text.strip(), *(["Failed:\n\n" + "\n".join(failed)] if failed else [])]
+    return Said("\n\n".join(parts) + "\n", drawings, doubts)
+
+
+def of_section(title: str, section: Section) -> Said:
+    """A section that a program worded."""
+    lines, drawings = [f"## {title}", ""], []
+    for part in section.parts:
+        if isinstance(part, Table):
+            named = [f"**{part.title}**", ""] if part.title else []
+            lines += [*named, table(part.head, part.rows), ""]
+        elif isinstance(part, Figure):
+            drawings.append(Drawing(part.name, part.draw, part.size))
+            lines += [*_figure(part.name, part.caption), ""]
+        else:
+            lines += [part, ""]
+    return Said("\n".join(lines), tuple(drawings))
+
+
+def write_report(out: Path, sections: Mapping[str, Said], numbers: Mapping[str, Any], command: str) -> list[Path]:
     """experiments.md, experiments.json and the figures in experiments/; what was written.
 
-    `sections`: title and section by the experiments' names, in their order; `command` is what was typed.
+    `sections` and `numbers` by the experiments' names, in their order; `command` is what was typed.
     """
-    folder, written = out / "experiments", []
-    lines = [
-        "# Experiments",
-        "",
-        f"Made by `{command}`, spheremouse {__version__}. Values of the theses are typed in; all others come from the "
-        "run, and so do the figures." + (_QUICK if "--quick" in command.split() else ""),
-        "",
-        "`ekf1` and `ekf2` are the filters of Wittich 2017 as published, with our detector unless it says otherwise; "
-        "`so3` is ours, the default. RMSE: root mean square error; attitude as a rotation vector, relative to the "
-        "first frame; combined: of all three axes together. What failed is a row that says so, or is counted among the "
-        f"films of its row; {_MISSING} stands where there is no value.",
-        "",
-        "The bound (Cramér-Rao, posterior): what a best filter reaches on average with centres as noisy as those that "
-        "`so3` measured ([accuracy](accuracy.md)). It takes for noise what centres have wrong alike in every frame, "
-        "and an error is that of one film: values below it occur.",
-        "",
-        "The films of Wittich 2017 that ours are compared with: R1 is real, somebody plays on a ball of 32 discs. S1, "
-        "S2 and S3 are modelled, with 26, 50 and 74 discs before the far camera (2.35 m from the ball's centre), S4 "
-        "with 50 before the near one (1.35 m); the ball turns for ten seconds at up to 28 °/s and back, 300 frames. "
-        "Those films are not available: ours have those cameras and that motion. far26 is a Blender recording like S1, "
-        "with struts, highlights and a room; our own films show the same device and room, each experiment says with "
-        "what noise. So figures are compared between films that were made alike, not between the same pictures.",
-    ]
-    for name, (title, section) in sections.items():
-        lines += ["", f"({name})=", f"## {title}", ""]
-        for part in section.parts:
-            if isinstance(part, Table):
-                lines += [*_table(part), ""]
-            elif isinstance(part, Figure):
-                written += save(part, folder)
-                lines += [*_figure(part, folder.name), ""]
-            else:
-                lines += [part, ""]
-    page, numbers = out / "experiments.md", out / "experiments.json"
-    write_atomically(page, "\n".join(lines).rstrip() + "\n")
-    write_json(numbers, {name: section.figures for name, (_, section) in sections.items()})
-    return [page, numbers, *written]
+    drawings = [drawing for section in sections.values() for drawing in section.drawings]
+    written = [path for drawing in drawings for path in save(drawing, out / "experiments")]
+    front = _TEMPLATES.get_template("front.md").render(
+        command=command, version=__version__, quick="--quick" in command.split(), missing=MISSING
+    )
+    parts = [front, *(f"\n({name})=\n{section.text}" for name, section in sections.items())]
+    page, json = out / "experiments.md", out / "experiments.json"
+    write_atomically(page, "\n".join(part.rstrip("\n") + "\n" for part in parts))
+    write_json(json, numbers)
+    return [page, json, *written]
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of Markdown."""
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def fixed(number: Any, digits: int = 2, factor: float = 1.0) -> str:
+    """A number with so many digits; – where it is not known."""
+    known = isinstance(number, int | float | np.number) and not math.isnan(number)
+    return f"{factor * number:.{digits}f}" if known else MISSING
 
 
 def value(result: Result | None, *path: str, digits: int = 2, factor: float = 1.0) -> str:
     """A number of a result for a cell: `value(r, "rate_rmse_deg_s", "combined")`. A failure says so, nothing is –."""
     if result is None:
-        return _MISSING
+        return MISSING
     if "error" in result:
         return "failed"
     found = result
     for key in path:
         found = found.get(key) if isinstance(found, dict) else None
-    return _MISSING if not isinstance(found, int | float) else f"{factor * found:.{digits}f}"
+    return MISSING if not isinstance(found, int | float) else f"{factor * found:.{digits}f}"
 
 
 def failures(results: Mapping[str, Result]) -> list[str]:
@@ -73,21 +124,25 @@ def failures(results: Mapping[str, Result]) -> list[str]:
     return [f"- {key}: {result['error']}" for key, result in results.items() if "error" in result]
 
 
-def _table(table: Table) -> list[str]:
-    title = [f"**{table.title}**", ""] if table.title else []
-    lines = [table.head, ("---",) * len(table.head), *table.rows]
-    return title + ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]
-
-
-def _figure(figure: Figure, folder: str) -> list[str]:
+def _figure(name: str, caption: str) -> list[str]:
     """Both forms of it: the page shows the one that suits."""
     lines: list[str] = []
     for kind in ("light", "dark"):
-        lines += [
-            f"```{{figure}} {folder}/{figure.name}-{kind}.svg",
-            f":class: only-{kind}",
-            "",
-            figure.caption,
-            "```",
-        ]
+        lines += [f"```{{figure}} experiments/{name}-{kind}.svg", f":class: only-{kind}", "", caption, "```"]
     return lines
+
+
+def _environment() -> Environment:
+    made = Environment(
+        loader=_LOADER,
+        autoescape=False,  # Markdown
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters["fixed"] = fixed
+    return made
+
+
+_LOADER = PackageLoader("spheremouse.experiments.report", "")
+_TEMPLATES = _environment()

@@ -6,12 +6,13 @@ are those of Okabe and Ito (2008), and they differ in their dashes as well.
 
 import io
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from spheremouse.experiments.kit.job import Figure
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report.style import styled
 
@@ -24,7 +25,16 @@ _OVER = {
 }
 
 
-def save(figure: Figure, folder: Path) -> list[Path]:
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A figure that is drawn twice, for light and for dark pages."""
+
+    name: str  # of its file
+    draw: Callable[[Any], None]  # on a matplotlib figure, in the colours of the style in force
+    size: tuple[float, float] = (7.2, 3.4)  # inches
+
+
+def save(figure: Drawing, folder: Path) -> list[Path]:
     """NAME-light.svg and NAME-dark.svg; the same data give the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
