@@ -15,6 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from spheremouse.evaluate.metrics import mean_nees
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.geometry.statistics import gate
+from spheremouse.tracker import Event
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.state import WandEpoch, WandPose
 from spheremouse.wand.truth import WandTruth
@@ -268,9 +269,9 @@ class WandHistory:
                 position[i], rotation[i], covariance[i] = pose.position, pose.rotation, pose.covariance
         return WandRun(np.array(self.stamps), position, rotation, covariance, np.array(self.seconds))
 
-    def events(self) -> list[tuple[int, str]]:
+    def events(self) -> list[tuple[int, Event]]:
         """Events that the tracker told, each once in a row, with the frame it began in."""
-        found: list[tuple[int, str]] = []
+        found: list[tuple[int, Event]] = []
         for i, poses in enumerate(self.poses):
             before = {p.event for p in self.poses[i - 1]} if i else set()
             found += [(i, p.event) for p in poses if p.event and p.event not in before]

@@ -6,7 +6,7 @@ import numpy as np
 
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Frame, Status
+from spheremouse.tracker import Event, Frame, Status
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.course import Course
 from spheremouse.wand.model import Model
@@ -41,7 +41,7 @@ class WandPose:
     rotation: Array | None  # (3, 3) R_cam_ball
     covariance: Array | None  # (6, 6) m, rad: position + d, exp(theta) @ rotation, cam axes
     phase: Status
-    event: str  # what a user should know, in words; empty where all is well
+    event: Event | None  # what a user should know; None where all is well
     match: float = 0.0  # part of the coloured points that show
     effective: float = 0.0  # effective number of particles before resampling
     seen: bool = False  # in this frame, not only predicted
@@ -77,7 +77,7 @@ class WandState:
     tracks: tuple[Track, ...]
     looked: float = -np.inf  # s, last search of the whole picture
     waited: int = 0  # frames since
-    complaint: str = ""  # of the last search: about colours
+    complaint: Event | None = None  # of the last search: about colours
     worth: float = 0.0  # at 1, it is worth a word though all balls are followed
     heard: float = -np.inf  # s, of the last search
     seed: int = 0

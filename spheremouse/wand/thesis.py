@@ -53,4 +53,4 @@ def by_motion(
     if count < REDRAW * len(weight):
         particles = some(particles, len(weight), rng)
     after = replace(track, particles=particles, pose=pose, stamp=stamp, seen=stamp)
-    return after, WandPose(ball.name, *pose, Status.TRACKING, "", float(weight @ match), count, True)
+    return after, WandPose(ball.name, *pose, Status.TRACKING, None, float(weight @ match), count, True)

@@ -15,8 +15,9 @@ from spheremouse.tracker import Frame, Status
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import DEFAULT_COLOURS, tone
-from spheremouse.wand.complaints import SECOND, complaint_of, doubtful, lost_text, second_ball, turned_away
+from spheremouse.wand.complaints import complaint_of, doubtful, second_ball, turned_away, unseen
 from spheremouse.wand.course import begun, between, measured, predicted, told
+from spheremouse.wand.events import BallHidden, SecondBall
 from spheremouse.wand.likelihood import counts, log_likelihood
 from spheremouse.wand.model import model
 from spheremouse.wand.motions import (
@@ -127,8 +128,8 @@ def step(
         if command is not None and track.course is not None:
             track = replace(track, course=told(track.course, command, np.diag([1e-4] * 3 + [1e-3] * 3)))
         tracks[i], pose = _follow(track, frame.stamp, scene, i, others, looked, rng)
-        if pose.event.startswith(SECOND) and len(others) < len(tracks) - 1:
-            pose = replace(pose, event="")  # it may be a declared one that is not found yet
+        if isinstance(pose.event, SecondBall) and len(others) < len(tracks) - 1:
+            pose = replace(pose, event=None)  # it may be a declared one that is not found yet
         poses.append(pose)
     if scene.whole is not None:
         complaint, patience = complaint_of(scene.whole, turned_away(tracker, tracks))
@@ -178,7 +179,7 @@ def _follow(
     if not accepted(found, s, track.level) or found.match[0] < SURE or found.log_likelihood[0] < _DOUBT * track.level:
         near = _gate_by_motion(from_spots(scene, index, seen, 6, others), track, motions, scene, index)
         found = joined(found, near, ball.radius)
-    event = ""
+    event = None
     if not accepted(found, s, track.level) or look or doubtful(track):
         far = search(scene, index, others, track.turn)
         track = replace(track, turn=far.turn)
@@ -267,7 +268,7 @@ def _unseen(
     match = float(found.match[0]) if found.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
         lost = Track(Status.LOST, stamp=stamp, seen=track.seen, level=track.level)
-        return lost, WandPose(ball.name, None, None, None, Status.LOST, lost_text(ball, track.seen), match)
+        return lost, WandPose(ball.name, None, None, None, Status.LOST, unseen(ball, track.seen), match)
     particles = moved(track.particles, Motions(np.zeros((1, 6)), rest_covariance(dt, s)[None], np.ones(1), 0.0), rng)
     pose = estimate(particles)
     after = replace(
@@ -279,7 +280,7 @@ def _unseen(
         stamp=stamp,
         unseen_frames=frames,
     )
-    return after, WandPose(ball.name, *pose, Status.TRACKING, f"{ball.name} is hidden: its pose is predicted", match)
+    return after, WandPose(ball.name, *pose, Status.TRACKING, BallHidden(ball.name), match)
 
 
 def _acquire(
@@ -295,7 +296,7 @@ def _acquire(
         phase = track.phase
         match = float(found.match[0]) if found.peaks else 0.0
         return replace(track, stamp=stamp), WandPose(
-            ball.name, None, None, None, phase, lost_text(ball, track.seen), match
+            ball.name, None, None, None, phase, unseen(ball, track.seen), match
         )
     assert found.fields is not None
     peaks = as_peaks(found)

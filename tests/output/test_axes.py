@@ -73,9 +73,9 @@ def test_where_the_angles_are_singular_they_are_unknown():
 
 # ---- text ----
 
-FOUND = WandPose("a", P, attitude(np.radians([30, 20, 10])), np.eye(6) * 1e-4, Status.TRACKING, "", seen=True)
-GONE = WandPose("b", None, None, None, Status.LOST, "gone")
-HIDDEN = WandPose("a", P, UPRIGHT, np.eye(6) * 1e-4, Status.TRACKING, "")
+FOUND = WandPose("a", P, attitude(np.radians([30, 20, 10])), np.eye(6) * 1e-4, Status.TRACKING, None, seen=True)
+GONE = WandPose("b", None, None, None, Status.LOST, None)
+HIDDEN = WandPose("a", P, UPRIGHT, np.eye(6) * 1e-4, Status.TRACKING, None)
 
 
 def written(output, *frames, points=0):

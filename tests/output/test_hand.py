@@ -22,10 +22,10 @@ WAYS = st.sampled_from(["turn", "shift"])
 
 
 def pose(position, rotation, sigma=SIGMA, seen=True):
-    return WandPose("ball", position, rotation, np.eye(6) * sigma**2, Status.TRACKING, "", seen=seen)
+    return WandPose("ball", position, rotation, np.eye(6) * sigma**2, Status.TRACKING, None, seen=seen)
 
 
-MISSING = WandPose("ball", None, None, None, Status.LOST, "gone")
+MISSING = WandPose("ball", None, None, None, Status.LOST, None)
 
 
 def turned(*degrees):
@@ -216,7 +216,7 @@ def test_a_motion_is_as_uncertain_as_sampled_poses_are():
     def motion(e):
         poses = [
             WandPose(
-                "ball", at + d[:3], Rotation.from_rotvec(d[3:]).as_matrix() @ to, C, Status.TRACKING, "", seen=True
+                "ball", at + d[:3], Rotation.from_rotvec(d[3:]).as_matrix() @ to, C, Status.TRACKING, None, seen=True
             )
             for (at, to), d, C in zip(((p, R), (q, Q)), e, P, strict=True)
         ]

@@ -11,6 +11,7 @@ from spheremouse.tracker import Frame, Status
 from spheremouse.wand import complaints
 from spheremouse.wand.ball import contrast_ball, led_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
+from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import spots
@@ -96,7 +97,7 @@ def test_the_ball_is_found_again_after_it_was_away(hand):
         state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066 * (k + 1), 100 + k), tracker)
     assert pose.phase == Status.LOST
     assert pose.position is None
-    assert "lost" in pose.event or "match nothing" in pose.event
+    assert isinstance(pose.event, BallLost | ColourNowhere)
     later = [replace(s, frame=Frame(s.frame.image, s.frame.stamp + 2.0, 200 + i)) for i, s in enumerate(shots[8:14])]
     _, poses = follow(later, tracker, state)
     assert np.all(worst(later, poses, skip=3) < [0.006, 0.06, np.deg2rad(8)])
@@ -110,7 +111,7 @@ def test_a_hidden_ball_is_predicted_for_a_while(hand):
     state, (pose,) = step(state, Frame(empty, shots[3].frame.stamp + 0.066, 100), tracker)
     assert pose.phase == Status.TRACKING
     assert not pose.seen
-    assert "hidden" in pose.event
+    assert pose.event == BallHidden("grzonka")
     assert np.all(np.diag(pose.covariance)[:2] > np.diag(poses[-1][0].covariance)[:2])
 
 
@@ -165,21 +166,22 @@ def test_no_ball_in_view_is_said():
     image[100:110, 100:110], image[200:210, 300:310] = (200, 60, 30), (30, 30, 200)
     _, (pose,) = step(begin(tracker), Frame(image, 0.0, 0), tracker)
     assert pose.phase == Status.SEARCHING
-    assert "no ball like grzonka in view" in pose.event
+    assert pose.event == NotInView("grzonka")
 
 
 def test_colours_that_match_nothing_or_too_much_are_said(hand):
     camera, balls, shots = hand
     nothing = build(camera, balls, colours={"red": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
     _, (pose,) = step(begin(nothing), shots[0].frame, nothing)
-    assert "bounds of red match nothing" in pose.event
+    assert pose.event == ColourNowhere("red")
     one = build(camera, balls, colours={"blue": ColourSettings(hue_min=100, hue_max=110, saturation_min=200)})
     _, poses = follow([replace_stamp(shot, k) for k, shot in enumerate([*shots, *shots[::-1], *shots])], one)
     assert poses[-1][0].phase == Status.TRACKING  # red is enough, and yet
-    assert "bounds of blue match nothing" in "".join(p.event for (p,) in poses if p.phase == Status.TRACKING)
+    assert ColourNowhere("blue") in [p.event for (p,) in poses if p.phase == Status.TRACKING]
     half = build(camera, balls, colours={"blue": ColourSettings()})
     _, (pose,) = step(begin(half), shots[0].frame, half)
-    assert "bounds of blue match 100 % of the picture" in pose.event
+    assert pose.event == ColourEverywhere("blue", 1.0)
+    assert pose.event.share == 1.0
 
 
 @pytest.mark.parametrize(("first", "after"), [(0, 10.0), (10, 1.0)])
@@ -197,7 +199,7 @@ def test_a_colour_is_missed_after_a_second_or_ten_where_the_pose_does_without(ha
     for k in range(160 if after > 1.0 else 20):
         state, (pose,) = step(state, replace_stamp(shot, k).frame, tracker)
         assert pose.phase == Status.TRACKING
-        said.append("bounds of blue match nothing" in pose.event)
+        said.append(pose.event == ColourNowhere("blue"))
     assert said.index(True) / 15.0 == pytest.approx(after, abs=0.1)
     assert all(said[said.index(True) :])
 
@@ -222,7 +224,7 @@ def test_two_balls_are_followed_and_a_second_one_that_is_not_declared_is_said():
     assert apart == pytest.approx(np.linalg.norm(np.subtract(*shots[-1].position)), abs=0.05)
     one = build(camera, balls[:1])
     _, single = follow(shots[:3], one)
-    assert any("second ball" in p.event for (p,) in single)
+    assert any(isinstance(p.event, SecondBall) for (p,) in single)
     assert state.waited >= 0
 
 
@@ -231,7 +233,7 @@ def test_what_looks_like_a_second_ball_for_two_pictures_is_not_worth_a_word():
     camera, balls, shots = film(replace(HAND, balls=2, distance=0.9, seconds=0.5))
     tracker = build(camera, balls[:1])
     _, poses = follow(shots, tracker)
-    assert any("second ball" in p.event for (p,) in poses)
+    assert any(isinstance(p.event, SecondBall) for (p,) in poses)
     state, first = follow(shots[:2], tracker)
     kept = np.argmin([np.linalg.norm(first[-1][0].position - p) for p in shots[1].position])
     gone = []
@@ -241,7 +243,7 @@ def test_what_looks_like_a_second_ball_for_two_pictures_is_not_worth_a_word():
         image[:, max(u - 45, 0) : u + 45] = 120
         gone.append(replace(shot, frame=replace(shot.frame, image=image)))
     _, later = follow(gone, tracker, state)
-    assert not any("second ball" in p.event for (p,) in first + later)
+    assert not any(isinstance(p.event, SecondBall) for (p,) in first + later)
 
 
 def test_spots_give_the_pose_without_any_other_knowledge(hand):

@@ -12,6 +12,7 @@ from spheremouse.files import config
 from spheremouse.session.balls import read_balls
 from spheremouse.session.plan import Plan, Request, named_balls
 from spheremouse.session.settings import Configuration
+from spheremouse.session.wand.messages import trouble_and_remedy
 from spheremouse.session.wand.setup import WandSetup
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand.state import WandPose, WandTracker
@@ -56,10 +57,10 @@ def sight(views: tuple[Frame, ...], tracker: WandTracker) -> Iterator[Finding]:
 def _found(poses: list[WandPose]) -> Finding:
     good = [p for p in poses if p.phase is Status.TRACKING]
     share, name = len(good) / len(poses), poses[0].name
-    events = [p.event for p in poses if p.event]
+    events = [p.event for p in poses if p.event is not None]
     numbers: dict[str, Any] = {"pictures": len(poses), "found": len(good)}
     if not good:
-        why, _, advice = (events[-1] if events else f"{name} is not seen").partition("; ")
+        why, advice = trouble_and_remedy(events[-1]) if events else (f"{name} is not seen", "")
         return wrong("sight", why, advice or "hold it before the camera; `spheremouse wand colours` picks its colours")
     last = good[-1]
     assert last.position is not None, "a ball that is tracked has a pose"

@@ -19,6 +19,7 @@ from spheremouse.files.rig import load_camera
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.balls import read_balls, told_apart
 from spheremouse.session.settings import Configuration
+from spheremouse.session.wand.messages import sentence
 from spheremouse.session.wand.offline import Known, track_wand
 from spheremouse.wand.ball import WandBall
 from spheremouse.wand.rims import ColourSettings
@@ -99,9 +100,9 @@ def _never_found(balls: Sequence[WandBall], histories: Sequence[WandHistory]) ->
     for k, ball in enumerate(balls):
         vain = [history for history in histories if not history.run(k).found.any()]
         if vain:
-            events = [poses[k].event for history in vain for poses in history.poses if poses[k].event]
+            events = [e for history in vain for poses in history.poses if (e := poses[k].event) is not None]
             runs = "" if len(histories) == 1 else f" in {len(vain)} of {len(histories)} runs"
-            yield f"{ball.name} was never found{runs}: {events[-1] if events else 'nobody knows why'}"
+            yield f"{ball.name} was never found{runs}: {sentence(events[-1]) if events else 'nobody knows why'}"
 
 
 def _run(
@@ -128,7 +129,7 @@ def _run(
             progress.update(task, completed=len(history.stamps))
     if seed == 1:
         for frame, event in history.events()[:10]:
-            say.print(_about(recording, f"frame {frame}: {event}"), markup=False, highlight=False)
+            say.print(_about(recording, f"frame {frame}: {sentence(event)}"), markup=False, highlight=False)
     return history
 
 

@@ -142,7 +142,7 @@ class WandFollower:
         """Where each ball is."""
         none, poses = dict.fromkeys(("discs", "discs_seen", "discs_known", "pose")), self._poses
         if not seeing or not poses:
-            poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, "") for b in self.tracker.balls)
+            poses = tuple(WandPose(b.name, None, None, None, Status.SEARCHING, None) for b in self.tracker.balls)
         return {**none, "balls": [_figures(pose) for pose in poses]}
 
     def picture(self, tracked: Tracked, counts: Counts, everything: bool) -> Callable[[], Image]:

@@ -1,15 +1,42 @@
-"""What is said of hand-held balls while they are tracked: each change once, in words. Poses in, sentences out."""
+"""What is said of hand-held balls: an event in, a sentence out; of poses, each change once."""
+
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.output.sparing import letters
 from spheremouse.session.follower import News
-from spheremouse.tracker import Status
+from spheremouse.tracker import Event, Status
+from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.state import WandPose
 
 PATIENCE = 5.0  # s of frames without a ball that was never seen, after which that is worth a word
 _GREY = 3.0  # grey values by which the colours of a pixel differ, on average, in a picture without colour
+
+_Wand = NotInView | BallLost | BallHidden | SecondBall | ColourNowhere | ColourEverywhere
+
+
+def sentence(event: Event) -> str:
+    """What has happened, and what to do about it."""
+    return ": ".join(filter(None, trouble_and_remedy(event)))
+
+
+def trouble_and_remedy(event: Event) -> tuple[str, str]:
+    """What has happened; and what to do about it, empty where that is nothing."""
+    match cast(_Wand, event):
+        case NotInView(ball):
+            return f"no ball like {ball} in view", "hold it into the picture, or check its colours and size"
+        case BallLost(ball):
+            return f"{ball} is lost", "hold it into the picture"
+        case BallHidden(ball):
+            return f"{ball} is hidden: its pose is predicted", ""
+        case SecondBall(ball):
+            return f"a second ball like {ball} is in view", "declare it too, or take it away"
+        case ColourNowhere(colour):
+            return f"the bounds of {colour} match nothing in the picture", "pick them with `spheremouse wand colours`"
+        case ColourEverywhere(colour, share):
+            what = f"the bounds of {colour} match {100 * share:.0f} % of the picture"
+            return what, "narrow them with `spheremouse wand colours`"
 
 
 class Told:
@@ -19,7 +46,7 @@ class Told:
         """`points` is the index of the ball that moves the pointer, `name` what it is called."""
         self._points = points
         self._phases: dict[int, Status] = {}
-        self._events: dict[int, str] = {}
+        self._events: dict[int, Event] = {}
         self._began: float | None = None
         self._complained = False
         self.found: set[int] = set()  # balls that have been seen
@@ -43,7 +70,7 @@ class Told:
             elif new:
                 more.append(new)
             if self._is_news(k, pose):
-                more.append(pose.event)
+                more.append(said(pose))
         pose = poses[self._points]
         self.why = "" if pose.phase is Status.TRACKING else _why(pose, image)
         self.reason = self.why or f"{pose.name} is followed"
@@ -60,13 +87,13 @@ class Told:
         """What is to be said of one ball's phase, where it is another one."""
         before, self._phases[k] = self._phases.get(k), pose.phase
         if k not in self.found:
-            self._unseen[k] = f"{pose.name} was never found: {pose.event}"
+            self._unseen[k] = f"{pose.name} was never found: {said(pose)}"
         match pose.phase:
             case Status.TRACKING:
                 self.found.add(k)
                 return "" if before is pose.phase else f"{pose.name} is followed"
             case Status.LOST if before is not pose.phase:
-                return pose.event
+                return said(pose)
             case Status.SEARCHING if before is None:
                 return f"{pose.name} is looked for"
             case _:
@@ -74,19 +101,19 @@ class Told:
 
     def _is_news(self, k: int, pose: WandPose) -> bool:
         """Is it worth a word? A ball that is hidden for a moment is not."""
-        if (
-            pose.phase is not Status.TRACKING
-            or not pose.seen
-            or not pose.event
-            or letters(pose.event) == letters(self._events.get(k, ""))
-        ):
+        if pose.event is None or pose.phase is not Status.TRACKING or not pose.seen:
             return False
-        self._events[k] = pose.event
-        return True
+        before, self._events[k] = self._events.get(k), pose.event
+        return pose.event != before
 
 
 def _why(pose: WandPose, image: NDArray[np.uint8]) -> str:
     sample = image[::8, ::8].astype(np.int16)
     if sample.ndim == 3 and float(np.ptp(sample, axis=2).mean()) < _GREY:
-        return f"{pose.event} (the frames are grey, or dark)"
-    return pose.event
+        return f"{said(pose)} (the frames are grey, or dark)"
+    return said(pose)
+
+
+def said(pose: WandPose) -> str:
+    """What a user should know of a ball; empty where all is well."""
+    return "" if pose.event is None else sentence(pose.event)

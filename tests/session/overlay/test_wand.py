@@ -40,7 +40,7 @@ def epoch(pose, image=None):
 
 
 def pose(**changes):
-    whole = WandPose("grzonka", PLACE, ATTITUDE, 1e-4 * np.eye(6), Status.TRACKING, "", 1.0, 100.0, True)
+    whole = WandPose("grzonka", PLACE, ATTITUDE, 1e-4 * np.eye(6), Status.TRACKING, None, 1.0, 100.0, True)
     return replace(whole, **changes)
 
 

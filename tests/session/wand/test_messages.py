@@ -3,15 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from spheremouse.session.wand.messages import Told
+from spheremouse.session.wand.messages import Told, said, sentence
 from spheremouse.tracker import Status
+from spheremouse.wand.events import BallHidden, BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.state import WandPose
 
-SEARCHING = WandPose("ball", None, None, None, Status.SEARCHING, "no ball like ball in view: hold it up")
-TRACKING = WandPose("ball", np.zeros(3), np.eye(3), np.eye(6), Status.TRACKING, "", seen=True)
-HIDDEN = replace(TRACKING, seen=False, event="ball is hidden: its pose is predicted")
-LOST = WandPose("ball", None, None, None, Status.LOST, "ball is lost: hold it up")
+SEARCHING = WandPose("ball", None, None, None, Status.SEARCHING, NotInView("ball"))
+TRACKING = WandPose("ball", np.zeros(3), np.eye(3), np.eye(6), Status.TRACKING, None, seen=True)
+HIDDEN = replace(TRACKING, seen=False, event=BallHidden("ball"))
+LOST = WandPose("ball", None, None, None, Status.LOST, BallLost("ball"))
 COLOUR = np.tile(np.array([30, 90, 200], np.uint8), (40, 40, 1))
 
 
@@ -31,7 +33,7 @@ def test_each_change_is_said_once():
     assert transcript(SEARCHING, SEARCHING, TRACKING, TRACKING, HIDDEN, TRACKING, HIDDEN, LOST, LOST, TRACKING) == [
         "searching: ball is looked for",
         "tracking: ball is followed",
-        "lost: ball is lost: hold it up",
+        "lost: ball is lost: hold it into the picture",
         "tracking: ball is followed",
     ]
 
@@ -41,21 +43,37 @@ def test_what_is_there_is_said_anew_when_frames_come_again():
 
 
 def test_events_are_said_when_they_are_new():
-    second = replace(TRACKING, event="a second ball like ball is in view: declare it too")
-    share = [replace(TRACKING, event=f"the bounds of red match {n} % of the picture") for n in (30, 31, 32)]
+    second = replace(TRACKING, event=SecondBall("ball"))
+    share = [replace(TRACKING, event=ColourEverywhere("red", n)) for n in (0.3, 0.31, 0.32)]
     assert transcript(TRACKING, second, second, TRACKING, second, *share) == [
         "tracking: ball is followed",
-        second.event,
-        share[0].event,
+        "a second ball like ball is in view: declare it too, or take it away",
+        "the bounds of red match 30 % of the picture: narrow them with `spheremouse wand colours`",
     ]
+
+
+@pytest.mark.parametrize(
+    ("event", "words"),
+    [
+        (NotInView("red"), "no ball like red in view: hold it into the picture, or check its colours and size"),
+        (BallLost("red"), "red is lost: hold it into the picture"),
+        (BallHidden("red"), "red is hidden: its pose is predicted"),
+        (ColourNowhere("red"),
+         "the bounds of red match nothing in the picture: pick them with `spheremouse wand colours`"),
+        (ColourEverywhere("red", 0.304),
+         "the bounds of red match 30 % of the picture: narrow them with `spheremouse wand colours`"),
+    ],
+)  # fmt: skip
+def test_an_event_is_a_sentence_with_what_to_do(event, words):
+    assert sentence(event) == words
 
 
 def test_a_ball_that_is_not_found_for_long_is_told_once_with_what_to_do():
     lines = transcript(*[SEARCHING] * 200)
-    assert lines == ["searching: ball is looked for", f"not found for 5 s: {SEARCHING.event}"]
+    assert lines == ["searching: ball is looked for", f"not found for 5 s: {said(SEARCHING)}"]
     assert transcript(*[SEARCHING] * 40) == lines[:1]
     grey = transcript(*[SEARCHING] * 60, image=np.full((40, 40, 3), 120, np.uint8))
-    assert grey[1] == f"not found for 5 s: {SEARCHING.event} (the frames are grey, or dark)"
+    assert grey[1] == f"not found for 5 s: {said(SEARCHING)} (the frames are grey, or dark)"
     assert transcript(*[SEARCHING] * 60, image=np.full((40, 40), 120, np.uint8))[1] == lines[1]  # a grey camera's own
 
 
@@ -70,10 +88,10 @@ def test_several_balls_are_told_apart():
     assert told.found == {0}
     assert (told.why, told.reason) == ("", "ball is followed")
     assert told.frame(0.1, (LOST, replace(TRACKING, name="other")), COLOUR) == (
-        f"lost: {LOST.event}", ("other is followed",),
+        f"lost: {said(LOST)}", ("other is followed",),
     )  # fmt: skip
     assert told.found == {0, 1}
-    assert (told.why, told.reason) == (LOST.event, LOST.event)
+    assert (told.why, told.reason) == (said(LOST), said(LOST))
 
 
 def test_a_ball_that_was_never_seen_is_told_at_the_end():
@@ -81,8 +99,8 @@ def test_a_ball_that_was_never_seen_is_told_at_the_end():
     told = Told(0, "ball")
     assert told.never_found() == ()
     told.frame(0.0, (SEARCHING, other), COLOUR)
-    assert told.never_found() == tuple(f"{p.name} was never found: {p.event}" for p in (SEARCHING, other))
-    assert told.never_found(but=0) == (f"other was never found: {other.event}",)
-    told.frame(0.1, (TRACKING, replace(other, event="bounds that match nothing")), COLOUR)
-    told.frame(0.2, (LOST, replace(other, event="bounds that match nothing")), COLOUR)  # it was found once
-    assert told.never_found() == ("other was never found: bounds that match nothing",)
+    assert told.never_found() == tuple(f"{p.name} was never found: {said(p)}" for p in (SEARCHING, other))
+    assert told.never_found(but=0) == (f"other was never found: {said(other)}",)
+    told.frame(0.1, (TRACKING, replace(other, event=ColourNowhere("red"))), COLOUR)
+    told.frame(0.2, (LOST, replace(other, event=ColourNowhere("red"))), COLOUR)  # it was found once
+    assert told.never_found() == (f"other was never found: {sentence(ColourNowhere('red'))}",)

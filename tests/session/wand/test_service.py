@@ -28,6 +28,7 @@ from spheremouse.session.service import Daemon
 from spheremouse.session.wand.setup import WandSetup
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.tracker import Frame
+from spheremouse.wand.events import SecondBall
 from spheremouse.wand.warm import warm_up
 
 DT = 1.0 / 30.0
@@ -524,7 +525,7 @@ def test_a_complaint_is_said_with_the_frame_that_finds_the_ball(world, monkeypat
 
     def complaining(state, frame, tracker):
         state, poses = step(state, frame, tracker)
-        return state, tuple(replace(p, event="a second ball like grzonka") if p.seen else p for p in poses)
+        return state, tuple(replace(p, event=SecondBall("grzonka")) if p.seen else p for p in poses)
 
     step = follower.step
     monkeypatch.setattr(follower, "step", complaining)
