@@ -1,6 +1,7 @@
 """Sources: where frames come from. `KIND:ARGUMENT` in, a context manager that yields Frames out.
 
 A source is a module here with `open(argument: str, realtime: bool) -> Source`; its name, one of `KINDS`, is its kind.
+Those of other distributions are named by entry points in the group `spheremouse.source`.
 """
 
 import sys
@@ -12,7 +13,7 @@ from typing import Protocol, Self
 
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import SourceError
-from spheremouse.files.registry import resolve
+from spheremouse.files.registry import check, resolve
 from spheremouse.tracker import Frame
 
 KINDS = ("dataset", "opencv", "synthetic", "v4l2", "video")
@@ -120,7 +121,9 @@ class Stream:
 def open_source(spec: str, *, realtime: bool = False) -> Source:
     """The source that `KIND:ARGUMENT` names; `realtime` gives recorded frames no sooner than their stamps say."""
     module, argument = resolve(sys.modules[__name__], "source", spec, SourceError)
-    return module.open(argument, realtime)
+    made = module.open(argument, realtime)
+    check(made, "source", spec, ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__"), SourceError)
+    return made
 
 
 def paced(frames: Iterator[Frame]) -> Iterator[Frame]:

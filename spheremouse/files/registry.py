@@ -1,23 +1,54 @@
-"""`KIND:ARGUMENT`, as the command line names a source or an output; a kind is a module of a package.
+"""`KIND:ARGUMENT`, as the command line names a source or an output; a kind is a module of a package, or a plug-in.
 
-Adding one is a new file with a function `open`, and its name in the package's `KINDS`. Only the module asked for is
-imported.
+Adding one is a new file with a function `open`, and its name in the package's `KINDS`; or a module of another
+distribution, named by an entry point in the group `spheremouse.source` or `spheremouse.output`. Only the module asked
+for is imported.
 """
 
 import importlib
+from collections.abc import Iterable
+from importlib.metadata import EntryPoint, entry_points
 from types import ModuleType
+from typing import Any
 
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.validate import nearest
 
+_REMEDY = "update it, or uninstall it"
+
 
 def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> tuple[ModuleType, str]:
-    """Module and argument of `KIND:ARGUMENT`, a `what`; `error` lists the kinds where there is none of that name."""
+    """Module and argument of `KIND:ARGUMENT`, a `what`.
+
+    Raises `error`, which lists the kinds where there is none of that name, and names a plug-in that is of no use.
+    """
     kind, _, argument = spec.partition(":")
-    known = package.KINDS
-    if kind not in known:
-        raise error(f"unknown {what} {spec!r}; {nearest(kind, known)} ({what}s are {', '.join(known)})")
-    return importlib.import_module(f"{package.__name__}.{kind}"), argument
+    if kind in package.KINDS:
+        return importlib.import_module(f"{package.__name__}.{kind}"), argument
+    plugged = {entry.name: entry for entry in entry_points(group=f"spheremouse.{what}")}
+    if kind in plugged:
+        return _loaded(plugged[kind], what, error), argument
+    known = (*package.KINDS, *sorted(plugged))
+    raise error(f"unknown {what} {spec!r}; {nearest(kind, known)} ({what}s are {', '.join(known)})")
+
+
+def check(made: Any, what: str, spec: str, members: Iterable[str], error: type[SpheremouseError]) -> None:
+    """Raise `error` where what a plug-in opened lacks some of what a `what` must have."""
+    missing = [name for name in members if not hasattr(made, name)]
+    if missing:
+        raise error(f"{what} {spec.partition(':')[0]}: breaks the contract: has no {', '.join(missing)}; {_REMEDY}")
+
+
+def _loaded(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> ModuleType:
+    whose = f"{what} {entry.name}: the plug-in {entry.value}"
+    try:
+        module = entry.load()
+    except Exception as e:  # whatever a stranger's module does
+        why = " ".join(f"{type(e).__name__}: {e}".split())[:200]
+        raise error(f"{whose} cannot be loaded ({why}); {_REMEDY}") from None
+    if not callable(getattr(module, "open", None)):
+        raise error(f"{whose} breaks the contract: has no function `open`; {_REMEDY}")
+    return module
 
 
 def options(

@@ -1,6 +1,7 @@
 """Outputs: where motion goes. `KIND:ARGUMENT` in, a context manager that takes reports out.
 
-An output is a module here with `open(argument: str) -> Output`; its name, one of `KINDS`, is its kind.
+An output is a module here with `open(argument: str) -> Output`; its name, one of `KINDS`, is its kind. Those of other
+distributions are named by entry points in the group `spheremouse.output`.
 """
 
 import sys
@@ -9,7 +10,7 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
-from spheremouse.files.registry import resolve
+from spheremouse.files.registry import check, resolve
 from spheremouse.tracker import Motion, no_motion
 
 KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
@@ -73,6 +74,8 @@ class Acknowledged(Protocol):
 
 
 def open_output(spec: str) -> Output:
-    """The output that `KIND:ARGUMENT` names."""
+    """The output that `KIND:ARGUMENT` names; OutputError where there is none, or it lacks what an output must have."""
     module, argument = resolve(sys.modules[__name__], "output", spec, OutputError)
-    return module.open(argument)
+    made = module.open(argument)
+    check(made, "output", spec, ("send", "describe", "__enter__", "__exit__"), OutputError)
+    return made

@@ -214,10 +214,11 @@ def test_unknown_kinds_are_told_the_known_ones():
 def test_a_new_source_is_a_new_file_and_its_name(tmp_path, monkeypatch):
     import spheremouse.capture
 
-    (tmp_path / "mine.py").write_text("def open(argument, realtime):\n    return argument, realtime\n")
+    text = "from spheremouse.capture import Stream\ndef open(*given):\n    return Stream(iter([given]))\n"
+    (tmp_path / "mine.py").write_text(text)
     monkeypatch.setattr(spheremouse.capture, "__path__", [*spheremouse.capture.__path__, str(tmp_path)])
     monkeypatch.setattr(spheremouse.capture, "KINDS", (*spheremouse.capture.KINDS, "mine"))
-    assert open_source("mine:a:b,c=d", realtime=True) == ("a:b,c=d", True)
+    assert list(open_source("mine:a:b,c=d", realtime=True)) == [("a:b,c=d", True)]
 
 
 def test_real_time_holds_frames_back_by_their_stamps_and_drops_none(monkeypatch):
