@@ -1,7 +1,7 @@
 """The bundle adjustment of a board's views: unknowns, residuals, normal equations."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -11,7 +11,7 @@ from scipy import sparse
 
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, interior_jacobian, interior_vector, project, with_interior
-from spheremouse.geometry.least_squares.adjust import Jacobian, huber
+from spheremouse.geometry.least_squares.adjust import Jacobian, Move, Normal, huber, huber_cost, minimised
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, log
 from spheremouse.geometry.statistics import mad_sigma
 
@@ -22,7 +22,6 @@ OPEN = (
     "45 degrees, to the left, right, up and down in turn"
 )
 KNEE = 2.5  # standard deviations, of Huber's function
-_MOST = 200  # steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,49 +153,30 @@ class Bundle:
     def solve(self, x: Array, sigma: Array, robust: float | None = None) -> Array:
         """The unknowns at the minimum of squares, or of Huber's function; what is not free keeps its value.
 
-        Levenberg and Marquardt's method; each view's six are eliminated, so that a hundred views cost little more than
-        ten. CalibrationError where it does not come to rest.
+        Each view's six are eliminated. CalibrationError where it does not come to rest.
         """
-        weight, damping = 1.0 / sigma[self.of], 1e-4
-        residual, J = self.linear(x)
-        cost = _cost(residual * weight[:, None], robust)
-        for _ in range(_MOST):
-            w = weight[:, None] * (1.0 if robust is None else huber(residual * weight[:, None], robust))
-            step, promised = self._step(residual * w, J * w[:, :, None], damping)
-            if promised < 1e-9 * (cost + 1.0):
-                return x
-            tried = x + step
-            after, J_after = self.linear(tried)
-            lower = _cost(after * weight[:, None], robust)
-            if lower < cost:
-                x, residual, J, cost, damping = tried, after, J_after, lower, max(0.1 * damping, 1e-12)
-            elif damping > 1e8:
-                return x
-            else:
-                damping *= 10.0
-        raise CalibrationError("the adjustment does not come to rest: is a photo of another zoom or board among them?")
+        weight = 1.0 / sigma[self.of]
 
-    def _step(self, residual: Array, J: Array, damping: float) -> tuple[Array, float]:
-        """Damped step of all unknowns, and by how much the linear model says that it lowers the cost."""
+        def linear(x: Array) -> tuple[float, Callable[[], Normal]]:
+            residual, J = self.linear(x)
+            residual = residual * weight[:, None]
+
+            def normal() -> Normal:
+                w = huber(residual, robust)
+                return self._normal(residual * w, J * (weight[:, None] * w)[:, :, None])
+
+            return huber_cost(residual, robust), normal
+
+        def moved(x: Array, move: Move) -> Array:
+            return x + np.concatenate([move.shared * self.free, move.own.ravel()])
+
+        return minimised(x, linear, moved, "is a photo of another zoom or board among them?")
+
+    def _normal(self, residual: Array, J: Array) -> Normal:
         starts = np.concatenate([[0], np.cumsum(self.counts)[:-1]])
         N = np.add.reduceat(np.einsum("nki,nkj->nij", J, J), starts)
-        g = np.add.reduceat(np.einsum("nki,nk->ni", J, residual), starts)
-        nine = N[:, :9, :9].sum(axis=0)
-        nine += np.diag(damping * np.diag(nine) + ~self.free)
-        own = N[:, 9:, 9:] * (1.0 + damping * np.eye(6)) + 1e-30 * np.eye(6)
-        right = np.linalg.solve(own, np.concatenate([N[:, 9:, :9], g[:, 9:, None]], axis=2))
-        reduced = nine - np.einsum("vij,vik->jk", N[:, 9:, :9], right[:, :, :9])
-        scale = 1.0 / np.sqrt(np.diag(nine))
-        gradient = g[:, :9].sum(axis=0) - np.einsum("vij,vi->j", N[:, 9:, :9], right[:, :, 9])
-        try:
-            camera = -scale * np.linalg.solve(reduced * np.outer(scale, scale), scale * gradient)
-        except np.linalg.LinAlgError:
-            camera = np.zeros(9)
-        camera *= self.free
-        poses = -right[:, :, 9] - right[:, :, :9] @ camera
-        step = np.concatenate([camera, poses.ravel()])
-        downhill = -float(camera @ g[:, :9].sum(axis=0) + np.sum(poses * g[:, 9:]))
-        return step, downhill
+        down = -np.add.reduceat(np.einsum("nki,nk->ni", J, residual), starts)
+        return Normal(N[:, :9, :9].sum(axis=0), down[:, :9].sum(axis=0), N[:, 9:, 9:], N[:, 9:, :9], down[:, 9:])
 
     def jacobian(self, x: Array, sigma: Array) -> tuple[Array, Jacobian]:
         """Residuals and the columns of the Jacobian that are estimated."""
@@ -207,13 +187,6 @@ class Bundle:
         """Seen minus computed in px, (n, 2) of each view."""
         residual, _ = self.evaluate(x, np.ones(len(self.views)))
         return tuple(-residual[g].reshape(-1, 2) for g in self.groups)
-
-
-def _cost(residual: Array, robust: float | None) -> float:
-    size = np.abs(residual)
-    if robust is None:
-        return 0.5 * float(np.sum(size**2))
-    return float(np.sum(np.where(size < robust, 0.5 * size**2, robust * (size - 0.5 * robust))))
 
 
 def _of_columns(jacobian: Jacobian, columns: NDArray[np.bool_]) -> Jacobian:

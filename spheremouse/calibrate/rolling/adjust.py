@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from spheremouse.calibrate.rolling.normal import Normal, minimised
+from spheremouse.calibrate.rolling.normal import Eliminated, adjusted
 from spheremouse.calibrate.rolling.problem import (
     GLOBAL,
     RATES,
@@ -51,19 +51,19 @@ def adjust_rolling(
     """
     known = start.readout, readout_sigma
     at, used = _compact(start, sightings)
-    at, normal = minimised(at, used, camera, known, _KNEE)
+    at, there = adjusted(at, used, camera, known, _KNEE)
     robust = True
     while True:
-        test = snooped(normal.equations.residual, normal.residual_cofactors())
+        test = snooped(there.equations.residual, there.residual_cofactors())
         limit = _OUTLIER * max(float(np.median(test)) / _MEDIAN, 1.0)
         # gross errors drag others along: the worst go first
         fits = test <= max(limit, _WORST * float(test.max()))
         if not robust and fits.all():
             break
         at, used = _compact(at, used.take(fits))
-        at, normal = minimised(at, used, camera, known, np.inf)
+        at, there = adjusted(at, used, camera, known, None)
         robust = False
-    return _result(at, used, len(sightings) - len(used), normal, camera)
+    return _result(at, used, len(sightings) - len(used), there, camera)
 
 
 def _compact(at: Rolling, s: Sightings) -> tuple[Rolling, Sightings]:
@@ -95,9 +95,9 @@ def _in_largest(at: Rolling, s: Sightings) -> NDArray[np.bool_]:
     return mine == np.bincount(mine).argmax() if len(s) else np.zeros(0, dtype=bool)
 
 
-def _result(at: Rolling, s: Sightings, rejected: int, normal: Normal, camera: InteriorOrientation) -> Rolled:
-    equations = normal.equations
-    Q, J = normal.cofactors(), normal.reduced()
+def _result(at: Rolling, s: Sightings, rejected: int, there: Eliminated, camera: InteriorOrientation) -> Rolled:
+    equations = there.equations
+    Q, J = there.cofactors, there.reduced()
     number = np.full(2 * len(s), 1.0 - (3.0 * len(at.attitude) + Q.shape[0] - 3.0) / (2.0 * len(s)))
     factor = float(variance_factors(equations.residual.ravel(), number, [np.ones(2 * len(s), dtype=bool)])[0])
     gradient = np.einsum("nik,ni->nk", J, equations.residual)

@@ -7,7 +7,16 @@ from hypothesis import strategies as st
 from scipy import sparse
 from scipy.stats import chi2
 
-from spheremouse.geometry.least_squares.adjust import adjust, cofactors
+from spheremouse.errors import CalibrationError
+from spheremouse.geometry.least_squares.adjust import (
+    Normal,
+    _no_groups,
+    adjust,
+    cofactors,
+    huber,
+    huber_cost,
+    minimised,
+)
 from spheremouse.geometry.least_squares.reliability import redundancy, snooped, variance_factors
 
 
@@ -114,3 +123,62 @@ def test_variance_factors_find_what_each_group_is_off():
 
 def test_variance_factor_of_few_observations_stays_near_one():
     assert variance_factors(np.array([5.0]), np.array([1.0]), [np.array([True])])[0] == pytest.approx(35.0 / 9.0)
+
+
+@given(seed=st.integers(0, 10**6), groups=st.integers(0, 4), damping=st.sampled_from([0.0, 1e-3, 10.0]))
+@settings(max_examples=30)
+def test_eliminating_local_unknowns_gives_the_step_of_the_whole_system(seed, groups, damping):
+    rng = np.random.default_rng(seed)
+    s, k, n = 4, 3, 12
+    J = rng.standard_normal((groups, n, k))
+    A, r = rng.standard_normal((groups, n, s)), rng.standard_normal((groups, n))
+    more, rest = rng.standard_normal((n, s)), rng.standard_normal(n)
+    whole = np.zeros(((groups + 1) * n, s + groups * k))
+    for v in range(groups):
+        whole[v * n : (v + 1) * n, :s] = A[v]
+        whole[v * n : (v + 1) * n, s + v * k : s + (v + 1) * k] = J[v]
+    whole[groups * n :, :s] = more
+    residual = np.concatenate([r.ravel(), rest])
+    normal = Normal(
+        np.einsum("vni,vnj->ij", A, A) + more.T @ more,
+        -np.einsum("vni,vn->i", A, r) - more.T @ rest,
+        np.einsum("vni,vnj->vij", J, J),
+        np.einsum("vni,vnj->vij", J, A),
+        -np.einsum("vni,vn->vi", J, r),
+    )
+    move = normal.step(damping)
+    N = whole.T @ whole
+    expected = np.linalg.solve(N + damping * np.diag(np.diag(N)), -whole.T @ residual)
+    np.testing.assert_allclose(np.concatenate([move.shared, move.own.ravel()]), expected, rtol=1e-7, atol=1e-10)
+    fallen = residual @ residual - np.sum((residual + whole @ expected) ** 2)
+    assert move.promised == pytest.approx(fallen, rel=1e-7)
+
+
+def test_normal_equations_without_a_minimum_give_no_step():
+    normal = Normal(np.diag([1.0, -1.0]), np.ones(2), np.zeros((0, 0, 0)), np.zeros((0, 0, 2)), np.zeros((0, 0)))
+    assert normal.step(1e-10) is None
+
+
+def test_what_has_no_rest_and_no_beginning_is_said_with_what_to_do():
+    def valley(x):  # Rosenbrock's
+        J = np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+        return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]), sparse.csr_array(J)
+
+    np.testing.assert_allclose(adjust(valley, np.array([-1.2, 1.0])).x, [1.0, 1.0], atol=1e-8)
+
+    def linear(x):
+        r, J = valley(x)
+        return float(r @ r), lambda: Normal((J.T @ J).toarray(), -J.T @ r, *_no_groups(2))
+
+    with pytest.raises(CalibrationError, match="does not come to rest: try another valley"):
+        minimised(np.array([-1.2, 1.0]), linear, lambda x, move: x + move.shared, "try another valley", most=3)
+    with pytest.raises(CalibrationError, match="has no beginning: some observation"):
+        adjust(lambda x: (np.array([np.nan]), sparse.csr_array(np.ones((1, 1)))), np.zeros(1))
+
+
+def test_hubers_function_is_the_square_up_to_its_knee_and_a_line_beyond():
+    assert huber_cost(np.array([-1.0, 3.0]), 2.0) == 1.0 + 2.0 * (2.0 * 3.0 - 2.0)
+    assert huber_cost(np.array([-1.0, 3.0]), None) == 10.0
+    r, h = np.array([0.5, 3.0, -7.0]), 1e-6
+    slope = [(huber_cost(r + h * e, 2.0) - huber_cost(r - h * e, 2.0)) / (2.0 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(slope, 2.0 * huber(r, 2.0) ** 2 * r, rtol=1e-8)
