@@ -13,27 +13,18 @@ from spheremouse.experiments.kit.film import Film, bound, film_from_dataset, fil
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.simulate.ball.film import prepare
 
-TITLE = "Assumed acceleration and noise of the discs (Wittich 2017, tables 14 to 18)"
-
 SIGMA_W = (0.001, 0.01, 0.1, 1.0)  # rad/s², those of the thesis
 SIGMA_B = (0.1, 1.0, 10.0)  # px
 BEYOND = 10.0  # rad/s², a row of ours
 EXACT = 1e-6  # m: so round the ball is taken to be where only that of the thesis is compared
 
-# rows by sigma_w, columns by sigma_b
-R_R1 = ((0.645, 0.594, 0.678), (0.902, 0.794, 0.527), (0.962, 0.948, 0.778), (0.947, 0.956, 0.954))
-R_S1 = ((0.979, 0.973, 0.965), (0.995, 0.991, 0.990), (0.999, 0.998, 0.998), (0.998, 0.996, 0.995))
-ATTITUDE = ((2.68, 2.96, 3.14), (0.72, 0.89, 0.93), (0.18, 0.27, 0.27), (0.11, 0.13, 0.15))
-RATE = ((5.42, 6.04, 6.04), (2.23, 2.98, 3.10), (1.09, 1.60, 1.61), (1.52, 1.90, 2.12))
-SPEED = ((0.49, 0.56, 0.64), (0.23, 0.30, 0.34), (0.11, 0.15, 0.15), (0.15, 0.20, 0.21))  # px/s
-
 Grid = tuple[tuple[float, ...], ...]
-
-PATHS: dict[str, tuple[str, ...]] = {
-    "r": ("surface_speed_r", "combined"),
-    "attitude": ("attitude_rmse_deg", "combined"),
-    "rate": ("rate_rmse_deg_s", "combined"),
-    "speed": ("surface_speed_rmse_mm_s", "combined"),
+THESIS: dict[str, Grid] = {  # by quantity: rows by sigma_w, columns by sigma_b
+    "trackball": ((0.645, 0.594, 0.678), (0.902, 0.794, 0.527), (0.962, 0.948, 0.778), (0.947, 0.956, 0.954)),
+    "r": ((0.979, 0.973, 0.965), (0.995, 0.991, 0.990), (0.999, 0.998, 0.998), (0.998, 0.996, 0.995)),
+    "attitude": ((2.68, 2.96, 3.14), (0.72, 0.89, 0.93), (0.18, 0.27, 0.27), (0.11, 0.13, 0.15)),
+    "rate": ((5.42, 6.04, 6.04), (2.23, 2.98, 3.10), (1.09, 1.60, 1.61), (1.52, 1.90, 2.12)),
+    "speed": ((0.49, 0.56, 0.64), (0.23, 0.30, 0.34), (0.11, 0.15, 0.15), (0.15, 0.20, 0.21)),  # px/s
 }
 
 

@@ -198,7 +198,6 @@ def test_slips_are_refused(run, words, expected):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_experiment_has_jobs_with_keys_of_their_own(name):
     module = cli_experiments.import_module(f"spheremouse.experiments.{name}")
-    assert module.TITLE
     for quick in (True, False):
         jobs = module.jobs(Request(quick, None))
         keys = [job.key for job in jobs]
