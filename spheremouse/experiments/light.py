@@ -30,8 +30,6 @@ from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import prepare
 
-TITLE = "Noise and brightness (Wittich 2017, table 24, figs. 40 and 41)"
-
 SIGMAS = (1, 5, 10, 15)  # grey values
 THESIS_24: dict[int, tuple[float | None, ...]] = {  # °/s by l; None: targets not found
     -50: (1.20, 1.29, 1.62, None),

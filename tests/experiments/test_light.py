@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.light import _encoded, decoded, jobs, simulated
-from spheremouse.experiments.report.light import section
+from spheremouse.experiments.report.light import page
+from spheremouse.experiments.report.page import said
 from spheremouse.experiments.report.plot import save
 
 HERE = Request(False, Path("sets"))
@@ -42,12 +43,10 @@ def results():
     return found
 
 
-def tables(found):
-    return [part for part in found.parts if isinstance(part, Table)]
-
-
-def words(found):
-    return "\n".join(part for part in found.parts if isinstance(part, str))
+def rows(text, title):
+    """The cells of the table under a title."""
+    lines = text.partition(f"**{title}")[2].partition("\n\n")[2].partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
 def test_noise_makes_centres_and_rates_worse_and_the_picture_shows_it():
@@ -66,50 +65,56 @@ def test_noise_makes_centres_and_rates_worse_and_the_picture_shows_it():
         assert before[round(v), round(u)] < 80.0  # a disc is there
 
 
-def test_tables_have_the_thesis_above_ours_and_say_what_failed():
-    found = section(HERE, results())
-    ours, far26 = tables(found)
-    assert ours.rows[0] == ("-50", "thesis, EKF2", "1.20", "1.29", "1.62", "targets not found")
-    assert ours.rows[3] == ("-50", "`so3`", "0.20", "0.30", "0.40", "0.45")
-    assert far26.rows[3] == ("-50", "`so3`", "0.20", "0.30", "0.40", "failed")
-    assert len(ours.rows) == 16
-    text = words(found)
-    assert "No camera pose was found at l = -50, σ_r = 15 on far26." in text
-    assert "the rate error of `so3` is 0.45 °/s" in text
-    assert "0.10 px at σ_r = 1 and to 0.30 px at 15" in text
-    assert "`ekf2` 0.030, 0.010, 0.040° about x, y, z" in text
-    assert "0.000, 0.050, 0.010°) grows to the middle and shrinks again, as there" in text
+def test_tables_have_the_thesis_above_ours():
+    found = said("light", page, results())
+    ours, far26 = (rows(found.text, f"Rate RMSE, °/s, {film}") for film in ("S1, ours", "far26"))
+    assert ours[0] == ["-50", "thesis, EKF2", "1.20", "1.29", "1.62", "–"]
+    assert ours[3] == ["", "`so3`", "0.20", "0.30", "0.40", "0.45"]
+    assert far26[3] == ["", "`so3`", "0.20", "0.30", "0.40", "–"]
+    assert len(ours) == 16
     thesis = np.sqrt(np.mean(np.square([1.20, 0.98, 1.06, 1.06])))
-    assert f"{0.2 / thesis:.2f} at σ_r = 1" in text
+    assert f"{0.2 / thesis:.2f} of them at σ_r = 1" in found.text
+    assert "the rate error of `so3` is 0.45 °/s" in found.text
+    grown = np.sqrt(np.mean(np.square([0.45, 0.475, 0.525, 0.55]))) / 0.2
+    assert rows(found.text, "RMS over l")[0] == ["S1, ours", "0.10", "0.30", *[f"{grown:.1f}"] * 3]
 
 
-def test_an_error_that_stays_is_not_said_to_shrink():
+def test_the_errors_of_the_worst_film_are_told_by_axis_and_by_thirds():
+    found = said("light", page, results())
+    table = rows(found.text, "Attitude errors")
+    assert table[0] == ["`ekf2`", "0.030", "0.010", "0.040", "0.000", "0.050", "0.010"]
+    assert "Ours is smaller; **Not borne out by this run:** it has no such course" in found.text
     given = results()
     for name in ("ekf2", "so3"):
         given["s1+50"]["cells"]["15"]["shown"]["series"][name] = {"t": [0.0, 0.1, 0.2], "error": [[0.01, 0, 0]] * 3}
-    assert "has no such course" in words(section(HERE, given))
-    given["s1+50"]["cells"]["15"]["shown"]["series"]["so3"]["error"] = [[0.01, 0, 0], [0.02, 0, 0], [0, 0.04, 0]]
-    assert "grows to the end" in words(section(HERE, given))
-    given["s1+50"]["cells"]["15"]["shown"]["series"]["so3"] = {"t": [], "error": []}
-    assert "`so3` tracked nothing" in words(section(HERE, given))
+    assert "Ours is smaller; it has no such course" in said("light", page, given).text
 
 
-def test_missing_and_failed_rows_are_said():
-    found = section(AWAY, {"s1-50": {"error": "no memory"}})
-    assert len(tables(found)) == 1
-    assert tables(found)[0].rows[1][2:] == ("failed",) * 4
-    assert tables(found)[0].rows[5][2:] == ("–",) * 4
-    assert "s1-50: no memory" in words(found)
-    assert "far26 was not at hand" in words(found)
+def test_a_pose_that_was_not_found_contradicts_the_page():
+    given = results()
+    assert "**Not borne out by this run:** The camera's pose" in said("light", page, given).text
+    del given["far26-50"]
+    assert "**Not borne out by this run:** The camera's pose" not in said("light", page, given).text
 
 
-def test_figures_draw_and_the_pictures_stay_out_of_the_numbers(tmp_path):
-    found = section(HERE, results())
-    figures = [part for part in found.parts if isinstance(part, Figure)]
-    assert [f.name for f in figures] == ["light-rates", "light-picture", "light-attitude"]
-    for figure in figures:
-        assert all(path.stat().st_size > 3000 for path in save(figure, tmp_path))
-    assert "shown" not in found.figures["s1+50"]["cells"]["15"]
+def test_what_is_missing_is_a_dash_and_far26_is_left_out():
+    given = {"s1-25": grid(-25), "s1-50": {"error": "no memory"}, "s1+50": grid(50)}
+    empty = {"t": [], "error": []}
+    given["s1+50"]["cells"]["15"]["shown"] = {**shown(), "series": {"ekf2": empty, "so3": empty}}
+    found = said("light", page, given)
+    assert "- s1-50: no memory" in found.text
+    table = rows(found.text, "Rate RMSE, °/s, S1, ours")
+    assert table[1] == ["", "`ekf1`", "–", "–", "–", "–"]
+    assert table[5][2] == "0.20"
+    assert rows(found.text, "Attitude errors")[0] == ["`ekf2`", *["–"] * 6]
+    assert "far26" not in found.text
+
+
+def test_figures_draw(tmp_path):
+    found = said("light", page, results())
+    assert [drawing.name for drawing in found.drawings] == ["light-rates", "light-picture", "light-attitude"]
+    for drawing in found.drawings:
+        assert all(path.stat().st_size > 3000 for path in save(drawing, tmp_path))
 
 
 def test_jobs_are_a_row_each():
