@@ -16,8 +16,6 @@ from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import View, prepare
 
-TITLE = "Near and far camera"
-
 VIEWS: tuple[View, ...] = ("near", "far")
 DISCS = 50
 NOISE = 3.0  # grey values

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments import near_far
-from spheremouse.experiments.kit.job import Request, Table
-from spheremouse.experiments.report import near_far as near_far_module
-from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.kit.job import Request
+from spheremouse.experiments.report.near_far import page
+from spheremouse.experiments.report.page import said
+from spheremouse.experiments.report.plot import save
 
 QUICK = Request(True, None)
 
@@ -46,65 +47,73 @@ def test_a_film_is_tracked_by_all_and_bounded(film):
         assert np.all((bound > 1e-4) & (bound < 5.0))
 
 
+def rows(text, title):
+    """The cells of the table under a title."""
+    lines = text.partition(f"**{title}")[2].partition("\n\n")[2].partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
 def test_films_are_summed_as_squares():
     results = {"near-0": made(6.0, (3.0, 0.0, 1.0)), "near-1": made(8.0, (4.0, 0.0, 1.0)), "near-2": {"error": "x"}}
-    found = near_far_module._of_view(results, "near")
-    assert found["so3"]["discs"] == pytest.approx(7.0)
-    assert found["so3"]["rate"] == pytest.approx([np.sqrt(12.5), 0.0, 1.0])
-    assert found["bound"]["rate"] == pytest.approx([0.1, 0.1, 0.1])
-    assert near_far_module._of_view(results, "far") == {}
+    found = said("near_far", page, results)
+    table = rows(found.text, "Table 23")
+    assert table[0] == ["near", "thesis", "7.4", "0.23", "0.13", "0.21", "0.46", "0.35", "0.58", "–"]
+    errors = [f"{x:.{digits}f}" for digits in (4, 2) for x in (np.sqrt(12.5), 0.0, 1.0)]
+    assert table[4] == ["", "so3", "7.0", *errors, "0"]
+    assert table[5] == ["", "bound", "–", *["0.1000"] * 3, *["0.10"] * 3, "–"]
+    assert table[10] == ["", "so3", *["–"] * 8]
+    assert "2 from near, – from far" in found.text
+    assert "- near-2: x" in found.text
 
 
 def test_frames_that_were_not_tracked_are_counted():
     film = made(6.0, (1.0, 1.0, 1.0))
-    film["trackers"]["ekf1"]["tracked"] = 4
-    film["trackers"]["ekf2"]["tracked"] = 0
-    found = near_far_module._of_view({"far-0": film}, "far")
-    assert found["ekf1"]["untracked"] == 6
-    assert "ekf2" not in found
+    film["trackers"]["ekf1"] = report(5.0, (1.0, 1.0, 1.0), tracked=4)
+    film["trackers"]["ekf2"] = {"error": "no target found"}
+    table = rows(said("near_far", page, {"far-0": film}).text, "Table 23")
+    assert table[8][-1] == "6"
+    assert table[9] == ["", "ekf2", *["–"] * 8]
 
 
-def test_a_section_has_the_table_and_says_what_failed(tmp_path):
-    near = made(6.0, (0.2, 0.2, 0.2))
-    near["trackers"]["ekf1"] = {"error": "no target found"}
-    results = {"near-0": near, "far-0": made(9.0, (0.1, 0.1, 0.1))}
-    section = near_far_module.section(QUICK, results)
-    page = write_report(tmp_path, {"near_far": (near_far.TITLE, section)}, "x")[0].read_text()
-    assert "has 50 % more discs in use than the near one (thesis: 20 % more)" in page
-    assert "is 2.00 (`ekf2, blobs`), 2.00 (`ekf2`), 2.00 (`so3`), 1.00 (the bound); in the thesis 2.65" in page
-    assert (
-        "far 0.17 against 0.17 °/s with centres off by 0.03 against 0.03 px" in page
-    )  # no verdict where there is none
-    assert "Neither the thesis' filter" not in page  # 2.00 is not far from 2.65
-    assert "near-0, ekf1: no target found" in page
-    assert "| near: discs | 7.4 | 6.0 | failed | 6.0 | 6.0 |" in page
-    assert (tmp_path / "experiments" / "near-far-dark.svg").stat().st_size > 5000
-
-
-def test_what_is_not_found_is_said_and_failed_films_are_counted():
-    results = {"near-0": made(6.0, (0.1, 0.1, 0.1)), "far-0": made(5.0, (0.1, 0.1, 0.1)), "far-1": {"error": "x"}}
-    text = str(near_far_module.section(QUICK, results).parts)
-    assert "has 17 % fewer discs in use" in text
-    assert "Neither the thesis' filter nor its detector" in text
-    assert "With a pose off" not in text
-    assert "1 from near, 1 (1 of 2 failed) from far" in text
+def test_near_is_compared_with_far(tmp_path):
+    results = {"near-0": made(6.0, (0.2, 0.2, 0.2)), "far-0": made(9.0, (0.1, 0.1, 0.1))}
+    found = said("near_far", page, results)
+    assert "The far camera has 50 % more discs" in found.text
+    assert rows(found.text, "Combined errors")[0] == ["attitude", "2.65", *["2.00"] * 4, "1.00"]
+    assert rows(found.text, "`ekf2` on the same films")[2:] == [
+        ["far", "published", f"{0.1 * np.sqrt(3.0):.2f}", "0.03"],
+        ["", "ours", f"{0.1 * np.sqrt(3.0):.2f}", "0.03"],
+    ]
+    assert all(path.stat().st_size > 5000 for path in save(found.drawings[0], tmp_path))
+    fewer = said("near_far", page, {**results, "far-0": made(5.0, (0.1, 0.1, 0.1))}).text
+    assert "**Not borne out by this run:** The far camera has -17 % more discs" in fewer
 
 
 @pytest.mark.parametrize(
-    ("off", "lost", "said"),
+    ("near", "far", "lost", "doubts"),
     [
-        ([0.1, 0.2], 2, "0.10 to 0.20°, lost with 2 of 4 (thesis: 0.34°). Before the near camera its pose explains up"),
-        ([0.3, 0.4], 0, "Before the near camera its pose alone explains the thesis' attitude."),
-        ([0.4, 0.5], 0, "the thesis is better than any of these."),
-        ([], 4, "near, the ball is lost with all"),
+        ([0.1, 0.2], [0.1, 0.2], 0, 0),
+        ([0.1, 0.4], [0.1, 0.2], 0, 1),
+        ([0.1, 0.2], [0.2, 0.3], 0, 1),
+        ([0.1, 0.2], [0.1, 0.2], 2, 1),
+        ([], [0.1, 0.2], 4, 2),
     ],
 )
-def test_what_a_wrong_pose_explains_is_said(off, lost, said):
-    posed = {"posed-near": {"attitude": off, "lost": lost}, "posed-far": {"error": "no memory"}}
-    films = {"near-0": made(6.0, (0.1, 0.1, 0.1)), "far-0": made(5.0, (0.1, 0.1, 0.1))}
-    text = str(near_far_module.section(QUICK, {**films, **posed}).parts)
-    assert said in text
-    assert "- posed-far: no memory" in text
+def test_what_a_wrong_pose_does_not_explain_is_marked(near, far, lost, doubts):
+    films = {"near-0": made(6.0, (0.1, 0.1, 0.1)), "far-0": made(7.0, (0.1, 0.1, 0.1))}
+    posed = {"posed-near": {"attitude": near, "lost": lost}, "posed-far": {"attitude": far, "lost": 0}}
+    found = said("near_far", page, {**films, **posed})
+    assert found.doubts == doubts
+    assert (f"is off by 0.10 to {near[-1]:.2f}° before" if near else "is off by – to –° before") in found.text
+
+
+def test_the_figure_draws_without_films_of_a_view(tmp_path):
+    found = said(
+        "near_far",
+        page,
+        {"posed-near": {"attitude": [0.1], "lost": 0}, "far-0": {**made(6.0, (1, 1, 1)), "bound": None}},
+    )
+    assert all(path.stat().st_size > 5000 for path in save(found.drawings[0], tmp_path))
 
 
 def test_a_wrong_pose_makes_the_attitude_wrong():
@@ -114,15 +123,6 @@ def test_a_wrong_pose_makes_the_attitude_wrong():
     assert len(found["attitude"]) == 32
     assert found["attitude"] == sorted(found["attitude"])
     assert found["attitude"][-1] > 1.05 * found["attitude"][0]
-
-
-def test_a_section_without_results_has_rows_that_say_so():
-    failed = {j.key: {"error": "too little memory"} for j in near_far.jobs(QUICK)}
-    for given in ({}, failed):
-        section = near_far_module.section(QUICK, given)
-        (table,) = [p for p in section.parts if isinstance(p, Table)]
-        assert all("failed" in row for row in table.rows)
-        assert ("too little memory" in str(section.parts)) == bool(given)
 
 
 def test_jobs_have_keys_of_their_own():
