@@ -24,8 +24,6 @@ from spheremouse.experiments.kit.tour import (
     thinned,
 )
 
-TITLE = "How the camera films: frame rate, resolution, blur, rolling shutter (Wittich 2017, chapter 5)"
-
 FASTEST = 240  # frames per second, of the film from which the slower ones are taken
 
 
@@ -132,6 +130,3 @@ def with_film(seed: int, seconds: float, film: dict[str, Any]) -> Result:
         none = replace(shot.rig, readout_s=0.0)
         rigs |= {ESTIMATED: replace(none, readout_sigma_s=UNKNOWN_READOUT), IGNORED: none}
     return {**followed(shot, seen, rigs), "pose": said}
-
-
-# ---- figures ----

@@ -11,12 +11,11 @@ from spheremouse.experiments import viewing
 from spheremouse.experiments.kit import film as kit
 from spheremouse.experiments.kit import sights
 from spheremouse.experiments.kit import tour as tour_module
-from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.kit.tour import thinned, tour
-from spheremouse.experiments.report import viewing as viewing_module
-from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.report.page import said
 from spheremouse.experiments.report.plot import apart, save
-from spheremouse.experiments.report.viewing import points, section
+from spheremouse.experiments.report.viewing import page
 from spheremouse.experiments.viewing import KINDS, jobs
 from spheremouse.geometry.rotation import log
 
@@ -50,14 +49,6 @@ def results():
         "blur-33-1": point(0.5, pose=None),
         "readout-30-1": point(0.04, (*KINDS["readout"].shown,), pose=None),
     }
-
-
-def words(found):
-    return "\n".join(part for part in found.parts if isinstance(part, str))
-
-
-def tables(found):
-    return {part.title.split(":")[0]: part for part in found.parts if isinstance(part, Table)}
 
 
 # ---- films ----
@@ -151,81 +142,6 @@ def test_what_is_brief_is_what_was_reported(film):
     assert tour_module.least(None) is None
 
 
-# ---- pages ----
-
-
-def test_films_go_to_their_figures_and_the_plain_one_to_three():
-    found = {name: points(results(), kind) for name, kind in KINDS.items()}
-    assert {k: len(v) for k, v in found["rate"].items()} == {"15": 2, "30": 2, "60": 1}
-    assert list(found["size"]) == ["320x240", "640x480"]
-    assert list(found["blur"]) == ["0", "33"]
-    assert found["readout"]["0"] == found["size"]["640x480"] == [results()["plain-1"]]
-
-
-def test_the_advice_is_the_range_in_which_all_is_well():
-    text = words(section(WHOLE, results()))
-    assert "`so3` reaches that with 30 to 60 frames per second" in text
-    assert "`so3` reaches that with all, 320×240 to 640×480" in text
-    assert "`so3` reaches that with 0 ms of exposure" in text
-    assert "`so3, ignored` reaches that with all, 0 to 30 ms of readout" in text
-    bad = {key: point(0.3, pose=None) for key in ("plain-1", "blur-33-1")}
-    text = words(section(WHOLE, bad))
-    assert "`ekf1`, `ekf2`, `so3` reach that with none." not in text  # half of that is the bound, which does not either
-    assert "`ekf1`, `ekf2`, `so3` reach that with none, nor does the bound: this motion asks too much." in text
-    slow = {"plain-1": point(0.09), "blur-33-1": point(0.12)}  # rates of 1.8 and 2.4 °/s of 40
-    slow["blur-33-1"]["bound"]["rate"] = 1.9
-    assert "`ekf1`, `ekf2`, `so3` reaches" not in words(section(WHOLE, slow))
-    slow["plain-1"] = point(0.11)
-    assert "`ekf1`, `ekf2`, `so3` reach that with none." in words(section(WHOLE, slow))
-
-
-def test_a_range_ends_where_a_film_is_lost_and_the_longest_counts():
-    rates = {r: point(0.01, KINDS["rate"].shown, lost=int(r in ("30", "240"))) for r in KINDS["rate"].whole}
-    found = points({"rate-1": {"points": rates}}, KINDS["rate"])
-    assert viewing_module.good_range(found, "so3") == ("40", "120")
-    assert viewing_module.good_range({"15": [point(0.5)]}, "so3") is None
-
-
-def test_where_the_rate_is_best_is_said():
-    rates = {r: point(e, KINDS["rate"].shown) for r, e in (("15", 0.2), ("60", 0.05), ("240", 0.1))}
-    text = words(section(WHOLE, {"rate-1": {"points": rates}}))
-    assert "`so3` 1.00 at 60 (4.00 at 15, 2.00 at 240)" in text
-    assert "Worse at 240 than at their best: `ekf1` (2.0 times)" in text
-    rates["240"] = point(0.04, KINDS["rate"].shown)
-    assert "None is worse at 240." in words(section(WHOLE, {"rate-1": {"points": rates}}))
-
-
-def test_a_readout_that_does_harm_when_told_is_said():
-    given = {"plain-1": point(0.01), "readout-30-1": point(0.04, KINDS["readout"].shown)}
-    assert "Telling it" not in words(section(WHOLE, given))
-    given["readout-30-1"]["rows"]["so3"] = {**row(0.04), "attitude": 0.08}
-    text = words(section(WHOLE, given))
-    assert "Telling it makes it worse with 30 ms: attitude 0.080° told, 0.040° estimated, 0.040° ignored." in text
-
-
-def test_films_that_failed_are_counted():
-    found = section(WHOLE, {**results(), "blur-33-2": {"error": "no memory"}})
-    rows = tables(found)["Motion blur"].rows
-    assert next(r for r in rows if r[0] == "33")[1] == "1 of 2 failed"
-
-
-def test_rows_have_medians_and_say_what_was_lost(tmp_path):
-    found = section(WHOLE, results())
-    rate = tables(found)["Frame rate"]
-    assert rate.rows[0] == ("15", "2", "`ekf1`", "lost", "lost", "2 of 2")
-    assert rate.rows[5] == ("30", "2", "`ekf1`", "0.050", "1.00", "0 of 2")
-    assert rate.rows[9] == ("", "", "bound", "0.025", "0.50", "")
-    assert {len(r) for r in rate.rows} == {len(rate.head)}
-    size = tables(found)["Resolution"]
-    assert [r[0] for r in size.rows if r[0]] == ["320×240", "640×480", "1920×1080"]
-    assert size.rows[-1][:2] == ("1920×1080", "failed")
-    page = write_report(tmp_path, {"viewing": (viewing.TITLE, found)}, "x")[0].read_text()
-    assert "not found in 1 of 1 films: no target was found; these" in page
-    assert "size-1920x1080-1: too little memory" in page
-    for name in KINDS:
-        assert (tmp_path / "experiments" / f"viewing-{name}-dark.svg").stat().st_size > 5000
-
-
 def test_a_lost_film_is_one_that_says_so_or_is_far_off_or_has_nothing():
     assert tour_module.is_lost(row(0.1, lost=1))
     assert tour_module.is_lost(row(1.2))
@@ -233,25 +149,102 @@ def test_a_lost_film_is_one_that_says_so_or_is_far_off_or_has_nothing():
     assert not tour_module.is_lost(row(0.9))
 
 
+# ---- pages ----
+
+
+def rows(text, title):
+    """The cells of the table under a title."""
+    lines = text.partition(title)[2].strip().partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_a_row_is_the_median_of_the_films_and_says_what_was_lost():
+    given = results()
+    given["rate-2"]["points"]["30"] = point(0.07, KINDS["rate"].shown)
+    found = said("viewing", page, given).text
+    rate = rows(found, "**Frame rate: median of the combined RMSE**")
+    assert rate[0] == ["15", "`ekf1`", "lost", "lost", "2 of 2"]
+    assert rate[5] == ["30", "`ekf1`", "0.060", "1.20", "0 of 2"]
+    assert rate[9] == ["", "bound", "0.030", "0.60", ""]
+    assert [row[0] for row in rate if row[0]] == ["15", "30", "60"]
+    size = rows(found, "**Resolution: median of the combined RMSE**")
+    assert [row[0] for row in size if row[0]] == ["320×240", "640×480"]
+    assert "- size-1920x1080-1: too little memory" in found
+
+
+def test_the_plain_film_stands_in_three_tables():
+    found = said("viewing", page, {"plain-1": point(0.03, pose=None)})
+    for title in ("Resolution", "Motion blur", "Rolling shutter"):
+        assert "0.030" in [row[2] for row in rows(found.text, f"**{title}: median of the combined RMSE**")]
+    assert [drawing.name for drawing in found.drawings] == ["viewing-size", "viewing-blur", "viewing-readout"]
+
+
+def test_what_changes_over_a_range_is_a_ratio():
+    found = said("viewing", page, results()).text
+    blur = rows(found, "over the error without blur:")
+    assert blur[2] == ["`so3`", f"{0.5 / 0.03:.2f}", f"{0.5 / 0.03:.2f}"]
+    assert rows(found, "over that at 320×240:")[0] == ["`ekf1`", "–", "–"]
+
+
+def test_where_the_rate_is_best_is_found():
+    rates = {r: point(e, KINDS["rate"].shown) for r, e in (("15", 0.2), ("60", 0.05), ("240", 0.1))}
+    table = rows(said("viewing", page, {"rate-1": {"points": rates}}).text, "The error of the rate, °/s:")
+    assert table[0] == ["`ekf1`", "1.00", "60", "4.00", "2.00", "2.00"]
+    assert table[-1] == ["bound", "0.50", "60", "2.00", "1.00", "2.00"]
+    assert page({"rate-1": {"points": rates}}).values["over_least"]["so3"] == pytest.approx(2.0)
+
+
+def test_good_is_what_loses_no_film_and_is_near_in_attitude_and_rate():
+    """The rates are 20 times the attitudes; 5 % of the ball's own are 2 °/s."""
+    off = {"15": 0.11, "20": 0.05, "30": 0.05, "40": 0.01, "60": 0.01, "80": 0.01, "120": 0.01, "240": 0.01}
+    rates = {r: point(e, KINDS["rate"].shown, lost=int(r == "30")) for r, e in off.items()}
+    rates["240"]["rows"]["so3"]["rate"] = 2.1
+    others = {key: result for key, result in results().items() if "rate" not in key and "error" not in result}
+    good = page({**others, "rate-1": {"points": rates}}).values["good"]
+    assert good["rate"]["ekf1"] == ["20", "40", "60", "80", "120", "240"]
+    assert good["rate"]["so3"] == ["20", "40", "60", "80", "120"]
+    assert good["size"]["so3"] == ["320x240", "640x480"]
+    assert good["blur"]["so3"] == ["0"]
+    assert good["readout"][tour_module.IGNORED] == ["0", "30"]
+
+
+def doubted(results, sentence):
+    text = said("viewing", page, results).text
+    assert sentence in text
+    return f"**Not borne out by this run:** {sentence}" in text
+
+
+def test_claims_are_marked_where_the_films_contradict_them():
+    rates = {r: point(e, KINDS["rate"].shown) for r, e in (("15", 0.05), ("240", 0.06))}
+    assert doubted({"rate-1": {"points": rates}}, "For `so3` and for the bound that is so")
+    rates["240"] = point(0.04, KINDS["rate"].shown)
+    assert not doubted({"rate-1": {"points": rates}}, "For `so3` and for the bound that is so")
+    small = {"plain-1": point(0.03, pose=None), "size-320x240-1": point(0.03, pose="0 of 4 targets found")}
+    assert not doubted(small, "At 320×240 no target was found")
+    assert doubted({**small, "size-320x240-2": point(0.03, pose=None)}, "At 320×240 no target was found")
+    slow = {"plain-1": point(0.01), "readout-30-1": point(0.015, KINDS["readout"].shown)}
+    assert not doubted(slow, "A readout that is told or estimated")
+    assert doubted(slow, "One that is ignored")
+    assert doubted({"plain-1": point(0.01)}, "A readout that is told or estimated")
+
+
+def test_any_part_of_a_run_is_a_page(tmp_path):
+    for key, result in results().items():
+        found = said("viewing", page, {key: result})
+        assert all(path.stat().st_size > 5000 for drawing in found.drawings for path in save(drawing, tmp_path))
+    failed = {job.key: {"error": "no film"} for job in jobs(QUICK)}
+    assert said("viewing", page, failed).text.count("no film") == len(failed)
+
+
 def test_a_figure_is_drawn_where_a_filter_or_the_bound_has_no_value(tmp_path):
     broken = point(0.1, pose=None)
     broken["rows"]["ekf1"] = {**row(0.1), "attitude": None, "rate": None, "tracked": 0}
     broken["bound"] = None
-    found = section(WHOLE, {**results(), "blur-16-1": broken})
-    figures = [p for p in found.parts if isinstance(p, Figure)]
-    assert len(figures) == 4
-    blur = next(figure for figure in figures if figure.name == "viewing-blur")
+    found = said("viewing", page, {**results(), "blur-16-1": broken})
+    blur = next(drawing for drawing in found.drawings if drawing.name == "viewing-blur")
     assert all(path.stat().st_size > 5000 for path in save(blur, tmp_path))
-    rows = tables(found)["Motion blur"].rows
-    k = next(k for k, r in enumerate(rows) if r[0] == "16")
-    assert rows[k][2:] == ("`ekf1`", "lost", "lost", "1 of 1")
-    assert rows[k + 3] == ("", "", "bound", "–", "–", "")
-
-
-def test_a_page_without_results_says_so():
-    assert words(section(WHOLE, {})).count("No result.") == 4
-    failed = {job.key: {"error": "no film"} for job in jobs(QUICK)}
-    assert words(section(QUICK, failed)).count("no film") == len(failed)
+    table = rows(found.text, "**Motion blur: median of the combined RMSE**")
+    assert table[4:8:3] == [["16", "`ekf1`", "lost", "lost", "1 of 1"], ["", "bound", "–", "–", ""]]
 
 
 def test_names_beside_lines_keep_apart_and_in_order():
