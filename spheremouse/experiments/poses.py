@@ -24,15 +24,12 @@ from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, View,
 from spheremouse.simulate.ball.profile import still
 from spheremouse.tracker import Frame
 
-TITLE = "The camera's pose from four targets"
-
 VIEWS: tuple[View, ...] = ("far", "near")
 VIEWS_USED = 30  # of the tables: a second of video
 _COUNTS = (1, 2, 3, 5, 10, 20, 30, 50, 100)
 NOISE, STRONG = 3.0, 15.0  # grey values: of the tables; of the figure, the strongest of table 24
 NAMES = ("X0", "Y0", "Z0", "ω0", "φ0", "κ0")
 _STRAY = (0.01, np.radians(0.5))  # m, rad: by which cameras differ from the thesis'
-BLANK = "–"
 
 
 def jobs(request: Request) -> list[Job]:
