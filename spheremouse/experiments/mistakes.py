@@ -20,8 +20,6 @@ from spheremouse.experiments.kit.tour import SHARE, brief, filmed, least, moved,
 from spheremouse.geometry.conics import project_sphere
 from spheremouse.geometry.rotation import Array, log
 
-TITLE = "A calibration that is wrong (Wittich 2017, chapter 5)"
-
 TRACKERS = kit.TRACKERS
 FREE = "so3, no lift"  # not asked whether the ball was lifted off its bearings
 TOLD = "so3, told"  # how uncertain the lengths are
@@ -39,43 +37,26 @@ class Kind:
     """A mistake; values in SI units."""
 
     name: str
-    title: str
     label: str  # of the axis
-    unit: str
     whole: tuple[float, ...]
     quick: tuple[float, ...]
     draws: int  # how often at each value, where chance decides
     log: bool
     typical: float
-    bears: str  # for the advice
 
 
 KINDS = {
     k.name: k
     for k in (
+        Kind("focal", "focal length, %", (-0.1, -0.05, -0.02, -0.01, 0.01, 0.02, 0.05, 0.1), (0.05,), 1, False, 0.05),
         Kind(
-            "focal", "Focal length", "focal length, %", "%", (-0.1, -0.05, -0.02, -0.01, 0.01, 0.02, 0.05, 0.1),
-            (0.05,), 1, False, 0.05, "a focal length off by {} %",
+            "radius", "radius, mm", (-0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02), (0.01,),
+            1, False, 0.01,
         ),
-        Kind(
-            "radius", "Radius", "radius, mm", "mm",
-            (-0.02, -0.01, -0.005, -0.002, -0.001, 0.001, 0.002, 0.005, 0.01, 0.02), (0.01,), 1, False, 0.01,
-            "a radius off by {} mm",
-        ),
-        Kind(
-            "centre", "Ball's centre", "centre, mm", "mm", (0.001, 0.002, 0.005, 0.01, 0.02), (0.01,), 2, True, 0.01,
-            "a centre off by {} mm",
-        ),
-        Kind(
-            "targets", "Targets", "targets, mm", "mm", (0.0005, 0.001, 0.002, 0.005, 0.01), (0.005,), 2, True, 0.005,
-            "targets off by {} mm in each coordinate",
-        ),
-        Kind("lens", "Lens", "lens, −k1", "", (0.01, 0.025, 0.05, 0.1, 0.2), (0.1,), 1, True, 0.1,
-            "an uncorrected lens with k1 = −{}"),
-        Kind(
-            "evening", "A whole evening", "errors, times those of an evening", "evenings", (0.1, 0.25, 0.5, 1.0, 2.0),
-            (1.0,), 4, True, 1.0, "{} times an evening's errors",
-        ),
+        Kind("centre", "centre, mm", (0.001, 0.002, 0.005, 0.01, 0.02), (0.01,), 2, True, 0.01),
+        Kind("targets", "targets, mm", (0.0005, 0.001, 0.002, 0.005, 0.01), (0.005,), 2, True, 0.005),
+        Kind("lens", "lens, −k1", (0.01, 0.025, 0.05, 0.1, 0.2), (0.1,), 1, True, 0.1),
+        Kind("evening", "errors, times those of an evening", (0.1, 0.25, 0.5, 1.0, 2.0), (1.0,), 4, True, 1.0),
     )
 }  # fmt: skip
 ALONE = ("focal", "radius", "centre", "targets", "lens")
@@ -274,6 +255,3 @@ def _compared(sent: Array, made: Array) -> dict[str, float] | None:
         "spin": 100.0 * float(np.linalg.norm(A[:, 2])),
         "wobble": 100.0 * float(np.linalg.norm(left) / np.linalg.norm(made[:, :2])),
     }
-
-
-# ---- figures ----

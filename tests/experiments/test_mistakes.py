@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.experiments import mistakes
 from spheremouse.experiments.kit import tour
-from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.mistakes import FREE, KINDS, TOLD, jobs, wrong
-from spheremouse.experiments.report import mistakes as mistakes_module
-from spheremouse.experiments.report.mistakes import section
-from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.report.mistakes import page
+from spheremouse.experiments.report.page import said
+from spheremouse.experiments.report.plot import save
 from spheremouse.geometry.camera import project
 from spheremouse.simulate.ball.scene import default_scene
 from spheremouse.tracker import Status
@@ -53,12 +53,10 @@ def results():
     }
 
 
-def words(found):
-    return "\n".join(part for part in found.parts if isinstance(part, str))
-
-
-def tables(found):
-    return {part.title.removesuffix(" (medians)"): part for part in found.parts if isinstance(part, Table)}
+def rows(text, title):
+    """The cells of the table under a title."""
+    lines = text.partition(title)[2].partition("|")[2].partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
 # ---- wrong rigs ----
@@ -181,113 +179,105 @@ def test_a_film_gives_what_json_holds_and_a_missing_pose_is_said():
 # ---- pages ----
 
 
-def test_rigs_of_all_films_come_together_and_failed_ones_count():
-    found = mistakes_module.points(results(), KINDS["evening"])
-    assert len(found[1.0]) == 4
-    assert mistakes_module.lost(found[1.0], FREE) == 3  # no pose; 1.5° and 9° are far off
-    assert mistakes_module.median(found[1.0], FREE, "attitude") == pytest.approx(1.5)
-    assert mistakes_module.median(found[1.0], FREE, "scale") == pytest.approx(7.5)  # without its sign
-    assert mistakes_module.held(found[1.0], FREE) == pytest.approx(0.95)
-    assert list(mistakes_module.points(results(), KINDS["radius"])) == [-0.01, 0.01]
-    assert mistakes_module.points(results(), KINDS["centre"]) == {}
+def test_rigs_of_all_films_come_together_and_those_without_a_pose_count():
+    evening = rows(said("mistakes", page, results()).text, "**A whole evening (medians)**")
+    no_lift = next(row for row in evening[4:] if row[2] == f"`{FREE}`")
+    # errors of 0.5, 1.5 and 9.0; no pose, and 1.5° and 9° are far off; a scale without its sign
+    assert no_lift == ["", "", f"`{FREE}`", "1.50", "15.0", "7.5", "1.5", "1.5", "3", "95"]
+    assert [row[2] for row in evening] == [f"`{w}`" for w in (*("ekf1", "ekf2", "so3", FREE) * 2, TOLD)]
+    assert [row[:2] for row in evening[::4]] == [["right rig", "2"], ["1", "4"], ["", ""]]
+
+
+def test_sizes_stand_in_order_with_the_right_rig_between():
+    text = said("mistakes", page, results()).text
+    focal = rows(text, "**Focal length (medians)**")
+    assert [row[0] for row in focal[::4]] == ["-5", "-1", "right rig", "1", "5"]
+    assert focal[8] == ["right rig", "1", "`ekf1`", "0.10", "1.0", "0.5", "0.1", "0.1", "0", "95"]
+    assert [row[-2] for row in focal[16:]] == ["0", "0", "1", "0"]  # 5 % too long
+    assert rows(text, "**Radius (medians)**")[0] == ["-10", "1", "`ekf1`", *["–"] * 5, "1", "–"]
+    assert rows(text, "**What `so3` makes")[0] == ["focal length, %", "5", "-2.5", "0.5", "0.5", "0.50"]
+    assert rows(text, "**What `so3` makes")[2] == ["centre, mm", "10", *["–"] * 4]
+    assert "moves the ball's edge by 1.2 px" in text
+    assert "medians of 3 films" in text
+    assert "Of the 8 wrong rigs it loses the ball with 1; `so3, no lift`" in text
+
+
+def borne(given, mistake="focal length, %"):
+    return next(row for row in rows(said("mistakes", page, given).text, "### What may be off") if row[0] == mistake)[1:]
 
 
 def test_what_may_be_off_is_the_largest_size_with_all_smaller_ones_well():
-    focal = mistakes_module.points(results(), KINDS["focal"])
-    assert mistakes_module.limit_of(focal, FREE) == 0.05
-    assert mistakes_module.limit_of(focal, "so3") == 0.01  # too long by 5 %: lost
-    assert mistakes_module.limit_of(mistakes_module.points(results(), KINDS["radius"]), FREE) is None
-    assert not mistakes_module.bears([{"rows": {FREE: {**row(0.1), "direction": None}}}], FREE)
-    assert not mistakes_module.bears([{"rows": {FREE: row(0.1, wobble=5.5)}}], FREE)
-    assert not mistakes_module.bears([{"rows": {FREE: row(0.1, tracked=80)}}], FREE)
-    assert mistakes_module.lost([{"rows": {FREE: row(0.1, tracked=80)}}], FREE) == 1
-    assert not mistakes_module.bears([{"rows": {}}], FREE)
+    assert borne(results()) == ["1", "5", "1"]  # `so3` loses the ball where the focal length is too long by 5 %
+    assert borne(results(), "radius, mm") == ["–", "–", "10"]
+    assert borne(results(), "centre, mm") == ["–"] * 3
+    for bad in ({"direction": None}, {"direction": 2.5}, {"wobble": 5.5}, {"tracked": 80}, {"lost": 1}):
+        one = cell(0.1)
+        one["rows"][FREE] |= bad
+        assert borne({"camera-1": film_of(focal={"0.01": [one], "0.02": [cell(0.1)]})}) == ["2", "–", "1"]
 
 
-def test_the_page_says_all_that(tmp_path):
-    found = section(WHOLE, results())
-    page = write_report(tmp_path, {"mistakes": (mistakes.TITLE, found)}, "x")[0].read_text()
-    assert "Of the 8 wrong rigs it loses the ball with 1; `so3, no lift`" in page
-    assert "focal length 5 % too large: scale -2.5 %, direction 0.5°" in page
-    assert "lens with k1 = −0.1 (1.2 px at the ball's edge): scale -2.5 %" in page
-    assert "`so3` bears a focal length off by 1 %, an uncorrected lens with k1 = −0.1 and does not bear even" in page
-    assert "places-1: too little memory" in page
-    focal = tables(found)["Focal length"]
-    assert focal.rows[0] == ("right rig", "1", "`ekf1`", "0.10", "1.0", "0.5", "0.1", "0.1", "0", "95")
-    assert focal.rows[4][:3] == ("-5", "1", "`ekf1`")
-    assert [r[-2] for r in focal.rows[16:]] == ["0", "0", "1", "0"]  # 5 % too long
-    radius = tables(found)["Radius"]
-    assert radius.rows[4] == ("-10", "1", "`ekf1`", *["–"] * 5, "1", "–")
-    evening = tables(found)["A whole evening"]
-    assert [r[2] for r in evening.rows[5:]] == [f"`{w}`" for w in ("ekf1", "ekf2", "so3", FREE, TOLD)]
-    assert page.count("such evenings") == 1
-    for table in tables(found).values():
-        assert {len(r) for r in table.rows} == {len(table.head)}
-    for name in ("errors", "mouse", "evening"):
-        assert (tmp_path / "experiments" / f"mistakes-{name}-dark.svg").stat().st_size > 5000
+def whole():
+    """Results that bear out all that is claimed."""
+    found = {}
+    for name in ("focal", "radius", "centre", "lens", "targets"):
+        found[name] = {"0.1": [cell(0.5)]}
+        found[name]["0.1"][0]["rows"]["ekf2"] = row(0.2 if name != "targets" else 0.9)
+    found["focal"]["0.1"][0]["rows"]["so3"]["lost"] = 1
+    evenings = [cell(9.0), cell(9.0), cell(1.0)]
+    for one in evenings:
+        one["rows"][TOLD] = row(9.5)
+    return {"lens-0.1-1": film_of(**found, evening={"1": evenings})}
 
 
-def same(cells):
-    """Where the test for a lifted ball changes nothing."""
-    for cell_ in cells:
-        if "rows" in cell_:
-            cell_["rows"]["so3"] = cell_["rows"][FREE]
+@pytest.mark.parametrize(
+    "contradict",
+    [
+        lambda film, one: film["mistakes"]["focal"]["0.1"][0]["rows"]["so3"].update(lost=0),
+        lambda film, one: film["mistakes"]["lens"]["0.1"][0]["rows"]["ekf2"].update(wobble=0.6),
+        lambda film, one: film["mistakes"]["targets"]["0.1"][0]["rows"]["ekf2"].update(wobble=0.4),
+        lambda film, one: [e["rows"].update({TOLD: row(6.0)}) for e in one],
+        lambda film, one: one.__setitem__(0, {"rows": {**cell(1.0)["rows"], TOLD: row(9.5)}}),
+        lambda film, one: film["right"]["rows"]["so3"].update(wobble=13.0),
+    ],
+)
+def test_a_claim_that_is_contradicted_is_marked(contradict):
+    given = whole()
+    assert said("mistakes", page, given).doubts == 0
+    film = given["lens-0.1-1"]
+    contradict(film, film["mistakes"]["evening"]["1"])
+    assert said("mistakes", page, given).doubts == 1
 
 
-def test_a_lift_test_that_stops_nothing_is_said_and_has_no_row():
-    given = results()
-    for film in given.values():
-        for kind in film.get("mistakes", {}).values():
-            for cells in kind.values():
-                same(cells)
-    found = section(WHOLE, given)
-    assert "that test stops none of these 8 rigs" in words(found)
-    assert FREE not in words(found).replace("`bearing.lifted=1`", "")
-    assert {r[2] for r in tables(found)["Focal length"].rows} == {"`ekf1`", "`ekf2`", "`so3`"}
+def test_an_evening_is_well_where_the_pointer_is_straight_and_steady():
+    table = rows(said("mistakes", page, whole()).text, "**3 such evenings (medians)**")
+    assert table[0] == ["`ekf1`", "9.00", "90.0", "45.0", "9.0", "9.0", "2", "1"]
+    assert table[-1] == [f"`{TOLD}`", "9.50", "95.0", "47.5", "9.5", "9.5", "3", "0"]
 
 
-def test_wrong_rigs_are_not_judged_where_the_right_one_misses():
-    given = results()
-    for film in given.values():
-        if "right" in film:
-            film["right"] = {"rows": {w: row(0.1, wobble=13.0) for w in ("ekf1", "ekf2", "so3", FREE)}}
-    text = words(section(WHOLE, given))
-    assert "`so3` misses that with the right rig itself in 3 of 3 films of 3.3 s" in text
-    assert "bears a focal length" not in text
+def test_wobbles_are_compared_where_they_differ_most():
+    given = {"camera-1": film_of(focal={"0.01": [cell(0.2)], "0.05": [cell(0.5)]})}
+    for size, error in (("0.05", 9.0), ("0.01", 0.1)):
+        given["camera-1"]["mistakes"]["focal"][size][0]["rows"]["so3"] = row(error)
+    given["places-1"] = film_of(centre={"0.01": [cell(0.2)]})
+    text = said("mistakes", page, given).text
+    assert "medians of 1 films" in text
+    assert rows(text, "differ most:")[0] == [
+        "focal length, %",
+        "5",
+        "9.0",
+        "0.5",
+        "2",
+        "1",
+    ]
 
 
-def test_one_film_in_several_jobs_is_counted_once():
-    given = {"camera-1": film_of(focal={"0.01": [cell(0.2)]}), "places-1": film_of(centre={"0.01": [cell(0.2)]})}
-    assert len(mistakes_module._distinct(given)) == 1
-    assert "medians of 1 films" in words(section(WHOLE, given))
-
-
-def test_what_so3_bears_worse_than_ekf2_is_told_from_the_rest():
-    found = {"focal": {0.01: [cell(0.2)], 0.05: [cell(0.5)]}, "targets": {0.001: [cell(0.2)]}}
-    for error, here in ((9.0, found["focal"][0.05]), (1.5, found["focal"][0.01])):
-        here[0]["rows"]["so3"] = row(error)
-    text = mistakes_module._said_of_wobble(found)
-    assert "more with a focal length off by 5 % (9.0 % against 0.5 %; at 2 of 2 sizes)" in text
-    assert "less with targets off by 1 mm in each coordinate (0.2 % against 0.2 %; at 1 of 1 sizes)" in text
-
-
-def test_telling_that_does_harm_is_said_and_a_film_that_failed_is_a_row():
-    worse = cell(0.5)
-    worse["rows"][TOLD] = row(2.0)
-    given = {"lens-0.1-1": film_of(evening={"1": [worse]}), "lens-0.1-2": {"error": "too dark"}}
-    found = section(WHOLE, given)
-    assert "makes it worse: attitude 2.00° in place of 0.50°" in words(found)
-    last = tables(found)["A whole evening"].rows[-1]
-    assert last[:2] == ("1", "films: 1 of 2 failed")
-    assert "makes it worse" not in words(section(WHOLE, {"lens-0.1-1": film_of(evening={"1": [cell(0.5)]})}))
-
-
-def test_a_page_without_results_is_still_a_page():
-    assert words(section(WHOLE, {}))
-    failed = {job.key: {"error": "no film"} for job in jobs(QUICK)}
-    found = section(QUICK, failed)
-    assert words(found).count("no film") == len(failed)
-    assert not [p for p in found.parts if isinstance(p, Figure | Table)]
+@pytest.mark.parametrize("keys", [("camera-1", "places-1", "lens-0.1-1", "lens-0.1-2"), ("places-1", "camera-1")])
+def test_a_page_says_what_failed_and_its_figures_draw(tmp_path, keys):
+    found = said("mistakes", page, {key: results()[key] for key in keys})
+    assert "- places-1: too little memory" in found.text
+    assert [d.name for d in found.drawings] == ["mistakes-errors", "mistakes-mouse", "mistakes-evening"]
+    for drawing in found.drawings:
+        assert all(path.stat().st_size > 5000 for path in save(drawing, tmp_path))
 
 
 def test_jobs_have_keys_of_their_own_and_quick_ones_are_few():
