@@ -25,8 +25,6 @@ from spheremouse.simulate.ball.film import Scene, default_scene
 from spheremouse.simulate.ball.furniture import frame, room
 from spheremouse.simulate.ball.tags import Sheet, painted, ring_sheet, tag_cells, tag_corners, tag_sheet
 
-TITLE = "Targets on the frame: number, size, kind (Wittich 2017, chapter 5)"
-
 USUAL, NUMBER = 36, 4  # mm, outer radius, and how many, as the thesis has them
 STRAY = (0.04, np.radians(1.0), np.radians(15.0))  # m, rad, rad about the line of sight: how cameras differ
 _HALF_PIXEL = 0.5  # px: AprilTag's corners count from a pixel's corner, all others from its centre
@@ -272,6 +270,3 @@ def _corner_errors(image: NDArray[np.uint8], rig: Rig, true: Pose, refinement: s
     where = dict(zip(rig.targets.codes, project(true.to_cam(rig.targets.position), rig.camera)[0], strict=True))
     errors = np.array([c - where[code] for code, c in zip(seen.codes, seen.centre, strict=True)]).reshape(-1, 2)
     return {"found": len(seen) / len(rig.targets.codes), "errors": np.round(errors, 4).tolist()}
-
-
-# ---- figures ----

@@ -1,4 +1,4 @@
-"""Targets: where they are put, poses from rings and tags on a tiny case, sections of given, failed and no results."""
+"""Targets: where they are put, poses from rings and tags on a tiny case, pages of given, missing and failed results."""
 
 import json
 
@@ -7,12 +7,11 @@ import pytest
 
 from spheremouse.ball.detect.rings import TargetDetections
 from spheremouse.ball.pose import predict_targets
-from spheremouse.ball.rig import CODES
 from spheremouse.experiments import targets
-from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.report import targets as targets_module
-from spheremouse.experiments.report.page import write_report
-from spheremouse.experiments.report.targets import section
+from spheremouse.experiments.kit.job import Request
+from spheremouse.experiments.report.page import said
+from spheremouse.experiments.report.plot import save
+from spheremouse.experiments.report.targets import page
 from spheremouse.experiments.targets import KINDS, NUMBERS, REFINEMENTS, jobs, key, places, rig_of
 from spheremouse.simulate.ball.scene import default_scene
 
@@ -66,83 +65,97 @@ def test_refinements_are_compared_on_the_same_corners(camera):
     assert rms["subpix, 2 px"] < rms["none"]
 
 
-def posed(error, sigma, found=1.0):
+def posed(error, sigma, **more):
     vector = [error, 0.0, 0.0]
-    claim = [sigma, 0.0, 0.0]
-    return {"found": found, "point_px": 0.05, "position_mm": vector, "angle_deg": vector,
-            "sigma_position_mm": claim, "sigma_angle_deg": claim}  # fmt: skip
+    claim = [0.0, 0.6 * sigma, 0.8 * sigma]
+    return {"found": 1.0, "point_px": 0.05, "position_mm": vector, "angle_deg": vector,
+            "sigma_position_mm": claim, "sigma_angle_deg": claim, **more}  # fmt: skip
+
+
+NONE = {"found": 0.0, "point_px": None, "error": "none"}
 
 
 def given():
-    numbers = {key(k, n, 36, "plain"): posed(8.0 / n, 10.0 / n) for k in KINDS for n in (4, 6) if k != "april"}
-    numbers |= {key("aruco", 8, 36, "plain"): posed(1.0, 1.0)}
+    """A camera's results that bear out all that is claimed."""
+    numbers = {key(k, n, 36, "plain"): posed(8.0 / n, 9.0 if n == 3 else 3.0) for k in KINDS for n in (3, 4, 6, 8)}
     sizes = {}
     for kind in KINDS:
-        for size in (14, 24, 36):
-            for condition in ("plain", "dark"):
-                seen = 0.0 if kind == "rings" and (size == 14 or condition == "dark") else 1.0
-                worse = 3.0 if kind == "aruco" else 1.0
-                entry = posed(worse * 72.0 / size, 3.0, seen)
-                sizes[key(kind, 4, size, condition)] = (
-                    entry if seen else {"found": 0.0, "point_px": None, "error": "none"}
-                )
-    refinements = {name: {"found": 1.0, "errors": [[0.3, 0.0], [0.3, 0.4]]} for name in REFINEMENTS}
+        for size in (14, 24, 36, 48):
+            for condition in ("plain", "dark", "blurred"):
+                least = {"plain": 24, "dark": 99, "blurred": 36} if kind == "rings" else {"blurred": 48}
+                seen = posed((1.0 if kind == "rings" else 3.0) * 72.0 / size, 3.0)
+                sizes[key(kind, 4, size, condition)] = seen if size >= least.get(condition, 14) else NONE
+    exact = {"AprilTag": 0.1, "subpix, 2 px": 0.2}
+    refinements = {k: {"found": 1.0, "errors": [[exact.get(k, 0.3), 0.0], [0.3, 0.4]]} for k in REFINEMENTS}
     return {"numbers": numbers, "sizes": sizes, "refinements": refinements, "px_per_mm": 0.5}
 
 
-def words(found):
-    return "\n".join(part for part in found.parts if isinstance(part, str))
+def text(*cameras):
+    return said("targets", page, {f"camera-{k}": camera for k, camera in enumerate(cameras)}).text
 
 
-def test_a_section_says_what_is_found_from_which_size_on(tmp_path):
-    found = section(WHOLE, {"camera-0": given(), "camera-1": {"error": "no memory"}})
-    text = words(found)
-    assert "All are found: rings from 12 px across, ArUco 4×4 from 7 px across" in text
-    assert "ArUco 4×4 3.0 times" in text
-    assert "No size tried is enough for rings under a fifth of the light" in text
-    assert "Advice: rings at least 12 px across in the picture. " in text
-    assert "camera-1: no memory" in text
-    assert "1 camera (1 more failed) near" in text
-    assert "rings: 2.50 mm with 4, 1.67 mm with 6. Advice: 6 targets" in text
-    tables = [p for p in found.parts if isinstance(p, Table)]
-    least = next(t for t in tables if "Least size" in t.title)
-    assert least.rows[0][1] == "12 px (24 mm)"
-    assert least.rows[1][1:3] == ("none of these", "7 px (14 mm)")
-    page = write_report(tmp_path, {"targets": (targets.TITLE, found)}, "x")[0].read_text()
-    assert f"| 8 | rings | no: there are {len(CODES)} orders of three colours |" in page
-    assert "| subpix | 100 % | 0.292 | +0.300 | +0.200 |" in page
-    for name in ("targets-number", "targets-size"):
-        assert (tmp_path / "experiments" / f"{name}-light.svg").stat().st_size > 5000
+def rows(text, title):
+    """The cells of the table under a title."""
+    lines = text.partition(f"**{title}")[2].partition("\n\n")[2].partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
-def test_the_bound_is_the_claim_of_centres_as_good_as_they_were():
-    good, bad = posed(1.0, 10.0), {**posed(1.0, 10.0), "point_px": 0.3}
-    assert targets_module._bound([{**good, "point_px": 0.01}]) == pytest.approx(2.0)  # 0.05 px are allowed for
-    assert targets_module._bound([bad]) == pytest.approx(10.0)  # the claim has followed the residuals
-    assert targets_module._bound([{"found": 0.0, "point_px": None, "error": "none"}]) is None
-
-
-def test_one_condition_is_not_all():
-    one = given()
-    one["sizes"] = {k: v for k, v in one["sizes"].items() if k.endswith("plain")}
-    assert "all conditions" not in words(section(WHOLE, {"camera-0": one}))
-    for k in [k for k in given()["sizes"] if k.startswith("rings") and k.endswith("dark")]:
-        one["sizes"][k] = one["sizes"][k.replace("dark", "plain")]
-    assert "px across in the picture, enough under all conditions tried" in words(section(WHOLE, {"camera-0": one}))
+def test_poses_are_those_of_cameras_that_had_one_and_the_bound_has_centres_as_good_as_they_were():
+    other, none = given(), given()
+    other["numbers"][key("rings", 4, 36, "plain")] = posed(1.0, 4.0, point_px=0.01)  # 0.05 px are allowed for
+    none["numbers"][key("rings", 4, 36, "plain")] = {**NONE, "found": 0.5}
+    table = rows(text(given(), other, none), "Poses by")
+    point, error, claim, bound = (np.hypot(*x) / np.sqrt(2.0) for x in ((0.05, 0.01), (2, 1), (3, 4), (3, 0.8)))
+    lengths = [f"{point:.3f}", *(f"{x:.2f}" for x in (error, claim, bound)), f"{error:.3f}", f"{claim:.3f}"]
+    assert table[4] == ["4", "rings", "83", "2 of 3", *lengths]
+    assert [row[0] for row in table[::4]] == ["3", "4", "6", "8"]
+    assert [row[1] for row in table[:4]] == list(KINDS.values())
 
 
 def test_sizes_must_be_found_from_the_advised_one_on():
     camera = given()
     camera["sizes"][key("aruco", 4, 24, "plain")]["found"] = 0.5  # a gap: what is smaller does not count
-    assert targets_module._least([camera], "aruco", "plain", [14, 24, 36]) == 36
-    assert targets_module._least([camera], "rings", "plain", [14, 24, 36]) == 24
+    camera["refinements"]["none"] = {"found": 0.0, "errors": []}
+    found = text(camera)
+    least = rows(found, "Least size")
+    assert least[0] == ["noise of 3 grey values", "12 px (24 mm)", "18 px (36 mm)", "7 px (14 mm)"]
+    assert least[1] == ["noise of 15", "–", "–", "–"]
+    assert least[2][1:] == ["–", "7 px (14 mm)", "7 px (14 mm)"]
+    assert "rings at least 18 px across" in found  # blurred
+    assert "(18 px across) the position error is 2.00 mm; that of ArUco 4×4 is 3.0 times" in found
+    assert rows(found, "Poses from")[4][1:] == ["rings", "0", "0 of 1", *["–"] * 6]
+    assert rows(found, "Corners of")[0] == ["none", "0", "–", "–", "–"]
+    assert rows(found, "Corners of")[2] == ["subpix", "100", "0.292", "0.300", "0.200"]
 
 
-def test_a_section_of_nothing_and_of_failures():
-    for results in ({}, {job.key: {"error": "too little memory"} for job in jobs(QUICK)}):
-        found = section(QUICK, results)
-        assert not [p for p in found.parts if isinstance(p, Figure | Table)]
-        assert ("too little memory" in words(found)) == bool(results)
+@pytest.mark.parametrize(
+    ("group", "name", "entry"),
+    [
+        ("numbers", key("april", 8, 36, "plain"), posed(5.0, 3.0)),
+        ("numbers", key("rings", 4, 36, "plain"), posed(2.0, 4.0)),
+        ("sizes", key("aruco centres", 4, 36, "plain"), posed(1.9, 3.0)),
+        ("sizes", key("april", 4, 24, "plain"), NONE),
+        ("sizes", key("rings", 4, 36, "blurred"), NONE),
+        ("sizes", key("rings", 4, 48, "dark"), posed(1.0, 3.0)),
+        ("refinements", "AprilTag", {"found": 1.0, "errors": [[0.3, 0.3]]}),
+    ],
+)
+def test_a_claim_that_is_contradicted_is_marked(group, name, entry):
+    camera = given()
+    assert said("targets", page, {"camera-0": camera}).doubts == 0
+    camera[group][name] = entry
+    assert said("targets", page, {"camera-0": camera}).doubts == 1
+
+
+def test_a_page_of_few_sizes_and_a_camera_that_failed_draws(tmp_path):
+    few = given()
+    few["numbers"] = {k: v for k, v in few["numbers"].items() if "/4/" in k}
+    few["sizes"] = {k: v for k, v in few["sizes"].items() if k.endswith(("/36/plain", "/14/plain"))}
+    found = said("targets", page, {"camera-0": few, "camera-1": {"error": "no memory"}})
+    assert "- camera-1: no memory" in found.text
+    assert [drawing.name for drawing in found.drawings] == ["targets-number", "targets-size"]
+    for drawing in found.drawings:
+        assert all(path.stat().st_size > 5000 for path in save(drawing, tmp_path))
 
 
 def test_jobs_are_cameras():

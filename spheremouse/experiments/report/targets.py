@@ -1,14 +1,16 @@
-"""What the experiments on the frame's targets are said to show: tables, figures and sentences."""
+"""Numbers and figures of the page on the frame's targets."""
 
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from spheremouse.ball.pose import PoseSettings
 from spheremouse.ball.rig import CODES
-from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.report.page import failures
-from spheremouse.experiments.report.plot import BOUND, THESIS, decades
+from spheremouse.experiments.kit.job import Results
+from spheremouse.experiments.report.frames import by, markdown, tidy
+from spheremouse.experiments.report.page import Page
+from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, decades
 from spheremouse.experiments.targets import (
     ABOUT,
     CONDITIONS,
@@ -17,321 +19,195 @@ from spheremouse.experiments.targets import (
     MATCH,
     NEARLY,
     NUMBER,
+    NUMBERS,
     REFINED,
     REFINEMENTS,
     STRAY,
     SURE,
     USUAL,
-    key,
 )
 
+_VECTORS = {
+    "position_mm": "position, mm",
+    "sigma_position_mm": "claimed, mm",
+    "bound_mm": "bound, mm",
+    "angle_deg": "angle, °",
+    "sigma_angle_deg": "claimed, °",
+}
+_LOOKS: dict[str, dict[str, Any]] = {
+    kind: {"color": f"C{k}", "marker": mark} for k, (kind, mark) in enumerate(zip(KINDS, "osD^", strict=True))
+}
 
-def section(request: Request, results: Results) -> Section:
+
+def page(results: Results) -> Page:
     """Number, size and kind: figures, tables, and what to put up."""
-    cameras = [r for r in results.values() if "error" not in r]
-    some = f"{len(cameras)} camera{'s' if len(cameras) != 1 else ''}"
-    some += f" ({len(results) - len(cameras)} more failed)" if len(results) > len(cameras) else ""
-    parts: list[str | Table | Figure] = [
-        f"{some} near the thesis' far one (640x480), turned about their axes by up to "
-        f"{np.degrees(STRAY[2]):.0f}°; targets known exactly; {CONDITIONS['plain'].views} views each, noise of "
-        f"{CONDITIONS['plain'].noise:g} grey values unless it says otherwise. A tag is as large as a ring target: its "
-        "side is the outer diameter. Tags are found by OpenCV, their corners refined by it "
-        f"({' or '.join(REFINED)}: whichever finds more of them). Errors are lengths of error vectors, RMS over "
-        "the cameras that had a pose (*poses*); of centres and corners those within "
-        f"{MATCH:g} px of a true one."
-    ]
-    if cameras:
-        numbers, sizes = _tried_of(cameras, "numbers"), _tried_of(cameras, "sizes")
-        scale = float(np.mean([c["px_per_mm"] for c in cameras]))
-        parts += ["### Number", _said_of_numbers(cameras, numbers)]
-        if len(numbers) > 1:
-            parts.append(_figure_numbers(cameras, numbers))
-        parts += [
-            _table_of_poses("targets", cameras, "numbers", {str(n): (n, USUAL, "plain") for n in numbers}),
-            "### Size and kind",
-            _said_of_sizes(cameras, sizes, scale),
-        ]
-        if len(sizes) > 1:
-            parts.append(_figure_sizes(cameras, sizes, scale))
-        parts += [
-            _table_of_sizes(cameras, sizes, scale),
-            _table_of_poses("condition", cameras, "sizes", _conditions(cameras)),
-            _table_of_refinements(cameras),
-        ]
-    failed = failures(results)
-    if failed:
-        parts.append("Failed:\n\n" + "\n".join(failed))
-    return Section(tuple(p for p in parts if p), dict(results))
-
-
-def _tried_of(cameras: list[Result], group: str) -> list[int]:
-    """Numbers or sizes that were tried, rising."""
-    place = 1 if group == "numbers" else 2
-    return sorted({int(float(k.split("/")[place])) for c in cameras for k in c[group]})
-
-
-def _conditions(cameras: list[Result]) -> dict[str, tuple[int, float, str]]:
-    tried = {k.split("/")[3] for c in cameras for k in c["sizes"]}
-    return {ABOUT[c]: (NUMBER, USUAL, c) for c in CONDITIONS if c in tried}
-
-
-def _entries(cameras: list[Result], group: str, kind: str, case: tuple[int, float, str]) -> list[Result]:
-    name = key(kind, *case)
-    return [c[group][name] for c in cameras if name in c[group]]
-
-
-def _rms(entries: list[Result], name: str) -> float | None:
-    """Of the lengths of vectors, over the cameras with a pose."""
-    known = [np.linalg.norm(e[name]) for e in entries if name in e]
-    return float(np.sqrt(np.mean(np.square(known)))) if known else None
-
-
-def _bound(entries: list[Result]) -> float | None:
-    """mm, RMS: what the best adjustment reaches with centres or corners as noisy as these were.
-
-    The claimed standard deviation, which follows the residuals where these are larger than what is allowed for, scaled
-    to the measured error where that is smaller.
-    """
-    allowed = PoseSettings().target_sigma
-    known = [e for e in entries if "sigma_position_mm" in e and e["point_px"] is not None]
-    least = [min(1.0, e["point_px"] / allowed) * np.linalg.norm(e["sigma_position_mm"]) for e in known]
-    return float(np.sqrt(np.mean(np.square(least)))) if least else None
-
-
-def _share(entries: list[Result]) -> float | None:
-    """Of the targets found."""
-    return float(np.mean([e["found"] for e in entries])) if entries else None
-
-
-def _text(number: float | None, digits: int) -> str:
-    return "–" if number is None else f"{number:.{digits}f}"
-
-
-def _table_of_poses(first: str, cameras: list[Result], group: str, cases: dict[str, tuple[int, float, str]]) -> Table:
-    rows = []
-    for name, case in cases.items():
-        for kind, word in KINDS.items():
-            entries = _entries(cameras, group, kind, case)
-            if not entries:
-                rows.append((name, word, f"no: there are {len(CODES)} orders of three colours", *[""] * 7))
-                continue
-            share = _share(entries)
-            points = [e["point_px"] for e in entries if e["point_px"] is not None]
-            rows.append(
-                (
-                    name,
-                    word,
-                    _text(None if share is None else 100.0 * share, 0) + " %",
-                    f"{sum('error' not in e for e in entries)} of {len(entries)}",
-                    _text(float(np.sqrt(np.mean(np.square(points)))) if points else None, 3),
-                    _text(_rms(entries, "position_mm"), 2),
-                    _text(_rms(entries, "sigma_position_mm"), 2),
-                    _text(_bound(entries), 2),
-                    _text(_rms(entries, "angle_deg"), 3),
-                    _text(_rms(entries, "sigma_angle_deg"), 3),
-                )
-            )
-    head = (
-        *(first, "kind", "found", "poses", "centres or corners, px"),
-        *("position, mm", "claimed, mm", "bound, mm", "angle, °", "claimed, °"),
+    means = _means(_tried(results))
+    numbers, sizes = means[means["group"] == "numbers"], means[means["group"] == "sizes"]
+    plain, usual = sizes[sizes["condition"] == "plain"], sizes[sizes["size"] == USUAL]
+    scale = float(np.mean([camera["px_per_mm"] for camera in results.values()]))
+    position, claimed, poses = (
+        numbers.pivot(index="number", columns="kind", values=name).reindex(index=list(NUMBERS), columns=list(KINDS))
+        for name in ("position_mm", "sigma_position_mm", "poses")
     )
-    return Table(head, tuple(rows))
+    errors = usual[usual["condition"] == "plain"].set_index("kind").reindex(list(KINDS))
+    smallest, corners = _smallest(sizes), _corners(results)
+    dark = sizes[(sizes["condition"] == "dark") & (sizes["kind"] == "rings")]
+    values = {
+        "cameras": len(results),
+        "turned": np.degrees(STRAY[2]),
+        "plain": CONDITIONS["plain"],
+        "refined": " or ".join(REFINED),
+        "match": MATCH,
+        "codes": len(CODES),
+        "position": position,
+        "claimed": claimed,
+        "poses": poses,
+        "nearly": NEARLY,
+        "by_number": _table(numbers.assign(tried=numbers["number"].map(str)), "targets"),
+        "number": NUMBER,
+        "usual": USUAL,
+        "across": scale * USUAL,
+        "rings": errors.loc["rings"],
+        "times": errors["position_mm"] / errors["position_mm"]["rings"],
+        "allowed": PoseSettings().target_sigma,
+        "sure": SURE,
+        "least": _least(smallest, scale),
+        "smallest": smallest,
+        "most_in_the_dark": dark["found"].max(),
+        "advised": scale * smallest["rings"].max(),
+        "by_condition": _table(usual.assign(tried=usual["condition"].map(ABOUT)), "condition"),
+        "corners": corners["rms"],
+        "refinements": _table_of_corners(corners),
+    }
+    return Page(values, (_figure_numbers(numbers), _figure_sizes(plain.assign(across=scale * plain["size"]))))
 
 
-def _least(cameras: list[Result], kind: str, condition: str, sizes: list[int]) -> int | None:
-    """mm, the smallest size from which on all targets are found."""
-    least = None
-    for size in reversed(sizes):
-        share = _share(_entries(cameras, "sizes", kind, (NUMBER, size, condition)))
-        if share is None or share < SURE:
-            break
-        least = size
-    return least
+def _tried(results: Results) -> pd.DataFrame:
+    """A row per camera and set of targets; errors are lengths of vectors."""
+    records: list[dict[str, Any]] = []
+    for camera in results.values():
+        for group in ("numbers", "sizes"):
+            for key, tried in camera[group].items():
+                kind, number, size, condition = key.split("/")
+                lengths = {name: np.linalg.norm(tried[name]) if name in tried else np.nan for name in _VECTORS}
+                what = {"group": group, "kind": kind, "number": int(number), "size": float(size)}
+                records.append({**what, "condition": condition, **tried, **lengths})
+    tried = tidy(records)
+    # The claim follows the residuals where these are larger than what is allowed for.
+    noise = np.minimum(1.0, tried["point_px"] / PoseSettings().target_sigma)
+    tried = tried.assign(bound_mm=noise * tried["sigma_position_mm"])
+    order = {name: k for k, name in enumerate((*CONDITIONS, *KINDS))}
+    return tried.sort_values(["number", "size", "condition", "kind"], key=lambda column: column.replace(order))
 
 
-def _table_of_sizes(cameras: list[Result], sizes: list[int], scale: float) -> Table:
-    rows = []
-    for condition in CONDITIONS:
-        if not _entries(cameras, "sizes", "rings", (NUMBER, sizes[-1], condition)):
-            continue
-        cells = []
-        for kind in ("rings", *FAMILIES):
-            least = _least(cameras, kind, condition, sizes)
-            cells.append("none of these" if least is None else f"{scale * least:.0f} px ({least} mm)")
-        rows.append((ABOUT[condition], *cells))
-    head = ("", *(KINDS[k] for k in ("rings", *FAMILIES)))
-    title = f"Least size across at which {100.0 * SURE:.0f} % are found (outer radius in brackets)"
-    return Table(head, tuple(rows), title)
+def _means(tried: pd.DataFrame) -> pd.DataFrame:
+    """A row per set of targets, over the cameras."""
+    return by(
+        tried,
+        ["group", "number", "size", "condition", "kind"],
+        cameras=("found", "size"),
+        found=("found", "mean"),
+        poses=("position_mm", "count"),
+        **{name: (name, _rms) for name in ("point_px", *_VECTORS)},
+    )
 
 
-def _table_of_refinements(cameras: list[Result]) -> Table:
-    rows = []
+def _rms(values: "pd.Series[float]") -> float:
+    """Of those that are known."""
+    return float(np.sqrt((values**2).mean()))
+
+
+def _table(means: pd.DataFrame, first: str) -> str:
+    shown = means.assign(
+        kind=means["kind"].map(KINDS),
+        found=100.0 * means["found"],
+        poses=means["poses"].map(str) + " of " + means["cameras"].map(str),
+    )
+    columns = {"tried": first, "kind": "kind", "found": "found, %", "poses": "poses"}
+    columns |= {"point_px": "centres or corners, px", **_VECTORS}
+    digits = {**{name: 2 if name.endswith("mm") else 3 for name in columns.values()}, "found, %": 0}
+    return markdown(shown[list(columns)].rename(columns=columns), digits, sparse=[first])
+
+
+def _smallest(sizes: pd.DataFrame) -> pd.DataFrame:
+    """mm, by condition and kind: the size from which on all targets are found; nan where there is none."""
+    shares = sizes.pivot(index=["condition", "size"], columns="kind", values="found")
+    found = (shares.sort_index(ascending=False) >= SURE).astype(int).groupby(level="condition").cummin()
+    size = pd.Series(found.index.get_level_values("size"), found.index)
+    least = found.mul(size, axis=0).where(found == 1).groupby(level="condition").min()
+    return least.reindex(index=list(CONDITIONS), columns=["rings", *FAMILIES])
+
+
+def _least(smallest: pd.DataFrame, scale: float) -> str:
+    shown = smallest.map(lambda mm: f"{scale * mm:.0f} px ({mm:.0f} mm)", na_action="ignore")
+    return markdown(shown.rename(columns=KINDS, index=ABOUT).reset_index(names="condition"))
+
+
+def _corners(results: Results) -> pd.DataFrame:
+    """px, by refinement: errors of corners over the cameras, and the share of the corners that is found."""
+    found = pd.DataFrame(
+        index=pd.Index(REFINEMENTS, name="refinement"), columns=["found", "rms", "u", "v"], dtype=float
+    )
     for name in REFINEMENTS:
-        found = [c["refinements"][name] for c in cameras]
-        errors = np.concatenate([np.array(f["errors"]).reshape(-1, 2) for f in found])
-        cells = ["–"] * 3
-        if len(errors):
-            cells = [f"{np.sqrt(np.mean(errors**2)):.3f}", *(f"{x:+.3f}" for x in errors.mean(axis=0))]
-        rows.append((name, f"{100.0 * np.mean([f['found'] for f in found]):.0f} %", *cells))
-    head = ("refinement", "found", "corner RMS per axis, px", "mean error u, px", "mean error v, px")
-    title = (
-        f"Corners of ArUco tags of {USUAL} mm by OpenCV's refinements; half a pixel was taken off AprilTag's, which "
-        "count from the corner of a pixel"
-    )
-    return Table(head, tuple(rows), title)
+        seen = [camera["refinements"][name] for camera in results.values()]
+        errors = np.concatenate([np.reshape(one["errors"], (-1, 2)) for one in seen])
+        u, v = errors.mean(axis=0) if len(errors) else (np.nan, np.nan)
+        found.loc[name] = (np.mean([one["found"] for one in seen]), _rms(pd.Series(errors.ravel())), u, v)
+    return found
 
 
-def _said_of_numbers(cameras: list[Result], numbers: list[int]) -> str:
-    said = []
-    for kind in ("rings", *FAMILIES):
-        errors = {n: _rms(_entries(cameras, "numbers", kind, (n, USUAL, "plain")), "position_mm") for n in numbers}
-        known = {n: e for n, e in errors.items() if e is not None}
-        if len(known) > 1:
-            low, high = min(known), max(known)
-            said.append(f"{KINDS[kind]} {known[low]:.2f} mm with {low}, {known[high]:.2f} mm with {high}")
-    text = f"Error of the camera's position: {'; '.join(said)}." if said else ""
-    three = _entries(cameras, "numbers", "rings", (3, USUAL, "plain"))
-    if three:
-        posed = sum("error" not in e for e in three)
-        text += f" Three rings give a pose from {posed} of {len(three)} cameras."
-    sigmas = {n: _rms(_entries(cameras, "numbers", "rings", (n, USUAL, "plain")), "sigma_position_mm") for n in numbers}
-    claimed = {n: sigma for n, sigma in sigmas.items() if sigma is not None}
-    if len(claimed) > 1:
-        best = min(claimed.values())
-        advised = min(n for n, sigma in claimed.items() if sigma <= NEARLY * best)
-        said = [f"{sigma:.2f} mm with {n}" for n, sigma in claimed.items()]
-        text += (
-            f" The claimed standard deviation of rings: {', '.join(said)}. Advice: {advised} targets, which are within "
-            f"{100.0 * (NEARLY - 1.0):.0f} % of the best; with one more, one may be hidden."
-        )
-    return text
+def _table_of_corners(corners: pd.DataFrame) -> str:
+    names = {"rms": "corner RMS per axis, px", "u": "mean error u, px", "v": "mean error v, px"}
+    shown = corners.assign(found=100.0 * corners["found"]).reset_index().rename(columns={"found": "found, %", **names})
+    return markdown(shown, dict.fromkeys(names.values(), 3))
 
 
-def _said_of_sizes(cameras: list[Result], sizes: list[int], scale: float) -> str:
-    said = []
-    usual = (NUMBER, USUAL, "plain")
-    rings = _rms(_entries(cameras, "sizes", "rings", usual), "position_mm")
-    for kind, word in KINDS.items():
-        other = _rms(_entries(cameras, "sizes", kind, usual), "position_mm")
-        if rings and other and kind != "rings":
-            said.append(f"{word} {other / rings:.1f} times")
-    text = (
-        f"With {NUMBER} of {USUAL} mm ({scale * USUAL:.0f} px across) the position error of the rings is "
-        f"{rings:.2f} mm; {', '.join(said)} that. "
-        if rings and said
-        else ""
-    )
-    least = {k: _least(cameras, k, "plain", sizes) for k in ("rings", *FAMILIES)}
-    named = [f"{KINDS[k]} from {scale * v:.0f} px across" for k, v in least.items() if v is not None]
-    if named:
-        text += f"All are found: {', '.join(named)}. "
-    tried = [c for c in CONDITIONS if _entries(cameras, "sizes", "rings", (NUMBER, sizes[-1], c))]
-    hard = {c: _least(cameras, "rings", c, sizes) for c in tried}
-    enough, bad = [v for v in hard.values() if v is not None], [c for c, v in hard.items() if v is None]
-    if enough:
-        text += (
-            f"Advice: rings at least {scale * max(enough):.0f} px across in the picture"
-            f"{', enough under all conditions tried' if len(tried) > 1 and not bad else ''}. "
-        )
-    for condition in bad:
-        found = {k: _least(cameras, k, condition, sizes) for k in FAMILIES}
-        others = [f"{KINDS[k]} from {scale * v:.0f} px" for k, v in found.items() if v is not None]
-        text += (
-            f"No size tried is enough for rings under {ABOUT[condition]} (tags are found: "
-            f"{', '.join(others) or 'none'}): mind the light. "
-        )
-    claimed = _rms(_entries(cameras, "sizes", "rings", usual), "sigma_position_mm")
-    if rings and claimed:
-        text += (
-            f"The rings' claimed standard deviation is {claimed / rings:.0f} times their error: it allows "
-            f"{PoseSettings().target_sigma:g} px per centre for print and lens, which a painted target has not."
-        )
-    return text.strip()
-
-
-_MARKS = dict(zip(KINDS, "osD^", strict=True))
-
-
-def _line(ax: Any, x: list[float], entries: list[list[Result]], kind: str, k: int) -> None:
+def _lines(ax: Any, means: pd.DataFrame, x: str) -> None:
     """Position error with its claim (dashed) and its bound (dotted)."""
-    lines = (
-        ([_rms(e, "position_mm") for e in entries], {"marker": _MARKS[kind]}),
-        ([_rms(e, "sigma_position_mm") for e in entries], {**THESIS, "linewidth": 0.7}),
-        ([_bound(e) for e in entries], BOUND),
-    )
-    for values, how in lines:
-        points = zip(x, values, strict=True)
-        known = [(a, y) for a, y in points if y is not None]
-        style = {"linestyle": "-", **how}
-        ax.plot([a for a, _ in known], [y for _, y in known], color=f"C{k}", **style)
-    for a, here in zip(x, entries, strict=True):
-        y = _rms(here, "position_mm")
-        if y is not None and any("error" in e for e in here):  # white inside: not the same cameras
-            ax.plot([a], [y], color=f"C{k}", marker=_MARKS[kind], markerfacecolor=ax.get_facecolor(), linestyle="")
-
-
-def _finish(ax: Any) -> None:
-    ax.set_yscale("log")
+    for kind, look in _LOOKS.items():
+        line = means[means["kind"] == kind].dropna(subset=["position_mm"])
+        ax.plot(line[x], line["position_mm"], color=look["color"], linestyle="-")
+        for some, points in line.groupby(line["poses"] < line["cameras"]):  # hollow: not all cameras had a pose
+            inside = {"markerfacecolor": "none"} if some else {}
+            ax.plot(points[x], points["position_mm"], linestyle="", **look, **inside)
+        ax.plot(line[x], line["sigma_position_mm"], color=look["color"], **{**THESIS, "linewidth": 0.7})
+        ax.plot(line[x], line["bound_mm"], color=look["color"], **BOUND)
+    ax.set(yscale="log", ylabel="position of the camera, mm")
     decades(ax.yaxis)
 
 
-def _handles(claimed: bool = True) -> list[Any]:
+def _legend(canvas: Any) -> None:
     from matplotlib.lines import Line2D
 
-    lines = [
-        Line2D([], [], color=f"C{k}", marker=_MARKS[kind], linestyle="-", label=name)
-        for k, (kind, name) in enumerate(KINDS.items())
-    ]
+    kinds = [Line2D([], [], linestyle="-", label=KINDS[kind], **look) for kind, look in _LOOKS.items()]
     grey = [Line2D([], [], color="0.5", label=name, **how) for name, how in (("claimed", THESIS), ("bound", BOUND))]
-    return [*lines, *(grey if claimed else [])]
+    canvas.legend(handles=[*kinds, *grey], loc="outside upper center", ncols=6)
 
 
-def _figure_numbers(cameras: list[Result], numbers: list[int]) -> Figure:
+def _figure_numbers(numbers: pd.DataFrame) -> Drawing:
     def draw(canvas: Any) -> None:
         ax = canvas.subplots()
-        for k, kind in enumerate(KINDS):
-            entries = [_entries(cameras, "numbers", kind, (n, USUAL, "plain")) for n in numbers]
-            _line(ax, [float(n) for n in numbers], entries, kind, k)
-        _finish(ax)
-        ax.set(xlabel="targets", ylabel="position of the camera, mm", xticks=numbers)
-        canvas.legend(handles=_handles(), loc="outside upper center", ncols=6)
+        _lines(ax, numbers, "number")
+        ax.set(xlabel="targets", xticks=numbers["number"].unique())
+        _legend(canvas)
 
-    return Figure(
-        "targets-number",
-        "Error of the camera's position (RMS over cameras) against the number of targets, its claimed standard "
-        f"deviation (dashed), and the bound with centres as good as they were (dotted). Hollow: not all cameras had a "
-        "pose. "
-        f"Rings end at {len(CODES)}: there are no more orders of three colours.",
-        draw,
-        (7.2, 3.3),
-    )
+    return Drawing("targets-number", draw, (7.2, 3.3))
 
 
-def _figure_sizes(cameras: list[Result], sizes: list[int], scale: float) -> Figure:
+def _figure_sizes(plain: pd.DataFrame) -> Drawing:
+    """`plain`: has what the targets are `across`, px."""
+
     def draw(canvas: Any) -> None:
         left, right = canvas.subplots(1, 2)
-        across = [scale * s for s in sizes]
-        for k, kind in enumerate(KINDS):
-            entries = [_entries(cameras, "sizes", kind, (NUMBER, s, "plain")) for s in sizes]
-            _line(left, across, entries, kind, k)
-            if kind.endswith("centres"):
-                continue
-            shares = [100.0 * (_share(e) or 0.0) for e in entries]
-            right.plot(across, shares, color=f"C{k}", marker=_MARKS[kind], linestyle="-")
-        _finish(left)
+        _lines(left, plain, "across")
+        for kind in ("rings", *FAMILIES):
+            line = plain[plain["kind"] == kind]
+            right.plot(line["across"], 100.0 * line["found"], linestyle="-", **_LOOKS[kind])
         for ax in (left, right):
             ax.set(xscale="log", xlabel="target across, px")
-            ax.set_xticks(across, [f"{x:.0f}" for x in across])
+            ax.set_xticks(across := plain["across"].unique(), [f"{x:.0f}" for x in across])
             ax.minorticks_off()
-        left.set_ylabel("position of the camera, mm")
         right.set_ylabel("found, %")
-        canvas.legend(handles=_handles(), loc="outside upper center", ncols=6)
+        _legend(canvas)
 
-    return Figure(
-        "targets-size",
-        f"Left: error of the camera's position from {NUMBER} targets against their size in the picture, its claimed "
-        "standard deviation (dashed), and the bound with centres as good as they were (dotted); hollow: not all "
-        "cameras had a pose. Right: share of the targets that is found.",
-        draw,
-        (7.2, 3.5),
-    )
+    return Drawing("targets-size", draw, (7.2, 3.5))
