@@ -29,8 +29,6 @@ from spheremouse.simulate.ball.profile import thesis
 from spheremouse.simulate.ball.stations import looking
 from spheremouse.simulate.shapes import Sphere, Viewpoint, look
 
-TITLE = "Where to put the camera"
-
 DISCS = 50
 NOISE = 3.0  # grey values
 _FPS = 30.0  # Hz

@@ -1,4 +1,4 @@
-"""Where to put the camera: visibility and bounds by geometry against films, sections of good, failed and no results."""
+"""Where to put the camera: visibility and bounds by geometry against films, pages of given and missing results."""
 
 import json
 
@@ -8,11 +8,12 @@ import pytest
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.experiments import places
 from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.places import Place, Size, expected, fitted, jobs, scene_from, targets_in_view
 from spheremouse.experiments.report import places as places_module
-from spheremouse.experiments.report.page import write_report
-from spheremouse.experiments.report.places import section
+from spheremouse.experiments.report.page import said
+from spheremouse.experiments.report.places import page
+from spheremouse.experiments.report.plot import save
 from spheremouse.simulate.ball.profile import thesis
 from spheremouse.simulate.ball.render import Renderer
 
@@ -64,12 +65,11 @@ def test_targets_are_in_view_from_the_front_and_not_from_the_side_or_too_near():
     assert targets_in_view(scene_from(Place(0, 0, 2.35, 320.0), 0)) == 0  # the rings are too narrow
 
 
-def film(place, attitude, own=None, tracked=10):
-    axes = {"x": attitude, "y": attitude, "z": attitude, "combined": attitude}
-    said = {"frames": 10, "tracked": tracked, "mean_discs": 7.0, "attitude_rmse_deg": axes, "rate_rmse_deg_s": axes,
-            "pose_error": {"position_mm": [3.0, 4.0, 0.0], "sigma_position_mm": [6.0, 8.0, 0.0]}}  # fmt: skip
+def film(place, error, own=None, tracked=10):
+    axes = {"combined": error}
+    one = {"frames": 10, "tracked": 10, "mean_discs": 7.0, "attitude_rmse_deg": axes, "rate_rmse_deg_s": axes}
     bound = {"attitude_deg": axes, "rate_deg_s": axes}
-    return {"place": list(place), "true pose": said, "own pose": said if own is None else own, "bound": bound}
+    return {"place": list(place), "true pose": one, "own pose": own or {**one, "tracked": tracked}, "bound": bound}
 
 
 def entry(azimuth, elevation, error, targets=4):
@@ -77,9 +77,15 @@ def entry(azimuth, elevation, error, targets=4):
     return {"place": place, "attitude_deg": error, "rate_deg_s": 10 * error, "discs": 9.0, "targets": targets}
 
 
-def results():
+SIDE = Place(-30, 20, 2.35, 640.0)
+
+
+def results(targets=1):
+    """Of six directions those level with the ball see the targets, the others see so many."""
     around = [
-        entry(a, e, 0.01 + 0.0001 * abs(a) + 0.001 * e, 4 if e == 0 else 1) for a in (-30, 0, 30) for e in (0, 20)
+        entry(a, e, 0.01 + 0.0001 * abs(a) + 1e-5 * a + 0.001 * e, targets if e else 4)
+        for a in (-30, 0, 30)
+        for e in (0, 20)
     ]
     along = [{**entry(0, 0, 0.01 * d), "place": [0, 0, d, f]} for d in (1.0, 2.0) for f in (640.0, fitted(d))]
     noise = [list(size) for size in NOISE]
@@ -87,62 +93,54 @@ def results():
         "directions-0": {"noise": noise, "map": around, "checked": [entry(0, 0, 0.01)]},
         "distances": {"noise": noise, "map": along, "checked": []},
         FRONT.key: film(FRONT, 0.02),
-        Place(-30, 20, 2.35, 640.0).key: film(Place(-30, 20, 2.35, 640.0), 0.03, {"error": "no target"}),
+        SIDE.key: film(SIDE, 0.03, {"error": "no target"}),
     }
 
 
-def words(found):
-    return "\n".join(p for p in found.parts if isinstance(p, str))
+def test_best_places_films_and_noise_are_tables(tmp_path):
+    found = said("places", page, results())
+    for line in (
+        "| best that sees three targets | 0 | 0 | 0.0100 | 0.100 | 9.0 |",
+        "| worst | 30 | 20 | 0.0333 | 0.333 | 9.0 |",
+        "| ball fills the picture | 1.0 | 0.0100 | 9.0 | 1 | 1, 2 |",
+        "| 0°, 0°, 2.35 m, 640 px | 4 | 7.0 | 0.0100 | 0.0200 | 0.0200 | 0.0200 |",
+        "| -30°, 20°, 2.35 m, 640 px | – | 7.0 | – | 0.0300 | 0.0300 | – |",
+        "| -30°, 20°, 2.35 m, 640 px | 0 | – | – | 0.030 | 0.030 | – |",
+        "| 8 to 16 | 50 | 50 | 0.100 |",
+    ):
+        assert line + "\n" in found.text
+    for words in (
+        "seen from 3 directions only, all within -30° to 30° of azimuth and within 0° to 0° of elevation",
+        "attitude 2.00 (2.00 to 2.00); rate 0.20 (0.20 to 0.20)",
+        "none from 1 of 2 places. With the true pose the ball is tracked to the end from 1 of these",
+        "the first 10 frames",
+    ):
+        assert words in found.text
+    for drawing in found.drawings:
+        assert all(path.stat().st_size > 5000 for path in save(drawing, tmp_path))
 
 
-def test_the_advice_is_the_best_place_that_sees_the_targets(tmp_path):
-    found = section(WHOLE, results())
-    text = words(found)
-    assert "put the camera at azimuth 0°, elevation 0° (0.0100°, 0.100 °/s)" in text
-    assert "three or more are seen from 3 of the 6 directions" in text
-    assert "attitude 2.00 (2.00 to 2.00)" in text  # the film with a map's value
-    assert "From 1 of 2 places the targets gave no pose; with the true pose the ball is tracked to the end" in text
-    assert "all within -30° to 30° of azimuth and at 0° of elevation" in text
-    assert "the first 150 frames" in text
-    page = write_report(tmp_path, {"places": (places.TITLE, found)}, "x")[0].read_text()
-    assert "| -30°, 20°, 2.35 m, 640 px | – | 7.0 | map | – | – |  |" in page
-    assert "|  |  |  | `so3`, own pose | no pose | no pose | no pose |" in page
-    assert "|  |  |  | `so3`, true pose | 0.0300 | 0.030 | 0 |" in page
-    assert (tmp_path / "experiments" / "places-directions-dark.svg").stat().st_size > 5000
-    assert (tmp_path / "experiments" / "places-distances-light.svg").stat().st_size > 5000
-    assert "lost" not in places_module._lost_by_pose(places_module._films(results()))
+@pytest.mark.parametrize(
+    ("given", "claim"),
+    [
+        (results(targets=4), "What limits the choice is the targets"),
+        ({**results(), FRONT.key: film(FRONT, 0.02, {"error": "no target"})}, "The targets gave a pose where"),
+        ({**results(), FRONT.key: film(FRONT, 0.02, tracked=6)}, "No frame is lost for a pose"),
+    ],
+)
+def test_what_a_run_contradicts_is_marked(given, claim):
+    marked = "**Not borne out by this run:** " + claim
+    assert marked not in said("places", page, results()).text
+    assert marked in said("places", page, given).text
 
 
-def test_what_holds_everywhere_is_no_limit_and_no_missing_pose():
-    given = results()
-    for e in given["directions-0"]["map"]:
-        e["targets"] = 4
-    given[Place(-30, 20, 2.35, 640.0).key] = film(Place(-30, 20, 2.35, 640.0), 0.03)
-    text = words(section(WHOLE, given))
-    assert "Three targets or more are seen from all of them." in text
-    assert "limits the choice" not in text
-    assert "gave no pose" not in text
-
-
-def test_a_film_that_failed_is_a_row():
-    found = section(WHOLE, {**results(), "film-45-10-2.35-640": {"error": "too dark"}})
-    table = next(p for p in found.parts if isinstance(p, Table))
-    assert table.rows[-1][0] == "45-10-2.35-640: failed"
-    assert {len(r) for r in table.rows} == {len(table.head)}
-
-
-def test_a_ball_that_is_lost_for_its_pose_is_told():
-    one = film(FRONT, 0.02)
-    one["own pose"] = {**one["own pose"], "tracked": 6}
-    text = places_module._lost_by_pose([(FRONT, one)])
-    assert "off by 5 mm (standard deviation 10 mm), 4 frames" in text
-
-
-def test_a_section_of_nothing_and_of_failures_says_so():
-    assert section(QUICK, {}).parts
-    failed = section(QUICK, {job.key: {"error": "too little memory"} for job in jobs(QUICK)})
-    assert words(failed).count("too little memory") == len(jobs(QUICK))
-    assert not [p for p in failed.parts if isinstance(p, Table | Figure)]
+def test_what_is_missing_is_a_shorter_table():
+    whole = results()
+    for key in whole:
+        assert said("places", page, {key: whole[key]}).text.startswith("## Where to put the camera")
+    text = said("places", page, {SIDE.key: whole[SIDE.key], "distances": {"error": "too dark"}}).text
+    assert "- distances: too dark" in text
+    assert "attitude – (– to –)" in text
 
 
 @pytest.mark.parametrize("bounds", [(0.004, 0.0055), (0.134, 0.164), (0.1, 90.0)])

@@ -1,272 +1,171 @@
-"""What the experiments on where the ball is seen are said to show: tables, figures and sentences."""
+"""Numbers and figures of the page on where to put the camera."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.places import (
-    DISCS,
-    FAR,
-    FOCAL,
-    LENSES,
-    NEAR_BEST,
-    NOISE,
-    TOP,
-    Place,
-    Size,
-    jobs,
-    lens_of,
-)
-from spheremouse.experiments.report.page import failures, value
-from spheremouse.experiments.report.plot import BOUND
+from spheremouse.experiments.kit.job import Results
+from spheremouse.experiments.places import DISCS, FAR, FOCAL, LENSES, NEAR_BEST, NOISE, TOP, Place, Size
+from spheremouse.experiments.report.frames import markdown, tidy
+from spheremouse.experiments.report.page import Page
+from spheremouse.experiments.report.plot import BOUND, Drawing
 
 _POSED = 3  # targets that make a pose
 _SPAN = 1.5  # times the least error: the least that colours tell apart
-_QUANTITIES = (
-    ("attitude_deg", "attitude_rmse_deg", "attitude", "°", 4),
-    ("rate_deg_s", "rate_rmse_deg_s", "rate", "°/s", 3),
-)
+_HEADS = {"attitude": "attitude, °", "rate": "rate, °/s"}
+_DIGITS = {"attitude, °": 4, "rate, °/s": 3, "discs in view": 1, "best from, m": 1}
+_SOURCES = {
+    "map": "map",
+    "bound": "film's bound",
+    "true pose": "`so3`, true pose",
+    "own pose": "`so3`, own pose",
+}
+_MARKS = {"true pose": "o", "own pose": "x"}
 
 
-def section(request: Request, results: Results) -> Section:
+def page(results: Results) -> Page:
     """The maps, the films beside them, and where to put the camera."""
-    around = [entry for key in ("directions-0", "directions-1") for entry in _of(results, key, "map")]
-    along = _of(results, "distances", "map")
-    rows = _films(results)
-    first = next((r for k, r in results.items() if "noise" in r), None)
-    frames = jobs(request)[0].parameters["frames"]
-    parts: list[str | Table | Figure] = [
-        f"{DISCS} discs, the device's frame, 640x480 pixels, the first {frames} frames of the thesis' motion, noise "
-        f"of {NOISE:g} grey values. What is mapped is the Cramér-Rao bound, by geometry alone: the discs that are "
-        "wholly in view, and how well centres of their size are measured. The camera looks at the middle of ball and "
-        "frame. "
-        "At some places films were rendered and tracked; their own bound has the noise of their own centres."
+    maps, films = _maps(results), _films(results)
+    around, along = (maps[maps["part"] == part].sort_values("attitude") for part in ("directions", "distances"))
+    seen = around[around["targets"] >= _POSED]
+    whole, posed = films["true pose.lost"] == 0, films["own pose.lost"].notna()
+    over = pd.DataFrame({name: films[f"true pose.{name}"] / films[f"map.{name}"] for name in _HEADS})[whole]
+    values = {
+        "discs": DISCS,
+        "noise": NOISE,
+        "far": FAR,
+        "focal": FOCAL,
+        "near": 100.0 * (NEAR_BEST - 1.0),
+        "top": TOP,
+        "frames": films["true pose.frames"].max(),
+        "directions": _directions(around, seen),
+        "tried": len(around),
+        "seen": len(seen),
+        "near_best": 100.0 * (around["attitude"] <= NEAR_BEST * around["attitude"].min()).mean(),
+        "within": seen[["azimuth", "elevation"]].agg(["min", "max"]).to_dict(),
+        "rate": around["rate"].agg(["min", "max"]).to_dict(),
+        "distances": _distances(along),
+        "best_from": along.groupby("lens")["distance"].first().reindex(LENSES).tolist(),
+        "farthest": along["distance"].max(),
+        "film_attitude": _beside(
+            films, "attitude", {"map.targets": "targets in view", "true pose.mean_discs": "discs used"}
+        ),
+        "film_rate": _beside(films, "rate", {f"{p}.lost": f"lost, {p}" for p in ("true pose", "own pose")}),
+        "films": len(films),
+        "whole": whole.sum(),
+        "over": over.agg(["median", "min", "max"]).to_dict(),
+        "unposed": (~posed).sum(),
+        "whole_unposed": (whole & ~posed).sum(),
+        "posed_as_seen": 100.0 * (posed == (films["map.targets"] >= _POSED)).mean(),
+        "lost_by_pose": (films["own pose.lost"] - films["true pose.lost"]).max(),
+        "sizes": _sizes(next((r["noise"] for r in results.values() if "noise" in r), [])),
+    }
+    drawings = [_figure_directions(around, films)] if len(around) else []
+    return Page(values, (*drawings, *([_figure_distances(along, films)] if len(along) else [])))
+
+
+def _maps(results: Results) -> pd.DataFrame:
+    """A row per place of the maps of directions and of distances."""
+    records = [
+        {"part": key.partition("-")[0], **Place(*entry["place"])._asdict(), **entry}
+        for key, result in results.items()
+        for entry in result.get("map", ())
     ]
-    if around:
-        parts += [_said_of_directions(around), _figure_directions(around, rows)]
-    if along:
-        parts += [_said_of_distances(along), _figure_distances(along, rows)]
-    if rows:
-        parts += [_table(rows, results), _agreement(rows, results)]
-    if first is not None:
-        parts.append(_noise_table(first["noise"]))
-    failed = failures(results)
-    if failed:
-        parts.append("Failed:\n\n" + "\n".join(failed))
-    return Section(tuple(p for p in parts if p), dict(results))
+    return _named(records, ["part", *Place._fields, *_HEADS, "discs", "targets"])
 
 
-def _of(results: Results, key: str, name: str) -> list[Result]:
-    """What a map's job found; nothing where it failed."""
-    return results.get(key, {}).get(name, [])
-
-
-def _films(results: Results) -> list[tuple[Place, Result]]:
-    return [(Place(*r["place"]), r) for k, r in results.items() if k.startswith("film-") and "error" not in r]
-
-
-def _expected_at(results: Results, place: Place) -> Result | None:
-    """The map's value with the film's own discs."""
-    entries = [e for key in ("directions-0", "distances") for e in _of(results, key, "checked")]
-    return next((e for e in entries if Place(*e["place"]).key == place.key), None)
-
-
-def _said_of_directions(entries: list[Result]) -> str:
-    """The best direction, how much it matters, and where the targets are seen."""
-    seen = [e for e in entries if e["targets"] >= _POSED]
-    best, worst = (pick(entries, key=lambda e: e["attitude_deg"]) for pick in (min, max))
-    share = np.mean([e["attitude_deg"] <= NEAR_BEST * best["attitude_deg"] for e in entries])
-    text = (
-        f"Over all {len(entries)} directions at {FAR:g} m the bound of the attitude goes from "
-        f"{best['attitude_deg']:.4f}° ({_direction(best)}; {best['discs']:.1f} discs in view) to "
-        f"{worst['attitude_deg']:.4f}° ({_direction(worst)}; {worst['discs']:.1f}), that of the rate from "
-        f"{min(e['rate_deg_s'] for e in entries):.3f} to {max(e['rate_deg_s'] for e in entries):.3f} °/s; "
-        f"{100.0 * share:.0f} % of them are within {100.0 * (NEAR_BEST - 1.0):.0f} % of the best attitude. "
-    )
-    if not seen:
-        return text + "From none of them three targets are seen."
-    chosen = min(seen, key=lambda e: e["attitude_deg"])
-    azimuth, elevation = ([e["place"][i] for e in seen] for i in (0, 1))
-    limits = (
-        f"What limits the choice is the targets: three or more are seen from {len(seen)} of the {len(entries)} "
-        f"directions only, all {_within(azimuth)} of azimuth and {_within(elevation)} of elevation. "
-        if len(seen) < len(entries)
-        else "Three targets or more are seen from all of them. "
-    )
-    return text + (
-        f"{limits}Advice: put the camera at {_direction(chosen)} "
-        f"({chosen['attitude_deg']:.4f}°, {chosen['rate_deg_s']:.3f} °/s), or anywhere where it sees the targets "
-        f"({max(e['attitude_deg'] for e in seen):.4f}° at worst); for another place move the targets along."
-    )
-
-
-def _within(degrees: list[float]) -> str:
-    low, high = min(degrees), max(degrees)
-    return f"at {low:g}°" if low == high else f"within {low:g}° to {high:g}°"
-
-
-def _direction(entry: Result) -> str:
-    place = Place(*entry["place"])
-    return f"azimuth {place.azimuth:g}°, elevation {place.elevation:g}°"
-
-
-def _said_of_distances(entries: list[Result]) -> str:
-    """What distance does, with a lens that stays and with one that is chosen for it."""
-    said = []
-    for lens in LENSES:
-        here = _with_lens(entries, lens)
-        if here:
-            best = min(here, key=lambda e: e["attitude_deg"])
-            near = [e["place"][2] for e in here if e["attitude_deg"] <= NEAR_BEST * best["attitude_deg"]]
-            said.append(
-                f"{_lens_named(lens)} the attitude is best from {best['place'][2]:g} m ({best['attitude_deg']:.4f}°, "
-                f"{best['discs']:.1f} discs in view) and within {100.0 * (NEAR_BEST - 1.0):.0f} % of that from "
-                f"{', '.join(f'{d:g}' for d in sorted(near))} m"
-            )
-    ranges = [e["place"][2] for e in _with_lens(entries, LENSES[1]) if e["targets"] >= _POSED]
-    from_ = ", ".join(f"{r:g}" for r in sorted(ranges))
-    seen = f" With a lens that fits, three targets are in the picture from {from_} m." if ranges else ""
-    return "; ".join(said) + "." + seen
-
-
-def _lens_named(lens: str) -> str:
-    return (
-        f"With the same lens ({FOCAL:g} px)"
-        if lens == LENSES[0]
-        else "with a lens with which the ball fills the picture"
-    )
-
-
-def _with_lens(entries: list[Result], lens: str) -> list[Result]:
-    return [e for e in entries if abs(e["place"][3] - lens_of(lens, e["place"][2])) < 0.5]
-
-
-def _table(rows: list[tuple[Place, Result]], results: Results) -> Table:
-    lines: list[tuple[str, ...]] = []
-    for place, film in rows:
-        expected_ = _expected_at(results, place)
-        true, own = film["true pose"], film["own pose"]
-        targets = "–" if expected_ is None else str(expected_["targets"])
-        where = (_named(place), targets, value(true, "mean_discs", digits=1))
-        errors = {
-            "map": [value(expected_, quantity, digits=d) for quantity, _, _, _, d in _QUANTITIES],
-            "film's bound": [
-                value(film["bound"], quantity, "combined", digits=d) for quantity, _, _, _, d in _QUANTITIES
-            ],
-            "`so3`, true pose": [value(true, key, "combined", digits=d) for _, key, _, _, d in _QUANTITIES],
-            "`so3`, own pose": ["no pose"] * 2
-            if "error" in own
-            else [value(own, key, "combined", digits=d) for _, key, _, _, d in _QUANTITIES],
-        }
-        gone = {"`so3`, true pose": str(true["frames"] - true["tracked"])}
-        gone["`so3`, own pose"] = "no pose" if "error" in own else str(own["frames"] - own["tracked"])
-        for k, (name, both) in enumerate(errors.items()):
-            lines.append((*(where if k == 0 else ("", "", "")), name, *both, gone.get(name, "")))
-    for key, result in results.items():
-        if key.startswith("film-") and "error" in result:
-            lines.append((f"{key.removeprefix('film-')}: failed", *["–"] * 6))
-    head = (
-        *("azimuth, elevation, distance, focal length", "targets in view", "discs used", ""),
-        *(f"{word}, {unit}" for _, _, word, unit, _ in _QUANTITIES),
-        "frames lost",
-    )
-    return Table(head, tuple(lines), "Films beside the map")
-
-
-def _named(place: Place) -> str:
-    return f"{place.azimuth:g}°, {place.elevation:g}°, {place.distance:g} m, {place.focal:.0f} px"
-
-
-def _agreement(rows: list[tuple[Place, Result]], results: Results) -> str:
-    """How far films are from the map."""
-    said = []
-    whole = [(p, film) for p, film in rows if film["true pose"]["tracked"] == film["true pose"]["frames"]]
-    for quantity, key, word, _, _ in _QUANTITIES:
-        ratios = []
-        for place, film in whole:
-            expected_, found = _expected_at(results, place), film["true pose"][key]["combined"]
-            if expected_ is not None and found is not None:
-                ratios.append(found / expected_[quantity])
-        if ratios:
-            said.append(f"{word} {np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})")
-    if not said:
-        return ""
-    return (
-        f"Error of `so3` over the map's, median and range over the {len(whole)} of {len(rows)} films that were tracked "
-        f"from the first frame to the last: {'; '.join(said)}. A map takes one noise for "
-        f"discs of a size, wherever the light comes from; films know better.{_without_pose(rows)}{_lost_by_pose(rows)}"
-    )
-
-
-def _without_pose(rows: list[tuple[Place, Result]]) -> str:
-    """From how many places the targets gave no pose, and what became of the ball; empty where there is none."""
-    blind = [film["true pose"] for _, film in rows if "error" in film["own pose"]]
-    if not blind:
-        return ""
-    followed = sum(f["tracked"] == f["frames"] for f in blind)
-    how = f"; with the true pose the ball is tracked to the end from {followed} of them" if followed else ""
-    return f" From {len(blind)} of {len(rows)} places the targets gave no pose{how}."
-
-
-def _lost_by_pose(rows: list[tuple[Place, Result]]) -> str:
-    """Where the ball is lost for the pose that was found; empty where it is not."""
-    said = []
-    for place, film in rows:
-        true, own = film["true pose"], film["own pose"]
-        if "error" in own or own["tracked"] >= true["tracked"] or not own["pose_error"]:
-            continue
-        off, sigma = (np.linalg.norm(own["pose_error"][key]) for key in ("position_mm", "sigma_position_mm"))
-        said.append(
-            f"from {place.distance:g} m with {place.focal:.0f} px ({place.azimuth:g}°, {place.elevation:g}°), where it "
-            f"is off by {off:.0f} mm (standard deviation {sigma:.0f} mm), {true['tracked'] - own['tracked']} frames"
-        )
-    return f" With the pose that was found the ball is lost: {'; '.join(said)}." if said else ""
-
-
-def _noise_table(noise: list[list[float]]) -> Table:
-    sizes = [Size(area, sigma, share, int(discs)) for area, sigma, share, discs in noise]
-    rows = [
-        (
-            f"{s.area / np.sqrt(2.0):.0f} to {s.area * np.sqrt(2.0):.0f}",
-            str(s.discs),
-            f"{100.0 * s.share:.0f} %",
-            f"{s.sigma:.3f}",
-        )
-        for s in sizes
+def _films(results: Results) -> pd.DataFrame:
+    """A row per film: the map's value with the film's own discs, its bound, and `so3` with both poses."""
+    expected = {Place(*e["place"]).key: e for result in results.values() for e in result.get("checked", ())}
+    records = [
+        {**Place(*result["place"])._asdict(), "map": expected.get(key), **result}
+        for key, result in results.items()
+        if "place" in result
     ]
-    return Table(
-        ("area, px²", "discs", "found", "centre RMS per axis, px"), tuple(rows), "Noise by size, as in the map"
-    )
+    errors = [f"{source}.{name}" for source in _SOURCES for name in _HEADS]
+    counts = [f"{pose}.{name}" for pose in ("true pose", "own pose") for name in ("frames", "tracked")]
+    films = _named(records, [*Place._fields, *errors, *counts, "map.targets", "true pose.mean_discs"])
+    lost = {f"{pose}.lost": films[f"{pose}.frames"] - films[f"{pose}.tracked"] for pose in ("true pose", "own pose")}
+    return films.assign(**lost)
 
 
-def _figure_directions(entries: list[Result], rows: list[tuple[Place, Result]]) -> Figure:
+def _named(records: list[dict[str, Any]], columns: list[str]) -> pd.DataFrame:
+    """Of these columns; errors are combined ones, and have no unit in their names."""
+    rows = tidy(records)
+    rows.columns = rows.columns.astype(str).str.replace(r"(_rmse)?_deg(_s)?(\.combined)?$", "", regex=True)
+    rows = rows.reindex(columns=columns)
+    return rows.assign(lens=np.where(rows["focal"] == FOCAL, *LENSES))
+
+
+def _directions(around: pd.DataFrame, seen: pd.DataFrame) -> str:
+    """The best one and the worst, of all and of those that see the targets."""
+    picked = {
+        "best": around[:1],
+        "worst": around[-1:],
+        "best that sees three targets": seen[:1],
+        "worst that sees three targets": seen[-1:],
+    }
+    columns = {"azimuth": "azimuth, °", "elevation": "elevation, °", **_HEADS, "discs": "discs in view"}
+    table = pd.concat(picked, names=["direction"])[list(columns)].rename(columns=columns)
+    return markdown(table.reset_index("direction"), _DIGITS)
+
+
+def _distances(along: pd.DataFrame) -> str:
+    """The best one with each lens, those that are nearly as good, and those that see the targets."""
+    least = along.groupby("lens")["attitude"].transform("min")
+    table = along.groupby("lens").first().reindex(LENSES)[["distance", "attitude", "discs"]]
+    for name, chosen in {"near": along["attitude"] <= NEAR_BEST * least, "seen": along["targets"] >= _POSED}.items():
+        table[name] = along[chosen].sort_values("distance").groupby("lens")["distance"].agg(_listed)
+    near = f"within {100.0 * (NEAR_BEST - 1.0):.0f} % of that from, m"
+    named = {"distance": "best from, m", "discs": "discs in view", "seen": "three targets in view from, m"}
+    return markdown(table.reset_index().rename(columns={**named, **_HEADS, "near": near}), _DIGITS)
+
+
+def _listed(values: "pd.Series[float]") -> str:
+    return ", ".join(f"{x:g}" for x in values)
+
+
+def _beside(films: pd.DataFrame, name: str, others: dict[str, str]) -> str:
+    """The errors of films beside what was expected of them."""
+    columns = {f"{source}.{name}": head for source, head in _SOURCES.items()}
+    places = [f"{a:g}°, {e:g}°, {d:g} m, {f:.0f} px" for a, e, d, f in films[list(Place._fields)].to_numpy()]
+    table = films[[*others, *columns]].rename(columns={**others, **columns})
+    table.insert(0, "azimuth, elevation, distance, focal length", places)
+    return markdown(table, {**dict.fromkeys(columns.values(), _DIGITS[_HEADS[name]]), "discs used": 1})
+
+
+def _sizes(noise: Sequence[Sequence[float]]) -> str:
+    sizes = pd.DataFrame(noise, columns=list(Size._fields), dtype=float)
+    bounds = [f"{area / np.sqrt(2.0):.0f} to {area * np.sqrt(2.0):.0f}" for area in sizes["area"]]
+    columns = {"discs": sizes["discs"], "found, %": 100.0 * sizes["share"], "centre RMS per axis, px": sizes["sigma"]}
+    return markdown(pd.DataFrame({"area, px²": bounds, **columns}), {"centre RMS per axis, px": 3})
+
+
+def _figure_directions(around: pd.DataFrame, films: pd.DataFrame) -> Drawing:
     def draw(canvas: Any) -> None:
         from matplotlib.colors import LogNorm
         from matplotlib.patheffects import Normal, Stroke
         from matplotlib.ticker import NullFormatter
 
         axes = canvas.subplots(1, 2, sharey=True)
-        azimuth, elevation = (sorted({e["place"][i] for e in entries}) for i in (0, 1))
-        by_place = {(e["place"][0], e["place"][1]): e for e in entries}
-        grid = [[by_place.get((a, e)) for a in azimuth] for e in elevation]
-        films = [(p, r["true pose"]) for p, r in rows if p.distance == FAR and p.focal == FOCAL]
-        for ax, (quantity, key, word, unit, digits) in zip(axes, _QUANTITIES, strict=True):
-            values = np.array([[np.nan if c is None else c[quantity] for c in line] for line in grid])
-            found = [(p, r[key]["combined"]) for p, r in films if r[key]["combined"] is not None]
-            low = float(np.nanmin(values))
-            high = max(_SPAN * low, 1.0001 * float(np.nanmax(values)), *(x for _, x in found))
+        grid = around.pivot(index="elevation", columns="azimuth")
+        usable = (grid["targets"] >= _POSED).to_numpy()
+        here = films[(films["distance"] == FAR) & (films["focal"] == FOCAL)]
+        for ax, name in zip(axes, _HEADS, strict=True):
+            values, found = grid[name], here.dropna(subset=[f"true pose.{name}"])
+            low = values.min(axis=None)
+            high = max(_SPAN * low, 1.0001 * values.max(axis=None), *found[f"true pose.{name}"])
             norm = LogNorm(low, high)
-            shown = ax.pcolormesh(azimuth, elevation, values, norm=norm, shading="nearest", rasterized=False)
-            usable = np.array([[c is not None and c["targets"] >= _POSED for c in line] for line in grid])
-            _outline(ax, azimuth, elevation, usable)
-            for place, x in found:
-                ax.scatter(place.azimuth, place.elevation, s=60, c=[x], norm=norm, edgecolors="white", linewidths=1.2)
+            shown = ax.pcolormesh(values.columns, values.index, values, norm=norm, shading="nearest", rasterized=False)
+            _outline(ax, list(values.columns), list(values.index), usable)
+            for x, y, error in found[["azimuth", "elevation", f"true pose.{name}"]].to_numpy():
+                ax.scatter(x, y, s=60, c=[error], norm=norm, edgecolors="white", linewidths=1.2)
                 ax.annotate(
-                    f"{x:.{digits}f}",
-                    (place.azimuth, place.elevation),
+                    f"{error:.{_DIGITS[_HEADS[name]]}f}",
+                    (x, y),
                     (0.0, -13.0),
                     textcoords="offset points",
                     ha="center",
@@ -274,7 +173,7 @@ def _figure_directions(entries: list[Result], rows: list[tuple[Place, Result]]) 
                     color="white",  # on the map, whatever the page is
                     path_effects=[Stroke(linewidth=2.0, foreground="#222222"), Normal()],
                 )
-            ax.set(title=f"{word}, {unit}", xlabel="azimuth, °")
+            ax.set(title=_HEADS[name], xlabel="azimuth, °")
             ax.grid(visible=False)
             bar = canvas.colorbar(shown, ax=ax, location="bottom", aspect=30)
             ticks = _ticks(low, high)
@@ -284,14 +183,7 @@ def _figure_directions(entries: list[Result], rows: list[tuple[Place, Result]]) 
             bar.set_label("darker: better")
         axes[0].set_ylabel("elevation, °")
 
-    return Figure(
-        "places-directions",
-        f"The bound of attitude and rate by the direction of the camera, {FAR:g} m from the ball's centre (azimuth "
-        "0°, elevation 0°: straight before the frame). Outlined: three targets or more are seen: the pose can be "
-        "found. Circles and numbers: the error of `so3` on films from there, the pose being known.",
-        draw,
-        (7.2, 4.2),
-    )
+    return Drawing("places-directions", draw, (7.2, 4.2))
 
 
 def _outline(ax: Any, x: Sequence[float], y: Sequence[float], where: NDArray[np.bool_]) -> None:
@@ -321,48 +213,31 @@ def _ticks(low: float, high: float) -> list[float]:
     return (step * np.arange(np.ceil(low / step), np.floor(high / step) + 1)).tolist()
 
 
-def _figure_distances(entries: list[Result], rows: list[tuple[Place, Result]]) -> Figure:
+def _figure_distances(along: pd.DataFrame, films: pd.DataFrame) -> Drawing:
     def draw(canvas: Any) -> None:
         from matplotlib.ticker import StrMethodFormatter
 
-        axes = canvas.subplots(1, 2)
-        for ax, (quantity, key, word, unit, _) in zip(axes, _QUANTITIES, strict=True):
+        ahead = films[(films["azimuth"] == 0) & (films["elevation"] == 0)]
+        for ax, (name, head) in zip(canvas.subplots(1, 2), _HEADS.items(), strict=True):
             for k, lens in enumerate(LENSES):
-                here = sorted(_with_lens(entries, lens), key=lambda e: e["place"][2])
-                ax.plot([e["place"][2] for e in here], [e[quantity] for e in here], color=f"C{k}", **BOUND)
-                films = [
-                    (p, r)
-                    for p, r in rows
-                    if p.azimuth == p.elevation == 0 and abs(p.focal - lens_of(lens, p.distance)) < 0.5
-                ]
-                for name, mark in (("true pose", "o"), ("own pose", "x")):
-                    points = [(p.distance, r[name][key]["combined"]) for p, r in films if key in r[name]]
-                    points = [(d, x) for d, x in points if x is not None]
-                    ax.plot(
-                        *zip(*points, strict=True) if points else ([], []), color=f"C{k}", marker=mark, linestyle=""
-                    )
-            ax.set(
-                xscale="log", yscale="log", xlabel="distance from the ball's centre, m", ylabel=f"{word} error, {unit}"
-            )
-            ax.set_ylim(top=TOP * min(e[quantity] for e in entries))
+                line, filmed = along[along["lens"] == lens].sort_values("distance"), ahead[ahead["lens"] == lens]
+                ax.plot(line["distance"], line[name], color=f"C{k}", **BOUND)
+                for pose, mark in _MARKS.items():
+                    ax.plot(filmed["distance"], filmed[f"{pose}.{name}"], color=f"C{k}", marker=mark, linestyle="")
+            ax.set(xscale="log", yscale="log", ylabel=head.replace(name, f"{name} error"))
+            ax.set_xlabel("distance from the ball's centre, m")
+            ax.set_ylim(top=TOP * along[name].min())
             ax.set_xticks([1, 1.5, 2, 3, 4], ["1", "1.5", "2", "3", "4"])
             ax.minorticks_off()
             ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         canvas.legend(handles=_handles(), loc="outside upper center", ncols=4)
 
-    return Figure(
-        "places-distances",
-        f"Errors against the distance, straight before the frame, with a lens of {FOCAL:g} px and with one with which "
-        f"the ball fills the picture. Lines: the bound by geometry; marks: `so3` on films. More than {TOP:g} times "
-        "the least is not drawn: there hardly a disc is in view.",
-        draw,
-        (7.2, 3.4),
-    )
+    return Drawing("places-distances", draw, (7.2, 3.4))
 
 
 def _handles() -> list[Any]:
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color=f"C{k}", label=f"bound, {lens}", **BOUND) for k, lens in enumerate(LENSES)]
-    marks = (("o", "so3, true pose"), ("x", "so3, own pose"))
-    return [*lines, *(Line2D([], [], color="0.5", marker=m, linestyle="", label=name) for m, name in marks)]
+    marks = [Line2D([], [], color="0.5", marker=m, linestyle="", label=f"so3, {pose}") for pose, m in _MARKS.items()]
+    return [*lines, *marks]
