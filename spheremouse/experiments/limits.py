@@ -40,8 +40,6 @@ from spheremouse.experiments.kit.world import (
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.profile import Profile
 
-TITLE = "Limits: rate, acceleration, covers, and finding the ball again"
-
 ACCELERATIONS = (4.0, 16.0, 64.0, 256.0)  # rad/s²
 PUSH = 3.0  # rad/s, to which the ball is sped up where the acceleration is sought
 FASTEST = 25.0  # rad/s, the highest that is tried

@@ -8,11 +8,11 @@ import pytest
 from spheremouse.experiments import covers, limits
 from spheremouse.experiments.covers import COVERS
 from spheremouse.experiments.kit import world as world_module
-from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.kit.world import NEW, RATES, WHO, SpedUp, world
 from spheremouse.experiments.limits import ACCELERATIONS, FASTEST, TRACKERS, Trial, jobs
-from spheremouse.experiments.report.limits import section
-from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.report.limits import page
+from spheremouse.experiments.report.page import said
 from spheremouse.experiments.report.plot import save
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import log
@@ -153,111 +153,102 @@ def test_the_wait_is_counted_from_when_the_cover_goes():
     assert covers._waited(t, [(np.eye(3), 1.0, True)] * len(t), 3.0) == {"error": "lost before the cover came"}
 
 
-# ---- sections ----
+# ---- the page ----
 
 
-def speed(ekf, so3=FASTEST):
+def speed(ekf, so3=FASTEST, push=None):
     rows = {who: {"rate": [ekf] * len(ACCELERATIONS), "acceleration": 10.0 * ekf} for who in WHO}
     rows |= {who: {"rate": [so3] * len(ACCELERATIONS), "acceleration": limits.HARDEST} for who in ("so3", NEW)}
-    return rows
+    return rows if push is None else {who: {**row, "acceleration": push} for who, row in rows.items()}
 
 
-def waited(ms):
+def waited(ms, ekf1=None, ekf2=None):
     wait = {"frames": 1, "ms": ms}
     known = {"attitude": wait, "rate": wait}
-    return {"ekf1": {"attitude": None, "rate": wait}, "ekf2": {"error": "lost before the cover came"}} | dict.fromkeys(
-        ("so3", NEW), known
-    )
+    return {"ekf1": {"attitude": ekf1, "rate": wait}, "ekf2": ekf2 or known} | dict.fromkeys(("so3", NEW), known)
 
 
-SHARP = {"ekf1": [3.0, 3.1], "ekf2": [3.2, 3.2], "so3": [8.0, 8.0]}
+COVER = {kind: {"ekf1": 0.5, "ekf2": 0.6, "so3": 0.7} for kind in COVERS}
+SHARP = {"ekf1": [3.1, 3.0], "ekf2": [3.2, 3.2], "so3": [8.0, 8.0]}
+GIVEN = {
+    **{f"speed-{fps:g}-{k}": speed(1.0 + k) for fps in RATES for k in range(3)},
+    "film-60-4-0": {"ekf1": 0.0, "ekf2": 4.0, "so3": 8.0},
+    "film-60-4-1": {"ekf1": 2.0, "ekf2": 4.0, "so3": 8.0},
+    "film-60-0-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 16.0, "sharp": SHARP},
+    "film-30-4-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 8.0},
+    "cover-50-0": COVER,
+    "cover-50-1": {**COVER, "closing in": {"ekf1": 0.1, "ekf2": 0.2, "so3": 0.0}},
+    "cover-50-0-filmed": {"from above": {"ekf1": 0.52, "ekf2": 0.6, "so3": 0.7}},
+    "again-30-0": waited(0.0, ekf2={"error": "lost before the cover came"}),
+    "again-30-1": waited(100.0),
+    "film-60-16-0": {"error": "too little memory"},
+}
 
 
-def given():
-    cover = {kind: {"ekf1": 0.5, "ekf2": 0.6, "so3": 0.7} for kind in COVERS}
-    return {
-        **{f"speed-{fps:g}-{k}": speed(1.0 + k) for fps in RATES for k in range(3)},
-        "film-60-4-0": {"ekf1": 0.0, "ekf2": 4.0, "so3": 8.0},
-        "film-60-0-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 16.0, "sharp": SHARP},
-        "film-30-4-0": {"ekf1": 4.0, "ekf2": 4.0, "so3": 8.0},
-        "cover-50-0": cover,
-        "cover-50-1": {**cover, "closing in": {"ekf1": 0.1, "ekf2": 0.2, "so3": 0.3}},
-        "cover-50-0-filmed": {"from above": {"ekf1": 0.52, "ekf2": 0.6, "so3": 0.7}},
-        "again-30-0": waited(0.0),
-        "again-120-0": waited(4.0),
-        "film-60-16-0": {"error": "too little memory"},
-    }
-
-
-def tables(found):
-    return [part for part in found.parts if isinstance(part, Table)]
-
-
-def test_a_section_has_maps_tables_advice_and_what_failed(tmp_path):
-    found = section(WHOLE, given())
-    page = write_report(tmp_path, {"limits": (limits.TITLE, found)}, "x")[0].read_text()
-    names = [part.name for part in found.parts if isinstance(part, Figure)]
+def test_medians_spans_and_what_failed_are_on_the_page(tmp_path):
+    found = said("limits", page, GIVEN)
+    for line in (
+        "| 15 | `ekf1` | 115 | 20 | 45 |",  # the median, 2 rad/s
+        "|  | `so3` | ≥ 1432 | ≥ 2000 |  |",
+        "| 30 | 4 | 1 | 955 | 229 | 229 | 458 |",  # 2 x 0.02 / 0.6 rad in 4 ms
+        "| 60 | 4 | 2 | 955 | none – 115 | 229 | 458 |",
+        "| `ekf1` | 178 | 172 |",
+        "| `so3` | ≥ 458 | ≥ 458 |",
+        "|  | closing in | 10 – 50 | 20 – 60 | lost before – 70 |",
+        "| from above | 52 | 60 | 70 |",
+        "| 30 | `ekf1` | never | never | 17 – 117 | 1 |",  # half a frame
+        "|  | `ekf2` | 117 | 1 | 117 | 1 |",  # of the ball that it did not lose before
+    ):
+        assert line + "\n" in found.text
+    assert "Pictures differ from none by 0.0 % of the ball (median; at most 2 %)" in found.text
+    assert "- film-60-16-0: too little memory" in found.text
+    names = [drawing.name for drawing in found.drawings]
     assert names == ["limits-speed", "limits-map", "limits-exposure", "limits-cover", "limits-again"]
-    assert all((tmp_path / "experiments" / f"{n}-dark.svg").stat().st_size > 5000 for n in names)
-    fast, film, cover, again = tables(found)
-    assert fast.rows[0] == ("15", "3", "`ekf1`", "115", "20", "45")  # the median, 2 rad/s
-    assert fast.rows[2] == ("", "", "`so3`", "all, to 1432", "all, to 2000", "")
-    assert film.rows[2] == ("60", "4", "1", "955", "none", "229", "458")  # 2 x 0.02 / 0.6 rad in 4 ms
-    assert film.rows[3][:3] == ("60", "16", "failed")
-    assert ("50", "2", "closing in", "10 – 50", "20 – 60", "30 – 70", "", "", "") in cover.rows
-    assert again.rows[0] == ("30", "1", "`ekf1`", "never", "17 ms (1 frame)")  # half a frame
-    assert again.rows[1][3] == "lost before the cover came"
-    assert "film-60-16-0: too little memory" in page
-    assert "`ekf2` at no frame rate; `so3` at all, 15 to 240 Hz" in page
-    assert "30 % of the visible ball with 50 discs" in page
-    assert "917 °/s with 0 ms, 458 °/s with 4 ms of exposure. 400 °/s, at an even rate, are followed with every" in page
-    assert "lost are `ekf1` at 172 °/s (without pictures 178), `ekf2` at 183 °/s (without pictures 183); up to" in page
-    assert "Pictures differ from none by 0.0 % of the ball (median; at most 2 %)" in page
+    assert all(save(drawing, tmp_path)[0].stat().st_size > 5000 for drawing in found.drawings)
 
 
-def test_a_section_of_nothing_is_still_a_page():
-    assert section(QUICK, {}).parts
-    failed = {job.key: {"error": "too dark"} for job in jobs(QUICK)}
-    text = "\n".join(p for p in section(QUICK, failed).parts if isinstance(p, str))
-    assert text.count("too dark") == len(failed)
+BORNE_OUT = {
+    **GIVEN,
+    "speed-15-0": speed(5.0, push=0.0),
+    "speed-15-1": speed(5.0, push=0.0),
+    **{f"film-60-{e}-0": {"ekf1": 1.0, "ekf2": 1.0, "so3": limits.LADDER[-1]} for e in (2, 4, 8, 16)},
+    "film-60-4-1": {"ekf1": 1.0, "ekf2": 1.0, "so3": limits.LADDER[-1]},
+    **{f"cover-{n}-0": {kind: {**COVER[kind], "so3": 0.01 * n} for kind in COVERS} for n in (26, 50, 74)},
+    "cover-50-1": COVER,
+    "cover-16-0": {kind: {**COVER[kind], "so3": 0.0} for kind in COVERS},
+    **{f"again-30-{k}": waited(0.0, ekf2={"attitude": None, "rate": None}) for k in range(2)},
+    "again-30-0-filmed": waited(0.0, ekf2={"attitude": None, "rate": None}),
+}
 
 
-def test_a_ball_lost_without_a_cover_is_said():
-    lost = {kind: {"ekf1": 0.5, "ekf2": 0.6, "so3": 0.0} for kind in COVERS}
-    found = section(WHOLE, {"cover-50-0": given()["cover-50-0"], "cover-16-0": lost})
-    assert ("16", "1", "closing in", "50", "60", "lost before", "", "", "") in tables(found)[0].rows
-    assert "16 discs are too few: it is lost without a cover." in str(found.parts[-1])
+@pytest.mark.parametrize(
+    ("key", "result", "claim"),
+    [
+        ("speed-15-0", speed(2.0, push=1.0), "Lost at 1 rad/s²"),
+        ("speed-60-0", speed(1.0, 1.0), "A flick to 400 °/s"),
+        ("film-60-8-0", {"ekf1": 1.0, "ekf2": 1.0, "so3": 2.0}, "At an even rate"),
+        ("film-60-0-0", {**GIVEN["film-60-0-0"], "sharp": {**SHARP, "so3": [7.0, 8.0]}}, "Sharp pictures"),
+        ("cover-16-0", COVER, "16 discs are too few"),
+        ("cover-74-0", {kind: {**COVER[kind], "so3": 0.4} for kind in COVERS}, "With more, the cover"),
+        ("again-30-0", {**waited(0.0), "ekf2": {"error": "lost before the cover came"}}, "In no trial"),
+        ("again-30-0-filmed", waited(40.0), "In pictures it takes"),
+        ("again-30-1", waited(0.0, ekf1={"frames": 3, "ms": 70.0}), "The published filters never"),
+    ],
+)
+def test_what_a_run_contradicts_is_marked(key, result, claim):
+    """One result at a time is another one than in a run that bears out all."""
+    assert said("limits", page, BORNE_OUT).doubts == 0
+    text = said("limits", page, {**BORNE_OUT, key: result}).text
+    assert "**Not borne out by this run:** " + claim in text
 
 
-def test_rates_that_hold_are_listed_and_not_what_lies_between():
-    slow = {f"speed-{fps:g}-0": speed(1.0, 1.0 if fps == 60.0 else FASTEST) for fps in RATES}
-    text = "\n".join(p for p in section(WHOLE, slow).parts if isinstance(p, str))
-    assert "`so3` at 15, 30, 120, 240 Hz" in text
-
-
-def test_lost_at_the_gentlest_push_is_not_lost_at_all_others():
-    odd = speed(5.0)
-    odd["ekf1"]["acceleration"] = 0.0
-    found = section(WHOLE, {"speed-30-0": odd, "speed-30-1": {"error": "too dark"}})
-    rows = tables(found)[0].rows
-    assert rows[0] == ("30", "1 of 2 failed", "`ekf1`", "286", "lost at 1, the least tried", "90")
-    text = "\n".join(p for p in found.parts if isinstance(p, str))
-    assert "the ball turns by 4.5 rad, " in text
-    assert "are reached (medians) by `ekf1` at 30 Hz (286 °/s)." in text
-    assert "does not mean" not in str(section(WHOLE, {"speed-30-0": speed(1.0)}).parts)
-
-
-def test_an_exposure_that_is_too_long_is_not_advised():
-    films = {f"film-60-{e}-0": {"ekf1": 1.0, "ekf2": 1.0, "so3": 8.0 if e != 8 else 2.0} for e in (4, 8, 16)}
-    text = "\n".join(p for p in section(WHOLE, films).parts if isinstance(p, str))
-    assert "followed with exposures of 4, 16 ms." in text
-
-
-def test_a_quick_section_has_figures_of_what_is_there(tmp_path):
-    few = {k: v for k, v in given().items() if k in ("speed-30-0", "film-30-4-0", "cover-50-0", "again-30-0")}
-    figures = {part.name: part for part in section(QUICK, few).parts if isinstance(part, Figure)}
-    assert list(figures) == ["limits-speed", "limits-map", "limits-cover", "limits-again"]  # one exposure is no curve
-    assert save(figures["limits-cover"], tmp_path)[0].stat().st_size > 5000
+def test_a_part_of_a_run_is_a_page_with_figures_of_what_is_there(tmp_path):
+    for key, result in GIVEN.items():
+        assert said("limits", page, {key: result}).text.startswith("## Limits")
+    few = {key: GIVEN[key] for key in ("speed-30-0", "film-30-4-0", "cover-50-0", "again-30-0")}
+    found = {drawing.name: drawing for drawing in said("limits", page, few).drawings}
+    assert list(found) == ["limits-speed", "limits-map", "limits-cover", "limits-again"]  # one exposure is no curve
+    assert save(found["limits-cover"], tmp_path)[0].stat().st_size > 5000
 
 
 def test_jobs_have_keys_of_their_own_and_check_with_pictures():

@@ -1,14 +1,18 @@
 """Cells, lines and legends that several reports share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from spheremouse.experiments.kit.job import Result
+import numpy as np
+import pandas as pd
+
+from spheremouse.experiments.kit.job import Result, Results
 from spheremouse.experiments.kit.tour import ESTIMATED, IGNORED, KNOWN, PUBLISHED
 from spheremouse.experiments.kit.world import (
     NEW,
     WHO,
 )
+from spheremouse.experiments.report.page import MISSING
 from spheremouse.experiments.report.plot import decades
 
 CLEARLY = 1.05  # times another error
@@ -22,19 +26,34 @@ DASHES = {
 
 LOOK = {"ekf1": ("C0", "s", "-"), "ekf2": ("C1", "D", "--"), "so3": ("C2", "o", "-"), NEW: ("C3", "v", "--")}
 BESIDE = {who: 1.0 + 0.015 * k for k, who in enumerate(WHO)}  # lines that would hide each other: a little to the right
-Grouped = dict[tuple[float, ...], list[Result]]
 
 
-def with_broken(good: Grouped, bad: Grouped) -> list[tuple[tuple[float, ...], list[Result], str]]:
-    """What there is to say of each group: its results, and how many of its jobs failed."""
-    groups = sorted({*good, *bad})
-    return [(k, good.get(k, []), films_cell(len(good.get(k, [])), len(bad.get(k, [])))) for k in groups]
+def trials(results: Results, kind: str) -> Iterator[tuple[list[float], str, Result]]:
+    """Numbers of the keys `kind-1-2` and `kind-1-2-filmed`, what the last word is, and results."""
+    for key, result in results.items():
+        name, *numbers = key.removesuffix("-filmed").split("-")
+        if name == kind:
+            yield list(map(float, numbers)), "filmed" if key.endswith("-filmed") else "", result
 
 
-def span(values: Sequence[float], digits: int = 0, nothing: str = "none") -> str:
-    low, high = (f"{v:.{digits}f}" for v in (min(values), max(values)))
-    low, high = (nothing if float(v) == 0.0 else v for v in (low, high))
-    return low if low == high else f"{low} – {high}"
+def span(values: Iterable[float], words: Mapping[float, str] | None = None) -> str:
+    """Least and most of those that are known, in whole numbers; some numbers are words."""
+    known = [x for x in values if not np.isnan(x)]
+    rounded = [float(np.round(x)) for x in (min(known), max(known))] if known else []
+    said = [(words or {0.0: "none"}).get(x, f"{x:.0f}") for x in rounded]
+    return " – ".join(dict.fromkeys(said)) or MISSING
+
+
+def spread(groups: Any) -> pd.DataFrame:
+    """Median, least and most of each group of a column."""
+    return groups.agg(["median", "min", "max"])
+
+
+def banded(ax: Any, x: Sequence[float], found: pd.DataFrame, look: tuple[str, str, Any], alpha: float = 0.15) -> None:
+    """A line through the medians of a `spread` at x, and a band from the least to the most."""
+    colour, mark, dash = look
+    ax.plot(x, found["median"], color=colour, marker=mark, linestyle=dash)
+    ax.fill_between(x, found["min"], found["max"], color=colour, alpha=alpha, lw=0)
 
 
 def those(values: Sequence[float], tried: Sequence[float]) -> str:
