@@ -28,13 +28,11 @@ from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import prepare
 
-TITLE = "Filter models (Wittich 2017, table 19, figs. 35 to 37)"
-
 THESIS = (  # film, filter, correlation, rates °/s, mouse speed px/s
     ("R1", "EKF1, thesis", "0.962", "–", "–"),
     ("R1", "EKF2, thesis", "0.963", "–", "–"),
-    ("S1", "EKF1, thesis", "0.998", "1.59", "0.15 px/s"),
-    ("S1", "EKF2, thesis", "0.999", "1.09", "0.11 px/s"),
+    ("S1", "EKF1, thesis", "0.998", "1.59", "0.15"),
+    ("S1", "EKF2, thesis", "0.999", "1.09", "0.11"),
 )
 PACES = (0.75, 1.0)  # beside that of the film like R1
 _SHOWN = 10.0  # s, of the film like R1 in the figure
