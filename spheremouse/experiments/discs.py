@@ -19,8 +19,6 @@ from spheremouse.simulate.ball.film import HandVisit, Simulation, prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 from spheremouse.simulate.ball.scene import spread_directions
 
-TITLE = "Discs: their size, their places, hands on the ball (Wittich 2017, chapter 5)"
-
 DISCS = 26
 _RADIUS = 0.6  # m, of the ball
 NOISE = 3.0  # grey values
@@ -46,11 +44,6 @@ HANDS = {  # right or left, and how large
     "two large": ((True, 1.5), (False, 1.5)),
     "two very large": ((True, 2.2), (False, 2.2)),
 }
-QUANTITIES = (
-    ("attitude_deg", "attitude_rmse_deg", "attitude", "°", 4),
-    ("rate_deg_s", "rate_rmse_deg_s", "rate", "°/s", 3),
-)
-LINES = (*kit.TRACKERS, "bound")
 
 
 def jobs(request: Request) -> list[Job]:
@@ -177,6 +170,3 @@ def scattered(rng: np.random.Generator, least: float) -> Array:
         if v[2] > least and np.all(found @ v < apart):
             found = np.concatenate([found, v[None]])
     return found
-
-
-# ---- figures ----

@@ -1,4 +1,4 @@
-"""Sizes, places, hands: layouts are what they are called; tiny films; sections of given, lost and missing results."""
+"""Sizes, places, hands: layouts are what they are called; tiny films; pages of given, lost and missing results."""
 
 import json
 
@@ -7,9 +7,10 @@ import pytest
 
 from spheremouse.experiments import discs
 from spheremouse.experiments.discs import HANDS, LAYOUTS, SIZES, directions_of, in_rows, jobs
-from spheremouse.experiments.kit.job import Figure, Request, Table
-from spheremouse.experiments.report.discs import section
-from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.kit.job import Request
+from spheremouse.experiments.report.discs import page
+from spheremouse.experiments.report.page import said
+from spheremouse.experiments.report.plot import save
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
 
@@ -35,28 +36,29 @@ def laid(error, recognised, lost=0):
 
 
 def results():
+    """What bears out all that is claimed."""
+    errors = {"8": 0.03, "10": 0.028, "14": 0.027, "20": 0.02, "30": 0.03}
+    sizes = {f"size-{mm}-0": film(error) for mm, error in errors.items()}
+    certain = {"designed": 1.0, "spread": 1.0, "even": 0.0, "rows": 0.1, "random": 0.95}
+    layouts = {name: laid({"even": 0.01, "random": 0.03}.get(name, 0.02), share) for name, share in certain.items()}
+    shares = {"none": 0.6, "one": 0.5, "two": 0.45, "two_large": 0.4}
     return {
         "size-4-0": nothing(),
-        "size-8-0": film(0.024),
-        "size-14-0": film(0.02),
-        "size-14-1": film(0.022),
-        "size-30-0": film(0.06),
-        "layout-spread-0": laid(0.02, 1.0),
-        "layout-rows-0": laid(0.015, 0.1),
-        "layout-cluster-0": laid(0.5, 1.0, lost=1),
-        "hands-none-0": film(0.02),
-        "hands-two-0": {**film(0.05), "in_view_share": 0.4},
-        "hands-two_very_large-0": {**film(3.0), "in_view_share": 0.2},
-        "size-20-0": {"error": "too dark"},
+        "size-6-0": film(3.0),
+        **sizes,
+        "size-20-1": film(0.022),
+        **{f"layout-{name}-0": result for name, result in layouts.items()},
+        "layout-cluster-0": laid(0.5, 0.98, lost=1),
+        **{f"hands-{name}-0": film(0.01 / share, in_view_share=share) for name, share in shares.items()},
+        "hands-two_very_large-0": film(3.0, in_view_share=0.2),
+        "hands-none-1": {"error": "too dark"},
     }
 
 
-def words(found):
-    return "\n".join(part for part in found.parts if isinstance(part, str))
-
-
-def tables(found):
-    return [part for part in found.parts if isinstance(part, Table)]
+def rows(text, title):
+    """The cells of the table under a heading."""
+    lines = text.partition(f"### {title}")[2].partition("\n| ")[2].partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
 @pytest.mark.parametrize("kind", [k for k in LAYOUTS if k != "designed"])
@@ -93,65 +95,60 @@ def test_hands_hide_discs():
     assert hidden["rows"]["so3"]["frames"] == 3  # from half a second after they came
 
 
-def test_the_advice_is_the_smallest_disc_that_is_nearly_as_good_as_the_best(tmp_path):
-    found = section(WHOLE, results())
-    text = words(found)
-    assert "holds the ball in all films with 8, 14, 30 mm (8 mm are 7.0 px across" in text  # 20 failed
-    assert "best with 14 mm (0.0210°)" in text
-    assert "Advice: a radius of 8 mm" in text
-    assert "With 30 mm it is worse again (0.0600°)" in text
-    assert "size-20-0: too dark" in text
-    rows = tables(found)[0].rows
-    assert rows[0] == ("4", "1", "3.0", "60 %", "–", "–", "`ekf1`", "lost", "lost", "1 of 1")
-    assert rows[8][:2] == ("14", "2")
-    assert rows[10] == (*[""] * 6, "`so3`", "0.0210", "0.210", "0 of 2")
-    assert rows[11] == (*[""] * 6, "bound", "0.0105", "0.105", "")
-    assert rows[12][:2] == ("20", "failed")
-    page = write_report(tmp_path, {"discs": (discs.TITLE, found)}, "x")[0].read_text()
-    assert "rows: in rows" in page
-    for name in ("discs-size", "discs-layout", "discs-hands"):
-        assert (tmp_path / "experiments" / f"{name}-dark.svg").stat().st_size > 5000
+def test_films_of_a_case_come_together_and_what_is_lost_has_no_error():
+    text = said("discs", page, results()).text
+    sizes = rows(text, "Size")
+    assert [row[0] for row in sizes[::4]] == ["4", "6", "8", "10", "14", "20", "30"]
+    assert sizes[0] == ["4", "1", "3.0", "60", "–", "–", "`ekf1`", "lost", "lost", "1 of 1"]
+    assert sizes[20] == ["20", "2", "7.0", "60", "5.0", "0.021", "`ekf1`", "0.0210", "0.210", "0 of 2"]
+    assert sizes[23] == [*[""] * 6, "bound", "0.0105", "0.105", ""]
+    assert rows(text, "Places")[12][:7] == ["rows: in rows", "1", "5.0", "4.0", "10.0", "0.0", "5.0"]
+    assert rows(text, "Places")[16][0] == "random"
+    hands = rows(text, "Hands")
+    assert [row[0] for row in hands[::4]] == list(HANDS)
+    assert hands[18] == [*[""] * 4, "`so3`", "lost", "lost", "1 of 1"]
+    assert "is 1.2 times that without hands with one hand, 1.3 times with two and 1.5 times" in text
+    assert "- hands-none-1: too dark" in text
 
 
-def test_a_layout_that_is_lost_or_ambiguous_is_not_advised():
-    text = words(section(WHOLE, results()))
-    assert "It is lost with: cluster (1 of 1)." in text
-    assert "with: rows (10.0 %)." in text
-    assert "of those tried, *spread* is never lost and recognised" in text
-    assert "the attitude is best with *rows* (0.0150°) and worst with *spread* (0.0200°)" in text
-    assert "random: random" not in str(section(WHOLE, {"layout-random-0": laid(0.02, 1.0)}).parts)
-    assert "worst" not in words(section(WHOLE, {"layout-random-0": laid(0.02, 1.0)}))
+@pytest.mark.parametrize(
+    ("key", "result", "doubts"),
+    [
+        ("size-6-1", film(0.5), 0),  # lost in one of two
+        ("size-6-0", film(0.5), 1),  # held as well
+        ("size-10-1", film(0.028, tracked=50), 1),  # lost
+        ("size-30-0", film(0.021), 1),  # as good as 20 mm
+        ("size-14-0", film(0.024), 1),
+        ("size-14-0", film(0.019), 2),
+        ("layout-rows-0", laid(0.02, 0.1, lost=1), 1),
+        ("layout-spread-0", laid(0.009, 1.0), 1),
+        ("layout-even-0", laid(0.01, 0.97), 1),
+        ("layout-cluster-0", laid(0.5, 1.0, lost=1), 1),
+        ("layout-designed-0", laid(0.02, 0.98), 1),
+        ("hands-one-0", film(0.05), 1),
+        ("hands-two_very_large-0", film(0.5), 1),
+        ("hands-two-0", film(0.01 / 0.45, lost=1), 1),
+    ],
+)
+def test_a_claim_that_is_contradicted_is_marked(key, result, doubts):
+    given = results()
+    assert said("discs", page, given).doubts == 0
+    assert said("discs", page, {**given, key: result}).doubts == doubts
 
 
-def test_what_is_lost_has_no_error_and_failures_are_counted():
-    given = {"hands-none-0": film(88.0), "hands-none-1": film(0.02), "hands-none-2": {"error": "too dark"}}
-    (table,) = tables(section(WHOLE, given))
-    assert table.rows[0][1] == "1 of 3 failed"
-    assert table.rows[0][4:] == ("`ekf1`", "lost", "lost", "1 of 2")
-    assert "88" not in str(table.rows)
-
-
-def test_hands_are_borne_down_to_the_share_at_which_the_attitude_gets_away():
-    text = words(section(WHOLE, results()))
-    assert "two (40 % wholly in view): 2.5 times the error without" in text
-    assert "two very large (20 % wholly in view): lost in 1 of 1 films" in text
-    assert "40 % of the discs on its side or more stay wholly in view" in text
-    gap = {**results(), "hands-one-0": {**film(3.0), "in_view_share": 0.5}}
-    assert "60 % of the discs on its side or more" in words(section(WHOLE, gap))  # one is lost, though two is not
-
-
-def test_a_camera_without_pose_is_a_row_that_says_so():
+def test_a_film_in_which_no_pose_was_found_is_lost_and_said():
     unfound = {"frames": 9, "in_view_share": 0.5, "diameter_px": 7.0, "rows": {}, "bound": None, "unfound": "no target"}
-    found = section(WHOLE, {"hands-two-0": unfound, "hands-none-0": film(0.02)})
-    assert "hands-two-0: no target" in words(found)
-    assert next(r for r in tables(found)[0].rows if r[0] == "two")[-3:] == ("lost", "lost", "1 of 1")
+    text = said("discs", page, {"hands-two-0": unfound, "hands-none-0": film(88.0), "hands-none-1": film(0.02)}).text
+    assert "hands-two-0 (no target)" in text
+    assert [row[-3:] for row in rows(text, "Hands")[::4]] == [["lost", "lost", "1 of 2"], ["lost", "lost", "1 of 1"]]
 
 
-def test_a_section_without_results_has_no_figure():
-    for given in ({}, {job.key: {"error": "too little memory"} for job in jobs(QUICK)}):
-        found = section(QUICK, given)
-        assert not [p for p in found.parts if isinstance(p, Figure | Table)]
-        assert ("too little memory" in words(found)) == bool(given)
+def test_figures_draw_and_those_of_what_is_missing_are_left_out(tmp_path):
+    whole = said("discs", page, results()).drawings
+    assert [drawing.name for drawing in whole] == ["discs-size", "discs-layout", "discs-hands"]
+    for drawing in whole:
+        assert all(path.stat().st_size > 5000 for path in save(drawing, tmp_path))
+    assert [d.name for d in said("discs", page, {"size-6-0": film(0.02)}).drawings] == ["discs-size"]
 
 
 def test_jobs_are_sizes_layouts_and_hands():

@@ -1,389 +1,206 @@
-"""What the experiments on sizes and layouts of discs are said to show: tables, figures and sentences."""
+"""Numbers and figures of the page on discs: their size, their places, hands on the ball."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import takewhile
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from spheremouse.evaluate.metrics import MIN_AREA
-from spheremouse.experiments.discs import (
-    DISCS,
-    HANDS,
-    LAYOUTS,
-    LINES,
-    MISSING,
-    NEARLY,
-    NOISE,
-    QUANTITIES,
-    SETTLE,
-    SIZES,
-    SURE,
-)
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.kit.tour import FAR_OFF, FOLLOWED, brief, is_lost
-from spheremouse.experiments.report.cells import films_cell
-from spheremouse.experiments.report.page import failures, value
-from spheremouse.experiments.report.plot import BOUND, decades
+from spheremouse.experiments.discs import DISCS, HANDS, LAYOUTS, MISSING, NEARLY, NOISE, SETTLE, SIZES, SURE
+from spheremouse.experiments.kit.film import TRACKERS
+from spheremouse.experiments.kit.job import Results
+from spheremouse.experiments.kit.tour import FAR_OFF, FOLLOWED
+from spheremouse.experiments.report.frames import by, markdown, tidy
+from spheremouse.experiments.report.page import Page, fixed
+from spheremouse.experiments.report.plot import BOUND, Drawing, decades
 
-_RECOGNISED = 0.99  # of the pictures: good enough
-
-
-@dataclass(frozen=True, slots=True)
-class Case:
-    """Films that differ in the places of discs alone."""
-
-    name: str
-    x: float  # of the figure
-    films: list[Result]
-
-    def values(self, who: str, quantity: str, key: str) -> list[float]:
-        """Combined errors, of the films that have one."""
-        if who == "bound":
-            parts = [None if f["bound"] is None else f["bound"][quantity]["combined"] for f in self.films]
-        else:
-            parts = [f["rows"][who][key]["combined"] if who in f["rows"] else None for f in self.films]
-        return [p for p in parts if p is not None]
-
-    def median(self, who: str, quantity: str, key: str) -> float | None:
-        """None where no film has a value."""
-        known = self.values(who, quantity, key)
-        return float(np.median(known)) if known else None
-
-    def lost(self, who: str) -> int:
-        """Films in which the ball was lost, or the attitude got away, or nothing was tracked."""
-        return sum(_lost(f["rows"].get(who)) for f in self.films)
-
-    def mean(self, name: str) -> float:
-        """Of what is the same for all filters."""
-        return float(np.mean([f[name] for f in self.films]))
+_RECOGNISED = 99.0  # % of the pictures: good enough
+_CASES = {"size": [str(mm) for mm in SIZES], "layout": list(LAYOUTS), "hands": list(HANDS)}
+_QUANTITIES = {"attitude": "°", "rate": "°/s"}
+_COLUMNS = {
+    "attitude_rmse_deg.combined": "attitude",
+    "rate_rmse_deg_s.combined": "rate",
+    "so3.mean_discs": "used",
+    "so3.detection.centre_rms_px": "centre",
+}
+_OF_FILMS = ("diameter_px", "whole", "in_view", "contradictions", "recognised", "mistaken", "used")
+_HEADS = {  # of columns beside the errors, with digits
+    "diameter_px": ("diameter, px", 1),
+    "whole": ("wholly in view, %", 0),
+    "in_view": ("discs in view, least", 1),
+    "contradictions": ("contradictions, worst view", 1),
+    "recognised": ("recognised, %", 1),
+    "mistaken": ("mistaken, %", 1),
+    "used": ("discs used", 1),
+    "centre": ("centre RMS, px", 3),
+}
+_LOOKS: dict[str, dict[str, Any]] = {who: {"color": f"C{k}", "marker": "sDo"[k]} for k, who in enumerate(TRACKERS)}
 
 
-def _lost(row: Result | None) -> bool:
-    return row is None or is_lost(brief(row))
+def page(results: Results) -> Page:
+    """Sizes, places, hands: each with its errors, a figure and what to do."""
+    means = _means(_runs(results))
+    every = pd.MultiIndex.from_tuples([(kind, name) for kind, names in _CASES.items() for name in names])
+    wide = means.pivot(index=["kind", "name"], columns="filter").reindex(every)
+    size, layout, hand = (means[means["kind"] == kind] for kind in _CASES)
+    sizes, layouts, hands = (wide.loc[kind] for kind in _CASES)
+    values = {
+        "discs": DISCS,
+        "noise": NOISE,
+        "films": means["films"].max(),
+        "far_off": FAR_OFF,
+        "followed": FOLLOWED,
+        "min_area": MIN_AREA,
+        "nearly": NEARLY,
+        "missing": MISSING,
+        "sure": np.degrees(SURE),
+        "recognised": _RECOGNISED,
+        "settle": SETTLE,
+        "sizes": sizes,
+        "layouts": layouts,
+        "hands": hands,
+        "lost": {kind: wide.loc[kind]["lost"][list(TRACKERS)] for kind in _CASES},
+        "times": hands["attitude"]["so3"] / hands["attitude"]["so3"]["none"],
+        "tables": {
+            "size": _table(size, "radius, mm", ["diameter_px", "whole", "used", "centre"]),
+            "layout": _table(layout, "places", ["in_view", "contradictions", "recognised", "mistaken", "used"]),
+            "hands": _table(hand, "hands", ["whole", "used"]),
+        },
+        "unfound": ", ".join(f"{key} ({r['unfound']})" for key, r in results.items() if "unfound" in r),
+    }
+    figures = ((_figure_sizes, size), (_figure_layouts, layout), (_figure_hands, hand))
+    return Page(values, tuple(figure(means) for figure, means in figures if not means.empty))
 
 
-def _cases(results: Results, kind: str, names: Any, x: Callable[[str, list[Result]], float]) -> list[Case]:
-    found = []
-    for name in names:
-        start = f"{kind}-{name}-".replace(" ", "_")
-        films = [r for k, r in results.items() if k.startswith(start) and "error" not in r]
-        if films:
-            found.append(Case(str(name), x(str(name), films), films))
-    return found
+def _runs(results: Results) -> pd.DataFrame:
+    """A row per film and filter; the bound is one of these."""
+    records: list[dict[str, Any]] = []
+    for key, result in results.items():
+        kind, name, _ = key.split("-")
+        film = {**result, "kind": kind, "name": name.replace("_", " "), "so3": result["rows"].get("so3")}
+        rows, bound = film.pop("rows"), film.pop("bound") or {}
+        limit = {"attitude_rmse_deg": bound.get("attitude_deg"), "rate_rmse_deg_s": bound.get("rate_deg_s")}
+        records += [{**film, "filter": who, **rows.get(who, {})} for who in TRACKERS]
+        records.append({**film, "filter": "bound", **limit})
+    runs = tidy(records).rename(columns=_COLUMNS)
+    more = ["attitude", "rate", "tracked", "lost_episodes", "centre", *_OF_FILMS]
+    runs = runs.reindex(columns=runs.columns.union(more))
+    followed = (runs["lost_episodes"] == 0) & (runs["tracked"] >= FOLLOWED * runs["frames"])
+    order = {name: k for k, name in enumerate(name for names in _CASES.values() for name in names)}
+    return runs.assign(
+        lost=(runs["filter"] != "bound") & ~(followed & (runs["attitude"] <= FAR_OFF)),
+        whole=100.0 * runs["in_view_share"],
+        recognised=100.0 * runs["recognised"],
+        mistaken=100.0 * runs["mistaken"],
+    ).sort_values("name", key=lambda names: names.map(order), kind="stable")
 
 
-def section(request: Request, results: Results) -> Section:
-    """Sizes, layouts, hands: each with a figure, a table and what to do."""
-    sizes = _cases(results, "size", SIZES, lambda name, _: float(name))
-    layouts = _cases(results, "layout", LAYOUTS, lambda name, _: float(list(LAYOUTS).index(name)))
-    hands = _cases(
-        results, "hands", HANDS, lambda _, films: 100.0 * float(np.mean([f["in_view_share"] for f in films]))
+def _means(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row per case and filter, over the films: medians of errors, with their span, and means of the rest."""
+    medians = {name: (name, "median") for name in (*_QUANTITIES, "centre")}
+    spans = {f"{name} {end}": (name, end) for name in _QUANTITIES for end in ("min", "max")}
+    means = {name: (name, "mean") for name in _OF_FILMS}
+    return by(
+        runs, ["kind", "name", "filter"], films=("lost", "size"), lost=("lost", "sum"), **medians, **spans, **means
     )
-    seeds = max((len(c.films) for c in (*sizes, *layouts, *hands)), default=0)
-    parts: list[str | Table | Figure] = [
-        f"{DISCS} discs before the far camera (640x480), noise of {NOISE:g} grey values, the camera's pose found from "
-        f"each film; medians over up to {seeds} films with other places of the discs. A film counts as lost where the "
-        f"tracker lost the ball, the attitude was off by more than {FAR_OFF:g}° (RMS), or less than "
-        f"{100.0 * FOLLOWED:.0f} % of the frames were tracked. *Wholly in view* are, of the discs on the side towards "
-        "the camera, those that nothing cuts. "
-        "The bound is that of what `so3` measured."
-    ]
-    broken = {kind: _broken(results, kind, names) for kind, names in _KINDS.items()}
-    if sizes:
-        parts += ["### Size", _said_of_sizes(sizes), _figure_sizes(sizes)]
-        parts.append(_table("radius, mm", sizes, _size_columns(), broken["size"]))
-    if layouts:
-        parts += ["### Places", _said_of_layouts(layouts), _figure_layouts(layouts)]
-        parts.append(_table("places", layouts, _layout_columns(), broken["layout"], _layout_name))
-    if hands:
-        parts += ["### Hands on the ball", _said_of_hands(hands)]
-        if len(hands) > 1:
-            parts.append(_figure_hands(hands))
-        parts.append(_table("hands", hands, _hand_columns(), broken["hands"]))
-    unfound = [f"- {k}: {r['unfound']}" for k, r in results.items() if "unfound" in r]
-    failed = failures(results) + unfound
-    if failed:
-        parts.append("Failed:\n\n" + "\n".join(failed))
-    return Section(tuple(p for p in parts if p), dict(results))
 
 
-_KINDS: dict[str, tuple[Any, ...]] = {"size": SIZES, "layout": tuple(LAYOUTS), "hands": tuple(HANDS)}
-Column = tuple[str, Callable[[Case], str]]
-
-
-def _broken(results: Results, kind: str, names: tuple[Any, ...]) -> dict[str, int]:
-    """How many films of each case failed."""
-    starts = {str(name): f"{kind}-{name}-".replace(" ", "_") for name in names}
-    return {n: sum(k.startswith(start) and "error" in r for k, r in results.items()) for n, start in starts.items()}
+def _table(means: pd.DataFrame, first: str, about: Sequence[str]) -> str:
+    """A row per filter, the first with what is common; where most films were lost there is no error to compare."""
+    most, bound = 2 * means["lost"] >= means["films"], means["filter"] == "bound"
+    top = means["filter"] == TRACKERS[0]
+    shown = pd.DataFrame({first: means["name"].map(_layout_name)})
+    shown["films"] = means["films"].astype(str)
+    for name in about:
+        head, digits = _HEADS[name]
+        shown[head] = means[name].map(lambda x, digits=digits: fixed(x, digits))
+    shown = shown.where(top, "")
+    shown["filter"] = ("`" + means["filter"] + "`").where(~bound, "bound")
+    for name, digits in (("attitude", 4), ("rate", 3)):
+        errors = means[name].map(lambda x, digits=digits: fixed(x, digits))
+        shown[f"{name}, {_QUANTITIES[name]}"] = errors.where(~most, "lost")
+    shown["lost"] = (means["lost"].astype(str) + " of " + means["films"].astype(str)).where(~bound, "")
+    return markdown(shown)
 
 
 def _layout_name(name: str) -> str:
-    return name if name == LAYOUTS[name] else f"{name}: {LAYOUTS[name]}"
+    about = LAYOUTS.get(name, name)
+    return name if name == about else f"{name}: {about}"
 
 
-def _size_columns() -> list[Column]:
-    return [
-        ("diameter, px", lambda c: f"{c.mean('diameter_px'):.1f}"),
-        ("wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"),
-        ("discs used", _used),
-        (f"centre RMS, px, of discs from {MIN_AREA:g} px² on", lambda c: value({"x": _centre(c)}, "x", digits=3)),
-    ]
-
-
-def _layout_columns() -> list[Column]:
-    return [
-        ("discs in view, least", lambda c: f"{c.mean('in_view'):.1f}"),
-        ("contradictions, worst view", lambda c: f"{c.mean('contradictions'):.1f}"),
-        ("recognised", lambda c: f"{100.0 * c.mean('recognised'):.1f} %"),
-        ("mistaken", lambda c: f"{100.0 * c.mean('mistaken'):.1f} %"),
-        ("discs used", _used),
-    ]
-
-
-def _hand_columns() -> list[Column]:
-    return [("wholly in view", lambda c: f"{100.0 * c.mean('in_view_share'):.0f} %"), ("discs used", _used)]
-
-
-def _used(case: Case) -> str:
-    used = [f["rows"]["so3"]["mean_discs"] for f in case.films if "so3" in f["rows"]]
-    known = [u for u in used if u is not None]
-    return f"{np.mean(known):.1f}" if known else "–"
-
-
-def _centre(case: Case) -> float | None:
-    """px per axis, of the centres that `so3` measured."""
-    found = [(f["rows"]["so3"]["detection"] or {}).get("centre_rms_px") for f in case.films if "so3" in f["rows"]]
-    known = [x for x in found if x is not None]
-    return float(np.median(known)) if known else None
-
-
-def _table(
-    first: str, cases: list[Case], columns: list[Column], broken: dict[str, int], named: Callable[[str], str] = str
-) -> Table:
-    """A row per filter; where most films were lost there is no error to compare."""
-    rows: list[tuple[str, ...]] = []
-    by_name = {case.name: case for case in cases}
-    for name, failed in broken.items():
-        case = by_name.get(name)
-        if case is None:
-            rows += [(named(name), "failed", *["–"] * (len(columns) + 4))] if failed else []
-            continue
-        made = films_cell(len(case.films), failed)
-        for k, who in enumerate(LINES):
-            about = (named(name), made, *(write(case) for _, write in columns))
-            gone = 0 if who == "bound" else case.lost(who)
-            errors = [
-                "lost"
-                if 2 * gone >= len(case.films)
-                else value({"x": case.median(who, quantity, key)}, "x", digits=digits)
-                for quantity, key, _, _, digits in QUANTITIES
-            ]
-            rows.append(
-                (
-                    *(about if k == 0 else [""] * len(about)),
-                    who if who == "bound" else f"`{who}`",
-                    *errors,
-                    "" if who == "bound" else f"{gone} of {len(case.films)}",
-                )
-            )
-    quantities = [f"{word}, {unit}" for _, _, word, unit, _ in QUANTITIES]
-    return Table((first, "films", *(name for name, _ in columns), "", *quantities, "lost"), tuple(rows))
-
-
-def _held(cases: list[Case], who: str = "so3") -> dict[str, float]:
-    """Attitude errors of the cases in which no film was lost."""
-    held = {}
-    for case in cases:
-        off = case.median(who, *QUANTITIES[0][:2])
-        if off is not None and case.lost(who) == 0:
-            held[case.name] = off
-    return held
-
-
-def _said_of_sizes(cases: list[Case]) -> str:
-    held = _held(cases)
-    if not held:
-        return "With no size the ball was held in all films."
-    by_name = {c.name: c for c in cases}
-    best = min(held, key=lambda name: held[name])
-    near = [name for name, off in held.items() if off <= NEARLY * held[best]]
-    smallest = min(held, key=float)
-    said = [
-        f"Of the radii tried `so3` holds the ball in all films with {', '.join(held)} mm ({smallest} mm are "
-        f"{by_name[smallest].mean('diameter_px'):.1f} px across in the middle of the ball); its attitude is best with "
-        f"{best} mm ({held[best]:.4f}°)."
-    ]
-    for who in kit.TRACKERS[:2]:
-        theirs = _held(cases, who)
-        said.append(f"`{who}`: {', '.join(theirs)} mm." if theirs else f"`{who}` loses some film with each.")
-    largest = max(held, key=float)
-    before, after = _centre(by_name[best]), _centre(by_name[largest])
-    if held[largest] > NEARLY * held[best] and before and after:
-        said.append(
-            f"With {largest} mm it is worse again ({held[largest]:.4f}°): the centres that are measured are off by "
-            f"{after:.3f} px in place of {before:.3f} px, and "
-            f"{100.0 * by_name[largest].mean('in_view_share'):.0f} % of the near discs are wholly in view in place of "
-            f"{100.0 * by_name[best].mean('in_view_share'):.0f} %."
-        )
-    advised = min(near, key=float)
-    said.append(
-        f"Advice: a radius of {advised} mm, {by_name[advised].mean('diameter_px'):.1f} px across, is within "
-        f"{100.0 * (NEARLY - 1.0):.0f} % of the best; for another camera or distance, keep the pixels."
-    )
-    return " ".join(said)
-
-
-def _said_of_layouts(cases: list[Case]) -> str:
-    held = _held(cases)
-    lost = [f"{c.name} ({c.lost('so3')} of {len(c.films)})" for c in cases if c.lost("so3")]
-    unsure = [f"{c.name} ({100.0 * c.mean('recognised'):.1f} %)" for c in cases if c.mean("recognised") < _RECOGNISED]
-    said = ["The ball is turned once about the horizontal axis, so that all its sides pass."]
-    if len(held) > 1:
-        best, worst = min(held, key=lambda n: held[n]), max(held, key=lambda n: held[n])
-        said.append(
-            f"Of the layouts with which `so3` never loses it, the attitude is best with *{best}* ({held[best]:.4f}°) "
-            f"and worst with *{worst}* ({held[worst]:.4f}°)."
-        )
-    said.append(f"It is lost with: {', '.join(lost)}." if lost else "`so3` loses it with none.")
-    if unsure:
-        said.append(
-            f"One picture does not tell the attitude every time ({100.0 * MISSING:.0f} % of the discs hidden, "
-            f"directions good to {np.degrees(SURE):g}°) with: {', '.join(unsure)}."
-        )
-    advised = [c.name for c in cases if c.name in held and c.mean("recognised") >= _RECOGNISED]
-    if advised:
-        said.append(
-            f"Advice: of those tried, *{'*, *'.join(advised)}* {'are' if len(advised) > 1 else 'is'} never lost and "
-            f"recognised from one picture ({100.0 * _RECOGNISED:.0f} % of the time or more)."
-        )
-    return " ".join(said)
-
-
-def _said_of_hands(cases: list[Case]) -> str:
-    held = _held(cases)
-    plain = held.get("none")
-    said = []
-    for case in cases:
-        if case.name == "none":
-            continue
-        share = f"{case.name} ({100.0 * case.mean('in_view_share'):.0f} % wholly in view)"
-        if case.name not in held:
-            said.append(f"{share}: lost in {case.lost('so3')} of {len(case.films)} films")
-        elif plain:
-            said.append(f"{share}: {held[case.name] / plain:.1f} times the error without")
-        else:
-            said.append(f"{share}: {held[case.name]:.4f}°")
-    text = (
-        f"Hands come after {SETTLE:g} s and stay, and all is judged from half a second later on. Attitude of `so3`: "
-        f"{'; '.join(said)}."
-        if said
-        else ""
-    )
-    ordered = sorted(cases, key=lambda c: -c.mean("in_view_share"))
-    borne = list(takewhile(lambda c: c.name in held, ordered))
-    if not borne:
-        return text
-    least = borne[-1]
-    tried = "down to there no film is lost" if len(borne) > 1 else "with that no film is lost"
-    return (
-        f"{text} Advice: put camera and controls so that, while somebody plays, "
-        f"{100.0 * least.mean('in_view_share'):.0f} % of the discs on its side or more stay wholly in view "
-        f"({_used(least)} used in a frame): {tried}."
-    )
-
-
-_MARKS = "sDo"  # of the filters
-
-
-def _figure_sizes(cases: list[Case]) -> Figure:
+def _figure_sizes(sizes: pd.DataFrame) -> Drawing:
     def draw(canvas: Any) -> None:
-        for ax in _panels(canvas, cases, "radius of a disc, mm", log=True):
-            ax.set_xticks([c.x for c in cases], [c.name for c in cases])
+        radii = sizes["name"].map(float)
+        for ax in _panels(canvas, sizes.assign(x=radii), "radius of a disc, mm"):
+            ax.set_xscale("log")
+            ax.set_xticks(radii.unique(), sizes["name"].unique())
             ax.minorticks_off()
 
-    return Figure(
-        "discs-size",
-        "Errors against the size of the discs (medians; bars: span over films). Hollow: lost in some of the films. "
-        "Crosses at the top: nothing tracked. Dotted: the Cramér-Rao bound.",
-        draw,
-        (7.2, 3.5),
-    )
+    return Drawing("discs-size", draw, (7.2, 3.5))
 
 
-def _figure_layouts(cases: list[Case]) -> Figure:
+def _figure_hands(hands: pd.DataFrame) -> Drawing:
     def draw(canvas: Any) -> None:
-        axes = canvas.subplots(1, 2, sharey=True)
-        for ax, (quantity, key, word, unit, _) in zip(axes, QUANTITIES, strict=True):
-            for row, case in enumerate(reversed(cases)):
-                for k, who in enumerate(kit.TRACKERS):
-                    y, x = row + 0.18 * (1 - k), case.median(who, quantity, key)
-                    if x is not None:
-                        face = {"markerfacecolor": "none"} if case.lost(who) else {}
-                        ax.plot([x], [y], color=f"C{k}", marker=_MARKS[k], linestyle="", markersize=5, **face)
-                least = case.median("bound", quantity, key)
-                if least is not None:
-                    ax.plot([least, least], [row - 0.35, row + 0.35], color="0.5", **BOUND)
-            ax.set(xscale="log", xlabel=f"{word} RMSE, {unit}", ylim=(-0.6, len(cases) - 0.4))
-            decades(ax.xaxis, (1.0,))
-            ax.grid(visible=False, axis="y")
-        axes[0].set_yticks(range(len(cases)), [c.name for c in reversed(cases)])
-        canvas.legend(handles=_handles(), loc="outside upper center", ncols=4)
-
-    return Figure(
-        "discs-layout",
-        "Errors by the places of the discs while the ball is turned once (medians). Hollow: lost in some of the films. "
-        "Dotted: the Cramér-Rao bound, which knows how steady this turn is.",
-        draw,
-        (7.2, 3.4),
-    )
-
-
-def _figure_hands(cases: list[Case]) -> Figure:
-    def draw(canvas: Any) -> None:
-        for ax in _panels(canvas, cases, "discs wholly in view, %", log=False):
+        for ax in _panels(canvas, hands.assign(x=hands["whole"]), "discs wholly in view, %"):
             ax.invert_xaxis()
 
-    return Figure(
-        "discs-hands",
-        "Errors while hands are on the ball, from none (left) to two very large ones (medians; bars: span over films). "
-        "Hollow: lost in some of the films. Dotted: the Cramér-Rao bound.",
-        draw,
-        (7.2, 3.5),
-    )
+    return Drawing("discs-hands", draw, (7.2, 3.5))
 
 
-def _panels(canvas: Any, cases: list[Case], label: str, log: bool) -> Any:
-    """Attitude and rate over x, a line per filter, and the bound."""
+def _panels(canvas: Any, means: pd.DataFrame, label: str) -> Any:
+    """Attitude and rate over `x`, a line per filter, and the bound."""
     axes = canvas.subplots(1, 2)
-    for ax, (quantity, key, word, unit, _) in zip(axes, QUANTITIES, strict=True):
-        for k, who in enumerate(LINES):
-            known = [(c, c.values(who, quantity, key)) for c in cases]
-            known = [(c, v) for c, v in known if v]
-            x, y = [c.x for c, _ in known], [float(np.median(v)) for _, v in known]
-            if who == "bound":
-                ax.plot(x, y, color="0.5", **BOUND)
-                continue
-            ax.plot(x, y, color=f"C{k}", linestyle="-")
-            for (case, values), middle in zip(known, y, strict=True):
-                ax.plot([case.x] * 2, [min(values), max(values)], color=f"C{k}", linestyle="-", linewidth=0.8)
-                face = {"markerfacecolor": "none"} if case.lost(who) else {}
-                ax.plot([case.x], [middle], color=f"C{k}", marker=_MARKS[k], linestyle="", **face)
-            nothing = [c.x for c in cases if not c.values(who, quantity, key)]
+    for ax, (quantity, unit) in zip(axes, _QUANTITIES.items(), strict=True):
+        for k, (who, look) in enumerate(_LOOKS.items()):
+            line = means[means["filter"] == who]
+            known, nothing = line.dropna(subset=[quantity]), line[line[quantity].isna()]
+            ax.plot(known["x"], known[quantity], color=look["color"], linestyle="-")
+            ends = known[f"{quantity} min"], known[f"{quantity} max"]
+            ax.vlines(known["x"], *ends, color=look["color"], linewidth=0.8)
+            _points(ax, known, known["x"], known[quantity], look)
             high = [0.98 - 0.05 * k] * len(nothing)
-            ax.plot(nothing, high, color=f"C{k}", marker="x", linestyle="", transform=ax.get_xaxis_transform())
-        ax.set(xscale="log" if log else "linear", yscale="log", xlabel=label, ylabel=f"{word} RMSE, {unit}")
+            how = {"marker": "x", "linestyle": "", "transform": ax.get_xaxis_transform()}
+            ax.plot(nothing["x"], high, color=look["color"], **how)
+        bound = means[means["filter"] == "bound"]
+        ax.plot(bound["x"], bound[quantity], color="0.5", **BOUND)
+        ax.set(yscale="log", xlabel=label, ylabel=f"{quantity} RMSE, {unit}")
         decades(ax.yaxis)
-    canvas.legend(handles=_handles(), loc="outside upper center", ncols=4)
+    _legend(canvas)
     return axes
 
 
-def _handles() -> list[Any]:
+def _figure_layouts(layouts: pd.DataFrame) -> Drawing:
+    names = layouts["name"].unique()[::-1].tolist()
+
+    def draw(canvas: Any) -> None:
+        axes = canvas.subplots(1, 2, sharey=True)
+        for ax, (quantity, unit) in zip(axes, _QUANTITIES.items(), strict=True):
+            for k, (who, look) in enumerate(_LOOKS.items()):
+                found = layouts[layouts["filter"] == who]
+                _points(ax, found, found[quantity], found["name"].map(names.index) + 0.18 * (1 - k), look)
+            bound = layouts[layouts["filter"] == "bound"]
+            row = bound["name"].map(names.index)
+            ax.vlines(bound[quantity], row - 0.35, row + 0.35, color="0.5", **BOUND)
+            ax.set(xscale="log", xlabel=f"{quantity} RMSE, {unit}", ylim=(-0.6, len(names) - 0.4))
+            decades(ax.xaxis, (1.0,))
+            ax.grid(visible=False, axis="y")
+        axes[0].set_yticks(range(len(names)), names)
+        _legend(canvas)
+
+    return Drawing("discs-layout", draw, (7.2, 3.4))
+
+
+def _points(ax: Any, means: pd.DataFrame, x: "pd.Series[float]", y: "pd.Series[float]", look: dict[str, Any]) -> None:
+    """Points of a filter, hollow where some of the films are lost."""
+    for lost, inside in ((False, {}), (True, {"markerfacecolor": "none"})):
+        some = (means["lost"] > 0) == lost
+        ax.plot(x[some], y[some], linestyle="", **look, **inside)
+
+
+def _legend(canvas: Any) -> None:
     from matplotlib.lines import Line2D
 
-    lines = [
-        Line2D([], [], color=f"C{k}", linestyle="-", marker=_MARKS[k], label=who) for k, who in enumerate(kit.TRACKERS)
-    ]
-    return [*lines, Line2D([], [], color="0.5", label="Cramér-Rao bound", **BOUND)]
+    lines = [Line2D([], [], linestyle="-", label=who, **look) for who, look in _LOOKS.items()]
+    bound = Line2D([], [], color="0.5", label="Cramér-Rao bound", **BOUND)
+    canvas.legend(handles=[*lines, bound], loc="outside upper center", ncols=4)
