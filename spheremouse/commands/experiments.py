@@ -17,7 +17,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.run import work_all
-from spheremouse.experiments.report.page import Said, of_section, said, write_report
+from spheremouse.experiments.report.page import Said, of_section, said, without, write_report
 
 _FIGURES = re.compile(r"^```\{figure\}.*?^```$\n", re.MULTILINE | re.DOTALL)
 
@@ -64,7 +64,8 @@ def experiments(
     sections, numbers = dict[str, Said](), dict[str, Any]()
     for name, report in reports.items():
         if hasattr(report, "page"):
-            sections[name], numbers[name] = said(name, report.page, results[name]), results[name]
+            sections[name] = said(name, report.page, results[name])
+            numbers[name] = without(results[name], getattr(report, "LARGE", ()))
         else:
             worded = report.section(request, results[name])
             sections[name], numbers[name] = of_section(modules[name].TITLE, worded), worded.figures

@@ -12,8 +12,6 @@ from spheremouse.experiments.kit.film import TRACKERS, bound_rms, film_of, optio
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.simulate.ball.film import prepare
 
-TITLE = "Number of discs (Wittich 2017, table 20)"
-
 COUNTS = (6, 10, 16, 26, 36, 50, 74, 100)
 LAYOUTS = (0, 1, 2)
 _KNOWN = 1.0  # rad/s, standard deviation of a rate of which something is known

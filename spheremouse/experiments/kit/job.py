@@ -1,8 +1,7 @@
-"""What an experiment is: jobs that give plain data, and a section of the report made from that.
+"""What an experiment is: jobs that give plain data, of which a page is made (`report/`).
 
-A module of this package is an experiment: it has a `TITLE`, `jobs(request)` and `section(request, results)`. A job
-names a function of that module, which runs in a process of its own with the job's parameters and returns what JSON can
-hold.
+A module of this package is an experiment: it has `jobs(request)`. A job names a function of that module, which runs in
+a process of its own with the job's parameters and returns what JSON can hold.
 """
 
 import json

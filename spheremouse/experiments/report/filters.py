@@ -16,6 +16,7 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball import profile
 from spheremouse.simulate.ball.film import SimulationOptions
 
+LARGE = ("series",)  # what the figures are drawn from
 _FILMS = {"r1": "R1-like", "s1": "S1, ours", "far26": "far26"}
 _PACES = {"r1": r1.PACE, **{f"pace-{pace:g}": pace for pace in PACES}}
 _FILTERS = ("ekf1", "ekf2", f"ekf1{PUBLISHED}", f"ekf2{PUBLISHED}", "so3")

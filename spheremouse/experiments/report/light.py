@@ -13,6 +13,7 @@ from spheremouse.experiments.report.frames import markdown, rms, tidy
 from spheremouse.experiments.report.page import Page
 from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing
 
+LARGE = ("shown",)  # what the figures are drawn from
 _FILMS = {"s1": "S1, ours", "far26": "far26"}
 _QUANTITIES = {"rate_rmse_deg_s.combined": "rate", "detection.centre_rms_60_px": "centres", "frames": "frames"}
 _THESIS = pd.DataFrame(

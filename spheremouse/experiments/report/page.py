@@ -95,6 +95,13 @@ def write_report(out: Path, sections: Mapping[str, Said], numbers: Mapping[str, 
     return [page, json, *written]
 
 
+def without(tree: Any, keys: Sequence[str]) -> Any:
+    """Plain data without what stands under some keys, at any depth: what experiments.json has no room for."""
+    if isinstance(tree, dict):
+        return {key: without(value, keys) for key, value in tree.items() if key not in keys}
+    return [without(value, keys) for value in tree] if isinstance(tree, list) else tree
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table of Markdown."""
     lines = [head, ("---",) * len(head), *rows]

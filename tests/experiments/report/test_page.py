@@ -4,7 +4,7 @@ import pytest
 from jinja2 import DictLoader, UndefinedError
 
 from spheremouse.experiments.report import page as module
-from spheremouse.experiments.report.page import Page, Said, fixed, said, table, value, write_report
+from spheremouse.experiments.report.page import Page, Said, fixed, said, table, value, without, write_report
 
 SECTION = {"x": Said("## Title\n\nwords\n")}
 
@@ -69,3 +69,9 @@ def test_a_value_says_what_is_missing():
     assert value({"error": "as if"}, "a") == "failed"
     assert value({"a": None}, "a", "b") == "–"
     assert [fixed(x, 1) for x in (0.25, float("nan"), None)] == ["0.2", "–", "–"]
+
+
+def test_what_figures_alone_need_stays_out_of_the_numbers():
+    tree = {"a": {"series": [1], "x": 1.0}, "b": [{"series": 2, "y": {"z": 3}}]}
+    assert without(tree, ("series",)) == {"a": {"x": 1.0}, "b": [{"y": {"z": 3}}]}
+    assert without(tree, ()) == tree
