@@ -27,8 +27,6 @@ from spheremouse.simulate.ball.film import HandVisit, Renderer, RenderOptions, S
 from spheremouse.simulate.ball.hands import draw_hand, place_hand
 from spheremouse.simulate.shapes import Sphere, look
 
-TITLE = "Points on the ball: covariances over the visible cap, visible area"
-
 VIEWS: tuple[View, ...] = ("far", "near")
 _DISCS = 74  # as many as the thesis' fullest ball: more places at once
 _NOISE = 3.0  # grey values
@@ -346,6 +344,3 @@ def _behind_hands(sphere: Array, scene: Scene, hands: int) -> float:
 def visible_cap(distance: float, radius: float) -> float:
     """Area of a sphere that is seen from `distance` to its centre, m²."""
     return 2.0 * np.pi * radius**2 * (1.0 - radius / distance)
-
-
-# ---- figures ----

@@ -1,4 +1,4 @@
-"""Points on the ball: covariances along it, areas, sections of good, failed and missing results."""
+"""Points on the ball: covariances along it, areas, pages of good, failed and missing results."""
 
 import json
 from dataclasses import replace
@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments import surface
-from spheremouse.experiments.kit.job import Request, Table
-from spheremouse.experiments.report import surface as surface_module
-from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.kit.job import Request
+from spheremouse.experiments.report.page import said
+from spheremouse.experiments.report.plot import save
+from spheremouse.experiments.report.surface import page
 from spheremouse.simulate.ball.scene import default_scene
 
 QUICK = Request(True, None)
@@ -108,39 +109,60 @@ def test_fed_with_the_thesis_covariances_table_13_comes_out(results):
     assert 0.7 < np.sqrt(np.mean(sigma**2)) < 1.3
 
 
-def test_a_section_says_what_was_measured(results, tmp_path):
-    section = surface_module.section(QUICK, results)
-    page = write_report(tmp_path, {"surface": (surface.TITLE, section)}, "x")[0].read_text()
-    assert f"| far | {results['cap-far']['sights']} |" in page
-    assert "| near | failed |" in page  # its job is missing
-    assert "2.74" in page
-    for name in ("map", "scatter", "area"):
-        assert (tmp_path / "experiments" / f"surface-{name}-dark.svg").stat().st_size > 5000
+def rows(text, title):
+    """The cells of the table under a title."""
+    lines = text.partition(title)[2].strip().partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def doubted(results, sentence):
+    text = said("surface", page, results).text
+    assert sentence in text
+    return f"**Not borne out by this run:** {sentence}" in text
+
+
+def test_films_and_areas_make_a_page_and_what_is_missing_is_a_dash(results):
+    text = said("surface", page, results).text
+    cap = results["cap-far"]
+    chi = [f"{cap[name]:.2f}" for name in ("chi_square_image", "chi_square_total")]
+    assert rows(text, "1 is honest**") == [["far", str(cap["sights"]), *chi], ["near", "–", "–", "–"]]
+    table = rows(text, "**Table 13. Points on the ball**")
+    point = cap["table 13"]["as the thesis"][1]
+    assert table[3][:4] == ["2", "-322, 316, 371", "thesis", "-0.50"]
+    assert table[4][3:] == [*(f"{x:.2f}" for x in point["correlation"]), *(f"{x:.1f}" for x in point["sigma"])]
+    without = said("surface", page, {"area": results["area"], "cap-far": {"error": "the ball is gone"}}).text
+    assert rows(without, "**Table 13. Points on the ball**")[4][3:] == ["–"] * 6
+    assert "- cap-far: the ball is gone" in without
 
 
 def test_what_the_image_makes_of_the_variance_is_counted(results):
-    bins = [{"angle": a, "total sigma": [t, 1.0], "image sigma": [i, 1.0]} for a, t, i in ((9, 2.0, 1.0), (69, 10, 9))]
-    cap = {"bins": bins, "chi_square_image": 0.3}
-    text = surface_module._about_scatter({"far": cap})
-    assert "2.00 mm at 9° from the middle, the image alone 1.00 mm: 25 % of the variance" in text
-    assert "9.00 mm: 81 % of the variance" in text
-    assert "claimed larger than it is (chi-square / 2: 0.30 (far)" in text
-    assert "claimed smaller" in surface_module._about_scatter({"far": {**cap, "chi_square_image": 1.4}})
+    near = [{"angle": a, "total sigma": [t, 1.0], "image sigma": [i, 1.0]} for a, t, i in ((9, 2.0, 1.0), (69, 10, 9))]
+    bins = [{**b, "total error": [1.0, 1.0], "image error": [1.0, 1.0]} for b in near]
+    given = {**results, "cap-near": {**results["cap-far"], "bins": bins, "chi_square_image": 0.3}}
+    table = rows(said("surface", page, given).text, "the image alone in it**")
+    assert table[2:] == [["near", "9", "2.00", "1.00", "25"], ["", "69", "10.00", "9.00", "81"]]
+    assert not doubted(given, "The image's share is claimed larger")
+    given["cap-near"]["chi_square_image"] = 1.4
+    assert doubted(given, "The image's share is claimed larger")
 
 
-def test_frames_are_compared_with_the_thesis_where_they_can_be():
-    assert "ours hides more from the near one" in surface_module._of_thesis_frame(1.35, 1.74)
-    assert surface_module._of_thesis_frame(1.35, 1.3) == "The thesis has 20 % more discs before its far camera."
+def test_shares_that_frame_and_hands_hide_are_of_what_was_left(results):
+    seen = {"distance": 2.35, "alone": 2.0, "behind frame": 1.5, "one hand": 1.2, "two hands": 0.75}
+    views = {"far": seen, "near": {**seen, "distance": 1.35, "alone": 1.6, "behind frame": 0.8}}
+    given = {"area": {**results["area"], "views": views}}
+    table = rows(said("surface", page, given).text, "fig. 39)**")
+    discs = f"{50 * 1.5 / (4 * np.pi * 0.36):.1f}"
+    assert table[0] == ["far", "2.35", "2.74", "1.68", "2.00", "25", "20", "50", discs]
+    assert not doubted(given, "The thesis has 20 % more discs")
+    views["near"]["behind frame"] = 1.4
+    assert doubted(given, "The thesis has 20 % more discs")
 
 
-def test_a_section_without_results_has_rows_that_say_so():
-    failed = {j.key: {"error": "the ball is gone"} for j in surface.jobs(QUICK)}
-    for given in ({}, failed):
-        section = surface_module.section(QUICK, given)
-        tables = [p for p in section.parts if isinstance(p, Table)]
-        assert len(tables) == 3
-        assert all("failed" in str(t.rows) for t in tables)
-        assert ("the ball is gone" in str(section.parts)) == bool(given)
+def test_any_part_of_a_run_is_a_page(results, tmp_path):
+    for key, figures in (("cap-far", 2), ("area", 1)):
+        found = said("surface", page, {key: results[key]})
+        assert len(found.drawings) == figures
+        assert all(path.stat().st_size > 5000 for drawing in found.drawings for path in save(drawing, tmp_path))
 
 
 def test_jobs_have_keys_of_their_own():

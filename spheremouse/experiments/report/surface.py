@@ -1,13 +1,15 @@
-"""What the experiments on points on the ball are said to show: tables, figures and sentences."""
+"""Numbers and figures of the page on points on the ball."""
 
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
-from spheremouse.experiments.report.page import failures
-from spheremouse.experiments.report.plot import THESIS, plain_numbers
+from spheremouse.experiments.kit.job import Result, Results
+from spheremouse.experiments.report.frames import markdown, tidy
+from spheremouse.experiments.report.page import Page
+from spheremouse.experiments.report.plot import THESIS, Drawing, plain_numbers
 from spheremouse.experiments.surface import (
     FIGURE_39,
     LEVELS,
@@ -19,193 +21,155 @@ from spheremouse.experiments.surface import (
     VIEWS,
     visible_cap,
 )
+from spheremouse.geometry.rotation import Array
 
 _DISCS_23 = {"near": 7.4, "far": 8.9}  # Wittich 2017, table 23
+_STRONG = 0.6  # a correlation whose sign is compared
 _CIRCLES = (20, 40)  # deg, on the map
+_BY = {
+    "thesis": "thesis",
+    "as the thesis": "with the thesis' pose and ball",
+    "ours": "with our calibration",
+    "uncorrelated": "",
+}
 
 
-def section(request: Request, results: Results) -> Section:
-    """Table 13, the maps, the scatter, and the area."""
-    caps = {view: results[f"cap-{view}"] for view in VIEWS if "bins" in results.get(f"cap-{view}", {})}
-    numbers: dict[str, Any] = {
-        view: {k: c[k] for k in ("sights", "bins", "chi_square_image", "chi_square_total")} for view, c in caps.items()
+def page(results: Results) -> Page:
+    """Table 13, the scatter of points beside what is claimed of it, and the area that is seen."""
+    caps = {view: results[f"cap-{view}"] for view in VIEWS if f"cap-{view}" in results}
+    points, bins, views = _points(caps.get("far", {})), _bins(caps), _views(results.get("area"))
+    theirs, fed = (points[points["by"] == name][["XY", "XZ", "YZ"]].to_numpy() for name in ("thesis", "as the thesis"))
+    strong = np.abs(theirs) > _STRONG
+    columns = {
+        "sights": "discs seen",
+        "chi_square_image": "image alone: chi-square / 2",
+        "chi_square_total": "with pose and ball: chi-square / 2",
     }
-    parts: list[str | Table | Figure] = [_table_13(caps.get("far", {}).get("table 13"), numbers)]
-    parts += [_about_13(caps), _scatter_table(caps)]
+    chi = pd.DataFrame({view: {name: caps[view][name] for name in columns} for view in caps}).T
+    chi = chi.reindex(index=list(VIEWS), columns=list(columns)).astype(float)
+    far, near = views.loc["far"], views.loc["near"]
+    values = {
+        "table_13": _table_13(points),
+        "sigma_b": SIGMA_B,
+        "sigma": {name: _rms(points[points["by"] == name][["X", "Y", "Z"]].to_numpy()) for name in _BY},
+        "same_sign": np.sum(np.sign(fed[strong]) == np.sign(theirs[strong])) if "far" in caps else np.nan,
+        "strong": int(np.sum(strong)),
+        "chi_table": markdown(
+            chi.rename(columns=columns).reset_index(names="camera"), dict(zip(columns.values(), (0, 2, 2), strict=True))
+        ),
+        "chi": chi["chi_square_image"].to_dict(),
+        "ends": _ends(bins),
+        "floor": kit.settings_of().discs.sigma,
+        "area_table": _area_table(views),
+        "most": visible_cap(FIGURE_39["far"][0], RADIUS),
+        "radius": RADIUS,
+        "counted_off": _counted_off(results.get("area")),
+        "more": {
+            "bare": far["alone"] / near["alone"] - 1.0,
+            "framed": far["behind frame"] / near["behind frame"] - 1.0,
+            "thesis": _DISCS_23["far"] / _DISCS_23["near"] - 1.0,
+        },
+        "hides": views["frame hides"].to_dict(),
+    }
+    drawings: list[Drawing] = []
     if caps:
-        parts += [
-            _about_scatter(caps),
-            Figure(
-                "surface-map",
-                "Standard deviation of a disc's place along the ball's surface (mm), all over what the camera sees, in "
-                "the direction in which it is known worst and in the one in which it is known best. Camera pose and "
-                "ball as calibrated, centres as certain as discs there were. Circles are angles from the point that "
-                "faces the camera; outside the dashed one no wholly visible disc was found.",
-                lambda figure: _draw_maps(figure, caps),
-                (7.2, 6.6),
-            ),
-            Figure(
-                "surface-scatter",
-                "Claimed standard deviation (lines) and true error (dots, RMS) of a disc's place along the worst and "
-                "the best direction, against the angle from the point of the ball that faces the camera. Filled: with "
-                "errors of camera pose, ball and image; hollow, dotted: of the image alone.",
-                lambda figure: _draw_scatter(figure, caps),
-                (7.2, 3.6),
-            ),
-        ]
-    area = results.get("area", {"error": "missing"})
-    parts += _area_parts(area, numbers)
-    failed = failures(results)
-    if failed:
-        parts.append("What failed:\n\n" + "\n".join(failed))
-    return Section(tuple(p for p in parts if p), numbers)
+        drawings.append(Drawing("surface-map", lambda canvas: _draw_maps(canvas, caps), (7.2, 6.6)))
+        drawings.append(Drawing("surface-scatter", lambda canvas: _draw_scatter(canvas, bins), (7.2, 3.6)))
+    if "area" in results:
+        drawings.append(Drawing("surface-area", lambda canvas: _draw_area(canvas, results["area"]), (7.2, 3.4)))
+    return Page(values, tuple(drawings))
 
 
-def _table_13(five: Result | None, numbers: dict[str, Any]) -> Table:
-    head = ("", "X, Y, Z, mm", "ρ XY", "ρ XZ", "ρ YZ", "σ X, mm", "σ Y, mm", "σ Z, mm")
-    rows = []
-    for i, (place, correlation, sigma) in enumerate(TABLE_13):
-        where = ", ".join(f"{x:.0f}" for x in place)
-        rows.append((f"{i + 1}, thesis", where, *(f"{x:.2f}" for x in correlation), *(f"{x:.1f}" for x in sigma)))
-        for name, title in (("as the thesis", "with the thesis' pose and ball"), ("ours", "with our calibration")):
-            cells = ["failed"] * 6
-            if five is not None:
-                p = five[name][i]
-                cells = [*(f"{x:.2f}" for x in p["correlation"]), *(f"{x:.1f}" for x in p["sigma"])]
-            rows.append((title, "", *cells))
-    numbers["table 13"] = five
-    return Table(head, tuple(rows), "Table 13. Points on the ball")
-
-
-def _about_13(caps: dict[str, Result]) -> str:
-    five = caps.get("far", {}).get("table 13")
-    if not five:
-        return ""
-    theirs = _rms([s for _, _, s in TABLE_13])
-    fed, ours, apart = (_rms([p["sigma"] for p in five[name]]) for name in ("as the thesis", "ours", "uncorrelated"))
-    a, b = (
-        np.array(x).ravel() for x in ([p["correlation"] for p in five["as the thesis"]], [c for _, c, _ in TABLE_13])
-    )
-    strong = np.abs(b) > 0.6
-    same = int(np.count_nonzero(np.sign(a[strong]) == np.sign(b[strong])))
-    return (
-        f"Fed with the thesis' covariances of pose and ball (tables 11 and 12) and its {SIGMA_B:g} px, our "
-        f"propagation gives {fed:.1f} mm RMS where the thesis has {theirs:.1f} mm, and {same} of its "
-        f"{int(np.count_nonzero(strong))} correlations above 0.6 with their sign; where the real camera stood "
-        f"is not published, ours is that of S2. With our own calibration it is {ours:.1f} mm: pose and ball are known "
-        "better, and their errors are correlated and cancel in part, which is carried along; without that correlation "
-        f"it would be {apart:.1f} mm."
-    )
-
-
-def _rms(values: Any) -> float:
+def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _scatter_table(caps: dict[str, Result]) -> Table:
-    head = ("camera", "discs seen", "image alone: chi-square / 2", "with pose and ball: chi-square / 2")
-    rows = []
-    for view in VIEWS:
-        c = caps.get(view)
-        if c is None:
-            rows.append((view, "failed", "", ""))
-        else:
-            rows.append((view, str(c["sights"]), f"{c['chi_square_image']:.2f}", f"{c['chi_square_total']:.2f}"))
-    return Table(head, tuple(rows), "True errors squared over claimed variances; 1 is honest")
+def _points(far: Result) -> pd.DataFrame:
+    """The places of table 13, each by the thesis and by what the points are made with."""
+    found = far.get("table 13", {})
+    records: list[dict[str, Any]] = []
+    for i, (place, correlation, sigma) in enumerate(TABLE_13):
+        described = {
+            name: found[name][i] if found else {"correlation": [np.nan] * 3, "sigma": [np.nan] * 3}
+            for name in _BY
+            if name != "thesis"
+        }
+        for name, point in {"thesis": {"correlation": correlation, "sigma": sigma}, **described}.items():
+            values = zip(("XY", "XZ", "YZ", "X", "Y", "Z"), (*point["correlation"], *point["sigma"]), strict=True)
+            records.append({"point": i + 1, "by": name, "place": place, **dict(values)})
+    return tidy(records)
 
 
-def _about_scatter(caps: dict[str, Result]) -> str:
-    said = []
-    for view, c in caps.items():
-        ends = []
-        for b in (c["bins"][0], c["bins"][-1]):
-            whole, image = b["total sigma"][0], b["image sigma"][0]
-            ends.append(
-                f"{whole:.2f} mm at {b['angle']:.0f}° from the middle, the image alone {image:.2f} mm: "
-                f"{100.0 * (image / whole) ** 2:.0f} % of the variance"
-            )
-        said.append(f"{view}: {'; '.join(ends)}")
-    return (
-        "Along the worst direction a single sight is certain to\n\n"
-        + "\n".join(f"- {line}" for line in said)
-        + "\n\nThe rest is camera pose and ball, which are off alike in every frame. "
-        + _of_claims(caps)
+def _table_13(points: pd.DataFrame) -> str:
+    shown = points[points["by"] != "uncorrelated"]
+    columns = {f"ρ {a}": shown[a] for a in ("XY", "XZ", "YZ")} | {f"σ {a}, mm": shown[a] for a in "XYZ"}
+    places = [", ".join(f"{x:.0f}" for x in place) for place in shown["place"]]
+    made = pd.DataFrame({"point": shown["point"], "X, Y, Z, mm": places, "": shown["by"].map(_BY), **columns})
+    return markdown(made, {"point": 0, **{name: 2 if "ρ" in name else 1 for name in columns}}, ["point", "X, Y, Z, mm"])
+
+
+def _bins(caps: dict[str, Result]) -> pd.DataFrame:
+    """RMS errors and standard deviations by the angle from the middle: of all errors and of the image alone, mm."""
+    records: list[dict[str, Any]] = []
+    for view, cap in caps.items():
+        for b in cap["bins"]:
+            for k, direction in enumerate(("worst", "best")):
+                found = {what: b[what][k] for what in ("total sigma", "total error", "image sigma", "image error")}
+                records.append({"view": view, "angle": b["angle"], "direction": direction, **found})
+    return tidy(records)
+
+
+def _ends(bins: pd.DataFrame) -> str:
+    """In the middle of the ball and at the limb."""
+    if bins.empty:
+        return ""
+    worst = bins[bins["direction"] == "worst"].groupby("view", sort=False)
+    ends = pd.concat([worst.head(1), worst.tail(1)]).sort_index()
+    columns = {
+        "camera": ends["view"],
+        "from the middle, °": ends["angle"],
+        "all errors, mm": ends["total sigma"],
+        "image alone, mm": ends["image sigma"],
+        "its share of the variance, %": 100.0 * (ends["image sigma"] / ends["total sigma"]) ** 2,
+    }
+    return markdown(pd.DataFrame(columns), {"all errors, mm": 2, "image alone, mm": 2}, ["camera"])
+
+
+def _views(area: Result | None) -> pd.DataFrame:
+    """What each camera sees of the ball, m², and which share of it frame and hands hide."""
+    columns = ["distance", "alone", "behind frame", "one hand", "two hands"]
+    found = (
+        pd.DataFrame.from_dict(area["views"] if area else {}, "index")
+        .reindex(list(VIEWS), columns=columns)
+        .astype(float)
     )
+    hidden = {f"{hands} hides": 1.0 - found[hands] / found["behind frame"] for hands in ("one hand", "two hands")}
+    return found.assign(**{"frame hides": 1.0 - found["behind frame"] / found["alone"]}, **hidden)
 
 
-def _of_claims(caps: dict[str, Result]) -> str:
-    """Whether the image's share is claimed larger or smaller than it is, from chi-square."""
-    chi = {view: c["chi_square_image"] for view, c in caps.items()}
-    told = ", ".join(f"{x:.2f} ({view})" for view, x in chi.items())
-    if max(chi.values()) < 1.0:
-        return (
-            f"The image's share is claimed larger than it is (chi-square / 2: {told}; hollow dots below dotted lines): "
-            "renders have neither print nor lens, for which a floor of "
-            f"{kit.settings_of().discs.sigma:g} px stands in the detector."
-        )
-    return f"Chi-square / 2 of the image's share is {told}: above 1 it is claimed smaller than it is."
+def _area_table(views: pd.DataFrame) -> str:
+    columns = {
+        "camera": list(VIEWS),
+        "distance, m": views["distance"],
+        "thesis, m²": [FIGURE_39[view][1] for view in VIEWS],
+        "formula, m²": [visible_cap(d, RADIUS) for d in views["distance"]],
+        "counted, m²": views["alone"],
+        "frame hides, %": 100.0 * views["frame hides"],
+        "one hand hides more, %": 100.0 * views["one hand hides"],
+        "two hands, %": 100.0 * views["two hands hides"],
+        "of 50 discs in view": 50.0 * views["behind frame"] / (4.0 * np.pi * RADIUS**2),
+    }
+    digits = {name: 2 if "m" in name.split(", ")[-1] else 1 if "discs" in name else 0 for name in columns}
+    return markdown(pd.DataFrame(columns), digits)
 
 
-def _area_parts(area: Result, numbers: dict[str, Any]) -> list[str | Table | Figure]:
-    head = (
-        "camera", "distance, m", "thesis, m²", "formula, m²", "counted, m²", "frame hides", "one hand hides more",
-        "two hands", "of 50 discs in view",
-    )  # fmt: skip
-    title = "Visible area of the ball (Wittich 2017, fig. 39)"
-    if "views" not in area:
-        return [Table(head, tuple((v, *["failed"] * 8) for v in VIEWS), title)]
-    numbers["area"] = area
-    rows, left = [], {}
-    for view, a in area["views"].items():
-        left[view] = a["behind frame"]
-        of_frame = a["behind frame"]
-        rows.append(
-            (
-                view,
-                f"{a['distance']:.2f}",
-                f"{FIGURE_39[view][1]:.2f}",
-                f"{visible_cap(a['distance'], RADIUS):.2f}",
-                f"{a['alone']:.2f}",
-                f"{100 * (1 - of_frame / a['alone']):.0f} %",
-                f"{100 * (1 - a['one hand'] / of_frame):.0f} %",
-                f"{100 * (1 - a['two hands'] / of_frame):.0f} %",
-                f"{50 * of_frame / (4.0 * np.pi * RADIUS**2):.1f}",
-            )
-        )
-    v = area["views"]
-    hides = {view: 100 * (1 - a["behind frame"] / a["alone"]) for view, a in v.items()}
-    bare, kept = v["far"]["alone"] / v["near"]["alone"], left["far"] / left["near"]
-    pairs = [*zip(area["distance"], area["alone"], strict=True), *((a["distance"], a["alone"]) for a in v.values())]
-    off = max(abs(counted / visible_cap(d, RADIUS) - 1.0) for d, counted in pairs if d > RADIUS)
-    text = (
-        "The thesis' areas are too large: from 2.35 m no more than "
-        f"{visible_cap(2.35, RADIUS):.2f} m² of a ball of {RADIUS:g} m radius can be seen. Counting which of many "
-        f"points the renderer's rays meet first differs from the formula by at most {100 * off:.1f} %. The far camera "
-        f"sees {_more(bare)} of the bare ball than the near one and, in the frame of the reference recordings, "
-        f"{_more(kept)} of what the frame leaves: it hides {hides['near']:.0f} % before the near camera and "
-        f"{hides['far']:.0f} % before the far one. {_of_thesis_frame(bare, kept)}"
-    )
-    figure = Figure(
-        "surface-area",
-        "Visible area of the ball against the camera's distance from its centre: formula, points counted with the "
-        "renderer's rays, what the frame leaves of it, and the thesis' values, which no sphere of this size can have.",
-        lambda canvas: _draw_area(canvas, area),
-        (7.2, 3.4),
-    )
-    return [Table(head, tuple(rows), title), text, figure]
-
-
-def _more(ratio: float) -> str:
-    return f"{100 * abs(ratio - 1.0):.0f} % {'more' if ratio >= 1.0 else 'less'}"
-
-
-def _of_thesis_frame(bare: float, kept: float) -> str:
-    """What the thesis' frame hid, from its numbers of discs in table 23."""
-    discs = _DISCS_23["far"] / _DISCS_23["near"]
-    told = f"The thesis has {_more(discs).replace('less', 'fewer')} discs before its far camera"
-    if discs < bare < kept:
-        return f"{told}: its frame hid more from the far camera, ours hides more from the near one."
-    return f"{told}."
+def _counted_off(area: Result | None) -> float:
+    """The most by which areas that were counted differ from the formula, over it."""
+    if area is None:
+        return np.nan
+    views = area["views"].values()
+    pairs = [*zip(area["distance"], area["alone"], strict=True), *((a["distance"], a["alone"]) for a in views)]
+    return max(abs(counted / visible_cap(d, RADIUS) - 1.0) for d, counted in pairs if d > RADIUS)
 
 
 def _draw_maps(figure: Any, caps: dict[str, Result]) -> None:
@@ -235,33 +199,21 @@ def _draw_maps(figure: Any, caps: dict[str, Result]) -> None:
     figure.colorbar(filled, ax=axes, label="standard deviation, mm", shrink=0.6, ticks=LEVELS, format="{x:g}")
 
 
-def _draw_scatter(figure: Any, caps: dict[str, Result]) -> None:
-    from matplotlib.lines import Line2D
-
-    axes = figure.subplots(1, len(caps), sharey=True, squeeze=False)[0]
-    for ax, (view, c) in zip(axes, caps.items(), strict=True):
-        angle = [b["angle"] for b in c["bins"]]
-        for k, colour in ((0, "C1"), (1, "C0")):
-            for name, line, face in (("total", "-", colour), ("image", ":", "none")):
-                ax.plot(angle, [b[f"{name} sigma"][k] for b in c["bins"]], color=colour, linestyle=line)
-                ax.plot(
-                    angle,
-                    [b[f"{name} error"][k] for b in c["bins"]],
-                    color=colour,
-                    linestyle="",
-                    marker="o",
-                    markerfacecolor=face,
-                )
+def _draw_scatter(figure: Any, bins: pd.DataFrame) -> None:
+    axes = figure.subplots(1, bins["view"].nunique(), sharey=True, squeeze=False)[0]
+    for ax, (view, here) in zip(axes, bins.groupby("view", sort=False), strict=True):
+        for name, label, line, face in (("total", "all errors", "-", None), ("image", "image alone", ":", "none")):
+            for direction, colour in (("worst", "C1"), ("best", "C0")):
+                curve = here[here["direction"] == direction]
+                look = {"color": colour, "markerfacecolor": face or colour}
+                ax.plot(curve["angle"], curve[f"{name} sigma"], color=colour, linestyle=line)
+                ax.plot(curve["angle"], curve[f"{name} error"], marker="o", linestyle="", **look)
+                ax.plot([], [], marker="o", linestyle=line, label=f"{direction} direction, {label}", **look)
         ax.set(title=f"{view} camera", xlabel="angle from the middle, °", yscale="log")
         plain_numbers(ax.yaxis)
     axes[0].set_ylabel("along the surface, mm")
-    handles = [
-        Line2D([], [], color="C1", marker="o", label="worst direction, all errors"),
-        Line2D([], [], color="C0", marker="o", label="best direction, all errors"),
-        Line2D([], [], color="C1", linestyle=":", marker="o", markerfacecolor="none", label="worst, image alone"),
-        Line2D([], [], color="C0", linestyle=":", marker="o", markerfacecolor="none", label="best, image alone"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=2.6)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, handlelength=2.6)
 
 
 def _draw_area(figure: Any, area: Result) -> None:
