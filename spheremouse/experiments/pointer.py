@@ -24,8 +24,6 @@ from spheremouse.simulate.ball.film import Renderer, RenderOptions
 from spheremouse.simulate.ball.profile import Gestures, Profile, play, stroke
 from spheremouse.tracker import Frame, Motion
 
-TITLE = "The pointer between frames: delay, distance, smoothness, overshoot"
-
 NONE, ZERO, ONE, DEFAULT, NEXT = "without", "horizon 0", "one frame", "default", "to the next frame"
 WAYS = (NONE, ZERO, ONE, DEFAULT, NEXT)
 EXACT = "default, exact attitude"

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from spheremouse.experiments import pointer
-from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.pointer import (
     DEFAULT,
     EXACT,
     MORE,
+    NEXT,
     NONE,
     STOPPED,
     WAYS,
@@ -18,8 +19,9 @@ from spheremouse.experiments.pointer import (
     latency,
     settings,
 )
-from spheremouse.experiments.report.page import write_report
-from spheremouse.experiments.report.pointer import section
+from spheremouse.experiments.report.page import said
+from spheremouse.experiments.report.plot import save
+from spheremouse.experiments.report.pointer import page
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.pointer import PointerSettings
 from spheremouse.simulate.ball.profile import Gestures, play, stroke
@@ -127,7 +129,7 @@ def test_so3_plays_nearly_as_well_as_exact_attitudes():
     assert found["more"]["smooth 0"]["rough"] > found["more"]["default"]["rough"]
 
 
-# ---- sections ----
+# ---- the page ----
 
 
 def play_of(off):
@@ -137,79 +139,70 @@ def play_of(off):
     return {**found, "true rough": 0.03, "whole rough": 0.66, "apart": 0.0, "tracked": 1.0}
 
 
-def stop_of(beyond):
-    t = np.arange(0.0, 1.3, 0.004)
-    found = {way: {f"{d:g}": [beyond, 3.0 * beyond] for d in STOPPED} | {"path": t.tolist()} for way in WAYS}
-    found[NONE] = {f"{d:g}": [0.0, 0.3 * beyond] for d in STOPPED} | {"path": t.tolist()}
-    return {**found, "t": t.tolist(), "true": t.tolist(), "end": 0.7}
+def stop_of(beyond, bare=0.0):
+    t = np.arange(0.0, 1.3, 0.004).tolist()
+    found = {way: {f"{d:g}": [beyond, 3.0 * beyond] for d in STOPPED} | {"path": t} for way in WAYS}
+    found[NONE] = {f"{d:g}": [0.0, bare] for d in STOPPED} | {"path": t}
+    found[NEXT] = {f"{d:g}": [4.0 * beyond] for d in STOPPED} | {"path": t}
+    return {**found, "t": t, "true": t, "end": 0.7}
 
 
-def given():
-    return {
-        "play-30-0": {**play_of(8.0), "more": dict.fromkeys(MORE, play_of(8.0)[DEFAULT])},
-        "play-30-1": play_of(12.0),
-        "play-120-0": play_of(3.0),
-        "film-30-0": play_of(9.0),
-        "stop-30": stop_of(200.0),
-        "stop-120": stop_of(20.0),
-        "play-240-0": {"error": "too little memory"},
-    }
+GIVEN = {
+    "play-15-0": play_of(20.0),
+    "play-30-0": {**play_of(8.0), "more": dict.fromkeys(MORE, play_of(8.0)[DEFAULT])},
+    "play-30-1": play_of(12.0),
+    **{f"play-{fps}-0": play_of(3.0) for fps in (60, 120, 240)},
+    "film-30-0": play_of(9.0),
+    "stop-15": stop_of(100.0, bare=60.0),
+    "stop-30": stop_of(200.0),
+    **{f"stop-{fps}": stop_of(20.0) for fps in (60, 120, 240)},
+}
 
 
-def test_a_section_has_figures_tables_advice_and_what_failed(tmp_path):
-    found = section(WHOLE, given())
-    page = write_report(tmp_path, {"pointer": (pointer.TITLE, found)}, "x")[0].read_text()
-    names = [part.name for part in found.parts if isinstance(part, Figure)]
-    assert names == ["pointer", "pointer-stop"]
-    assert all((tmp_path / "experiments" / f"{n}-light.svg").stat().st_size > 5000 for n in names)
-    first, more, stops = (part for part in found.parts if isinstance(part, Table))
-    assert first.rows[0] == ("30", "2", NONE, "74", "100.0", "9.00")
-    assert first.rows[2] == ("", "", DEFAULT, "2", "10.0", "0.90")
-    assert first.rows[-1][:2] == ("240", "failed")
-    assert len(more.rows) == len(MORE)
-    assert stops.rows[0] == ("30", NONE, "30 (60)", "30 (60)")
-    assert stops.rows[1] == ("", pointer.ONE, "400 (600)", "400 (600)")
-    assert "leaves the default pointer 400 counts too far at 30 Hz: 40 cm of the ball" in page
-    assert "play-240-0: too little memory" in page
-    assert "takes the delay from 74 to 2 ms and the roughness to 1/10" in page
-    assert "within 5 counts of the ball (RMS) at 120 Hz" in page
-    assert "reaches to the next frame from 30 Hz on" in page
-    assert "default: 9.0 counts from the ball and roughness 0.90 (without pictures 8.0 and 0.90)" in page
-    assert "did not hold" not in page
-    assert "by up to 60 counts at 30 Hz. There" in page
-    assert "path" not in str(found.figures["stop-30"])
+def test_medians_films_and_stops_are_on_the_page(tmp_path):
+    found = said("pointer", page, {**GIVEN, "play-240-1": {"error": "too little memory"}})
+    assert found.doubts == 0
+    for line in (
+        f"| 30 | {NONE} | 74 | 100.0 | 9.00 |",
+        f"|  | {DEFAULT} | 2 | 10.0 | 0.90 |",
+        "|  | smooth 0 | 2 | 8.0 | 0.90 |",
+        f"| {DEFAULT} | 9.0 | 8.0 | 0.90 | 0.90 |",  # filmed, and the same motion without pictures
+        f"| 15 | {NONE} | 30 (60) | 30 (60) |",
+        f"|  | {pointer.ONE} | 200 (300) | 200 (300) |",
+    ):
+        assert line + "\n" in found.text
+    for words in (
+        "takes the delay from 74 to 2 ms and the roughness to 1/10",
+        "leaves the default pointer 400 counts too far at 30 Hz: 40 cm of the ball",
+        "by up to 60 counts at 15 Hz. There",
+        "goes farther beyond a stop: 400 in place of 200 counts at 15 Hz",
+        "- play-240-1: too little memory",
+    ):
+        assert words in found.text
+    assert [drawing.name for drawing in found.drawings] == ["pointer", "pointer-stop"]
+    assert all(save(drawing, tmp_path)[0].stat().st_size > 5000 for drawing in found.drawings)
 
 
-def test_a_section_of_nothing_is_still_a_page():
-    assert section(WHOLE, {}).parts
-    failed = {job.key: {"error": "too dark"} for job in jobs(WHOLE)}
-    text = "\n".join(p for p in section(WHOLE, failed).parts if isinstance(p, str))
-    assert text.count("too dark") == len(failed)
+@pytest.mark.parametrize(
+    ("key", "result", "claim"),
+    [
+        ("play-15-0", {**play_of(20.0), "apart": 1.0}, "A horizon of 0"),
+        ("play-15-0", {**play_of(20.0), "tracked": 0.9}, "In every motion discs held"),
+        ("play-60-0", play_of(6.0), "With the default the pointer stays"),
+        ("stop-60", stop_of(20.0, bare=40.0), "Without resampling the pointer goes too far"),
+        ("stop-240", stop_of(200.0), "Who aims takes a faster camera"),
+        ("stop-15", stop_of(0.0, bare=60.0), "Its price"),
+    ],
+)
+def test_what_a_run_contradicts_is_marked(key, result, claim):
+    assert "**Not borne out by this run:** " + claim in said("pointer", page, {**GIVEN, key: result}).text
 
 
-def test_a_longer_horizon_has_its_price():
-    slow = stop_of(100.0)
-    slow[pointer.NEXT] = {f"{d:g}": [300.0, 300.0] for d in STOPPED} | {"path": slow["t"]}
-    given_ = {"play-15-0": play_of(9.0), "play-30-0": play_of(8.0), "stop-15": slow, "stop-30": {"error": "too dark"}}
-    found = section(WHOLE, given_)
-    assert "(its price, where a ball is stopped within 50 ms: 300 in place of 200 counts too far at 15 Hz)" in str(
-        found.parts
-    )
-    assert ("30", "failed", "–", "–") in found.parts[4].rows
-    assert "its price" not in str(section(WHOLE, {"play-30-0": play_of(8.0), "stop-30": stop_of(20.0)}).parts)
-
-
-def test_a_tracker_that_did_not_follow_is_said():
-    found = section(WHOLE, {"play-30-0": {**play_of(8.0), "tracked": 0.9}})
-    assert "part of the frames of play-30-0 (10 %)" in str(found.parts)
-
-
-def test_a_delay_that_is_not_found_is_said():
-    one = play_of(8.0)
-    one[DEFAULT] = {**one[DEFAULT], "delay": None}
-    found = section(WHOLE, {"play-30-0": one})
-    (table,) = [part for part in found.parts if isinstance(part, Table)]
-    assert ("", "", DEFAULT, "none found", "8.0", "0.90") in table.rows
+def test_what_is_not_known_is_a_dash_or_a_shorter_table():
+    one = {**play_of(8.0), DEFAULT: {"off": 8.0, "rough": 0.9, "delay": None}}
+    assert f"|  | {DEFAULT} | – | 8.0 | 0.90 |" in said("pointer", page, {"play-30-0": one}).text
+    for key, result in GIVEN.items():
+        assert said("pointer", page, {key: result}).text.startswith("## The pointer")
 
 
 def test_jobs_have_keys_of_their_own():

@@ -49,20 +49,11 @@ def spread(groups: Any) -> pd.DataFrame:
     return groups.agg(["median", "min", "max"])
 
 
-def banded(ax: Any, x: Sequence[float], found: pd.DataFrame, look: tuple[str, str, Any], alpha: float = 0.15) -> None:
+def banded(ax: Any, x: Any, found: pd.DataFrame, look: tuple[str, str, Any], alpha: float = 0.15) -> None:
     """A line through the medians of a `spread` at x, and a band from the least to the most."""
     colour, mark, dash = look
     ax.plot(x, found["median"], color=colour, marker=mark, linestyle=dash)
     ax.fill_between(x, found["min"], found["max"], color=colour, alpha=alpha, lw=0)
-
-
-def those(values: Sequence[float], tried: Sequence[float]) -> str:
-    """Frame rates, of those that were tried."""
-    if not values:
-        return "at no frame rate"
-    if len(values) == len(tried) > 1:
-        return f"at all, {min(values):g} to {max(values):g} Hz"
-    return f"at {', '.join(f'{v:g}' for v in values)} Hz"
 
 
 def plain(axis: Any) -> None:
