@@ -11,7 +11,7 @@ from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
 from spheremouse.experiments import renderer
 from spheremouse.experiments.kit.job import Request, Table
 from spheremouse.experiments.report import renderer as renderer_module
-from spheremouse.experiments.report.page import write_report
+from spheremouse.experiments.report.page import of_section, write_report
 from spheremouse.simulate.ball.scene import default_scene
 
 FINE = 9  # parts of a pixel's side in painted ellipses
@@ -101,7 +101,7 @@ def test_a_disc_without_a_detection_is_nan():
 @pytest.mark.parametrize(("offset", "word"), [(0.03, "It is reached."), (0.2, "It is missed")])
 def test_a_section_says_whether_what_is_asked_is_reached(offset, word, tmp_path):
     section = renderer_module.section(Request(True, tmp_path), results_of(offset))
-    page = write_report(tmp_path, {"renderer": (renderer.TITLE, section)}, "x")[0].read_text()
+    page = write_report(tmp_path, {"renderer": of_section(renderer.TITLE, section)}, {}, "x")[0].read_text()
     assert word in page
     assert f"differ by {offset:.3f} px RMS" in page
     assert section.figures["blur_px"]["Blender"] == pytest.approx(0.4, rel=0.02)

@@ -37,6 +37,7 @@ _LOOK: dict[str, tuple[str, str, Any]] = {
     NEXT: ("C2", "D", "-"),
     DEFAULT: ("C0", "o", "-"),
 }
+LARGE = ("path", "true", "t")  # what the figures are drawn from
 _METRICS = {"delay": "delay, ms", "off": "distance (RMS), counts", "rough": "roughness, counts"}
 _DIGITS = {"delay, ms": 0, "distance (RMS), counts": 1, "roughness, counts": 2}
 _PLAYS = ["fps", "seed", "pointer", *_METRICS]

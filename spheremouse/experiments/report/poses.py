@@ -16,6 +16,7 @@ from spheremouse.experiments.report.page import Page, fixed, table
 from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing
 from spheremouse.geometry.rotation import Array
 
+LARGE = ("correlation", "entries")  # of the poses, for which the page has the figures
 _HEAD = ("", *(f"{name}, mm" for name in NAMES[:3]), *(f"{name}, °" for name in NAMES[3:]))
 _DIGITS = (3, 3, 3, 4, 4, 4)
 _ERROR, _SIGMA = ([f"{what}.{name}" for name in NAMES] for what in ("error", "sigma"))
