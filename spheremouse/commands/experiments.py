@@ -17,7 +17,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.run import work_all
-from spheremouse.experiments.report.page import Said, of_section, said, without, write_report
+from spheremouse.experiments.report.page import Said, numbers_of, of_section, said, write_report
 
 _FIGURES = re.compile(r"^```\{figure\}.*?^```$\n", re.MULTILINE | re.DOTALL)
 
@@ -65,7 +65,7 @@ def experiments(
     for name, report in reports.items():
         if hasattr(report, "page"):
             sections[name] = said(name, report.page, results[name])
-            numbers[name] = without(results[name], getattr(report, "LARGE", ()))
+            numbers[name] = numbers_of(report, results[name])
         else:
             worded = report.section(request, results[name])
             sections[name], numbers[name] = of_section(modules[name].TITLE, worded), worded.figures

@@ -5,7 +5,6 @@ from pathlib import Path
 from spheremouse.experiments import wand_films as wand
 from spheremouse.experiments.kit.job import Job, Request, Result
 
-TITLE = "The hand-held ball (Grzonka 2005, chapter 4)"
 SPEEDS = "speeds"
 
 
@@ -45,6 +44,3 @@ def recorded(path: str, quick: bool, variant: int) -> Result:
 def speeds(frames: int) -> Result:
     """Frames per second, over so many frames."""
     return wand.measure_speeds(frames)
-
-
-# ---- figures ----

@@ -14,7 +14,8 @@ from spheremouse.commands.evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
 from spheremouse.experiments import wand_films as wand_experiments
-from spheremouse.experiments.wand_films import Film, Job, Variant, films, jobs, rows, verdicts
+from spheremouse.experiments.report.wand_rows import Row, rows, verdicts
+from spheremouse.experiments.wand_films import Film, Job, Variant, films, jobs
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball
@@ -380,7 +381,7 @@ def test_the_issue_s_cases_are_all_there():
 def test_results_put_together_are_the_metrics_of_the_runs(monkeypatch):
     monkeypatch.setattr(wand_experiments, "films", lambda quick: (TINY,))
     results = {Job(TINY, seed).key: wand_experiments.work(Job(TINY, seed)) for seed in (1, 2)}
-    row = rows(True, json.loads(json.dumps(results)))[0]
+    row = rows(json.loads(json.dumps(results)))[0]
     runs, truths = wand_experiments.restored([results[k]["variants"]["20, known start"][0] for k in results])
     assert row.figures == errors(runs, truths)
     assert (row.runs, row.lost) == (2, sum(results[k]["variants"]["20, known start"][0]["lost"] for k in results))
@@ -390,7 +391,7 @@ def test_verdicts_hold_figures_against_what_is_asked():
     def row(variant, lost, runs, p95=(5.0, 5.0, 50.0), turned=1.0, found=20):
         figures = {"position_p95_mm": dict(zip("xyz", p95, strict=True)), "rotation_p95_deg": turned}
         film = replace(TINY, name="drive")
-        return wand_experiments.Row(film, variant, runs, lost, found, 1.0, figures)
+        return Row(film, variant, runs, lost, found, 1.0, figures)
 
     good = [row("350, known start", 0, 20), row("50, known start", 2, 20), row("350, own start", 0, 20, found=19)]
     speeds = {"350 particles, whole frame": {"fps": 61.0}, "5000 particles, region of interest": {"fps": 29.0}}
@@ -409,7 +410,7 @@ def test_verdicts_hold_figures_against_what_is_asked():
 
 def test_distractors_are_judged_by_the_films_that_there_are():
     def row(film, lost, runs):
-        return wand_experiments.Row(replace(TINY, name=film), "350, own start", runs, lost, runs, 1.0, {})
+        return Row(replace(TINY, name=film), "350, own start", runs, lost, runs, 1.0, {})
 
     found = verdicts([row("hand-hand", 0, 6), row("hand-card", 1, 6), row("drive-hand", 0, 1)], {})
     assert [(ours, ok) for _, _, ours, ok in found] == [("1 of 1", None), ("6 of 6", True), ("5 of 6", False)]

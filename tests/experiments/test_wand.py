@@ -8,9 +8,11 @@ from numpy.testing import assert_allclose
 
 from spheremouse.experiments import wand
 from spheremouse.experiments import wand_films as wand_experiments
-from spheremouse.experiments.kit.job import Figure, Request, Table
+from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.report import wand as wand_module
+from spheremouse.experiments.report.page import said
 from spheremouse.experiments.report.plot import save
+from spheremouse.experiments.report.wand_rows import Row
 from spheremouse.experiments.wand_films import Film, Variant
 from spheremouse.simulate.to_dataset import write_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
@@ -42,8 +44,10 @@ def tiny(monkeypatch):
     monkeypatch.setattr(wand_experiments, "films", lambda quick: (FILM,))
 
 
-def figures(section):
-    return [part for part in section.parts if isinstance(part, Figure)]
+def table(text, title):
+    """The cells under a title."""
+    lines = text.partition(title)[2].strip().partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
 def test_errors_along_the_way_are_those_of_the_run(results):
@@ -57,25 +61,25 @@ def test_errors_along_the_way_are_those_of_the_run(results):
 
 
 def test_figures_are_drawn_where_there_is_something_to_draw(results, tmp_path):
-    section = wand_module.section(Request(True, None), results)
-    assert [f.name for f in figures(section)] == ["wand-particles", "wand-drive"]
-    for figure in figures(section):
-        assert all(path.stat().st_size > 3000 for path in save(figure, tmp_path))
-    assert figures(wand_module.section(Request(True, None), {})) == []
+    found = said("wand", wand_module.page, results)
+    assert [drawing.name for drawing in found.drawings] == ["wand-particles", "wand-drive"]
+    for drawing in found.drawings:
+        assert all(path.stat().st_size > 3000 for path in save(drawing, tmp_path))
+    assert said("wand", wand_module.page, {}).drawings == ()
+    assert said("wand", wand_module.page, {"speeds": {}}).drawings == ()
 
 
-def test_a_film_that_failed_is_a_row_that_says_so(results, monkeypatch):
-    found = wand_module.section(Request(True, None), {"drive-01": {"error": "no memory"}})
-    table = next(part for part in found.parts if isinstance(part, Table) and part.title.startswith("Films"))
-    assert table.rows[0][3] == "failed: see below"
-    assert "- drive-01: no memory" in found.parts[-1]
-    assert figures(found) == []
-    lost = replace(FILM, seeds=(1, 2))
-    monkeypatch.setattr(wand_experiments, "films", lambda quick: (lost,))
-    found = wand_module.section(Request(True, None), {**results, "drive-02": {"error": "no memory"}})
-    table = next(part for part in found.parts if isinstance(part, Table) and part.title.startswith("Films"))
-    assert "(1 failed)" in table.rows[0][0]
-    assert [row[0] for row in table.rows[1:]] == ["", ""]  # the same film
+def test_a_film_that_failed_is_told_and_the_others_are_rows(results):
+    found = said("wand", wand_module.page, {**results, "drive-02": {"error": "no memory"}})
+    assert "- drive-02: no memory" in found.text
+    rows = table(found.text, "**Films and trackers**")
+    assert [row[:3] for row in rows] == [
+        ["drive: a short one", "350, known start", "1"],
+        ["", "50, known start", "1"],
+        ["", "350, all as in the thesis", "1"],
+    ]
+    numbers = wand_module.numbers({**results, "drive-02": {"error": "no memory"}})
+    assert [(row["film"], row["runs"]) for row in numbers["rows"]] == [("drive", 1)] * 3
 
 
 def test_a_shared_recording_has_rows_of_its_own(tmp_path):
@@ -86,50 +90,48 @@ def test_a_shared_recording_has_rows_of_its_own(tmp_path):
     (kept,) = result["variants"]["350, known start"]
     assert kept["frames"] == 6
     assert len(kept["index"]) == 6
-    section = wand_module.section(Request(True, tmp_path), {job.key: result})
-    films = next(part for part in section.parts if isinstance(part, Table) and part.title.startswith("Films"))
-    assert films.rows[-1][:4] == ("wand_drive: the shared recording, 0.8 Hz", "350, known start", "1", "0")
-    assert any("shared recording" in row[0] and row[3] == "yes" for row in section.parts[1].rows)
-    assert all("shared recording" not in row[0] for row in wand_module.section(Request(True, None), {}).parts[1].rows)
+    text = said("wand", wand_module.page, {job.key: result}).text
+    (row,) = table(text, "**Films and trackers**")
+    assert row[:4] == ["wand_drive: the shared recording, 0.8 Hz", "350, known start", "1", "0"]
+    asked = table(text, "are not judged.")
+    assert any("shared recording" in row[0] and row[3] == "yes" for row in asked)
 
 
 def row(variant, z, lost=0, runs=20, film="drive", anees=1.0):
     axes = {"x": 1.0, "y": 1.0, "z": z}
     figures = {"position_p95_mm": axes, "position_max_mm": axes, "rotation_p95_deg": 1.0, "rotation_max_deg": 2.0,
                "anees": {"position": anees, "rotation": 1.0}, "within_95": 0.9}  # fmt: skip
-    return wand_experiments.Row(replace(FILM, name=film), variant, runs, lost, runs, 1.0, figures)
+    return Row(replace(FILM, name=film), variant, runs, lost, runs, 1.0, figures)
 
 
-def test_what_makes_the_difference_is_told_from_the_rows():
-    table = [
-        row("350, known start", 20.0),
-        row("350, without the outline", 40.0),
-        row("5000, all as in the thesis", 900),
+ALONE = "350, drawn by the thesis' motion alone"
+
+
+@pytest.mark.parametrize(("alone", "thesis", "doubts"), [(19, 20, 0), (0, 20, 1), (0, 0, 2)])
+def test_what_makes_the_difference_is_told_from_the_rows(monkeypatch, alone, thesis, doubts):
+    made = [row("350, known start", 20.0), row(ALONE, 900.0, alone), row("350, all as in the thesis", 950.0, thesis)]
+    monkeypatch.setattr(wand_module, "rows", lambda results: made)
+    found = said("wand", wand_module.page, {"speeds": {}})
+    assert found.doubts == doubts
+    assert table(found.text, "changes the one above**") == [
+        ["ours", "0 of 20", "2.0"],
+        ["with particles drawn by that motion alone and not towards the peaks", f"{alone} of 20", "90.0"],
+        ["with its product of colour fields for a likelihood as well: all as in the thesis", f"{thesis} of 20", "95.0"],
     ]
-    text = wand_module._differs(table)
-    assert "ours 0 of 20 lost, z 2.0 cm" in text
-    assert "without the outline of the ball 0 of 20 lose the ball, z 4.0 cm." in text
-    assert "0 of 20 are lost, and z is off by 90.0 cm (the thesis, with 350: up to 40 cm)" in text
-    assert "62°" not in text
-    alone = row("350, drawn by the thesis' motion alone", 900.0, lost=19)
-    assert "by up to 62° from one to the next" in wand_module._differs([*table, alone])
-    assert wand_module._differs([]) == ""
 
 
-def test_particles_stand_beside_the_thesis_own():
-    table = [row("50, known start", 21.0), row("50, all as in the thesis", 99.0, lost=20)]
-    found = wand_module._particles(table, {"350 particles, whole frame": {"fps": 50.0}})
-    assert found.rows[0] == ("50", "0.6", "–", "2 of 3", "0 of 20", "20 of 20", "–", "2.1 cm")
-    assert found.rows[1] == ("350", "0.71", "0.020", "none", "–", "–", "40 cm", "–")
-    assert {len(r) for r in found.rows} == {len(found.head)}
+def test_particles_stand_beside_the_thesis_own(monkeypatch):
+    made = [row("50, known start", 21.0), row("50, all as in the thesis", 99.0, lost=20)]
+    monkeypatch.setattr(wand_module, "rows", lambda results: made)
+    speed = {"fps": 50.0, "mean_fps": 40.0, "p90_ms": 25.0}
+    text = said("wand", wand_module.page, {"speeds": {"350 particles, whole frame": speed}}).text
+    found = table(text, "of this one**")
+    assert found[0] == ["50", "0.6", "–", "2 of 3", "0 of 20", "20 of 20", "–", "2.1"]
+    assert found[1] == ["350", "0.71", "0.020", "none", "–", "–", "40 cm", "–"]
+    assert table(text, "**Speed, one core**") == [["350 particles, whole frame", "50", "40", "25.0"]]
 
 
 def test_an_absurd_anees_is_not_spelled_out():
-    assert wand_module._cells(row("50, known start", 21.0, anees=1.43e34))[9] == "> 1000  1"
-    assert wand_module._cells(row("50, known start", 21.0, anees=832.0))[9] == "832  1"
-
-
-def test_words_of_the_tables_are_explained(results):
-    text = wand_module.section(Request(True, None), results).parts[0]
-    for word in ("*lost*", "*Tracked*", "*Found in 5*", "ANEES", "*known start*", "*Without the outline*"):
-        assert word in text
+    name = "ANEES position, rotation"
+    assert wand_module._cells(row("50, known start", 21.0, anees=1.43e34))[name] == "> 1000  1"
+    assert wand_module._cells(row("50, known start", 21.0, anees=832.0))[name] == "832  1"

@@ -24,7 +24,6 @@ from spheremouse.files.bounded import read_text
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _MOST_BYTES = 100_000_000  # of a job's result
 _WAND = "wand/"  # how keys of its jobs begin
-_FOR_A_READER = b"\n# ---- for a reader ----\n"  # what stands below only says and draws what jobs gave
 # Folders that no experiment's figure depends on.
 _SHELL = (
     "capture",
@@ -46,7 +45,7 @@ def program(wand: bool = False) -> str:
     root = Path(spheremouse.__file__).parent
     files = [p for p in sorted(root.rglob("*.py")) if not p.relative_to(root).as_posix().startswith(_SHELL)]
     kept = [p for p in files if wand or "wand" not in str(p.relative_to(root))]
-    return hashlib.sha256(b"".join(p.read_bytes().partition(_FOR_A_READER)[0] for p in kept)).hexdigest()[:16]
+    return hashlib.sha256(b"".join(p.read_bytes() for p in kept)).hexdigest()[:16]
 
 
 def work_all(

@@ -95,6 +95,11 @@ def write_report(out: Path, sections: Mapping[str, Said], numbers: Mapping[str, 
     return [page, json, *written]
 
 
+def numbers_of(report: Any, results: Results) -> Any:
+    """What experiments.json has: what the report says, or results without what figures alone are drawn from."""
+    return report.numbers(results) if hasattr(report, "numbers") else without(results, getattr(report, "LARGE", ()))
+
+
 def without(tree: Any, keys: Sequence[str]) -> Any:
     """Plain data without what stands under some keys, at any depth: what experiments.json has no room for."""
     if isinstance(tree, dict):
