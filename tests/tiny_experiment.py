@@ -4,10 +4,9 @@ import os
 import time
 from pathlib import Path
 
-from spheremouse.experiments.kit.job import Figure, Job, Section, Table
-from spheremouse.experiments.report.page import failures, value
-
-TITLE = "Squares | and more"
+from spheremouse.experiments.kit.job import Job
+from spheremouse.experiments.report.page import Page, fixed, table
+from spheremouse.experiments.report.plot import Drawing
 
 
 def square(n, made):
@@ -39,15 +38,20 @@ def jobs(request):
     ]
 
 
-def section(request, results):
+PAGE = "## Squares | and more\n\nSome words.\n\n{{ table }}\n\n{{ figure('squares', 'What came.') }}\n"
+
+
+def page(results):
     squares = {k: r for k, r in results.items() if k.startswith("square")}
 
     def draw(figure):
         axes = figure.subplots()
-        axes.plot([r["n"] for r in squares.values() if "error" not in r])
+        axes.plot([r["n"] for r in squares.values()])
         axes.set_xlabel("job")
 
-    rows = tuple((k, value(r, "part", "square", digits=0), value(r, "none")) for k, r in squares.items())
-    failed = failures(results)
-    parts = ("Some words.", Table(("job", "square", "none"), rows), Figure("squares", "What came.", draw))
-    return Section((*parts, *failed), {"others": results["alone"].get("others")})
+    rows = [(k, fixed(r["part"]["square"], 0), fixed(r.get("none"))) for k, r in squares.items()]
+    return Page({"table": table(("job", "square", "none"), rows)}, (Drawing("squares", draw),))
+
+
+def numbers(results):
+    return {"others": results["alone"]["others"]}

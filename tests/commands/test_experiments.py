@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import tiny_experiment
 import typer
+from jinja2 import ChoiceLoader, DictLoader
 from typer.testing import CliRunner
 
 from spheremouse.commands import experiments as cli_experiments
@@ -21,6 +22,7 @@ from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit import run as run_module
 from spheremouse.experiments.kit.job import Job, Request
 from spheremouse.experiments.kit.run import work_all
+from spheremouse.experiments.report import page
 
 app = typer.Typer()
 app.command()(cli_experiments.experiments)
@@ -35,6 +37,9 @@ def made(tmp_path, monkeypatch):
     for room in ("experiments", "experiments.report"):
         monkeypatch.setitem(sys.modules, f"spheremouse.{room}.tiny", tiny_experiment)
     monkeypatch.setattr(cli_experiments, "NAMES", ("tiny", "poses"))
+    loader = ChoiceLoader([DictLoader({"tiny.md": tiny_experiment.PAGE}), page._LOADER])
+    monkeypatch.setattr(page, "_LOADER", loader)
+    monkeypatch.setattr(page._TEMPLATES, "loader", loader)
     return folder
 
 
@@ -62,12 +67,12 @@ def test_a_run_that_was_cut_off_goes_on_where_it_stopped(run, made, tmp_path):
     assert code == 0, said
     assert done(made) == [0, 1, 2]
     out = tmp_path / "out"
-    page = (out / "experiments.md").read_text()
-    assert "`spheremouse experiments tiny --quick --out DIR`" in page
-    assert "## Squares | and more" in page
-    assert "| square-2 | 4 | – |" in page
+    text = (out / "experiments.md").read_text()
+    assert "`spheremouse experiments tiny --quick --out DIR`" in text
+    assert "## Squares | and more" in text
+    assert "| square-2 | 4 | – |" in text
     for kind in ("light", "dark"):
-        assert f"experiments/squares-{kind}.svg" in page
+        assert f"experiments/squares-{kind}.svg" in text
         assert (out / "experiments" / f"squares-{kind}.svg").read_text().startswith("<?xml")
     assert json.loads((out / "experiments.json").read_text()) == {"tiny": {"others": 3}}  # it ran when all had ended
     jobs = out / "experiments" / "jobs" / "tiny"
@@ -79,11 +84,11 @@ def test_a_run_that_was_cut_off_goes_on_where_it_stopped(run, made, tmp_path):
     assert len(done(made)) == 8
 
 
-def test_what_fails_is_a_row_and_is_tried_again(run, made, tmp_path):
+def test_what_fails_is_told_and_is_tried_again(run, made, tmp_path):
     code, said = run()
     assert code == 1
     assert "failed: tiny/square-3: ValueError: three is too many" in said
-    assert "| square-3 | failed | failed |" in (tmp_path / "out" / "experiments.md").read_text()
+    assert "Failed:\n\n- square-3: ValueError: three is too many" in (tmp_path / "out" / "experiments.md").read_text()
     run()
     assert done(made) == [0, 1, 2, 3, 3]
 
