@@ -7,6 +7,8 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.errors import SourceError
+from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 
 S = TypeVar("S")
@@ -19,6 +21,16 @@ class Frame:
     image: NDArray[np.uint8]  # (h, w, 3) BGR or (h, w) grey
     stamp: float  # s, mid-exposure of the middle row, on the source's own clock
     sequence: int  # counts every frame the source produced, so that a gap shows
+
+
+def check_size(frame: Frame, camera: InteriorOrientation) -> None:
+    """Raise SourceError where a frame has another size than the camera was calibrated for."""
+    height, width = frame.image.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise SourceError(
+            f"frame {frame.sequence} is {width}x{height}, the camera was calibrated at {camera.width}x{camera.height}: "
+            "set the camera to that mode, or give the calibration of this one (--camera)"
+        )
 
 
 class Motion(NamedTuple):

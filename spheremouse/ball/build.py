@@ -24,10 +24,9 @@ from spheremouse.ball.state import (
     TrackState,
     no_points,
 )
-from spheremouse.errors import PoseError, SourceError
+from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.tracker import Frame
 
 _REMEMBERED = 60  # sightings that a saved disc is worth: it goes when missed some hundred times in a row
 
@@ -92,13 +91,3 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         no_points(tracker),
         watch=None if tracker.classic else watching.begin(tracker.rig, tracker.pose),
     )
-
-
-def check_size(frame: Frame, rig: Rig) -> None:
-    """Raise SourceError when a frame has another size than the camera was calibrated for."""
-    h, w = frame.image.shape[:2]
-    if (w, h) != (rig.camera.width, rig.camera.height):
-        raise SourceError(
-            f"frame {frame.sequence} is {w}x{h}, the camera was calibrated at {rig.camera.width}x{rig.camera.height}: "
-            "set the camera to that mode, or give the calibration of this one (--camera)"
-        )

@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball import classic
-from spheremouse.ball.build import begin, build, check_size
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
@@ -47,7 +47,7 @@ from spheremouse.ball.state import (
 from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
-from spheremouse.tracker import Frame, Motion, Status, Step, no_motion
+from spheremouse.tracker import Frame, Motion, Status, Step, check_size, no_motion
 
 Seek = Callable[[Frame, Tracker], Moved | None]
 
@@ -81,7 +81,7 @@ def step(
     `detected` is called between detection and what follows: whoever measures times needs to know. `seek` looks for the
     camera by the targets' colours, which takes long: whoever has no time does that elsewhere, and uses `with_pose`.
     """
-    check_size(frame, tracker.rig)
+    check_size(frame, tracker.rig.camera)
     tracker = current(state, tracker)
     if state.watch is None:
         return _stages(state, frame, tracker, detected)

@@ -120,9 +120,12 @@ class Stream:
 
 def open_source(spec: str, *, realtime: bool = False) -> Source:
     """The source that `KIND:ARGUMENT` names; `realtime` gives recorded frames no sooner than their stamps say."""
-    module, argument = resolve(sys.modules[__name__], "source", spec, SourceError)
+    package = sys.modules[__name__]
+    module, argument = resolve(package, "source", spec, SourceError)
     made = module.open(argument, realtime)
-    check(made, "source", spec, ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__"), SourceError)
+    check(
+        package, made, "source", spec, ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__"), SourceError
+    )
     return made
 
 

@@ -32,8 +32,12 @@ def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseEr
     raise error(f"unknown {what} {spec!r}; {nearest(kind, known)} ({what}s are {', '.join(known)})")
 
 
-def check(made: Any, what: str, spec: str, members: Iterable[str], error: type[SpheremouseError]) -> None:
+def check(
+    package: ModuleType, made: Any, what: str, spec: str, members: Iterable[str], error: type[SpheremouseError]
+) -> None:
     """Raise `error` where what a plug-in opened lacks some of what a `what` must have."""
+    if spec.partition(":")[0] in package.KINDS:
+        return
     missing = [name for name in members if not hasattr(made, name)]
     if missing:
         raise error(f"{what} {spec.partition(':')[0]}: breaks the contract: has no {', '.join(missing)}; {_REMEDY}")

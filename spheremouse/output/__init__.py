@@ -75,7 +75,8 @@ class Acknowledged(Protocol):
 
 def open_output(spec: str) -> Output:
     """The output that `KIND:ARGUMENT` names; OutputError where there is none, or it lacks what an output must have."""
-    module, argument = resolve(sys.modules[__name__], "output", spec, OutputError)
+    package = sys.modules[__name__]
+    module, argument = resolve(package, "output", spec, OutputError)
     made = module.open(argument)
-    check(made, "output", spec, ("send", "describe", "__enter__", "__exit__"), OutputError)
+    check(package, made, "output", spec, ("send", "describe", "__enter__", "__exit__"), OutputError)
     return made

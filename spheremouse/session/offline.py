@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.build import begin, check_size
+from spheremouse.ball.build import begin
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.pose import Resection, find_pose
@@ -28,7 +28,7 @@ from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.output import Output
 from spheremouse.session.follower import Follower, Tracked
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, check_size
 
 _PATIENCE = 4.0  # s until whoever waits is told why
 
@@ -65,7 +65,7 @@ def initialise(
         if not views:
             raise PoseError(said or "the source gave no frame")
         for view in views:
-            check_size(view, rig)
+            check_size(view, rig.camera)
         try:
             seen = [detect_targets(_colour(view), rig.targets.radii, settings.rings) for view in views]
             resection = find_pose(seen, rig, views[0].image, settings.pose)
@@ -140,7 +140,7 @@ def track(frames: Iterator[Frame], tracker: Tracker, known: DiscMap | None = Non
         times[1] = time.perf_counter()
 
     for frame in frames:
-        check_size(frame, tracker.rig)
+        check_size(frame, tracker.rig.camera)
         state = state or begin(tracker, frame.stamp, known=known)
         times[0] = time.perf_counter()
         state, motion, events = step(state, frame, tracker, detected)

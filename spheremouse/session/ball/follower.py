@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.build import begin, build, check_size
+from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.events import CameraMoved
@@ -34,7 +34,7 @@ from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, Followe
 from spheremouse.session.plan import Plan
 from spheremouse.session.process.threads import Work
 from spheremouse.session.settings import Configuration
-from spheremouse.tracker import Frame, Status, Step
+from spheremouse.tracker import Frame, Status, Step, check_size
 
 
 class BallFollower:
@@ -109,7 +109,7 @@ class BallFollower:
 
     def check(self, frame: Frame) -> None:
         """Raise SourceError where a frame has another size than the camera was calibrated for."""
-        check_size(frame, self.rig)
+        check_size(frame, self.rig.camera)
 
     def follow(self, frame: Frame) -> Tracked | None:
         """Look for the targets until the camera's pose is known, then track."""

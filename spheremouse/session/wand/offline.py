@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from spheremouse.errors import SourceError
 from spheremouse.geometry.rotation import Array
 from spheremouse.session.offline import told_why
-from spheremouse.tracker import Frame
+from spheremouse.tracker import Frame, check_size
 from spheremouse.wand.state import WandEpoch, WandState, WandTracker
 from spheremouse.wand.track import begin, step
 from spheremouse.wand.warm import warm_up
@@ -41,12 +41,7 @@ def track_wand(
 
 def check_wand_frame(frame: Frame, tracker: WandTracker) -> None:
     """SourceError where a frame is of another size than the camera's, or has no colour, which the balls need."""
-    camera, (height, width) = tracker.camera, frame.image.shape[:2]
-    if (width, height) != (camera.width, camera.height):
-        raise SourceError(
-            f"frames are {width}x{height}, but the camera is calibrated for {camera.width}x{camera.height}; "
-            "set the camera to that size, or give another camera file"
-        )
+    check_size(frame, tracker.camera)
     if frame.image.ndim == 2 and (paints := [c for c in tracker.names if c not in _NO_HUE]):
         raise SourceError(
             f"the frames are grey, and the ball has {' and '.join(paints)} discs: use a camera in colour, or a ball "

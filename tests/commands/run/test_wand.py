@@ -284,7 +284,7 @@ def test_a_film_without_the_ball_ends_in_words(spheremouse, camera, tmp_path):
     said = refused(spheremouse(*words, video(tmp_path / "grey.avi", [grey] * 4)))
     assert "(the frames are grey, or dark)" in said
     said = refused(spheremouse(*words, video(tmp_path / "small.avi", [room[:240, :320]] * 4)))
-    assert said.startswith("frames are 320x240, but the camera is calibrated for 480x360; set the camera to that size")
+    assert said.startswith("frame 0 is 320x240, the camera was calibrated at 480x360: set the camera to that mode")
 
 
 def test_a_running_daemon_does_not_become_another_program():
