@@ -23,8 +23,6 @@ from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene
 
-TITLE = "The renderer against Blender"
-
 ASKED = 0.05  # px RMS per axis between the two, for discs that both show whole
 _MATCH = 3.0  # px
 RINGS = (0.0, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0)  # of the ball's radius in the picture

@@ -1,226 +1,140 @@
-"""What the experiments on the renderer are said to show: tables, figures and sentences."""
+"""Numbers and figures of the page on the renderer."""
 
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from spheremouse.experiments.kit.job import Figure, Request, Result, Results, Section, Table
+from spheremouse.experiments.kit.job import Results
 from spheremouse.experiments.renderer import AREAS, ASKED, GREY, LINEAR, REACH, RINGS, STEP
-from spheremouse.experiments.report.page import failures
-from spheremouse.experiments.report.plot import BOUND, THESIS, plain_numbers
-from spheremouse.geometry.rotation import Array
+from spheremouse.experiments.report.frames import markdown
+from spheremouse.experiments.report.page import Page
+from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
 
-_WORST = 3  # discs
+_DISC = ["place", "area", "true u", "true v", "ours u", "ours v", "", "Blender u", "Blender v", "claimed"]
+_LEVELS = ["ours_inside", "Blender_inside", "ours_around", "Blender_around"]
+_COLUMNS = {
+    "number": "number",
+    "difference": "ours - Blender, px",
+    "ours": "ours - truth, px",
+    "Blender": "Blender - truth, px",
+    "half": "median difference per axis, px",
+    "claimed": "claimed by the detector, px",
+}
+_COLOURS = {"difference": ("C0", "o"), "ours": ("C2", "s"), "Blender": ("C1", "D")}
+_FEW = 3  # discs, the worst
 
 
-def section(request: Request, results: Results) -> Section:
+def page(results: Results) -> Page:
     """Centres, edges, levels."""
-    if request.datasets is None:
-        return Section(("The shared Blender recording was not at hand: nothing to compare the renderer with.",), {})
-    good = [r for r in results.values() if "error" not in r]
-    failed = failures(results)
-    said = ["What failed:\n\n" + "\n".join(failed)] if failed else []
-    if not good:
-        return Section(("No frame could be compared.", *said), {})
-    rows = np.array([[np.nan if x is None else x for x in row] for r in good for row in r["rows"]]).reshape(-1, 10)
-    edges = {name: _profile(np.sum([r["edges"][name] for r in good], axis=0)) for name in (*GREY, LINEAR)}
-    blur = {name: blur_of(*edges[name]) for name in edges}
-    middle = {name: middle_of(*edges[name]) for name in edges}
-    geometry = [r["geometry"] for r in good if r["geometry"]]
-    levels = np.array([level for r in good for level in r["levels"]]).reshape(-1, 4)
-    both = rows[np.all(np.isfinite(rows), axis=1)]
-    frames = sum(r["frames"] for r in good)
-    whole = _rms(both[:, 4:6] - both[:, 7:9])
-    numbers: dict[str, Any] = {
-        "frames": frames,
-        "discs": len(both),
-        "difference_px": whole,
-        "blur_px": blur,
-        "edge_px": middle,
-        "geometry": np.max(geometry, axis=0).tolist() if geometry else None,
-        "rings": _by(both, 0, tuple(pairwise(RINGS))),
-        "areas": _by(both, 1, AREAS),
+    done = results.values()
+    discs = pd.DataFrame([disc for r in done for disc in r["rows"]], columns=_DISC, dtype=float)
+    levels = pd.DataFrame([level for r in done for level in r["levels"]], columns=_LEVELS, dtype=float)
+    apart = [r["geometry"] for r in done if r["geometry"]]
+    errors, edges = _errors(discs), _edges(results)
+    least, low, bound = (area for area, _ in AREAS)
+    names = [f"{least:g} to {low:g} px²", f"{low:g} to {bound:g} px²", f"above {bound:g} px²"]
+    by_area, whole = _classes(errors, "area", [least, low, bound, np.inf], names), _classes(errors, "area", [0, np.inf])
+    values = {
+        "frames": sum(r["frames"] for r in done),
+        "seen": len(discs),
+        "found": len(discs.dropna()),
+        "asked": ASKED,
+        "area": {"least": least, "low": low, "bound": bound},
+        **dict(zip(("small", "middling", "large"), by_area.to_dict("records"), strict=True)),
+        "every": whole.loc["all"].to_dict(),
+        "near_limb": _about(errors[errors["area"] < bound]),
+        "few": _FEW,
+        "geometry": pd.DataFrame(apart, columns=["centre", "centroid", "area"]).max().to_dict(),
+        "centres": _table(pd.concat([by_area, whole])),
+        "blur": {name: blur_of(edges[name]) for name in edges},
+        "edge": {name: middle_of(edges[name]) for name in edges},
+        "linear": LINEAR,
+        "box": 1.0 / np.sqrt(12.0),
+        "levels": levels.median().to_dict(),
     }
-    head = (
-        "discs",
-        "number",
-        "ours - Blender, px",
-        "ours - truth, px",
-        "Blender - truth, px",
-        "median difference per axis, px",
-        "claimed by the detector, px",
-    )
-    table = Table(
-        head, tuple(_row(entry) for entry in [*numbers["areas"], _entry("all", both)]), "Centres, RMS per axis"
-    )
-    parts: list[str | Table | Figure] = [
-        f"{frames} frames of far26 were rendered anew from its description and its true attitudes. Over the "
-        f"{len(both)} discs that both pictures show whole and the default detector finds in both ({len(rows)} are "
-        f"shown) its centres differ by {whole:.3f} px RMS per axis; {ASKED:g} px are asked. "
-        f"{_verdict(numbers, both)}",
-        _about_geometry(numbers["geometry"]),
-        table,
-        Figure(
-            "renderer",
-            "Left: differences of the discs' centres (RMS per axis) against their place on the ball's picture. Right: "
-            "how the edge of a disc runs from dark (0) to light (1), by the distance of pixels from the projected "
-            "edge.",
-            lambda figure: _draw(figure, numbers["rings"], edges),
-            (7.2, 3.4),
-        ),
-        _about_edges(blur, middle, levels),
-    ]
-    return Section((*(p for p in parts if p), *said), numbers)
+    by_place = _classes(errors, "place", RINGS, [0.5 * (a + b) for a, b in pairwise(RINGS)])
+    return Page(values, (Drawing("renderer", lambda canvas: _draw(canvas, by_place, edges)),))
 
 
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(x)))) if x.size else float("nan")
+def _errors(discs: pd.DataFrame) -> pd.DataFrame:
+    """Two rows, an axis each, for each disc that is found in both pictures: errors and differences of centres, px."""
+    found = discs.dropna()
+    true, ours, theirs = (found[[f"{who} u", f"{who} v"]].to_numpy().ravel() for who in ("true", *GREY))
+    both = found.loc[np.repeat(found.index, 2), ["place", "area", "claimed"]]
+    return both.assign(difference=ours - theirs, ours=ours - true, Blender=theirs - true)
 
 
-def _entry(name: str, rows: Array) -> Result:
-    true, ours, theirs = rows[:, 2:4], rows[:, 4:6], rows[:, 7:9]
-    numbers = {
-        "between": _rms(ours - theirs),
-        "ours": _rms(ours - true),
-        "Blender": _rms(theirs - true),
-        "half": float(np.median(np.abs(ours - theirs))) if len(rows) else float("nan"),
-        "claimed": _rms(rows[:, 9]),
+def _classes(errors: pd.DataFrame, by: str, bounds: Sequence[float], names: Sequence[Any] = ("all",)) -> pd.DataFrame:
+    """RMS per axis of the discs between bounds, their number, and the median; nan where there are none."""
+    classes = pd.cut(errors[by], list(bounds), right=False, labels=list(names))
+    squares = (errors[["difference", "ours", "Blender", "claimed"]] ** 2).groupby(classes, observed=False)
+    half = errors["difference"].abs().groupby(classes, observed=False).median()
+    return (squares.mean() ** 0.5).assign(number=squares.size() / 2, half=half)
+
+
+def _about(errors: pd.DataFrame) -> dict[Any, float]:
+    """Errors of discs, where they lie, and what share of the squared differences the worst few make."""
+    squares = (errors["difference"] ** 2).groupby(level=0).sum()
+    return {
+        **_classes(errors, "area", [0, np.inf]).loc["all"].to_dict(),
+        "least": errors["place"].min(),
+        "median": errors["place"].median(),
+        "share": (squares / squares.sum()).nlargest(_FEW).sum(min_count=1),
     }
-    return {"name": name, "discs": len(rows), **numbers}
 
 
-def _by(rows: Array, column: int, bounds: Sequence[tuple[float, float]]) -> list[Result]:
-    """Entries of the discs between bounds; empty ones are left out."""
-    found = []
-    for low, high in bounds:
-        here = rows[(rows[:, column] >= low) & (rows[:, column] < high)]
-        if len(here):
-            name = f"{low:g} to {high:g} px²" if np.isfinite(high) else f"above {low:g} px²"
-            found.append({**_entry(name, here), "low": low, "high": min(high, 1e9)})
-    return found
+def _table(classes: pd.DataFrame) -> str:
+    made = classes[list(_COLUMNS)].rename(columns=_COLUMNS).reset_index(names="discs")
+    return markdown(made, dict.fromkeys([name for name in _COLUMNS.values() if name != "number"], 3))
 
 
-def _row(entry: Result) -> tuple[str, ...]:
-    return (
-        entry["name"],
-        str(entry["discs"]),
-        *(f"{entry[k]:.3f}" for k in ("between", "ours", "Blender", "half", "claimed")),
-    )
+def _edges(results: Results) -> pd.DataFrame:
+    """How light pixels are (0 disc, 1 ball) by their distance (px) from an edge; nan where there are none."""
+    sums = {name: np.sum([r["edges"][name] for r in results.values()], axis=0) for name in (*GREY, LINEAR)}
+    lights = {name: light / np.where(pixels > 0, pixels, np.nan) for name, (light, pixels) in sums.items()}
+    return pd.DataFrame(lights, index=(np.arange(round(2 * REACH / STEP)) + 0.5) * STEP - REACH)
 
 
-def _verdict(numbers: dict[str, Any], rows: Array) -> str:
-    """Where it is reached, and where not."""
-    if not numbers["areas"]:
-        return "No disc was found in both."
-    if numbers["difference_px"] <= ASKED:
-        return "It is reached."
-    reached = [a for a in numbers["areas"] if a["between"] <= ASKED]
-    missed = [a for a in numbers["areas"] if a["between"] > ASKED]
-    return (
-        "It is missed for discs of "
-        + ", ".join(f"{a['name']} ({a['between']:.3f} px)" for a in missed)
-        + (", reached for those " + ", ".join(a["name"] for a in reached) if reached else "")
-        + f". {_of_missed(rows, missed)}"
-    )
+def blur_of(edge: "pd.Series[float]") -> float:
+    """Standard deviation (px) of the blur that makes such an edge: of its derivative; nan of too few cells."""
+    edge = edge.dropna().clip(0.0, 1.0)
+    x = edge.index.to_numpy(float)
+    at = 0.5 * (x[1:] + x[:-1])
+    mass = np.where(np.abs(at) < 2.0, np.maximum(np.diff(edge), 0.0), 0.0)
+    if len(x) < 10 or not np.any(mass):
+        return np.nan
+    return float(np.sqrt(np.average((at - np.average(at, weights=mass)) ** 2, weights=mass)))
 
 
-def _of_missed(rows: Array, missed: list[Result]) -> str:
-    """Where the discs of such areas are, how many of them make the difference, and who is off the truth."""
-    chosen = [(rows[:, 1] >= a["low"]) & (rows[:, 1] < a["high"]) for a in missed]
-    here = rows[np.any(chosen, axis=0)]
-    squares = np.sort(np.sum((here[:, 4:6] - here[:, 7:9]) ** 2, axis=1))[::-1]
-    worst = 100.0 * float(squares[:_WORST].sum() / squares.sum())
-    ours, theirs = (_rms(here[:, k : k + 2] - here[:, 2:4]) for k in (4, 7))
-    most = f"the {_WORST} worst of them make {worst:.0f} % of the squared sum; " if len(here) > _WORST else ""
-    return (
-        f"The {len(here)} discs of the missed classes lie at {here[:, 0].min():.2f} of the way from the middle of the "
-        f"ball's picture to its limb and beyond (median {np.median(here[:, 0]):.2f}); {most}Blender's centres are off "
-        f"the truth by {theirs:.3f} px there, ours by {ours:.3f} px."
-    )
-
-
-def _about_geometry(geometry: list[float] | None) -> str:
-    if geometry is None:
-        return ""
-    return (
-        f"The geometry is the same: projected centres differ by at most {geometry[0]:.4f} px, centroids of projected "
-        f"discs by {geometry[1]:.3f} px, their areas by {100 * geometry[2]:.1f} %."
-    )
-
-
-def _profile(sums: Array) -> tuple[list[float], list[float]]:
-    """Distances (px) and mean shares of cells in which there are pixels."""
-    full = np.flatnonzero(sums[1] > 0)
-    at = (full + 0.5) * STEP - REACH
-    return at.tolist(), (sums[0][full] / sums[1][full]).tolist()
-
-
-def blur_of(at: Sequence[float], share: Sequence[float]) -> float | None:
-    """Standard deviation (px) of the blur that makes such an edge: of its derivative; None of too few cells."""
-    x, y = np.array(at), np.clip(np.array(share), 0.0, 1.0)
-    if len(x) < 10:
-        return None
-    mass, middle = np.diff(y), 0.5 * (x[1:] + x[:-1])
-    mass = np.where(np.abs(middle) < 2.0, np.maximum(mass, 0.0), 0.0)
-    if mass.sum() <= 0.0:
-        return None
-    mean = float(mass @ middle / mass.sum())
-    return float(np.sqrt(mass @ (middle - mean) ** 2 / mass.sum()))
-
-
-def middle_of(at: Sequence[float], share: Sequence[float]) -> float | None:
-    """Where an edge crosses one half, px; None where it does not."""
-    x, y = np.array(at), np.array(share)
+def middle_of(edge: "pd.Series[float]") -> float:
+    """Where an edge crosses one half, px; nan where it does not."""
+    edge = edge.dropna()
+    x, y = edge.index.to_numpy(float), edge.to_numpy()
     cross = np.flatnonzero((y[:-1] < 0.5) & (y[1:] >= 0.5))
     if len(cross) == 0:
-        return None
+        return np.nan
     k = cross[len(cross) // 2]
     return float(x[k] + (0.5 - y[k]) / (y[k + 1] - y[k]) * (x[k + 1] - x[k]))
 
 
-def _about_edges(blur: dict[str, float | None], middle: dict[str, float | None], levels: Array) -> str:
-    said = []
-    values = [blur[n] for n in (*GREY, LINEAR)] + [middle[n] for n in (*GREY, LINEAR)]
-    if all(v is not None for v in values):
-        a, b, f, c, d, e = (float(v or 0.0) for v in values)
-        said.append(
-            f"Edges are blurred by {a:.2f} px in ours and {b:.2f} px in Blender's pictures (standard deviation; a box "
-            f"of one pixel has {1 / np.sqrt(12):.2f} px). Half way between dark and light lie pixels at {c:+.2f} px in "
-            f"ours, at {d:+.2f} px in Blender's: it mixes light and then applies the curve of sRGB, which makes half "
-            f"covered pixels lighter. With the curve undone that is {e:+.2f} px, and the blur {f:.2f} px."
-        )
-    if len(levels):
-        m = np.median(levels, axis=0)
-        said.append(
-            f"Grey values are {m[0]:.0f} and {m[1]:.0f} in discs, {m[2]:.0f} and {m[3]:.0f} around them (medians, ours "
-            "and Blender's)."
-        )
-    return " ".join(said)
-
-
-def _draw(figure: Any, rings: list[Result], edges: dict[str, tuple[list[float], list[float]]]) -> None:
-    left, right = figure.subplots(1, 2)
-    at = [0.5 * (r["low"] + r["high"]) for r in rings]
-    for key, label, colour, mark in (
-        ("between", "ours - Blender", "C0", "o"),
-        ("ours", "ours - truth", "C2", "s"),
-        ("Blender", "Blender - truth", "C1", "D"),
-    ):
-        left.plot(at, [r[key] for r in rings], color=colour, marker=mark, label=label)
+def _draw(canvas: Any, by_place: pd.DataFrame, edges: pd.DataFrame) -> None:
+    left, right = canvas.subplots(1, 2)
+    known = by_place.dropna()
+    for name, (colour, mark) in _COLOURS.items():
+        label = _COLUMNS[name].removesuffix(", px")
+        left.plot(known.index.to_numpy(float), known[name], color=colour, marker=mark, label=label)
     left.axhline(ASKED, color="C3", **THESIS)
     left.annotate("asked", (0.02, ASKED), (0, 3), textcoords="offset points", color="C3")
-    left.set(
-        xlabel="place on the ball's picture (0 middle, 1 limb)",
-        ylabel="centres, px RMS per axis",
-        yscale="log",
-        xlim=(0, 1),
-    )
+    place = "place on the ball's picture (0 middle, 1 limb)"
+    left.set(xlabel=place, ylabel="centres, px RMS per axis", yscale="log", xlim=(0, 1))
     plain_numbers(left.yaxis)
     left.legend(loc="upper center")
-    for name, colour in zip(GREY, ("C2", "C1"), strict=True):
-        right.plot(*edges[name], color=colour, label=name)
-    right.plot(*edges[LINEAR], color="C1", label=LINEAR, **BOUND)
+    looks: list[dict[str, Any]] = [{"color": "C2"}, {"color": "C1"}, {"color": "C1", **BOUND}]
+    for name, look in zip((*GREY, LINEAR), looks, strict=True):
+        edge = edges[name].dropna()
+        right.plot(edge.index, edge, label=name, **look)
     right.set(xlabel="distance from the edge, px (inside negative)", ylabel="grey value, 0 disc, 1 ball")
     right.legend(loc="lower right")
