@@ -6,7 +6,7 @@ from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -17,7 +17,7 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.experiments import NAMES
 from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.experiments.kit.run import work_all
-from spheremouse.experiments.report.page import Said, numbers_of, of_section, said, write_report
+from spheremouse.experiments.report.page import numbers_of, said, write_report
 
 _FIGURES = re.compile(r"^```\{figure\}.*?^```$\n", re.MULTILINE | re.DOTALL)
 
@@ -61,14 +61,8 @@ def experiments(
     jobs = {name: module.jobs(request) for name, module in modules.items()}
     results = _worked(jobs, folder, cores or os.cpu_count() or 1, again)
     reports = {name: import_module(f"spheremouse.experiments.report.{name}") for name in chosen}
-    sections, numbers = dict[str, Said](), dict[str, Any]()
-    for name, report in reports.items():
-        if hasattr(report, "page"):
-            sections[name] = said(name, report.page, results[name])
-            numbers[name] = numbers_of(report, results[name])
-        else:
-            worded = report.section(request, results[name])
-            sections[name], numbers[name] = of_section(modules[name].TITLE, worded), worded.figures
+    sections = {name: said(name, report.page, results[name]) for name, report in reports.items()}
+    numbers = {name: numbers_of(report, results[name]) for name, report in reports.items()}
     console = Console(highlight=False)
     for section in sections.values():
         console.print(Markdown(_FIGURES.sub("", section.text)))

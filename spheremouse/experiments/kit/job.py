@@ -34,33 +34,6 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """Rows for a reader; a thesis' own values are typed in, all others come from results."""
-
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    title: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A picture that is drawn twice, for light and for dark pages."""
-
-    name: str  # of its file
-    caption: str
-    draw: Callable[[Any], None]  # on a matplotlib figure, in the colours of the style in force (`plot`)
-    size: tuple[float, float] = (7.2, 3.4)  # inches
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """What an experiment has to say: paragraphs (Markdown), tables and figures in their order."""
-
-    parts: tuple[str | Table | Figure, ...]
-    figures: dict[str, Any] = field(default_factory=dict)  # the numbers, for experiments.json
-
-
-@dataclass(frozen=True, slots=True)
 class Request:
     """What is to be done."""
 

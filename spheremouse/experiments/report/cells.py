@@ -15,7 +15,6 @@ from spheremouse.experiments.kit.world import (
 from spheremouse.experiments.report.page import MISSING
 from spheremouse.experiments.report.plot import decades
 
-CLEARLY = 1.05  # times another error
 COLOURS = {"ekf1": "C0", "ekf2": "C1", PUBLISHED: "C5", KNOWN: "C2", ESTIMATED: "C3", IGNORED: "C5", "bound": "0.5"}
 MARKS = {"ekf1": "s", "ekf2": "D", PUBLISHED: "d", KNOWN: "o", ESTIMATED: "v", IGNORED: "^"}
 DASHES = {
@@ -86,8 +85,3 @@ def legend_below(canvas: Any, who: Sequence[str]) -> None:
     looks: list[Any] = [dict(zip(("color", "marker", "linestyle"), LOOK[w], strict=True)) for w in who]
     handles = [Line2D([], [], label=w, **how) for w, how in zip(who, looks, strict=True)]
     canvas.legend(handles=handles, loc="outside lower center", ncols=5)
-
-
-def films_cell(made: int, broken: int) -> str:
-    """Films behind a row of a table, and how many more failed."""
-    return f"{broken} of {made + broken} failed" if broken and made else "failed" if broken else str(made)

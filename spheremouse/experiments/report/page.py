@@ -14,7 +14,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from spheremouse import __version__
-from spheremouse.experiments.kit.job import Figure, Result, Results, Section, Table
+from spheremouse.experiments.kit.job import Result, Results
 from spheremouse.experiments.report.plot import Drawing, save
 from spheremouse.files.atomic import write_atomically, write_json
 
@@ -59,23 +59,10 @@ def said(name: str, page: Callable[[Results], Page], results: Results) -> Said:
     else:
         text = _LOADER.get_source(_TEMPLATES, f"{name}.md")[0].partition("\n")[0]
     failed = failures(results)
+    if not results:
+        text += "\n\nNothing was measured: the reference recordings were not at hand (`--datasets`)."
     parts = [text.strip(), *(["Failed:\n\n" + "\n".join(failed)] if failed else [])]
     return Said("\n\n".join(parts) + "\n", drawings, doubts)
-
-
-def of_section(title: str, section: Section) -> Said:
-    """A section that a program worded."""
-    lines, drawings = [f"## {title}", ""], []
-    for part in section.parts:
-        if isinstance(part, Table):
-            named = [f"**{part.title}**", ""] if part.title else []
-            lines += [*named, table(part.head, part.rows), ""]
-        elif isinstance(part, Figure):
-            drawings.append(Drawing(part.name, part.draw, part.size))
-            lines += [*_figure(part.name, part.caption), ""]
-        else:
-            lines += [part, ""]
-    return Said("\n".join(lines), tuple(drawings))
 
 
 def write_report(out: Path, sections: Mapping[str, Said], numbers: Mapping[str, Any], command: str) -> list[Path]:
@@ -117,18 +104,6 @@ def fixed(number: Any, digits: int = 2, factor: float = 1.0) -> str:
     """A number with so many digits; – where it is not known."""
     known = isinstance(number, int | float | np.number) and not math.isnan(number)
     return f"{factor * number:.{digits}f}" if known else MISSING
-
-
-def value(result: Result | None, *path: str, digits: int = 2, factor: float = 1.0) -> str:
-    """A number of a result for a cell: `value(r, "rate_rmse_deg_s", "combined")`. A failure says so, nothing is –."""
-    if result is None:
-        return MISSING
-    if "error" in result:
-        return "failed"
-    found = result
-    for key in path:
-        found = found.get(key) if isinstance(found, dict) else None
-    return MISSING if not isinstance(found, int | float) else f"{factor * found:.{digits}f}"
 
 
 def failures(results: Mapping[str, Result]) -> list[str]:

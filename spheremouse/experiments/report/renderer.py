@@ -13,6 +13,7 @@ from spheremouse.experiments.report.frames import markdown
 from spheremouse.experiments.report.page import Page
 from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
 
+LARGE = ("rows", "levels", "edges")  # of each disc and edge
 _DISC = ["place", "area", "true u", "true v", "ours u", "ours v", "", "Blender u", "Blender v", "claimed"]
 _LEVELS = ["ours_inside", "Blender_inside", "ours_around", "Blender_around"]
 _COLUMNS = {

@@ -146,13 +146,13 @@ def adjust(evaluate: Evaluate, x0: Array, robust: float | None = None) -> Adjust
     if robust is None:
         x = _weighted(evaluate, x, None)
         return Adjusted(x, *evaluate(x))
-    weight = huber(evaluate(x)[0], robust)
+    found, weight = Adjusted(x, *evaluate(x)), np.zeros(0)
     for _ in range(_RENEWED):
-        x = _weighted(evaluate, x, weight)
-        found = Adjusted(x, *evaluate(x))
         before, weight = weight, huber(found.residual, robust)
-        if np.max(np.abs(weight - before)) < 1e-3:
+        if len(before) and np.max(np.abs(weight - before)) < 1e-3:
             break
+        x = _weighted(evaluate, found.x, weight)
+        found = Adjusted(x, *evaluate(x))
     return found
 
 

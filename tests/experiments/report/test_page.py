@@ -4,7 +4,7 @@ import pytest
 from jinja2 import DictLoader, UndefinedError
 
 from spheremouse.experiments.report import page as module
-from spheremouse.experiments.report.page import Page, Said, fixed, said, table, value, without, write_report
+from spheremouse.experiments.report.page import Page, Said, fixed, said, table, without, write_report
 
 SECTION = {"x": Said("## Title\n\nwords\n")}
 
@@ -47,6 +47,12 @@ def test_a_page_is_of_what_did_not_fail_and_says_what_did(template):
     assert template(text, {"b": {"error": "too dark"}}).text == "## Title\n\nFailed:\n\n- b: too dark\n"
 
 
+def test_where_nothing_was_measured_the_page_says_what_to_give(template):
+    assert template("## Title\n\n{{ found.a.x }}\n", {}).text == (
+        "## Title\n\nNothing was measured: the reference recordings were not at hand (`--datasets`).\n"
+    )
+
+
 def test_a_claim_that_the_numbers_do_not_bear_out_is_marked_and_counted(template):
     text = "{{ shown(found.a.x < 1) }}Small. {{ shown(found.a.x > 1) }}Large."
     for x, expected in (
@@ -63,12 +69,9 @@ def test_a_name_that_a_page_does_not_give_is_an_error(template):
         template("{{ other }}", {"a": {}})
 
 
-def test_a_value_says_what_is_missing():
-    assert value({"a": {"b": 2.0}}, "a", "b", digits=1, factor=10) == "20.0"
-    assert value(None, "a") == "–"
-    assert value({"error": "as if"}, "a") == "failed"
-    assert value({"a": None}, "a", "b") == "–"
+def test_a_number_that_is_not_known_is_a_dash():
     assert [fixed(x, 1) for x in (0.25, float("nan"), None)] == ["0.2", "–", "–"]
+    assert fixed(0.25, 0, 100.0) == "25"
 
 
 def test_what_figures_alone_need_stays_out_of_the_numbers():
