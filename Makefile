@@ -67,7 +67,7 @@ test-newest: OTHER := --python $(BIN)/python
 test-newest: RESOLUTION := highest
 test-oldest test-newest: $(STAMP)
 	$(BIN)/uv venv --quiet --clear --no-python-downloads $(OTHER) $(VENV)/$@
-	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[plot,metrics,tray,desktop]'
+	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[plot,metrics,tray,desktop,lab]'
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
 	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 

@@ -273,6 +273,7 @@ def world(film, tmp_path, monkeypatch):
 def playing(world):
     world.start()
     world.heard("tracking: grzonka is followed")
+    world.until(lambda: world.frames, "a frame that is shown")
     return world
 
 
@@ -325,13 +326,18 @@ def test_a_lost_ball_moves_nothing_and_nothing_jumps_when_it_is_back(playing):
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [("size", "frames are 320x240"), ("grey", "the frames are grey"), ("damaged", "nothing but damaged frames")],
+    [
+        ("size", "is 320x240, the camera was calibrated at"),
+        ("grey", "the frames are grey"),
+        ("damaged", "nothing but damaged frames"),
+    ],
 )
 def test_frames_that_cannot_be_used_are_told_and_the_camera_is_opened_anew(playing, monkeypatch, fault, reason):
     monkeypatch.setattr("spheremouse.session.service._USELESS", 0.1)
     monkeypatch.setattr("spheremouse.session.worker._DAMAGED", 0.05)
     playing.fault = fault
-    playing.heard(f"no-camera: {reason}")
+    playing.heard("no-camera: ")
+    playing.heard(reason)
     playing.until(lambda: playing.opened > 1, "opened anew")
     playing.fault = ""
     playing.heard("tracking", times=2)
