@@ -13,7 +13,7 @@ from typing import Protocol, Self
 
 from spheremouse.ball.rig import Rig
 from spheremouse.errors import SourceError
-from spheremouse.files.registry import check, resolve
+from spheremouse.files.registry import opened
 from spheremouse.tracker import Frame
 
 KINDS = ("dataset", "opencv", "synthetic", "v4l2", "video")
@@ -120,13 +120,8 @@ class Stream:
 
 def open_source(spec: str, *, realtime: bool = False) -> Source:
     """The source that `KIND:ARGUMENT` names; `realtime` gives recorded frames no sooner than their stamps say."""
-    package = sys.modules[__name__]
-    module, argument = resolve(package, "source", spec, SourceError)
-    made = module.open(argument, realtime)
-    check(
-        package, made, "source", spec, ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__"), SourceError
-    )
-    return made
+    members = ("rig", "live", "fps", "count", "__iter__", "__enter__", "__exit__")
+    return opened(sys.modules[__name__], "source", spec, SourceError, members, realtime)
 
 
 def paced(frames: Iterator[Frame]) -> Iterator[Frame]:

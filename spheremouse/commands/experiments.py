@@ -42,7 +42,7 @@ def experiments(
     """Repeat the experiments of the theses, and those they left open, on all cores.
 
     What each film gave is kept in DIR/experiments/jobs until the program changes: a run that was interrupted goes on
-    where it stopped. What fails becomes a row that says so, and exit code 1.
+    where it stopped. What fails is listed under its experiment, and is exit code 1.
     """
     chosen = _chosen(names)
     if cores is not None and cores < 1:

@@ -32,15 +32,19 @@ def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseEr
     raise error(f"unknown {what} {spec!r}; {nearest(kind, known)} ({what}s are {', '.join(known)})")
 
 
-def check(
-    package: ModuleType, made: Any, what: str, spec: str, members: Iterable[str], error: type[SpheremouseError]
-) -> None:
-    """Raise `error` where what a plug-in opened lacks some of what a `what` must have."""
-    if spec.partition(":")[0] in package.KINDS:
-        return
-    missing = [name for name in members if not hasattr(made, name)]
+def opened(
+    package: ModuleType, what: str, spec: str, error: type[SpheremouseError], members: Iterable[str], *more: Any
+) -> Any:
+    """What the module of `KIND:ARGUMENT` opens, given the argument and `more`.
+
+    Raises `error` as `resolve` does, and where what a plug-in opened lacks some of the `members` of a `what`.
+    """
+    module, argument = resolve(package, what, spec, error)
+    made, kind = module.open(argument, *more), spec.partition(":")[0]
+    missing = [name for name in members if kind not in package.KINDS and not hasattr(made, name)]
     if missing:
-        raise error(f"{what} {spec.partition(':')[0]}: breaks the contract: has no {', '.join(missing)}; {_REMEDY}")
+        raise error(f"{what} {kind}: breaks the contract: has no {', '.join(missing)}; {_REMEDY}")
+    return made
 
 
 def _loaded(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> ModuleType:

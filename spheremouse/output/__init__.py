@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 from spheremouse.errors import OutputError
-from spheremouse.files.registry import check, resolve
+from spheremouse.files.registry import opened
 from spheremouse.tracker import Motion, no_motion
 
 KINDS = ("auto", "desktop", "null", "serial", "text", "uinput")
@@ -75,8 +75,5 @@ class Acknowledged(Protocol):
 
 def open_output(spec: str) -> Output:
     """The output that `KIND:ARGUMENT` names; OutputError where there is none, or it lacks what an output must have."""
-    package = sys.modules[__name__]
-    module, argument = resolve(package, "output", spec, OutputError)
-    made = module.open(argument)
-    check(package, made, "output", spec, ("send", "describe", "__enter__", "__exit__"), OutputError)
-    return made
+    members = ("send", "describe", "__enter__", "__exit__")
+    return opened(sys.modules[__name__], "output", spec, OutputError, members)

@@ -119,17 +119,6 @@ def _figure(name: str, caption: str) -> list[str]:
     return lines
 
 
-def _environment() -> Environment:
-    made = Environment(
-        loader=_LOADER,
-        autoescape=False,  # Markdown
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    made.filters["fixed"] = fixed
-    return made
-
-
 _LOADER = PackageLoader("spheremouse.experiments.report", "")
-_TEMPLATES = _environment()
+_TEMPLATES = Environment(loader=_LOADER, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+_TEMPLATES.filters["fixed"] = fixed
