@@ -62,10 +62,13 @@ def param(
     lt: float | None = None,
     le: float | None = None,
     most: int | None = None,
+    refused: str = "",
 ) -> Any:
     """A dataclass field with its unit ("-" for none), its meaning with the reason for the default, and its bounds.
 
-    `most` is the greatest length of a list.
+    `most` is the greatest length of a list; `refused` says what to do in place of a value that is refused. A class says
+    of settings that it had once what stands in their place: `GONE`.
     """
     bounds = {k: v for k, v in {"gt": gt, "ge": ge, "lt": lt, "le": le}.items() if v is not None}
-    return field(default=default, metadata={"unit": unit, "meaning": meaning, "bounds": bounds, "most": most})
+    metadata = {"unit": unit, "meaning": meaning, "bounds": bounds, "most": most, "refused": refused}
+    return field(default=default, metadata=metadata)

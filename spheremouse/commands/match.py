@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _NO_MATCH = 1  # exit code
 _LEAST = 3.0  # s, of tracked ball
-_KEYS = ("counts_per_mm", "counts_per_radian", "scale_x", "scale_y", "scale_z", "invert_x", "invert_y", "swap_xy")
+_KEYS = ("player", "counts_per_mm", "counts_per_radian", "scale_x", "scale_y", "scale_z", "invert_x", "invert_y")
 
 
 def match(
@@ -189,10 +189,11 @@ def section(settings: "MotionSettings") -> str:
 
 def fragment(settings: "MotionSettings", source: str, verdict: str) -> str:
     """A configuration file with scale and axes of a trackball, and nothing else."""
-    from spheremouse.files.yaml import SCHEMA
+    from spheremouse.files.config import KIND
+    from spheremouse.files.migrate import newest
 
     lines = [f"# {' '.join(text.split())}" for text in (f"Scale and axes of the trackball in {source}.", verdict)]
-    return "\n".join([*lines, f"schema: {SCHEMA}", section(settings)])
+    return "\n".join([*lines, f"schema: {newest(KIND)}", section(settings)])
 
 
 def _print(

@@ -134,10 +134,9 @@ def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]
 
 
 def surface_travel(rotation: Array, radius: float) -> Array:
-    """Travel of the pointer in mm of ball surface, (n, 2), for rotation vectors, (n, 3) rad in obj; `radius` m.
+    """Travel (d_x, -d_z) of the touching point in mm, (n, 2), for rotation vectors, (n, 3) rad in obj; `radius` m.
 
-    The touching point C = (0, -R, 0) travels rho x C = (R rho_z, 0, -R rho_x), the pointer goes by (d_x, -d_z), as in
-    `motion` (Wittich 2017, eq. 172-174, along the arc).
+    The point C = (0, -R, 0) travels d = rho x C = (R rho_z, 0, -R rho_x) (Wittich 2017, eq. 172-174, along the arc).
     """
     return 1000.0 * radius * rotation[:, [2, 0]]
 

@@ -17,11 +17,13 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.migrate import without_schema
-from spheremouse.files.validate import nearest, validated
-from spheremouse.files.yaml import SCHEMA, Document, Key, Problem, dotted, parse_document, parse_value, read_document
+from spheremouse.files.migrate import newest, without_schema
+from spheremouse.files.validate import GONE, gone, nearest, validated
+from spheremouse.files.yaml import Document, Key, Problem, dotted, parse_document, parse_value, read_document
 
 S = TypeVar("S")
+
+KIND = "configuration"  # of file
 
 _WIDTH = 110
 _JOINED = "\u00a0"  # a space at which a comment is not broken
@@ -34,7 +36,7 @@ def load(path: Path, root: type[S]) -> S:
 
 def loads(document: Document, root: type[S]) -> S:
     """Settings of a document already read."""
-    return _applied(without_schema(document), root())
+    return _applied(without_schema(document, KIND), root())
 
 
 def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
@@ -60,7 +62,9 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
     if parts not in known:
         names = [dotted(k) for k in known]
         inside = [n for n in names if n.startswith(key + ".")]
-        advice = f"a section; set one of {', '.join(inside)}" if inside else f"unknown key; {nearest(key, names)}"
+        if inside:
+            raise ConfigurationError(f"{label}{key}: a section; set one of {', '.join(inside)}")
+        advice = gone(parts, model_of(type(settings))) or f"unknown key; {nearest(key, names)}"
         raise ConfigurationError(f"{label}{key}: {advice}")
     data: Any = value
     for part in reversed(parts):
@@ -75,7 +79,7 @@ def dump_commented(settings: Any) -> str:
     """A configuration file with every parameter, its unit, bounds, default and reason; loads back to equal settings."""
     lines = [
         "# Configuration of spheremouse. What is left out keeps its default.",
-        f"schema: {SCHEMA}",
+        f"schema: {newest(KIND)}",
         *_commented(settings, ""),
     ]
     return "\n".join(lines) + "\n"
@@ -84,7 +88,7 @@ def dump_commented(settings: Any) -> str:
 def dump(settings: S, default: S) -> str:
     """The effective configuration without reasons; what differs from `default` is marked with the default's value."""
     before = dict(parameters(default))
-    lines = [f"schema: {SCHEMA}"]
+    lines = [f"schema: {newest(KIND)}"]
     section: Key = ()
     for key, value in parameters(settings):
         for depth in range(len(key) - 1):
@@ -117,7 +121,9 @@ def model_of(cls: type) -> type[BaseModel]:
         description = None if _is_section(cls, field) else _advice(field)
         fields[field.name] = (annotation, Field(... if required else None, description=description))
     config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
-    return create_model(cls.__name__, __config__=config, **fields)
+    made = create_model(cls.__name__, __config__=config, **fields)
+    setattr(made, GONE, getattr(cls, GONE, {}))
+    return made
 
 
 @functools.cache
@@ -271,8 +277,9 @@ def _unit(field: "dataclasses.Field[Any]") -> str:
 def _advice(field: "dataclasses.Field[Any]") -> str | None:
     if _is_required(field):
         return None
-    value = _default(field)
-    return f"the default is {to_yaml(value)}{'' if value is None or isinstance(value, str) else _unit(field)}"
+    value, refused = _default(field), field.metadata.get("refused")
+    default = f"the default is {to_yaml(value)}{'' if value is None or isinstance(value, str) else _unit(field)}"
+    return f"{default}; {refused}" if refused else default
 
 
 def _commented(settings: Any, indent: str) -> Iterator[str]:

@@ -5,7 +5,6 @@ correlations between all of them follow as their Cholesky factor, whose digits m
 covariance. A file that is damaged is refused; the map is then made anew as the ball turns.
 """
 
-import dataclasses
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,12 +20,11 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MOST_DISCS, Rig
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.migrate import converted
+from spheremouse.files.migrate import newest, without_schema
 from spheremouse.files.validate import validated
 from spheremouse.files.yaml import Document, Problem, read_document, shown
 from spheremouse.geometry.rotation import Array
 
-MAP_SCHEMA = 1
 _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination
 BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibration, more is another device
 
@@ -132,7 +130,7 @@ def map_text(saved: SavedMap) -> str:
     lines = [
         "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",
         "# is made as the ball turns. Unit vectors in `ball`; rad along the axes of rotation.tangent_basis.",
-        f"schema: {MAP_SCHEMA}",
+        f"schema: {newest('map')}",
         f'spheremouse: "{saved.version}"',
         f'saved: "{saved.saved.isoformat()}"',
         f"ball_radius: {float(saved.ball_radius)!r}  # m",
@@ -164,7 +162,7 @@ def _factored(covariance: Array) -> tuple[Array, Array]:
 
 
 def _parsed(document: Document) -> SavedMap:
-    file = validated(_of_this_schema(document), _MapFile)
+    file = validated(without_schema(document, "map"), _MapFile)
     if problems := list(_problems(file)):
         raise document.error(problems)
     directions = np.array([d.direction for d in file.discs])
@@ -178,20 +176,6 @@ def _parsed(document: Document) -> SavedMap:
     )
     saved = datetime.fromisoformat(file.saved)
     return SavedMap(disc_map, file.ball_radius, file.disc_radius, saved, file.spheremouse)
-
-
-def _of_this_schema(document: Document) -> Document:
-    """The document less its `schema` key, which is of its own: maps and rigs change at different times."""
-    if not isinstance(document.data, dict):
-        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {MAP_SCHEMA}`")])
-    document = converted(document)
-    data = dict(document.data)
-    version = data.pop("schema", None)
-    if type(version) is not int or version != MAP_SCHEMA:
-        raise document.error(
-            [Problem(("schema",), f"must be {MAP_SCHEMA}, is {'missing' if version is None else shown(version)}")]
-        )
-    return dataclasses.replace(document, data=data)
 
 
 def _problems(file: _MapFile) -> Iterator[Problem]:

@@ -1,8 +1,7 @@
 """Files of an older schema brought to the one this program reads: a step from each number to the next.
 
 A step changes plain data in place, whether read to be used or read with its comments to be written again. Whoever
-changes a schema writes it; a number shared by several kinds (`yaml.SCHEMA`) rises for all of them, and a kind to
-which nothing happened gets `unchanged`. The original stays beside the file.
+changes a schema writes it. Each kind has a number of its own. The original stays beside the file.
 """
 
 import os
@@ -18,16 +17,30 @@ from ruamel.yaml.representer import RoundTripRepresenter
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import open_to_read, replace
-from spheremouse.files.yaml import MAX_BYTES, SCHEMA, Document, Problem, parse_bytes, parse_document, shown
+from spheremouse.files.yaml import MAX_BYTES, Document, Problem, parse_bytes, parse_document, shown
 
 Step = Callable[[MutableMapping[str, Any]], None]
 
+
+def _seated(data: MutableMapping[str, Any]) -> None:
+    """A configuration says where the player stands, and Y counts downwards; the pointer goes as it went.
+
+    Axes that were never set are left to their defaults, with which it went like a mirror image.
+    """
+    motion = data.get("motion")
+    if not isinstance(motion, MutableMapping) or "player" in motion:
+        return
+    old = [motion.get(key, False) for key in ("swap_xy", "invert_x", "invert_y")]
+    if not {"swap_xy", "invert_x", "invert_y"} & set(motion) or not all(type(value) is bool for value in old):
+        return
+    swapped, x, y = old
+    motion["player"] = ("right" if x else "left") if swapped else ("camera-side" if x else "far-side")
+    motion["invert_x"], motion["invert_y"] = False, (x != y) if swapped else (x == y)
+    motion.pop("swap_xy", None)
+
+
 # The first step of each goes from schema 1 to 2.
-STEPS: dict[str, Sequence[Step]] = {"map": (), "rig": (), "device": (), "configuration": ()}
-
-
-def unchanged(data: MutableMapping[str, Any]) -> None:
-    """The step of a kind that is the same in both schemas."""
+STEPS: dict[str, Sequence[Step]] = {"map": (), "rig": (), "device": (), "wand": (), "configuration": (_seated,)}
 
 
 def newest(kind: str) -> int:
@@ -42,18 +55,19 @@ def kind_of(data: Mapping[str, Any]) -> str:
         return "map"
     if isinstance(camera, Mapping) and "fx" in camera:
         return "rig"
-    return "device" if "axes" in data and "targets" in data else "configuration"
+    if "axes" in data and "targets" in data:
+        return "device"
+    return "wand" if "body" in data and "discs" in data else "configuration"
 
 
-def converted(document: Document) -> Document:
-    """The document as the newest schema would say it; as it is where there is nothing to do or no schema to go by.
+def converted(document: Document, kind: str) -> Document:
+    """The document as the newest schema of its kind would say it; as it is where it is, or has no schema to go by.
 
     Lines are those of the text that was read. ConfigurationError for a file from a newer version.
     """
     data = document.data
     if not isinstance(data, dict) or (version := _version(data)) is None:
         return document
-    kind = kind_of(data)
     if version > newest(kind):
         text = f"is {version}, of a newer spheremouse; this one reads {newest(kind)}: update it"
         raise document.error([Problem(("schema",), text)])
@@ -147,7 +161,7 @@ _Representer.add_representer(_Number, lambda r, number: r.represent_scalar(_FLOA
 
 def _rewritten(text: str, kind: str, version: int, document: Document) -> str:
     """The text in the newest schema; it is read again, and must say what the steps make of the plain data."""
-    wanted = converted(document)  # refuses what is newer
+    wanted = converted(document, kind)  # refuses what is newer
     yaml = YAML(typ="rt")
     yaml.Constructor, yaml.Representer = _Constructor, _Representer
     yaml.preserve_quotes = True
@@ -207,16 +221,17 @@ def _copied(value: Any) -> Any:
     return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value
 
 
-def without_schema(document: Document) -> Document:
-    """The document less its `schema` key, which must be the version this program reads."""
+def without_schema(document: Document, kind: str) -> Document:
+    """The document in the newest schema of its kind, less that key."""
+    wanted = newest(kind)
     if not isinstance(document.data, dict):
-        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {SCHEMA}`")])
-    document = converted(document)
+        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {wanted}`")])
+    document = converted(document, kind)
     data = dict(document.data)
     version = data.pop("schema", None)
     if version is None:
-        raise document.error([Problem((), f"schema: missing; write `schema: {SCHEMA}` as the first line")])
-    if version is True or version != SCHEMA:
-        text = f"is {shown(version)}; this program reads version {SCHEMA}: update one of the two"
+        raise document.error([Problem((), f"schema: missing; write `schema: {wanted}` as the first line")])
+    if version is True or version != wanted:
+        text = f"is {shown(version)}; this program reads version {wanted}: update one of the two"
         raise document.error([Problem(("schema",), text)])
     return Document(document.name, data, document.lines)

@@ -17,10 +17,12 @@ from spheremouse.files.yaml import MAX_PROBLEMS, Document, Key, Problem, dotted,
 
 M = TypeVar("M", bound=BaseModel)
 
+GONE = "GONE"  # what a model, as the settings it is of, calls the keys that it had once, with what is in their place
 
-def read_checked(path: Path, model: type[M]) -> tuple[Document, M]:
-    """The document in a file, and the model instance made of all but its `schema`."""
-    document = without_schema(read_document(path))
+
+def read_checked(path: Path, model: type[M], kind: str) -> tuple[Document, M]:
+    """The document in a file of a kind, and the model instance made of all but its `schema`."""
+    document = without_schema(read_document(path), kind)
     return document, validated(document, model)
 
 
@@ -45,6 +47,12 @@ def nearest(word: str, names: Sequence[str]) -> str:
     return f"known here: {', '.join(names)}" if names else "no keys are known here"
 
 
+def gone(key: Key, model: type[BaseModel]) -> str:
+    """What is in place of a key that there was once, in words; empty where there was none."""
+    instead = getattr(_model_at(key[:-1], model), GONE, {}).get(key[-1])
+    return f"is no more; {instead}" if instead else ""
+
+
 def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:
     """The first of pydantic's complaints by line, in the user's words, and how many more there are.
 
@@ -63,7 +71,7 @@ def _worded(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseMode
     if len(complaints) > 1:
         return _with_advice(", or ".join(map(_complaint, complaints)), key, data, model)
     if first["type"] == "extra_forbidden":
-        return f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
+        return gone(key, model) or f"unknown key; {_advice_on_name(str(key[-1]), key[:-1], model)}"
     if first["type"] == "missing":
         return _with_advice("missing", key, None, model, value=False)
     return _with_advice(_complaint(first), key, data, model)

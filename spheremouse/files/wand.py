@@ -14,8 +14,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from spheremouse.files.atomic import write_atomically
+from spheremouse.files.migrate import newest
 from spheremouse.files.validate import read_checked
-from spheremouse.files.yaml import SCHEMA, Document, Problem
+from spheremouse.files.yaml import Document, Problem
 from spheremouse.geometry.rotation import Array, align, log
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
@@ -76,7 +77,7 @@ class _Wand(_Part):
 
 def load_wand(path: Path) -> WandFile:
     """The ball of a file; ConfigurationError with a line per problem."""
-    document, file = read_checked(path, _Wand)
+    document, file = read_checked(path, _Wand, "wand")
     if problems := [*_disc_problems(file), *_colour_problems(file)]:
         raise document.error(problems)
     ball = WandBall(file.name, file.radius, tuple(_disc(d, file.radius) for d in file.discs), file.body)
@@ -108,7 +109,7 @@ def wand_text(
     lines = [
         "# A hand-held ball. Lengths in m, angles in degrees. Frame: origin at the centre, pole away from the stick,",
         "# azimuth counter-clockwise seen from above. A disc's diameter is measured straight across its rim.",
-        f"schema: {SCHEMA}",
+        f"schema: {newest('wand')}",
     ]
     if provenance:
         lines += ["provenance:", *(f"  {key}: {json.dumps(value)}" for key, value in provenance.items())]

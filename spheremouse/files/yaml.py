@@ -19,7 +19,6 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.plain_json import MAX_DEPTH
 
-SCHEMA = 1
 MAX_BYTES = 1_000_000  # the map of 260 discs has them
 MAX_NODES = 20_000  # keys, values, sections and lists; a map of 260 discs has 4,000, a rig 1,000
 MAX_PROBLEMS = 20  # told of a file; each is looked up among all known names
@@ -111,7 +110,7 @@ def parse_document(text: str, name: str) -> Document:
         # ruamel.yaml lets a few of its own slips out on garbage; to the user they are all the same
         raise ConfigurationError(f"{name}:1: not readable as YAML ({type(e).__name__}: {one_line(str(e))})") from None
     if root is None:
-        raise ConfigurationError(f"{name}:1: empty; the first line is `schema: {SCHEMA}`")
+        raise ConfigurationError(f"{name}:1: empty; the first line says its `schema`")
     lines: dict[Key, int] = {(): root.start_mark.line + 1}
     problems: list[Problem] = []
     data = _plain(root, (), lines, problems)

@@ -1,10 +1,11 @@
 """Rotation of the ball between two epochs -> motion of a mouse, in counts, with nothing lost to rounding.
 
 Wittich 2017, section 3.9.4, with the travel of the touching point along the surface, log(R_k R_{k-1}^T) x C, in place
-of its chord (eq. 172-174), which loses 1 % at 30 Hz and 5 % at 5 Hz.
+of its chord (eq. 172-174), which loses 1 % at 30 Hz and 5 % at 5 Hz; and with Y downwards, as a mouse counts.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -15,12 +16,33 @@ from spheremouse.tracker import Motion
 
 _DUE = 1.0 - 1e-9  # counts; less than one by rounding alone
 _USUAL_RADIUS = 0.6  # m: a millimetre of a ball of unknown size is what it is on a ball of 1.2 m
+_REVERSED = "where it goes the wrong way, say where the player stands (motion.player), or reverse one axis (invert_{})"
+
+Player = Literal["far-side", "camera-side", "left", "right"]
+
+# The player's right, in obj; the camera is at +Z.
+_RIGHT: dict[Player, tuple[float, float, float]] = {
+    "far-side": (-1.0, 0.0, 0.0),
+    "camera-side": (1.0, 0.0, 0.0),
+    "left": (0.0, 0.0, 1.0),
+    "right": (0.0, 0.0, -1.0),
+}
+_UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
     """From rotation to counts."""
 
+    GONE: ClassVar[dict[str, str]] = {"swap_xy": "a seat turned by 90 degrees is `player: left` or `right`"}
+
+    player: Player = param(
+        "far-side",
+        "-",
+        "where the player stands, as the camera sees the ball: the pointer goes right where a hand pushes the top of "
+        "the ball to the player's right, and up where it pushes it away; far-side, since who stands there does not "
+        "stand in the camera's view",
+    )
     counts_per_mm: float = param(
         1.0,
         "counts/mm",
@@ -33,13 +55,30 @@ class MotionSettings:
         "scale per radian instead; null where the rig's scale is free: that of a ball of 0.6 m radius",
         **PER_RADIAN,
     )
-    scale_x: float = param(1.0, "-", "factor on the pointer's X (ball rolling left and right)", **FACTOR)
-    scale_y: float = param(1.0, "-", "factor on the pointer's Y (ball rolling towards and away)", **FACTOR)
-    scale_z: float = param(1.0, "-", "factor on the third axis (ball spinning about the vertical)", **FACTOR)
-    invert_x: bool = param(False, "-", "reverse X")
-    invert_y: bool = param(False, "-", "reverse Y")
-    invert_z: bool = param(False, "-", "reverse the third axis")
-    swap_xy: bool = param(False, "-", "exchange X and Y, before inversion (a camera or a seat turned by 90 degrees)")
+    scale_x: float = param(
+        1.0,
+        "-",
+        "factor on the pointer's X (ball rolling left and right)",
+        refused=_REVERSED.format("x"),
+        **FACTOR,
+    )
+    scale_y: float = param(
+        1.0,
+        "-",
+        "factor on the pointer's Y (ball rolling towards and away)",
+        refused=_REVERSED.format("y"),
+        **FACTOR,
+    )
+    scale_z: float = param(
+        1.0,
+        "-",
+        "factor on the third axis (ball spinning about the vertical)",
+        refused="to reverse it: invert_z",
+        **FACTOR,
+    )
+    invert_x: bool = param(False, "-", "reverse X, for a program that wants it so")
+    invert_y: bool = param(False, "-", "reverse Y, for a program that wants it so")
+    invert_z: bool = param(False, "-", "reverse the third axis, which is positive counter-clockwise seen from above")
 
     def scale(self, radius: float | None) -> float:
         """Counts per radian; `radius` of the ball in m, None where it is not known in metres."""
@@ -47,18 +86,19 @@ class MotionSettings:
             return self.counts_per_radian
         return 1000.0 * (_USUAL_RADIUS if radius is None else radius) * self.counts_per_mm
 
-    def matrix(self, radius: float | None) -> Array:
-        """Counts per radian of rotation vector in `obj`, (3, 3): rows x, y, third axis; `radius` as in `scale`.
+    def directions(self) -> Array:
+        """Axes in `obj`, (3, 3), about which the ball rolls to the player's right, rolls towards them, and spins.
 
-        The point C = (0, -c, 0) under the ball travels d = rho x C = (c rho_z, 0, -c rho_x); the pointer moves by
-        (d_x, -d_z).
+        As a hand on its top sees it, and counter-clockwise from above. The top (0, c, 0) goes by rho x (0, c, 0); along
+        a direction r of the floor that is c rho . (up x r).
         """
-        M = np.zeros((3, 3))
-        M[0, 2] = M[1, 0] = M[2, 1] = 1.0
-        if self.swap_xy:
-            M = M[[1, 0, 2]]
+        right = np.array(_RIGHT[self.player])
+        return np.array([np.cross(_UP, right), right, _UP])
+
+    def matrix(self, radius: float | None) -> Array:
+        """Counts per radian of rotation vector in `obj`, (3, 3): rows x, y, third axis; `radius` as in `scale`."""
         sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
-        return M * (sign * (self.scale_x, self.scale_y, self.scale_z) * self.scale(radius))[:, None]
+        return self.directions() * (sign * (self.scale_x, self.scale_y, self.scale_z) * self.scale(radius))[:, None]
 
 
 @dataclass(frozen=True, slots=True)

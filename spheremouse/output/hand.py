@@ -47,9 +47,9 @@ class PointingSettings:
         "scale of shifts: 0.4 m, which a forearm does at ease, cross a screen of 1920 px",
         **PER_RADIAN,
     )
-    scale_x: float = param(1.0, "-", "factor on the pointer's X", **FACTOR)
-    scale_y: float = param(1.0, "-", "factor on the pointer's Y", **FACTOR)
-    scale_z: float = param(1.0, "-", "factor on the third axis", **FACTOR)
+    scale_x: float = param(1.0, "-", "factor on the pointer's X", refused="to reverse it: invert_x", **FACTOR)
+    scale_y: float = param(1.0, "-", "factor on the pointer's Y", refused="to reverse it: invert_y", **FACTOR)
+    scale_z: float = param(1.0, "-", "factor on the third axis", refused="to reverse it: invert_z", **FACTOR)
     invert_x: bool = param(False, "-", "reverse X")
     invert_y: bool = param(False, "-", "reverse Y")
     invert_z: bool = param(False, "-", "reverse the third axis")

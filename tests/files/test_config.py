@@ -296,10 +296,10 @@ def test_no_value_becomes_a_number_by_surprise(problems, value):
 @pytest.mark.parametrize(
     ("text", "start"),
     [
-        ("", "1: empty; the first line is `schema: 1`"),
+        ("", "1: empty; the first line says its `schema`"),
         ("# only a comment\n", "1: empty;"),
         ("so3: {}\n", "1: schema: missing;"),
-        ("schema: 2\n", "1: schema: is 2, of a newer spheremouse; this one reads 1"),
+        ("schema: 3\n", "1: schema: is 3, of a newer spheremouse; this one reads 2"),
         ("so3: {}\nschema: '1'\n", "2: schema: is '1';"),
         ("schema: true\n", "1: schema: is true;"),
         ("[1]\n", "1: must be `key: value` lines"),

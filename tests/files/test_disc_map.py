@@ -167,9 +167,9 @@ def test_a_missing_file_is_no_damaged_one(tmp_path):
     ("old", "new", "says"),
     [
         ("schema: 1", "schema: 2", ":3: schema: is 2, of a newer spheremouse; this one reads 1: update it"),
-        ("schema: 1", "schema: one", ":3: schema: must be 1, is 'one'"),
-        ("schema: 1", "schema: true", ":3: schema: must be 1, is true"),
-        ("schema: 1\n", "", ":3: schema: must be 1, is missing"),
+        ("schema: 1", "schema: one", ":3: schema: is 'one'; this program reads version 1"),
+        ("schema: 1", "schema: true", ":3: schema: is true; this program reads version 1"),
+        ("schema: 1\n", "", ":3: schema: missing; write `schema: 1` as the first line"),
         ("ball_radius: 0.6", "ball_radius: -1", ":6: ball_radius: must be at least 1e-06, is -1"),
         ("ball_radius: 0.6", "ball_radius: .nan", ":6: ball_radius: must be a finite number"),
         ("disc_radius", "disk_radius", ":3: disc_radius: missing; radius of a disc in m (and 1 more)"),

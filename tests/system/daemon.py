@@ -87,9 +87,12 @@ class Film:
 
     def counts(self, way):
         """(3,) of the true motion along `way` through the film, and (3,) the length of its path."""
-        R = self.attitude[way]
-        turns = COUNTS * np.array([log(b @ a.T) for a, b in pairwise(R)])[:, [2, 0, 1]]
+        turns = COUNTS * self.turns(way)[:, [2, 0, 1]] * (1, -1, 1)  # of a player on the far side
         return turns.sum(axis=0), np.abs(turns).sum(axis=0)
+
+    def turns(self, way):
+        """(n, 3) rad, from picture to picture along `way`."""
+        return np.array([log(b @ a.T) for a, b in pairwise(self.attitude[way])])
 
 
 class Writer:
@@ -482,6 +485,22 @@ def test_while_paused_nothing_moves_and_nothing_is_saved_up(cabinet):
     before = cabinet.mouse.counts
     cabinet.settle()
     np.testing.assert_array_equal(cabinet.mouse.counts, before)
+
+
+LOOKS = {"camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0), "far-side": (0, 0, 1)}
+
+
+@pytest.mark.parametrize("player", LOOKS)
+def test_the_kernels_pointer_follows_the_hand_on_the_top_of_the_ball(cabinet, player):
+    """REL_X is right and REL_Y is down, as the player looks at the ball, whose film turns as it is known to."""
+    if cabinet.told("set", assignments=[f"motion.player={player}"])["changed"]:
+        cabinet.settle()
+    way = cabinet.onward(12)
+    counts, _, _ = cabinet.play(way)
+    ahead = np.array(LOOKS[player])
+    hand = COUNTS * np.cross(cabinet.film.turns(way), (0, 1, 0))  # the way of the top, as far as counts go
+    seen = hand @ np.array([np.cross(ahead, (0, 1, 0)), -ahead]).T  # right, down
+    check(player, (counts[:2], seen.sum(axis=0), np.abs(seen).sum(axis=0)), 1.0)
 
 
 def test_set_and_reload_change_all_or_nothing(cabinet):

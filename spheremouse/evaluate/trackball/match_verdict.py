@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 
 from spheremouse.evaluate.trackball.match import Match
-from spheremouse.output.counts import MotionSettings
+from spheremouse.output.counts import MotionSettings, Player
 
 _CHANCE = 40.0  # logarithm of a likelihood ratio: logs of other simulated plays reached 14 at their best lag
 _RIVAL = 0.8  # of the best lag's: a second one that good may be the right one
@@ -152,7 +152,9 @@ def _of_axes(found: Match) -> list[str]:
     axes = axes_of(found)
     notes = []
     if axes.swapped:
-        notes.append("x and y are swapped: its x went with the ball rolling towards you and away")
+        notes.append("its x went with the ball rolling towards the camera and away: it is turned by 90°")
+    if _seat(axes)[1]:
+        notes.append("its axes are those of a mirror image: no player's hand goes that way; y is reversed")
     if not found.known[1]:
         notes.append("the ball hardly spun about Y: what a spin does to the trackball is not known, and not needed")
     if abs(axes.turned) > max(_TURNED, 3.0 * axes.turned_sigma):
@@ -187,17 +189,26 @@ def settings_of(found: Match, radius: float | None, before: MotionSettings) -> M
     rounded = _rounded(base if radius is None else base / (1000.0 * radius))
     real = rounded if radius is None else 1000.0 * radius * rounded
     third = before.scale_z * before.scale(radius) / real
+    player, mirrored = _seat(axes)
     return replace(
         before,
+        player=player,
         counts_per_mm=before.counts_per_mm if per_radian else rounded,
         counts_per_radian=rounded if per_radian else None,
         scale_x=1.0 if x == y else _rounded(x / real),
         scale_y=1.0 if x == y else _rounded(y / real),
         scale_z=_rounded(third),
-        invert_x=axes.scale[0] < 0.0,
-        invert_y=axes.scale[1] < 0.0,
-        swap_xy=axes.swapped,
+        invert_x=False,
+        invert_y=mirrored,
     )
+
+
+def _seat(axes: Axes) -> tuple[Player, bool]:
+    """Where a player stands whose hand the trackball's x follows, and whether its y is reversed to them."""
+    seats: tuple[Player, Player] = ("left", "right") if axes.swapped else ("far-side", "camera-side")
+    player = seats[axes.scale[0] < 0.0]
+    y = MotionSettings(player=player).directions()[1]
+    return player, bool(axes.scale[1] * y[2 if axes.swapped else 0] < 0.0)
 
 
 def _rounded(value: float) -> float:

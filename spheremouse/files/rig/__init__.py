@@ -16,17 +16,17 @@ from scipy.linalg import block_diag
 
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.files.atomic import write_atomically
+from spheremouse.files.migrate import newest
 from spheremouse.files.rig.checks import camera_problems, rig_problems
 from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, Vector3, matrix, targets_covariance
 from spheremouse.files.validate import read_checked
-from spheremouse.files.yaml import SCHEMA
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.geometry.rotation import Array
 
 
 def load_rig(path: Path) -> Rig:
     """The rig of a file; ConfigurationError with a line per problem."""
-    document, file = read_checked(path, RigFile)
+    document, file = read_checked(path, RigFile, "rig")
     if problems := [*camera_problems(file.camera), *rig_problems(file)]:
         raise document.error(problems)
     return Rig(
@@ -52,7 +52,7 @@ def load_rig(path: Path) -> Rig:
 
 def load_camera(path: Path) -> InteriorOrientation:
     """The interior orientation of a camera file; ConfigurationError with a line per problem."""
-    document, file = read_checked(path, CameraFile)
+    document, file = read_checked(path, CameraFile, "rig")
     if problems := list(camera_problems(file.camera)):
         raise document.error(problems)
     return _interior(file.camera)
@@ -70,7 +70,7 @@ def save_rig(path: Path, rig: Rig, provenance: Mapping[str, Any] | None = None) 
 
 def save_camera(path: Path, camera: InteriorOrientation, provenance: Mapping[str, Any] | None = None) -> None:
     """Write a camera file that reads back to the same interior orientation; whole or not at all."""
-    write_atomically(path, f"schema: {SCHEMA}\n{_provenance_text(provenance)}{_camera_text(camera)}")
+    write_atomically(path, f"schema: {newest('rig')}\n{_provenance_text(provenance)}{_camera_text(camera)}")
 
 
 def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
@@ -81,7 +81,7 @@ def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
     units = "Pixels, and lengths in a unit of their own" if rig.scale_free else "Metres and pixels"
     lines = [
         f"# A device as calibrated. {units}; obj: ball centre, X right, Y up, Z towards the camera.",
-        f"schema: {SCHEMA}",
+        f"schema: {newest('rig')}",
         *_provenance_text(provenance).splitlines(),
         *(["scale: free  # nobody measured a length: counts are per radian"] if rig.scale_free else []),
         _camera_text(rig.camera).rstrip(),

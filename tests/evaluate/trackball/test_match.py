@@ -209,7 +209,7 @@ def test_the_settings_move_the_pointer_as_the_trackball_did(radius, swap, sign):
 def test_equal_scales_stay_one_scale():
     profile = playing(17, 12.0)
     after = settings_of(match(filmed(profile), recorded(profile, Trackball(BELOW))), RADIUS, MotionSettings())
-    assert (after.scale_x, after.scale_y, after.swap_xy) == (1.0, 1.0, False)
+    assert (after.scale_x, after.scale_y, after.player) == (1.0, 1.0, "far-side")
     assert after.counts_per_mm == pytest.approx(0.8, rel=0.01)
 
 

@@ -6,6 +6,7 @@ import threading
 import time
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import serial as pyserial
 from reporting import report
@@ -14,11 +15,13 @@ from serial.tools import list_ports
 from spheremouse.errors import OutputError
 from spheremouse.output import open_output
 from spheremouse.output import serial as output_module
+from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.serial import Serial
 from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.messages import STOP, Flags, encode
 from spheremouse.output.serial.ports import find_board
+from spheremouse.tracker import no_motion
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
 import termios  # noqa: E402
@@ -46,6 +49,22 @@ def refused(spec):
 def board():
     with Simulator() as simulator:
         yield simulator
+
+
+LOOKS = {"far-side": (0, 0, 1), "camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0)}
+
+
+@pytest.mark.parametrize("player", LOOKS)
+def test_the_boards_mouse_follows_the_hand_on_the_top_of_the_ball(board, player):
+    """To the right and away, by a hundred counts: right and up on any screen, where y is counted downwards."""
+    ahead = np.array(LOOKS[player], dtype=float)
+    counter = Counter(MotionSettings(player=player, counts_per_radian=1000.0).matrix(None))
+    with open_output(f"serial:{board.port}") as output:
+        for hand, moved in ((np.cross(ahead, (0, 1, 0)), [100, 0]), (ahead, [100, -100])):
+            turn = 0.1 * np.cross((0, 1, 0), hand)
+            output.send(counter.report(no_motion(1.0)._replace(rotation=turn, confirmed=True)))
+            until(lambda: output.settled)
+            assert board.moved[:2] == moved
 
 
 def test_what_is_sent_is_what_the_mouse_does(board, capsys):
