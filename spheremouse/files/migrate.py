@@ -7,17 +7,13 @@ changes a schema writes it. Each kind has a number of its own. The original stay
 import os
 from codecs import BOM_UTF8
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
-from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML, YAMLError
-from ruamel.yaml.constructor import RoundTripConstructor
-from ruamel.yaml.representer import RoundTripRepresenter
-
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import open_to_read, replace
-from spheremouse.files.yaml import MAX_BYTES, Document, Problem, parse_bytes, parse_document, shown
+from spheremouse.files.rewrite import rewritten
+from spheremouse.files.yaml import MAX_BYTES, Document, Problem, parse_bytes, shown
 
 Step = Callable[[MutableMapping[str, Any]], None]
 
@@ -135,54 +131,18 @@ def backup_path(path: Path, version: int) -> Path:
 # ---- within ----
 
 
-class _Number(float):
-    """A number that remembers how it was written: ruamel.yaml's own way may change the last digit."""
-
-    text: str
-
-    def __new__(cls, text: str) -> "_Number":
-        number = super().__new__(cls, text.replace("_", "").lower().replace(".inf", "inf").replace(".nan", "nan"))
-        number.text = text
-        return number
-
-
-class _Constructor(RoundTripConstructor):
-    pass
-
-
-class _Representer(RoundTripRepresenter):
-    pass
-
-
-_FLOAT = "tag:yaml.org,2002:float"
-_Constructor.add_constructor(_FLOAT, lambda _, node: _Number(node.value))
-_Representer.add_representer(_Number, lambda r, number: r.represent_scalar(_FLOAT, number.text))
-
-
 def _rewritten(text: str, kind: str, version: int, document: Document) -> str:
-    """The text in the newest schema; it is read again, and must say what the steps make of the plain data."""
+    """The text in the newest schema."""
     wanted = converted(document, kind)  # refuses what is newer
-    yaml = YAML(typ="rt")
-    yaml.Constructor, yaml.Representer = _Constructor, _Representer
-    yaml.preserve_quotes = True
-    yaml.width = 1_000_000
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    stream = StringIO()
-    try:
-        data = yaml.load(text)
+
+    def change(data: MutableMapping[str, Any]) -> None:
         _step_up(data, kind, version)
-        yaml.dump(data, stream)
-        written = parse_document(stream.getvalue(), document.name)
-    except (YAMLError, ConfigurationError) as e:
-        raise _failed(document, " ".join(str(e).split())[:120]) from None
-    if written.data != wanted.data:
-        raise _failed(document, "what was written reads differently")
-    return stream.getvalue()
 
-
-def _failed(document: Document, why: str) -> ConfigurationError:
-    text = f"{document.name}: cannot be brought to the newest schema ({why}); it is as it was: change it by hand"
-    return ConfigurationError(text)
+    try:
+        return rewritten(text, change, wanted.data, document.name)
+    except ConfigurationError as e:
+        what = f"{document.name}: cannot be brought to the newest schema ({e}); it is as it was: change it by hand"
+        raise ConfigurationError(what) from None
 
 
 def _step_up(data: MutableMapping[str, Any], kind: str, version: int) -> None:
