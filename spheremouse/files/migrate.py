@@ -17,7 +17,8 @@ from ruamel.yaml.constructor import RoundTripConstructor
 from ruamel.yaml.representer import RoundTripRepresenter
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.atomic import open_to_read, replace
+from spheremouse.files.atomic import replace
+from spheremouse.files.lookup import open_to_read
 from spheremouse.files.yaml import MAX_BYTES, SCHEMA, Document, Problem, parse_bytes, parse_document, shown
 
 Step = Callable[[MutableMapping[str, Any]], None]
