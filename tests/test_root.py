@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from spheremouse.commands.service import app
 from spheremouse.commands.service import systemd as service
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
-from spheremouse.files import atomic, migrate
+from spheremouse.files import lookup, migrate
 from spheremouse.files.as_owner import as_owner
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.dataset.ball import open_dataset
@@ -401,7 +401,7 @@ def test_a_file_that_root_replaces_stays_its_owners(state, planted, nobody):
 def test_root_reads_no_file_with_a_second_name_where_others_write(state, secret):
     os.link(secret, state / "x")
     with pytest.raises(OSError, match="has a second name"):
-        atomic.open_to_read(state / "x")
+        lookup.open_to_read(state / "x")
 
 
 def test_a_recording_that_another_user_exchanges_goes_where_root_began_it(root, state, linked):
@@ -468,21 +468,21 @@ def test_the_path_of_a_stream_is_the_stream_and_never_replaced(root):
 def test_a_folder_is_exchangeable_where_a_group_or_a_links_owner_has_a_say(root, own, nobody, no_sudo):
     place = root / "place"
     place.mkdir()
-    assert not atomic.exchangeable(place)
+    assert not lookup.exchangeable(place)
     os.chown(place, 0, nobody.pw_gid)
     place.chmod(0o775)
-    assert atomic.exchangeable(place)
+    assert lookup.exchangeable(place)
     place.chmod(0o1775)  # with the sticky bit nobody moves what is another's
-    assert not atomic.exchangeable(place)
+    assert not lookup.exchangeable(place)
     place.chmod(0o755)
     theirs = root / "theirs"
     theirs.mkdir()
     (theirs / "link").symlink_to(place)
     (root / "first").symlink_to(theirs / "link")
-    assert not atomic.exchangeable(root / "first")
+    assert not lookup.exchangeable(root / "first")
     own(theirs)
-    assert atomic.exchangeable(theirs / "link")
-    assert atomic.exchangeable(root / "first")  # by a link of root's to a link of another's
+    assert lookup.exchangeable(theirs / "link")
+    assert lookup.exchangeable(root / "first")  # by a link of root's to a link of another's
 
 
 def test_folders_too_deep_for_a_recursion_are_removed(root, state, secret):
@@ -495,7 +495,7 @@ def test_folders_too_deep_for_a_recursion_are_removed(root, state, secret):
         at = down
     os.close(at)
     with limited(60):
-        atomic.remove_tree(state)
+        lookup.remove_tree(state)
     assert not state.exists()
     assert secret.read_text() == SECRET
 

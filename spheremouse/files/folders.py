@@ -9,7 +9,8 @@ import time
 from pathlib import Path
 
 from spheremouse.errors import SpheremouseError
-from spheremouse.files.atomic import OLD, exchangeable
+from spheremouse.files.atomic import OLD
+from spheremouse.files.lookup import exchangeable
 
 _LEFT = re.compile(r"\..+\.[a-z0-9_]{8}", re.S)  # as `_hidden` names them
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.atomic import open_to_read, replace
+from spheremouse.files.atomic import replace
+from spheremouse.files.lookup import open_to_read
 from spheremouse.files.rewrite import rewritten
 from spheremouse.files.yaml import MAX_BYTES, Document, Problem, parse_bytes, shown
 

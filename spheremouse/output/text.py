@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Self, TextIO
 
 from spheremouse.errors import OutputError
-from spheremouse.files.atomic import open_to_write
+from spheremouse.files.lookup import open_to_write
 from spheremouse.output import OutputClosed, Report
 
 NAMES = "# stamp dx dy dz rx ry rz wx wy wz"

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Literal
 
 from spheremouse.errors import ConfigurationError, ServiceError, printable
-from spheremouse.files.atomic import open_to_read, remove_tree, replace
+from spheremouse.files.atomic import replace
+from spheremouse.files.lookup import open_to_read, remove_tree
 from spheremouse.files.service import service_files
 
 UNIT = "spheremouse.service"

@@ -1,8 +1,9 @@
 """The control socket: who may, asks; one thread answers, with bounded memory, a bounded pace and no waiting for anyone.
 
-Requests are lines (`protocol`). A client has one of them under way at a time. `handle` is called in this thread and
-must return at once; its `reply` may be called later, from any thread, and says whether anybody still waits for it: who
-hangs up cancels what it asked. Everything that a client can do to the daemon through this door is bounded by `Limits`.
+Requests are lines (`protocol`). A client has one of them under way at a time (`connection`). `handle` is called in this
+thread and must return at once; its `reply` may be called later, from any thread, and says whether anybody still waits
+for it: who hangs up cancels what it asked. Everything that a client can do to the daemon through this door is bounded
+by `Limits`.
 """
 
 import contextlib
@@ -13,7 +14,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -22,11 +22,10 @@ from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.files.yaml import one_line
 from spheremouse.output.sparing import Sparing
 from spheremouse.session.control import socket as control_socket
+from spheremouse.session.control.connection import Connection
 from spheremouse.session.control.limits import Limits, Pace
 from spheremouse.session.control.protocol import (
-    MAX_LINE,
     BadRequestError,
-    Id,
     Request,
     Set,
     Watch,
@@ -48,27 +47,6 @@ _WATCHERS = 0  # in place of a client's number
 _GONE = select.POLLHUP | select.POLLERR | select.POLLNVAL  # both ways are closed; half of them is no hanging up
 
 
-@dataclass(slots=True, eq=False)
-class _Client:
-    """A connection and what is under way on it. Times are s of the monotonic clock."""
-
-    connection: socket.socket
-    trusted: bool  # the daemon's own user, or root
-    heard: float  # when it was last no fault of the client that nothing happened
-    received: bytearray = field(default_factory=bytearray)
-    unsent: bytearray = field(default_factory=bytearray)
-    sent: float = 0.0  # when something of `unsent` last went, or began to wait
-    asked: float | None = None  # when the request under way was handed on
-    reply: Reply | None = None  # to it
-    paced: bool = False  # what it sends is not read yet: its like have had their share
-    id: Id | None = None
-    interval: float | None = None  # of a watcher
-    due: float = 0.0  # its next status
-    status_asked: float | None = None
-    ended: bool = False  # it sends nothing any more
-    closing: bool = False  # it goes as soon as it has read what waits
-
-
 class ControlServer:
     """Listens at `path` from its making until `close`. `say` gets a line about what an operator should know of."""
 
@@ -85,7 +63,7 @@ class ControlServer:
         self._path, self._settings, self._handle = path, settings, handle
         self._limits = limits or Limits()
         self._group = None if settings.group is None else control_socket.group_id(settings.group)
-        self._clients: dict[int, _Client] = {}
+        self._clients: dict[int, Connection] = {}
         self._replies: deque[tuple[int, Reply, dict[str, Any]]] = deque()  # client
         self._events: deque[dict[str, Any]] = deque(maxlen=self._limits.events)
         self._count = 0
@@ -155,6 +133,10 @@ class ControlServer:
             control_socket.lock_path(self._path).unlink()
         os.close(self._lock)
 
+    def _wake(self) -> None:
+        with self._waking, contextlib.suppress(OSError):  # full: it will wake anyway; closed: nobody is there to wake
+            self._wake_write.send(b"\0")
+
     # ---- the thread ----
 
     def _run(self) -> None:
@@ -176,27 +158,27 @@ class ControlServer:
             if events & _GONE and descriptor in self._numbers:
                 self._drop(self._numbers[descriptor])
         for number, client in list(self._clients.items()):  # before new ones are let in: they shall not crowd it out
-            self._guarded(number, client, self._serve, number)
+            self._guarded(number, self._serve, number, client)
         if self._wake_read.fileno() in ready:
             with contextlib.suppress(BlockingIOError):
                 self._wake_read.recv(4096)
         for descriptor, events in ready.items():
             if (number := self._numbers.get(descriptor)) is not None and (client := self._clients.get(number)):
-                self._guarded(number, client, self._transfer, events)
+                self._guarded(number, client.transfer, events)
         if self._listener.fileno() in ready:
             self._accept()
         self._ask_status(time.monotonic())
         self._pass_on()
         now = time.monotonic()
         for number, client in list(self._clients.items()):
-            self._guarded(number, client, self._tend, now)
+            self._guarded(number, client.tend, now)
         self._watchers = any(c.interval is not None for c in self._clients.values())
         self._look()
 
-    def _guarded(self, number: int, client: _Client, action: Callable[..., None], argument: Any) -> None:
+    def _guarded(self, number: int, action: Callable[..., None], *arguments: Any) -> None:
         """Do something for a client; what goes wrong with it costs nobody but the client."""
         try:
-            action(client, argument)
+            action(*arguments)
         except OSError:
             self._drop(number)
         except Exception as e:
@@ -205,26 +187,13 @@ class ControlServer:
 
     def _patience(self) -> float | None:
         """Seconds until something must be done though nothing happens; None for ever."""
-        now = time.monotonic()
-        times = [self._deadline(c) for c in self._clients.values()]
-        times += [c.due for c in self._clients.values() if c.interval is not None and c.status_asked is None]
         if self._replies or self._events:
             return 0.0
-        times += [now + self._pace(c).wait() for c in self._clients.values() if self._has_request(c) or c.paced]
+        now = time.monotonic()
+        times = [c.next_turn(now) for c in self._clients.values()]
         if not self._listening:
             times.append(max(self._accept_again, now + self._connections.wait()))
         return max(0.0, min(times) - now) if times else None
-
-    def _deadline(self, client: _Client) -> float:
-        """When we have waited for this client, or for the daemon on its behalf, long enough."""
-        limits = self._limits
-        if client.unsent:
-            return client.sent + limits.stalled
-        if client.asked is not None:
-            return client.asked + limits.answer
-        if client.interval is not None:
-            return client.status_asked + limits.answer if client.status_asked is not None else float("inf")
-        return client.heard + limits.idle
 
     def _look(self) -> None:
         """What matters now: what is not to be read yet must not wake us; a hang-up always does."""
@@ -232,14 +201,23 @@ class ControlServer:
         if not self._ending.is_set():
             self._poll.register(self._listener, select.POLLIN if self._listening else 0)
         for client in self._clients.values():
-            wanted = not (client.ended or client.closing) and len(client.received) < MAX_LINE
-            client.paced = wanted and not self._pace(client).free()
-            events = select.POLLIN if wanted and not client.paced else 0
-            self._poll.register(client.connection, events | (select.POLLOUT if client.unsent else 0))
+            self._poll.register(client.socket, client.wanted())
 
-    def _pace(self, client: _Client) -> Pace:
-        """The owner does not stand behind members."""
-        return self._paces[client.trusted]
+    def _finish(self) -> None:
+        """Send replies that are there or come within half a second, to those who read; then leave."""
+        with contextlib.suppress(KeyError):  # it never listened
+            self._poll.unregister(self._listener)
+        self._listener.close()
+        end = time.monotonic() + 0.5
+        with contextlib.suppress(Exception):
+            self._pass_on()
+            while time.monotonic() < end and any(c.unsent or c.asked is not None for c in self._clients.values()):
+                self._round(0.05)
+        for number in list(self._clients):
+            self._drop(number)
+        self._wake_read.close()
+        with self._waking:
+            self._wake_write.close()
 
     # ---- connections ----
 
@@ -275,7 +253,7 @@ class ControlServer:
             _last_word(connection, f"busy: all places for clients are taken ({most}); close one and try again")
             return
         self._count += 1
-        self._clients[self._count] = _Client(connection, trusted, time.monotonic())
+        self._clients[self._count] = Connection(connection, trusted, self._paces[trusted], self._limits)
         self._numbers[connection.fileno()] = self._count
         self._poll.register(connection, 0)
 
@@ -287,10 +265,7 @@ class ControlServer:
         silent = [
             (client.heard, number)
             for number, client in self._clients.items()
-            if client.asked is None
-            and client.interval is None
-            and not self._has_request(client)
-            and (trusted or not client.trusted)
+            if client.silent and (trusted or not client.trusted)
         ]
         if not silent:
             return False
@@ -301,90 +276,35 @@ class ControlServer:
         client = self._clients.pop(number, None)
         if client is None:
             return
-        if client.reply is not None:
-            client.reply.gone = True
-        del self._numbers[client.connection.fileno()]
-        self._poll.unregister(client.connection)
-        client.connection.close()
-
-    # ---- bytes ----
-
-    def _transfer(self, client: _Client, events: int) -> None:
-        if events & select.POLLOUT:
-            self._flush(client)
-        if events & select.POLLIN and not client.closing:
-            self._pace(client).take(self._limits.reading)
-            try:
-                data = client.connection.recv(MAX_LINE)
-            except (BlockingIOError, InterruptedError):
-                return
-            client.received += data
-            if not data:
-                client.ended = True
-                client.connection.send(b"")  # an error where it has gone, and does not only say nothing more
-
-    def _send(self, client: _Client, message: dict[str, Any]) -> None:
-        try:
-            line = encode(message)
-        except ValueError as e:
-            line = encode(refused(f"the answer is {e}, and {MAX_LINE} is the most", message.get("id")))
-        self._send_line(client, line)
-
-    def _send_line(self, client: _Client, line: bytes) -> None:
-        if len(client.unsent) + len(line) > self._limits.unsent:
-            raise TimeoutError  # it does not read: dropped
-        if not client.unsent:
-            client.sent = time.monotonic()
-        client.unsent += line
-        self._flush(client)
-
-    def _flush(self, client: _Client) -> None:
-        try:
-            n = client.connection.send(client.unsent)
-        except (BlockingIOError, InterruptedError):
-            return
-        if n:
-            del client.unsent[:n]
-            client.sent = client.heard = time.monotonic()
+        del self._numbers[client.socket.fileno()]
+        self._poll.unregister(client.socket)
+        client.close()
 
     # ---- requests ----
 
-    def _has_request(self, client: _Client) -> bool:
-        ready = client.asked is None and not client.unsent and not client.closing
-        return ready and (len(client.received) >= MAX_LINE or b"\n" in client.received)
-
-    def _serve(self, client: _Client, number: int) -> None:
+    def _serve(self, number: int, client: Connection) -> None:
         """Handle one request of a client, if there is one and it is its turn."""
-        if not self._has_request(client) or not self._pace(client).free():
+        if not client.has_request or not client.pace.free():
             return
         self._clients[number] = self._clients.pop(number)  # to the end: the others come first next time
-        end = client.received.find(b"\n", 0, MAX_LINE)
-        if end < 0:
-            client.closing = True
-            self._send(client, refused(f"a line of more than {MAX_LINE} bytes; send one JSON object a line"))
-            client.received.clear()
-            return
-        line = bytes(client.received[:end])
-        del client.received[: end + 1]
-        client.heard = time.monotonic()
-        self._pace(client).take(1.0 + self._limits.kilobyte * len(line) / 1024.0)
+        line = client.take_line()
         if not line.strip():
             return
         try:
             request = parse(line)
             self._check_rights(client, request)
         except BadRequestError as e:
-            self._send(client, refused(str(e), e.id))
+            client.send(refused(str(e), e.id))
             return
         if isinstance(request, Watch):
             client.interval, client.due = request.interval, client.heard
             self._watchers = True  # before the client can know
-            self._send(client, done({}, request.id))
+            client.send(done({}, request.id))
             return
         client.asked, client.id = client.heard, request.id
         client.reply = self._hand_on(request, number, client.trusted)
 
-    def _check_rights(self, client: _Client, request: Request) -> None:
+    def _check_rights(self, client: Connection, request: Request) -> None:
         if client.trusted or not isinstance(request, Set):
             return
         for assignment in request.assignments:
@@ -412,14 +332,13 @@ class ControlServer:
 
     def _ask_status(self, now: float) -> None:
         """Ask for the status once for all watchers whose time has come."""
-        due = [c for c in self._clients.values() if c.interval is not None and c.status_asked is None and c.due <= now]
-        if not due:
-            return
-        for client in due:
-            client.status_asked = now
-            assert client.interval is not None
-            client.due = max(client.due + client.interval, now)
-        self._hand_on(Request(command="status"), _WATCHERS)
+        asked = False
+        for client in self._clients.values():
+            if client.interval is not None and client.status_asked is None and client.due <= now:
+                client.status_asked, client.due = now, max(client.due + client.interval, now)
+                asked = True
+        if asked:
+            self._hand_on(Request(command="status"), _WATCHERS)
 
     def _pass_on(self) -> None:
         """Replies and events to whom they belong."""
@@ -430,13 +349,9 @@ class ControlServer:
                 continue
             client = self._clients.get(number)
             if client is not None and client.asked is not None and client.reply is reply:
-                self._answer(number, client, message)
+                self._guarded(number, client.answer, done(message, client.id))
         for _ in range(len(self._events)):
             self._to_watchers(self._events.popleft(), [n for n, c in self._clients.items() if c.interval is not None])
-
-    def _answer(self, number: int, client: _Client, message: dict[str, Any]) -> None:
-        client.asked, client.reply, client.heard = None, None, time.monotonic()
-        self._guarded(number, client, self._send, done(message, client.id))
 
     def _status_to_watchers(self, message: dict[str, Any]) -> None:
         numbers = [n for n, c in self._clients.items() if c.status_asked is not None]
@@ -456,44 +371,7 @@ class ControlServer:
             line = encode({"event": "log", "text": f"an event was left out: {e}"})
         for number in numbers:
             if (client := self._clients.get(number)) is not None:
-                self._guarded(number, client, self._send_line, line)
-
-    # ---- time ----
-
-    def _tend(self, client: _Client, now: float) -> None:
-        """What the passing of time means to a client; OSError drops it."""
-        if now >= self._deadline(client):
-            if client.unsent or (client.asked is None and client.interval is None):
-                raise TimeoutError
-            if client.asked is not None:
-                if client.reply is not None:
-                    client.reply.gone = True  # who was told that nothing came does not want it later
-                client.asked, client.reply, client.heard = None, None, now
-                self._send(client, refused(f"no answer within {self._limits.answer:g} s", client.id))
-            client.status_asked = None
-        finished = client.ended and client.asked is None and client.interval is None and not self._has_request(client)
-        if (client.closing or finished) and not client.unsent:
-            raise ConnectionResetError
-
-    def _finish(self) -> None:
-        """Send replies that are there or come within half a second, to those who read; then leave."""
-        with contextlib.suppress(KeyError):  # it never listened
-            self._poll.unregister(self._listener)
-        self._listener.close()
-        end = time.monotonic() + 0.5
-        with contextlib.suppress(Exception):
-            self._pass_on()
-            while time.monotonic() < end and any(c.unsent or c.asked is not None for c in self._clients.values()):
-                self._round(0.05)
-        for number in list(self._clients):
-            self._drop(number)
-        self._wake_read.close()
-        with self._waking:
-            self._wake_write.close()
-
-    def _wake(self) -> None:
-        with self._waking, contextlib.suppress(OSError):  # full: it will wake anyway; closed: nobody is there to wake
-            self._wake_write.send(b"\0")
+                self._guarded(number, client.send_line, line)
 
 
 def _last_word(connection: socket.socket, error: str) -> None:

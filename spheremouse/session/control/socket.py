@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from spheremouse.errors import ControlError
-from spheremouse.files.atomic import exchangeable
+from spheremouse.files.lookup import exchangeable
 
 _SO_PEERGROUPS = 59  # Linux; Python has no name for it
 _LONGEST = 107 if sys.platform == "linux" else 103  # bytes of a path, what the kernel has room for

@@ -498,13 +498,6 @@ def test_ten_megabytes_without_an_end_of_line_are_not_kept(serve, path):
     assert all(len(c.received) <= 2 * MAX_LINE for c in server._clients.values())
 
 
-def test_a_line_may_be_just_as_long_as_promised(serve, path):
-    serve()
-    line = STATUS[:-1].ljust(MAX_LINE - 1) + b"\n"
-    assert Wire(path).ask(line) == FINE
-    assert Wire(path).ask(line[:-1] + b" \n")["ok"] is False
-
-
 def test_megabytes_of_requests_are_read_no_faster_than_they_are_served(serve, path):
     server = serve(limits=Limits(pace=1000.0))
     wire = Wire(path)
