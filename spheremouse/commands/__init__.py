@@ -38,6 +38,7 @@ _COMMANDS = {
     "wand": ("wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
     "experiments": ("experiments", "experiments", "Example: spheremouse experiments wand --quick --out out"),
     "config": ("config", "app", "Example: spheremouse config init spheremouse.yaml"),
+    "axes": ("axes", "axes", "Example: spheremouse axes --config cabinet/config.yaml"),
     "calibrate": ("calibrate", "app", "Begin with: spheremouse calibrate next"),
     "firmware": ("firmware", "app", "Example: spheremouse firmware check"),
     "map": ("map", "app", "Example: spheremouse map show rig.map.yaml"),

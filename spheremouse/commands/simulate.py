@@ -29,7 +29,7 @@ def simulate(
         typer.Option(
             help="What the ball does; roll goes through phi = 90 degrees. rest, creep and flick first show the ball "
             "from all sides for 8 s: then it lies still, or turns by 0.05 deg/s for a minute, or is flicked at "
-            "400 deg/s, stopped within 50 ms and flicked back."
+            "400 deg/s, stopped within 50 ms and flicked back. axes: what `spheremouse axes` asks for."
         ),
     ] = _DEFAULT.motion,
     turns: Annotated[float, typer.Option(metavar="N", help="Turns of --motion roll.")] = _DEFAULT.turns,

@@ -66,19 +66,22 @@ class PointingSettings:
     )
     fastest_turn: float = param(20.0, "rad/s", "the same of turns (1150 degrees/s)", **HAND_TURN)
 
-    def matrix(self) -> Array:
-        """(3, 3): counts x, y, third per rad of rotation vector, or per m of shift, in cam.
+    def directions(self) -> Array:
+        """Axes in `cam`, (3, 3), about which or along which the ball goes to the right, down, and the third way.
 
         Whoever holds the ball has right, down and ahead along cam's axes, or turned about y by half a turn. Pointing
         further to the right is a turn about down, pointing down one about left, and clockwise one about ahead.
         """
         side = -1.0 if self.facing else 1.0
         if self.by == "turn":
-            M = self.counts_per_radian * np.array([[0.0, 1.0, 0.0], [-side, 0.0, 0.0], [0.0, 0.0, side]])
-        else:
-            M = self.counts_per_metre * np.diag([side, 1.0, side])
+            return np.array([[0.0, 1.0, 0.0], [-side, 0.0, 0.0], [0.0, 0.0, side]])
+        return np.diag([side, 1.0, side])
+
+    def matrix(self) -> Array:
+        """(3, 3): counts x, y, third per rad of rotation vector, or per m of shift, in cam."""
+        scale = self.counts_per_radian if self.by == "turn" else self.counts_per_metre
         sign = np.where([self.invert_x, self.invert_y, self.invert_z], -1.0, 1.0)
-        return M * (sign * (self.scale_x, self.scale_y, self.scale_z))[:, None]
+        return self.directions() * (sign * (self.scale_x, self.scale_y, self.scale_z) * scale)[:, None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -287,7 +287,7 @@ def until(condition, words, patience=PATIENCE):
 # ---- the cabinet ----
 
 CONFIG = """\
-schema: 1
+schema: 2
 source: v4l2:{folder}/camera
 output: "uinput:third=rz"
 rig: rig.yaml

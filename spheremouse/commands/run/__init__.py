@@ -13,7 +13,7 @@ from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
 
 if TYPE_CHECKING:
     from spheremouse.capture.stopping import Stopping
-    from spheremouse.commands.run.view import View
+    from spheremouse.commands.run.view import Counting
     from spheremouse.session.follower import Setup
     from spheremouse.session.plan import Plan, Request
 
@@ -149,7 +149,7 @@ def run(
             plan = setup.planned(request, plan)
             shown = view(plan, wanted, overlay, None if setup.source is None else setup.source.fps, stack)
             try:
-                end = (_serve if live else _follow)(request, plan, setup, stopping, shown, frames)
+                end = (serve if live else follow)(request, plan, setup, stopping, shown, frames)
             except SpheremouseError as e:  # before there was anything to follow
                 failure = e
             else:
@@ -177,8 +177,8 @@ def _refuse_loss(overlay: Path, plan: "Plan", given: tuple[Path | None, ...]) ->
         raise ConfigurationError(f"--overlay: {overlay} belongs to the recording; name another file")
 
 
-def _serve(
-    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "View", frames: int | None
+def serve(
+    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "Counting", frames: int | None
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """As a service: frames are taken when they come, and a device that fails is waited for."""
     from spheremouse.session.cameras import opener, refuse_if_taken
@@ -209,12 +209,12 @@ def _serve(
     return failure, daemon.follower.last_words(failed=failure is not None)
 
 
-def _follow(
-    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "View", frames: int | None
+def follow(
+    request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "Counting", frames: int | None
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """A recording: every frame, one after the other."""
+    from spheremouse.session import offline
     from spheremouse.session.follower import here
-    from spheremouse.session.offline import follow
 
     assert setup.source is not None
     failure: SpheremouseError | None = None
@@ -226,7 +226,7 @@ def _follow(
         setup.make_ready(plan)
         try:
             tracked = islice(setup.begin(stopping.frames(iter(source)), follower), frames)
-            follow(stopping.frames(tracked), follower, sinks, view)
+            offline.follow(stopping.frames(tracked), follower, sinks, view)
             failure = None if stopping.asked else follower.failure("")
         except PoseError as e:
             failure = None if stopping.asked else e  # asked to stop: no frame came any more

@@ -17,10 +17,15 @@ from spheremouse.session.wand.screen import WandStatusTable
 from spheremouse.wand.state import WandTracker
 
 
-class View(offline.View, Protocol):
+class Counting(offline.View, Protocol):
     """Shows tracked frames, and knows what they come to."""
 
     tally: Tally
+
+
+class View(Counting, Protocol):
+    """With an overlay, where one is wanted."""
+
     overlay: OverlayFile | None
 
 

@@ -13,7 +13,18 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, Lift, bumped, displaced, facing
 from spheremouse.simulate.ball.furniture import BLACK, WHITE_BALL
 from spheremouse.simulate.ball.hands import HandVisit
-from spheremouse.simulate.ball.profile import TURN_SECONDS, Profile, creep, flick, play, rest, roll, still, thesis
+from spheremouse.simulate.ball.profile import (
+    TURN_SECONDS,
+    Profile,
+    creep,
+    flick,
+    play,
+    rest,
+    roll,
+    shown_to_axes,
+    still,
+    thesis,
+)
 from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedFrame
 from spheremouse.simulate.ball.scene import Scene, View, default_scene
 from spheremouse.simulate.light import reflectance
@@ -38,7 +49,7 @@ __all__ = [
     "simulate",
 ]
 
-Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick"]
+Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick", "axes"]
 Triple = tuple[float, float, float]
 
 MOST_FRAMES = 1_000_000  # of one recording: nine hours at 30 Hz, 300 GB of video
@@ -175,6 +186,8 @@ def _profile(options: SimulationOptions) -> Profile:
         return creep()
     if options.motion == "flick":
         return flick()
+    if options.motion == "axes":
+        return shown_to_axes()
     return still(10.0)
 
 

@@ -227,6 +227,12 @@ def _shown() -> list[Gesture]:
     return [Gesture(1.0, 3.5, (1.0, 0.0, 0.0), 2.0 * np.pi, 0.3), Gesture(4.5, 3.5, (0.0, 1.0, 0.0), 2.0 * np.pi, 0.3)]
 
 
+def shown_to_axes() -> Gestures:
+    """What `spheremouse axes` asks for, from the far side: 60° to the right, away, and counter-clockwise from above."""
+    ways = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    return Gestures(tuple(Gesture(1.5 + 3.0 * k, 1.5, way, np.pi / 3.0) for k, way in enumerate(ways)), 10.5)
+
+
 def _end(gestures: list[Gesture]) -> float:
     return gestures[-1].start + gestures[-1].length
 

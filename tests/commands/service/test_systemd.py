@@ -140,7 +140,7 @@ def test_uninstalling_leaves_nothing_where_nobody_changed_anything(root):
 @pytest.mark.parametrize("purge", [False, True])
 def test_configuration_calibration_and_map_stay_unless_purged(root, purge):
     call("install", root=root)
-    kept = {"etc/spheremouse/config.yaml": "schema: 1\n", "etc/spheremouse/rig.yaml": "rig"}
+    kept = {"etc/spheremouse/config.yaml": "schema: 2\n", "etc/spheremouse/rig.yaml": "rig"}
     kept["var/lib/spheremouse/rig.map.yaml"] = "map"
     kept["etc/systemd/system/spheremouse.service.d/override.conf"] = "[Service]\n"  # of `systemctl edit`
     for name, text in kept.items():
@@ -162,9 +162,9 @@ def test_compiled_code_goes_with_the_service(root):
 
 def test_a_configuration_that_is_there_is_not_touched(root):
     (root / "etc/spheremouse").mkdir(parents=True)
-    (root / "etc/spheremouse/config.yaml").write_text("schema: 1\n# mine\n")
+    (root / "etc/spheremouse/config.yaml").write_text("schema: 2\n# mine\n")
     call("install", root=root)
-    assert (root / "etc/spheremouse/config.yaml").read_text() == "schema: 1\n# mine\n"
+    assert (root / "etc/spheremouse/config.yaml").read_text() == "schema: 2\n# mine\n"
 
 
 @pytest.mark.parametrize("name", [p for _, p in Place().files()])

@@ -1,0 +1,248 @@
+"""`spheremouse axes`: three gestures tell where the player stands, and the pointer goes where the hand goes."""
+
+import sys
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import typer
+
+from spheremouse.errors import CalibrationError
+
+if TYPE_CHECKING:
+    from spheremouse.capture.stopping import Stopping
+    from spheremouse.geometry.rotation import Array
+    from spheremouse.output.gestures import Understood
+    from spheremouse.session.follower import Follower, Tracked
+    from spheremouse.session.settings import Configuration
+
+_SHIFT = 0.4  # m of a hand that are taken for a radian: a forearm does the one with as much ease as a wrist the other
+_ON_TOP = "push the top of the ball, not its front or its underside, each time one way"
+_MIRRORED = "no player's right, away and counter-clockwise go together so"
+
+
+def axes(
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Configuration file; what is understood is saved into it, comments kept."),
+    ] = None,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND:ARG", help="Camera or recording, as of `run`.  [default: `source` of the configuration]"
+        ),
+    ] = None,
+    rig: Annotated[Path | None, typer.Option(metavar="FILE", help="The device as calibrated.")] = None,
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Interior orientation, in place of the rig's.")
+    ] = None,
+    tracker: Annotated[
+        Literal["so3", "wand"] | None, typer.Option(help="A ball in its frame, or in a hand.  [default: as configured]")
+    ] = None,
+    balls: Annotated[
+        list[Path] | None, typer.Option("--ball", metavar="FILE", help="Wand: a ball's wand file.")
+    ] = None,
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter of the configuration.")
+    ] = None,
+    dry: Annotated[bool, typer.Option("--dry-run", help="Say what is understood, and save nothing.")] = False,
+) -> None:
+    """Say by three gestures which way the pointer shall go.
+
+    Roll the ball to the right, roll it away from you, spin it; each time one way, and let it rest. Then the pointer
+    goes right and up with your hand. With a recording, the gestures are looked for in it.
+    """
+    from spheremouse.capture.stopping import Stopping
+    from spheremouse.commands.run import follow, serve
+    from spheremouse.session import trackers
+    from spheremouse.session.cameras import is_camera
+    from spheremouse.session.plan import Request, read_plan
+    from spheremouse.session.process.standard_error import unhurried
+
+    said = () if tracker is None else (f"tracker={tracker}",)
+    request = Request(
+        config, (*(assignments or ()), *said), source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ())
+    )
+    plan = read_plan(request)
+    live = is_camera(plan.source)
+    with unhurried() if live else nullcontext(), Stopping() as stopping:
+        setup = trackers.setup(plan)
+        plan = setup.planned(request, plan)
+        dialogue = Dialogue(plan.configuration, stopping, live)
+        failure, _ = (serve if live else follow)(request, plan, setup, stopping, dialogue, None)
+    if dialogue.found is None and failure is not None:
+        raise failure
+    values = dialogue.conclusion()
+    if dialogue.stopped:
+        raise KeyboardInterrupt
+    for key, value, before in values:
+        shown = str(value).lower() if isinstance(value, bool) else value
+        print(f"{key}: {shown}{' (as it was)' if value == before else ''}")
+    _keep(config, values, dry)
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked for, and the settings that may come of it."""
+
+    words: tuple[str, str, str]
+    section: tuple[str, ...]
+    choices: tuple[dict[str, Any], ...]  # settings
+    sayings: tuple[str, ...]  # where whoever they are of stands
+    directions: tuple["Array", ...]  # (3, 3) of each: unit vectors of the gestures
+    by: slice  # of a motion's (6,) of rotation and shift
+    unit: float  # rad or m
+
+
+def asked_of(configuration: "Configuration") -> Asked:
+    """The gestures of a ball in its frame, or in a hand."""
+    return _of_hand(configuration) if configuration.tracker == "wand" else _of_ball()
+
+
+def _of_ball() -> Asked:
+    from spheremouse.output.counts import MotionSettings, Player
+
+    seats: dict[Player, str] = {
+        "far-side": "on the far side of the ball, opposite the camera",
+        "camera-side": "on the camera's side of the ball",
+        "left": "at the left of the ball, as the camera sees it",
+        "right": "at the right of the ball, as the camera sees it",
+    }
+    signs = np.array([[1.0], [-1.0], [1.0]])  # right; away, not towards; counter-clockwise
+    return Asked(
+        (
+            "roll the ball to the right, your hand on its top",
+            "roll it away from you",
+            "spin it counter-clockwise, as seen from above",
+        ),
+        ("motion",),
+        tuple({"player": player} for player in seats),
+        tuple(f"you stand {saying}" for saying in seats.values()),
+        tuple(signs * MotionSettings(player=player).directions() for player in seats),
+        slice(0, 3),
+        1.0,
+    )
+
+
+def _of_hand(configuration: "Configuration") -> Asked:
+    from spheremouse.output.hand import PointingSettings
+
+    by = configuration.wand.pointing.by
+    turn = ("point the ball to the right", "point it up", "turn it clockwise, as you see it")
+    shift = ("move the ball to the right", "move it up", "move it ahead, the way you look")
+    signs = np.array([[1.0], [-1.0], [1.0]])
+    return Asked(
+        turn if by == "turn" else shift,
+        ("wand", "pointing"),
+        ({"facing": True}, {"facing": False}),
+        ("you face the camera", "you look the way the camera does"),
+        tuple(signs * PointingSettings(by=by, facing=facing).directions() for facing in (True, False)),
+        slice(0, 3) if by == "turn" else slice(3, 6),
+        1.0 if by == "turn" else _SHIFT,
+    )
+
+
+class Dialogue:
+    """Asks for one gesture after the other, and says what it has understood: what shows a run to a person."""
+
+    def __init__(self, configuration: "Configuration", stopping: "Stopping", live: bool) -> None:
+        """`stopping` is asked as soon as all is understood."""
+        from spheremouse.output.gestures import Watch
+        from spheremouse.session.screen import Tally
+
+        self.tally, self._stopping, self._live = Tally(), stopping, live
+        self._configuration, self._asked = configuration, asked_of(configuration)
+        self._watch = Watch(self._asked.unit)
+        self._made: list[Array] = []
+        self._begun = False
+        self.found: Understood | None = None
+
+    @property
+    def stopped(self) -> bool:
+        """By a signal, before all was understood."""
+        return self._stopping.asked and self.found is None
+
+    def say(self, text: str) -> None:
+        """Lines of the run."""
+        print(text, file=sys.stderr, flush=True)
+
+    def show(self, made: "Tracked", follower: "Follower") -> None:
+        """Look at the motion of a frame."""
+        self.tally.add(made.report.counts, sum(made.seconds.values()))
+        motion = made.report.motion
+        if not motion.confirmed or self.found is not None:
+            return
+        if not self._begun:
+            self._begun = True
+            self._ask()
+        way = np.concatenate([motion.rotation, motion.shift])[self._asked.by]
+        self._take(self._watch.add(motion.stamp, way))
+
+    def conclusion(self) -> list[tuple[str, Any, Any]]:
+        """Settings by name, with their values and those before. Raises CalibrationError where too little was shown."""
+        self._take(self._watch.ended())  # a recording may end without a rest
+        if self.found is None:
+            if self.stopped:
+                return []
+            which = " and ".join(f"'{words}'" for words in self._asked.words[len(self._made) :])
+            raise CalibrationError(f"{len(self._made)} of 3 gestures are in this recording; missing: {which}")
+        before: Any = self._configuration
+        for name in self._asked.section:
+            before = getattr(before, name)
+        wanted = dict(self._asked.choices[self.found.candidate])
+        wanted |= {name: False for name in ("invert_x", "invert_y") if getattr(before, name)}
+        prefix = ".".join(self._asked.section)
+        return [(f"{prefix}.{name}", value, getattr(before, name)) for name, value in wanted.items()]
+
+    def _ask(self) -> None:
+        print(f"{len(self._made) + 1} of 3: {self._asked.words[len(self._made)]}, and let it rest", flush=True)
+
+    def _take(self, gesture: Any) -> None:
+        if gesture is None or self.found is not None:
+            return
+        size = f"{np.degrees(gesture.size):.0f}°" if self._asked.unit == 1.0 else f"{100 * gesture.size:.0f} cm"
+        if not gesture.straight:
+            print("   that went to and fro: once, one way, please", flush=True)
+            return
+        self._made.append(gesture.way)
+        print(f"   seen: {size}", flush=True)
+        if len(self._made) < len(self._asked.words):
+            self._ask()
+            return
+        self._understand()
+
+    def _understand(self) -> None:
+        from spheremouse.output.gestures import understood
+
+        found = understood(self._made, self._asked.directions)
+        off = ", ".join(f"{np.degrees(angle):.0f}°" for angle in found.off)
+        if found.fits:
+            self.found = found
+            saying = self._asked.sayings[found.candidate]
+            print(f"understood: {saying} (the gestures are off by {off})", flush=True)
+            self._stopping.asked = True
+            return
+        what = f"not understood: {_MIRRORED} (off by {off}); {_ON_TOP}"
+        if not self._live:
+            raise CalibrationError(f"{what}; if it was so, the rig's Y points down: calibrate the device anew")
+        print(f"{what}; again, from the first one", flush=True)
+        self._made.clear()
+        self._ask()
+
+
+def _keep(config: Path | None, values: list[tuple[str, Any, Any]], dry: bool) -> None:
+    """Write what is new into the configuration, or say where it belongs."""
+    from spheremouse.files.edit import save_settings
+    from spheremouse.session.settings import Configuration
+
+    changed = {tuple(name.split(".")): value for name, value, before in values if value != before}
+    if dry or not changed:
+        print("nothing is saved" if dry else "nothing to change")
+        return
+    if config is None:
+        print("say so in your configuration, or give it with --config to have it saved")
+        return
+    save_settings(config, changed, Configuration)
+    print(f"{config}: saved")

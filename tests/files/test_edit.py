@@ -1,0 +1,90 @@
+"""Settings saved into a file: all that a person wrote stays, and what is wrong changes nothing."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.files import config
+from spheremouse.files.edit import save_settings
+from spheremouse.files.migrate import backup_path
+from spheremouse.session.settings import Configuration
+
+MINE = """\
+# The cabinet in the hall.
+schema: 2  # as told
+source: 'v4l2:/dev/video0' # the left one
+motion:
+  # twice as fast
+  counts_per_mm: 2.50
+  player: right  # tried
+so3: {gate: 9.0}
+"""
+SEAT = {("motion", "player"): "left"}
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text(MINE)
+    path.chmod(0o640)
+    return path
+
+
+def test_one_value_changes_and_nothing_else(file):
+    save_settings(file, SEAT, Configuration)
+    assert file.read_text() == MINE.replace("player: right ", "player: left  ")  # comments stay in their column
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert list(file.parent.iterdir()) == [file]
+
+
+@given(st.sampled_from(["far-side", "camera-side", "left", "right"]), st.booleans(), st.floats(0.1, 10.0))
+def test_what_is_saved_is_what_is_read(tmp_path_factory, player, invert, scale):
+    path = tmp_path_factory.mktemp("saved") / "config.yaml"
+    values = {("motion", "player"): player, ("motion", "invert_y"): invert, ("wand", "pointing", "scale_x"): scale}
+    save_settings(path, values, Configuration)
+    read = config.load(path, Configuration)
+    assert (read.motion.player, read.motion.invert_y, read.wand.pointing.scale_x) == (player, invert, scale)
+    save_settings(path, values, Configuration)
+    assert config.load(path, Configuration) == read
+
+
+@pytest.mark.parametrize("text", ["schema: 2\n", "schema: 2\nmotion:\n  # player: right\n", "schema: 2\nmotion: {}\n"])
+def test_a_section_is_begun_where_there_is_none(tmp_path, text):
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    save_settings(path, SEAT, Configuration)
+    assert config.load(path, Configuration).motion.player == "left"
+    assert ("# player: right" in path.read_text()) == ("#" in text)
+
+
+def test_a_file_of_an_older_schema_is_converted_and_its_original_kept(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("schema: 1\nmotion: {swap_xy: true, scale_y: 2}  # odd\n")
+    save_settings(path, {("motion", "invert_y"): False}, Configuration)
+    motion = config.load(path, Configuration).motion
+    assert (motion.player, motion.invert_y, motion.scale_y) == ("left", False, 2.0)
+    assert "# odd" in path.read_text()
+    assert backup_path(path, 1).read_text().startswith("schema: 1")
+
+
+@pytest.mark.parametrize(
+    ("text", "values", "said"),
+    [
+        (MINE + "motoin: {}\n", SEAT, r"config.yaml:9: motoin: unknown key"),
+        (MINE, {("motion", "player"): "above"}, r"config.yaml:7: motion.player: must be 'far-side'"),
+        (MINE, {("motion", "scale_x"): -1.0}, r"motion.scale_x: must be at least 0.001, is -1"),
+        ("schema: 9\n", SEAT, r"config.yaml:1: schema: is 9, of a newer spheremouse"),
+    ],
+)
+def test_what_would_be_wrong_is_refused_and_the_file_left(file, text, values, said):
+    file.write_text(text)
+    with pytest.raises(ConfigurationError, match=said):
+        save_settings(file, values, Configuration)
+    assert file.read_text() == text
+
+
+def test_a_folder_that_is_missing_is_said_in_a_line(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"no/config.yaml: cannot be written: No such file") as refused:
+        save_settings(tmp_path / "no" / "config.yaml", SEAT, Configuration)
+    assert "\n" not in str(refused.value)
