@@ -28,11 +28,9 @@ from spheremouse.output.sparing import Sparing, letters
 from spheremouse.session.cameras import held
 from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
 from spheremouse.session.control.desk import Asked, Desk
-from spheremouse.session.control.metrics import serve as serve_metrics
-from spheremouse.session.control.places import socket_path
+from spheremouse.session.control.doors import Doors
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.reply import Reply
-from spheremouse.session.control.server import ControlServer
 from spheremouse.session.follower import MAP, POSE, TARGETS, Follower, Setup, Tracked
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.plan import Plan, check_kinds, read_plan
@@ -54,7 +52,6 @@ _STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
 _USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
 _UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
 
-_LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
 _READING = "reading"  # kind of the crew's work, besides the archive's, the outputs' and the follower's
 
 Show = Callable[[Tracked, Follower], None]
@@ -102,8 +99,8 @@ class Daemon:
         self._desk = Desk(self._ring.wake)
         self._crew = Crew((_READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self.say)
         self._archive = Archive(self._crew, self._ask, self.say)
-        self._server: ControlServer | None = None
-        self._listen_at = 0.0  # s, when the socket is tried for again
+        self._doors = Doors(self.handle, self.say)
+        self._stack.callback(self._doors.close)
         self._notifier = Notifier()
         self._follower = setup.follower(plan, self.say, self._crew.do)
         self._worker = Worker(self._follower, self.say)
@@ -259,8 +256,7 @@ class Daemon:
             for name, times in self._worker.times.items()
             if times.count
         }
-        if self._server is None and now >= self._listen_at:
-            self._listen_again(now)
+        self._doors.tend(self._plan.configuration.control, now)
         useless = now - max(self._worker.good, self._cured)
         if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
             self._cured = now
@@ -276,38 +272,12 @@ class Daemon:
     def _open_doors(self) -> None:
         """The control socket, metrics, and the news that we are there."""
         c = self._plan.configuration
-        try:
-            self._listen()
-        except ControlError as e:
-            if c.control.socket is not None:
-                raise
-            self.say(f"control: {e}: `spheremouse ctl` cannot ask this run until that is over")
-            self._listen_at = time.monotonic() + _LISTEN_EVERY
-        try:
-            metrics = serve_metrics(c.metrics, self.status)
-        except SpheremouseError as e:
-            self.say(f"{e}; going on without")
-        else:
-            if metrics is not None:
-                self._stack.enter_context(metrics)
-                self.say(f"metrics: {metrics.url}")
+        self._doors.open(c.control, c.metrics, self.status)
         self._files = stamps_of(self._request, self._plan)
         removed = tidy(recordings_folder(c.record))
         if removed:
             self.say(f"record: {removed} half-written by a run that was cut off, removed")
         self._notifier.ready()
-
-    def _listen(self) -> None:
-        c = self._plan.configuration
-        path = socket_path(c.control.socket)
-        self._server = self._stack.enter_context(ControlServer(path, c.control, self.handle, self.say))
-
-    def _listen_again(self, now: float) -> None:
-        """Whoever had the socket at our start may be gone."""
-        self._listen_at = now + _LISTEN_EVERY
-        with contextlib.suppress(ControlError):
-            self._listen()
-            self.say("control: `spheremouse ctl` can ask this run now")
 
     def _get_ready(self, stopping: Stopping) -> bool:
         """Whether it came to that: a compiler is not waited for by who is asked to stop."""
@@ -356,8 +326,7 @@ class Daemon:
 
     def _say_now(self, text: str) -> None:
         self._print(text)
-        if self._server is not None:
-            self._server.publish({"event": "log", "text": text})
+        self._doors.publish(text)
 
     # ---- what is asked ----
 

@@ -654,12 +654,12 @@ def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing):
 
 def hit_and_run(world, command, begun=None, **arguments):
     """Ask, wait until the daemon has heard it, or has `begun`, and be gone."""
-    heard, clients = len(world.heard), len(world.daemon._server._clients)
+    heard, clients = len(world.heard), len(world.daemon._doors._server._clients)
     with contextlib.closing(socket.socket(socket.AF_UNIX)) as s:
         s.connect(str(world.socket))
         s.sendall(json.dumps({"command": command, **arguments}).encode() + b"\n")
         world.until(begun or (lambda: len(world.heard) > heard), "heard")
-    world.until(lambda: len(world.daemon._server._clients) <= clients, "seen to be gone")
+    world.until(lambda: len(world.daemon._doors._server._clients) <= clients, "seen to be gone")
 
 
 @pytest.fixture
@@ -672,7 +672,7 @@ def hearing(playing, monkeypatch):
         playing.heard.append(reply)
         handle(request, reply)
 
-    monkeypatch.setattr(playing.daemon._server, "_handle", hear)
+    monkeypatch.setattr(playing.daemon._doors._server, "_handle", hear)
     return playing
 
 
