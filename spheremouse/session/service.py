@@ -15,16 +15,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from spheremouse import __version__
 from spheremouse.capture import Camera
-from spheremouse.capture.fetch import PATIENCE, Capture
+from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.stopping import Stopping, on_hang_up
 from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output.pointer import Counts, plus
-from spheremouse.output.sparing import Sparing, letters
+from spheremouse.output.sparing import Sparing
+from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.cameras import held
 from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
 from spheremouse.session.control.desk import Asked, Desk
@@ -32,26 +31,23 @@ from spheremouse.session.control.doors import Doors
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.follower import MAP, POSE, TARGETS, Follower, Setup, Tracked
+from spheremouse.session.judgement import Judgement
 from spheremouse.session.outputs import OUTPUT, Outputs
 from spheremouse.session.plan import Plan, check_kinds, read_plan
 from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.process.threads import Crew, begin
-from spheremouse.session.process.usage import memory_mb
+from spheremouse.session.process.usage import CpuShare, memory_mb
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
-from spheremouse.session.states import Facts, State, judge, news
-from spheremouse.session.timing import FrameTimes
+from spheremouse.session.states import State
 from spheremouse.session.worker import Worker
 
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
 _COMPILING = 900.0  # s that a small computer may take for it
-_STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
 _USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
-_UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
-
 _READING = "reading"  # kind of the crew's work, besides the archive's, the outputs' and the follower's
 
 Show = Callable[[Tracked, Follower], None]
@@ -85,14 +81,8 @@ class Daemon:
         self._stack = contextlib.ExitStack()
         self._todo: deque[Callable[[], None]] = deque()
         self._over = self._finished = False
-        self._paused = ""
-        self._starting = "the program is being made ready"
-        self._state, self._reason, self._since = State.STARTING, self._starting, self._began
-        self._unseen, self._judged, self._seen_once = 0.0, self._began, False
-        self._arrivals, self._last = FrameTimes(), self._began
-        self._looked, self._cpu, self._cpu_share = self._began, time.process_time(), float("nan")
-        self._stages: dict[str, dict[str, float]] = {}
-        self._status_due = 0.0
+        self._arrivals = Arrivals()
+        self._looked, self._cpu = self._began, CpuShare()
         self._scheduling = "usual scheduling"
         self._files: dict[Path, int] = {}
         self._ring = LatestFrame()
@@ -102,14 +92,16 @@ class Daemon:
         self._doors = Doors(self.handle, self.say)
         self._stack.callback(self._doors.close)
         self._notifier = Notifier()
-        self._follower = setup.follower(plan, self.say, self._crew.do)
-        self._worker = Worker(self._follower, self.say)
+        self._worker = Worker(setup.follower(plan, self.say, self._crew.do), self.say)
         self._capture = Capture(open_camera, self._ring, self.say)
         self._cured = self._began
         self._outputs = Outputs(
-            self._follower.outputs, plan.configuration.pointer, say=self.say, crew=self._crew, ask=self._ask
+            self.follower.outputs, plan.configuration.pointer, say=self.say, crew=self._crew, ask=self._ask
         )
         self._counts: Counts = (0, 0, 0)  # of all frames
+        self._judgement = Judgement(
+            self._worker, self._capture, self._arrivals, self._outputs, say=self.say, tell=self._notifier.status
+        )
 
     def run(self, stopping: Stopping) -> None:
         """Until it is asked to stop, or a recording ends."""
@@ -132,7 +124,7 @@ class Daemon:
     @property
     def follower(self) -> Follower:
         """What follows the ball: another one after a change of the device."""
-        return self._follower
+        return self._worker.follower
 
     @property
     def trouble(self) -> str:
@@ -153,12 +145,11 @@ class Daemon:
             self._act_on_all()
             now = time.monotonic()
             if arrival is not None:
-                self._last = now
-                self._arrivals.add(0.0, now)
+                self._arrivals.add(now)
                 try:
                     made = self._worker.work(arrival, colour=self._archive.wants_colour)
                     if made is not None:
-                        if self._state is not State.TRACKING:
+                        if self._judgement.state is not State.TRACKING:
                             self._judge(now)  # nothing moves before it is said that it may
                         self._pass_on(made, arrival.taken)
                 finally:
@@ -190,72 +181,31 @@ class Daemon:
     def _pass_on(self, made: Tracked, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         # where the output has come back since this was judged, the next frame is the first one for it
-        self._outputs.give(made.report, taken, self._state is not State.FAILED_OUTPUT)
+        self._outputs.give(made.report, taken, self._judgement.state is not State.FAILED_OUTPUT)
         self._counts = plus(self._counts, made.report.counts)
-        self._archive.keep(made, self._follower, self._counts)
-        self._show(made, self._follower)
+        self._archive.keep(made, self.follower, self._counts)
+        self._show(made, self.follower)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._over = True
 
     def _judge(self, now: float) -> None:
-        """State and reason; said where they have changed."""
-        if self._state in _UNSEEN and self._seen_once:
-            self._unseen += now - self._judged
-        self._judged = now
-        before, (state, reason) = (self._state, self._reason), judge(self._facts(now))
-        self._seen_once |= state is State.TRACKING
-        if state is not before[0]:
-            self._since = now
-        told = self._follower.take_news()
-        for text in filter(None, (news(before, (state, reason), told.change), *told.more)):
-            self.say(text)
-        other = state is not before[0] or letters(reason) != letters(before[1])
-        self._state, self._reason = state, reason
-        if other or now >= self._status_due:
-            self._status_due = now + _STATUS_EVERY
-            self._notifier.status(f"{state}: {reason}; {self._fps(now):.0f} frames/s")
-        if state is State.NO_CAMERA and before[0] is not state:
-            self._interrupted(now)
-
-    def _interrupted(self, now: float) -> None:
-        """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
-        self._outputs.rest(now)
-        self._follower.interrupted(self._reason)
-        self._archive.interrupted(self._reason)
-
-    def _facts(self, now: float) -> Facts:
-        camera = self._capture.trouble or self._worker.trouble
-        if not camera and now - self._last > PATIENCE + 1.0:
-            camera = f"the camera has given no frame for {now - self._last:.0f} s"
-        starting = self._starting
-        if not starting and self._capture.attempts <= 1 and self._worker.seen == 0 and self._capture.opening:
-            starting = self._capture.trouble
-        return Facts(
-            starting=starting,
-            camera=camera,
-            paused=self._paused,
-            targets=self._follower.waiting,
-            ball=self._follower.reason,
-            output=self._outputs.pointer.failed or "",
-            tracker=self._follower.status,
-        )
+        """State and reason. Without frames the pointer is not carried on, and what needs them is not waited for."""
+        if self._judgement.renew(now):
+            self._outputs.rest(now)
+            self.follower.interrupted(self._judgement.reason)
+            self._archive.interrupted(self._judgement.reason)
 
     def _tend(self, now: float) -> None:
         """What has time: the watchdog after progress, files now and then, young garbage."""
-        silent = now - self._last > PATIENCE
+        silent = self._arrivals.silent(now)
         self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self._worker.seen))
         self._sparing.tend()
         self._quiet.rest(now)
         if now - self._looked < _EVERY:
             return
-        cpu = time.process_time()
-        self._cpu_share, self._cpu = (cpu - self._cpu) / (now - self._looked), cpu
         self._looked = now
-        self._stages = {
-            name: _ms(times.recent_quantile(0.5), times.recent_quantile(0.99))
-            for name, times in self._worker.times.items()
-            if times.count
-        }
+        self._cpu.look(now)
+        self._worker.look()
         self._doors.tend(self._plan.configuration.control, now)
         useless = now - max(self._worker.good, self._cured)
         if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
@@ -281,7 +231,7 @@ class Daemon:
 
     def _get_ready(self, stopping: Stopping) -> bool:
         """Whether it came to that: a compiler is not waited for by who is asked to stop."""
-        self._starting = "the program is made ready; after an installation it compiles for a minute or more"
+        self._judgement.starting = "the program is made ready; after an installation it compiles for a minute or more"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
         with held(self._plan):  # whoever comes second hears so now
@@ -291,14 +241,14 @@ class Daemon:
                 if stopping.asked or self._over:
                     return False
         self._notifier.usual()
-        self._starting = ""
+        self._judgement.starting = ""
         self._realtime = self._plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
         self._claim(self._outputs.pointer.native_id)
         begin(self._capture)
         self._claim(self._capture.native_id)
-        self._last = time.monotonic()
+        self._arrivals.begin()
         return True
 
     def _claim(self, thread: int | None) -> None:
@@ -310,7 +260,7 @@ class Daemon:
         with contextlib.ExitStack() as last:
             last.callback(self._sparing.tend, end=True)
             last.callback(self._stack.close)
-            last.callback(self._follower.close)
+            last.callback(self.follower.close)
             last.callback(self._archive.discard)
             last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # what is read is of no use any more
             last.callback(self._archive.close)
@@ -332,14 +282,15 @@ class Daemon:
 
     def handle(self, request: Request, reply: Reply) -> None:
         """A request of the control socket, in its thread."""
+        how = self._judgement
         if request.command == "status":
             reply(self.status())
         elif request.command == "stop":
             self._over = True
             self._ring.wake()
             reply({})
-        elif self._starting and request.command not in ("pause", "resume"):
-            reply(refused(f"{self._state}: {self._starting}"))
+        elif how.starting and request.command not in ("pause", "resume"):
+            reply(refused(f"{how.state}: {how.starting}"))
         else:
             self._desk.put(Asked(request, reply))
 
@@ -370,8 +321,8 @@ class Daemon:
         elif isinstance(request, Record):
             self._record(request, asked)
         elif isinstance(request, Snapshot):
-            if self._follower.subject is None or self._state is State.NO_CAMERA:
-                raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
+            if self.follower.subject is None or self._judgement.state is State.NO_CAMERA:
+                raise ControlError(f"there is no picture now: {self._judgement.state}: {self._judgement.reason}")
             self._archive.want_snapshot(request, self._plan.configuration, asked)
         elif request.command == "reload":
             self._load(replace(self._request, changes=()), asked)
@@ -379,24 +330,24 @@ class Daemon:
             self._estimate(asked)
         else:
             self._pause(request.command == "pause")
-            asked({"state": str(self._state)})
+            asked({"state": str(self._judgement.state)})
 
     def _record(self, request: Record, asked: Asked) -> None:
-        subject = self._follower.subject
+        subject = self.follower.subject
         if request.stop:
             self._archive.stop(asked)
         elif subject is None:
-            raise ControlError(f"nothing to record before the camera's pose is known: {self._reason}")
+            raise ControlError(f"nothing to record before the camera's pose is known: {self._judgement.reason}")
         else:
             self._archive.record(request, self._plan.configuration, subject, self._capture.description, asked)
 
     def _estimate(self, asked: Asked) -> None:
         """The camera's pose anew, by the crew: what was begun is given up when who asked has hung up."""
-        if self._state is State.NO_CAMERA:
-            raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
+        if self._judgement.state is State.NO_CAMERA:
+            raise ControlError(f"there is no picture now: {self._judgement.state}: {self._judgement.reason}")
         if self._crew.busy(POSE):
             raise ControlError("the camera's pose is being estimated already, for one who has hung up; ask again")
-        self._follower.reinitialise(partial(self._told_pose, asked), lambda: not asked.gone)
+        self.follower.reinitialise(partial(self._told_pose, asked), lambda: not asked.gone)
 
     def _told_pose(self, asked: Asked, error: str | None, text: str) -> None:
         if error is None:
@@ -407,7 +358,7 @@ class Daemon:
             asked(refused(error))
 
     def _pause(self, paused: bool) -> None:
-        self._paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
+        self._judgement.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
         if paused:
             self._outputs.pause(True)
         self._judge(time.monotonic())
@@ -448,7 +399,7 @@ class Daemon:
             return
         changed = differences(self._plan, plan)
         try:
-            change = self._follower.prepare(plan, changed)
+            change = self.follower.prepare(plan, changed)
             if "output" in changed:
                 self._outputs.exchange(change.outputs, plan.configuration.pointer)
                 self._claim(self._outputs.pointer.native_id)
@@ -463,7 +414,7 @@ class Daemon:
         for path, stamp in files.items():
             if path in self._files:
                 self._files[path] = stamp  # when it was read: what was written since is news
-        self._follower = self._worker.follower = change.go_over()
+        self._worker.follower = change.go_over()
         if "source" in changed:
             self._capture.reopen(self._reopen(plan))
         if "pointer" in changed and "output" not in changed:
@@ -482,24 +433,24 @@ class Daemon:
     def status(self) -> dict[str, Any]:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
-        worker, plan = self._worker, self._plan
+        worker, plan, how = self._worker, self._plan, self._judgement
         output, latency = self._outputs.status()
         return {
-            "state": str(self._state),
-            "reason": self._reason,
-            "since_s": now - self._since,
-            "fps": self._fps(now),
+            "state": str(how.state),
+            "reason": how.reason,
+            "since_s": now - how.since,
+            "fps": self._arrivals.rate(now),
             "latency_ms": None if latency is None else _ms(latency.p50, latency.p99, latency.max),
-            "stages_ms": self._stages,
+            "stages_ms": {name: _ms(*quantiles) for name, quantiles in worker.stages.items()},
             "tracker": plan.configuration.tracker,
-            **self._follower.figures(self._state not in (State.STARTING, State.NO_CAMERA)),
+            **self.follower.figures(how.state not in (State.STARTING, State.NO_CAMERA)),
             "frames": worker.frames,
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
             "damaged": worker.damaged,
             "output": {"spec": plan.output, **output},
             "source": {"spec": plan.source, "description": self._capture.description},
-            "unseen_s": self._unseen,
+            "unseen_s": how.unseen,
             "lost_count": worker.lost,
             "camera_restarts": self._capture.restarts,
             "uptime_s": now - self._began,
@@ -510,13 +461,10 @@ class Daemon:
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),
             "memory_mb": memory_mb(),
-            "cpu_share": self._cpu_share,
+            "cpu_share": self._cpu.share,
             "scheduling": self._scheduling,
-            "paused": bool(self._paused),
+            "paused": bool(how.paused),
         }
-
-    def _fps(self, now: float) -> float:
-        return 0.0 if now - self._last > PATIENCE else float(np.nan_to_num(self._arrivals.rate))
 
 
 def _whole(path: Path | None) -> str | None:

@@ -28,6 +28,7 @@ from spheremouse.capture import fetch as capture_module
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.output import reporter as reporter_module
+from spheremouse.session import arrivals as arrivals_module
 from spheremouse.session import service as run_module
 from spheremouse.session.ball.setup import BallSetup
 from spheremouse.session.control.client import Client
@@ -814,7 +815,7 @@ def test_systemd_hears_of_readiness_and_of_progress_and_of_nothing_else(world, m
 
         monkeypatch.setenv("NOTIFY_SOCKET", path)
         monkeypatch.setenv("WATCHDOG_USEC", "40000")
-        monkeypatch.setattr(run_module, "PATIENCE", 0.05)
+        monkeypatch.setattr(arrivals_module, "PATIENCE", 0.05)
         world.start()
         world.until(lambda: "READY=1" in listen())
         assert ask(world, "status")["pid"] == os.getpid()
