@@ -7,11 +7,7 @@ was asked for. Nothing in it waits but for the next shot.
 import contextlib
 import os
 import time
-import traceback
-from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +16,21 @@ from spheremouse.capture import Camera
 from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.stopping import Stopping, on_hang_up
-from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output.pointer import Counts, plus
 from spheremouse.output.sparing import Sparing
+from spheremouse.session.answers import Answers
 from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.cameras import held
-from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
-from spheremouse.session.control.desk import Asked, Desk
+from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.doors import Doors
-from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
+from spheremouse.session.control.protocol import Request, refused
 from spheremouse.session.control.reply import Reply
+from spheremouse.session.errands import Errands
 from spheremouse.session.follower import MAP, POSE, TARGETS, Follower, Setup, Tracked
 from spheremouse.session.judgement import Judgement
+from spheremouse.session.loader import READING, Loader
 from spheremouse.session.outputs import OUTPUT, Outputs
-from spheremouse.session.plan import Plan, check_kinds, read_plan
+from spheremouse.session.plan import Plan
 from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
@@ -48,7 +45,6 @@ _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
 _COMPILING = 900.0  # s that a small computer may take for it
 _USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
-_READING = "reading"  # kind of the crew's work, besides the archive's, the outputs' and the follower's
 
 Show = Callable[[Tracked, Follower], None]
 
@@ -73,34 +69,40 @@ class Daemon:
         `say` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
         many of them.
         """
-        self._request, self._plan, self._setup = request, plan, setup
-        self._reopen, self._print, self._show = reopen, say, show
-        self._sparing = Sparing(self._say_now)
-        self._limit = frames
-        self._began = time.monotonic()
-        self._stack = contextlib.ExitStack()
-        self._todo: deque[Callable[[], None]] = deque()
+        self._setup, self._reopen, self._print, self._show, self._limit = setup, reopen, say, show, frames
+        self._say = Sparing(self._say_now)  # from any thread; of each kind one line a second
+        self._began = self._looked = self._cured = time.monotonic()
         self._over = self._finished = False
-        self._arrivals = Arrivals()
-        self._looked, self._cpu = self._began, CpuShare()
+        self._cpu = CpuShare()
         self._scheduling = "usual scheduling"
-        self._files: dict[Path, int] = {}
-        self._ring = LatestFrame()
-        self._desk = Desk(self._ring.wake)
-        self._crew = Crew((_READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self.say)
-        self._archive = Archive(self._crew, self._ask, self.say)
-        self._doors = Doors(self.handle, self.say)
-        self._stack.callback(self._doors.close)
         self._notifier = Notifier()
-        self._worker = Worker(setup.follower(plan, self.say, self._crew.do), self.say)
-        self._capture = Capture(open_camera, self._ring, self.say)
-        self._cured = self._began
-        self._outputs = Outputs(
-            self.follower.outputs, plan.configuration.pointer, say=self.say, crew=self._crew, ask=self._ask
-        )
+        self._doors = Doors(self.handle, self._say)
+        self._stack = contextlib.ExitStack()
+        self._stack.callback(self._doors.close)
+        self._ring = LatestFrame()
+        self._errands = Errands(self._ring.wake, self._say)
+        ask = self._errands.ask
+        self._crew = Crew((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._say)
+        self._loader = Loader(request, plan, setup, self._prepare, crew=self._crew, ask=ask, say=self._say)
+        self._archive = Archive(self._crew, ask, self._say)
+        self._capture = Capture(open_camera, self._ring, self._say)
+        self._arrivals = Arrivals()
+        follower = setup.follower(plan, self._say, self._crew.do)
+        self._worker = Worker(follower, self._say)
+        self._outputs = Outputs(follower.outputs, plan.configuration.pointer, say=self._say, crew=self._crew, ask=ask)
         self._counts: Counts = (0, 0, 0)  # of all frames
         self._judgement = Judgement(
-            self._worker, self._capture, self._arrivals, self._outputs, say=self.say, tell=self._notifier.status
+            self._worker, self._capture, self._arrivals, self._outputs, say=self._say, tell=self._notifier.status
+        )
+        self._answers = Answers(
+            self._worker,
+            self._judgement,
+            self._loader,
+            self._archive,
+            self._crew,
+            pause=self._pause,
+            camera=lambda: self._capture.description,
+            say=self._say,
         )
 
     def run(self, stopping: Stopping) -> None:
@@ -142,7 +144,7 @@ class Daemon:
     def _loop(self, stopping: Stopping) -> None:
         while not (stopping.asked or self._over):
             arrival = self._ring.take(_TICK)
-            self._act_on_all()
+            self._errands.do_all(self._answers.answer)
             now = time.monotonic()
             if arrival is not None:
                 self._arrivals.add(now)
@@ -163,21 +165,6 @@ class Daemon:
             self._tend(now)
             self._over |= self._outputs.ended
 
-    def _act_on_all(self) -> None:
-        while self._todo:
-            self._act(self._todo.popleft())
-        while (asked := self._desk.take()) is not None:
-            self._act(partial(self._do, asked, partial(self._answer, asked)))
-
-    def _act(self, action: Callable[[], None]) -> None:
-        """Something that was asked for. No error of it ends the run."""
-        try:
-            action()
-        except SpheremouseError as e:
-            self.say(str(e))
-        except Exception:
-            self.say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-
     def _pass_on(self, made: Tracked, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         # where the output has come back since this was judged, the next frame is the first one for it
@@ -197,52 +184,50 @@ class Daemon:
 
     def _tend(self, now: float) -> None:
         """What has time: the watchdog after progress, files now and then, young garbage."""
+        capture, worker = self._capture, self._worker
         silent = self._arrivals.silent(now)
-        self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self._worker.seen))
-        self._sparing.tend()
+        self._notifier.progress(("attempts", capture.attempts) if silent else ("frames", worker.seen))
+        self._say.tend()
         self._quiet.rest(now)
         if now - self._looked < _EVERY:
             return
         self._looked = now
         self._cpu.look(now)
-        self._worker.look()
-        self._doors.tend(self._plan.configuration.control, now)
-        useless = now - max(self._worker.good, self._cured)
-        if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
+        worker.look()
+        self._doors.tend(self._loader.plan.configuration.control, now)
+        if worker.trouble and not capture.trouble and now - max(worker.good, self._cured) > _USELESS:
             self._cured = now
-            self._capture.again()
-        if self._files != stamps_of(self._request, self._plan):
-            changed = Asked(Request(command="reload"), Reply(), quiet=True)
-            if self._desk.begin(changed):
-                self._do(changed, partial(self._answer, changed))
+            capture.again()
+        if self._loader.outdated:
+            self._errands.do_now(Asked(Request(command="reload"), Reply(), quiet=True), self._loader.reload)
         self._archive.tend()
 
     # ---- beginning and end ----
 
     def _open_doors(self) -> None:
         """The control socket, metrics, and the news that we are there."""
-        c = self._plan.configuration
+        c = self._loader.plan.configuration
         self._doors.open(c.control, c.metrics, self.status)
-        self._files = stamps_of(self._request, self._plan)
         removed = tidy(recordings_folder(c.record))
         if removed:
-            self.say(f"record: {removed} half-written by a run that was cut off, removed")
+            self._say(f"record: {removed} half-written by a run that was cut off, removed")
         self._notifier.ready()
 
     def _get_ready(self, stopping: Stopping) -> bool:
         """Whether it came to that: a compiler is not waited for by who is asked to stop."""
+        plan = self._loader.plan
         self._judgement.starting = "the program is made ready; after an installation it compiles for a minute or more"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
-        with held(self._plan):  # whoever comes second hears so now
-            ready = self._crew.make(_READING, lambda: self._setup.make_ready(self._plan))
+        with held(plan):  # whoever comes second hears so now
+            ready = self._crew.make(READING, lambda: self._setup.make_ready(plan))
             while not ready.wait(_TICK):
-                self._act_on_all()
+                self._errands.do_all(self._answers.answer)
                 if stopping.asked or self._over:
                     return False
         self._notifier.usual()
         self._judgement.starting = ""
-        self._realtime = self._plan.configuration.realtime == "auto"
+        self._realtime = plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
         self._claim(self._outputs.pointer.native_id)
@@ -258,7 +243,7 @@ class Daemon:
     def _close(self) -> None:
         """Each, whatever becomes of the others; the last one first."""
         with contextlib.ExitStack() as last:
-            last.callback(self._sparing.tend, end=True)
+            last.callback(self._say.tend, end=True)
             last.callback(self._stack.close)
             last.callback(self.follower.close)
             last.callback(self._archive.discard)
@@ -267,18 +252,14 @@ class Daemon:
             last.callback(self._outputs.close)
             last.callback(self._capture.close)
 
-    def _reload(self) -> None:
-        self._ask(lambda: self._desk.put(Asked(Request(command="reload"), Reply())))
-
-    def say(self, text: str) -> None:
-        """A line for the log and for whoever watches, from any thread; of each kind one a second."""
-        self._sparing(text)
-
     def _say_now(self, text: str) -> None:
         self._print(text)
         self._doors.publish(text)
 
     # ---- what is asked ----
+
+    def _reload(self) -> None:
+        self._errands.ask(lambda: self._errands.put(Asked(Request(command="reload"), Reply())))
 
     def handle(self, request: Request, reply: Reply) -> None:
         """A request of the control socket, in its thread."""
@@ -292,70 +273,7 @@ class Daemon:
         elif how.starting and request.command not in ("pause", "resume"):
             reply(refused(f"{how.state}: {how.starting}"))
         else:
-            self._desk.put(Asked(request, reply))
-
-    def _ask(self, action: Callable[[], None]) -> None:
-        self._todo.append(action)
-        self._ring.wake()
-
-    def _do(self, asked: Asked, action: Callable[[], None]) -> None:
-        """On the way to an answer: whatever goes wrong is one, or nothing of that kind would ever be begun again."""
-        try:
-            action()
-        except (SpheremouseError, OSError) as e:
-            asked(refused(str(e)))
-        except Exception as e:
-            asked(refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"))
-            raise
-
-    def _answer(self, asked: Asked) -> None:
-        request = asked.request
-        if isinstance(request, Set):
-            sections = {a.partition("=")[0].partition(".")[0].strip() for a in request.assignments}
-            if not sections.isdisjoint(AT_START):
-                raise ControlError(
-                    f"{', '.join(sorted(sections & set(AT_START)))}: read at the start only; write it into the "
-                    "configuration file and start again"
-                )
-            self._load(replace(self._request, changes=latest((*self._request.changes, *request.assignments))), asked)
-        elif isinstance(request, Record):
-            self._record(request, asked)
-        elif isinstance(request, Snapshot):
-            if self.follower.subject is None or self._judgement.state is State.NO_CAMERA:
-                raise ControlError(f"there is no picture now: {self._judgement.state}: {self._judgement.reason}")
-            self._archive.want_snapshot(request, self._plan.configuration, asked)
-        elif request.command == "reload":
-            self._load(replace(self._request, changes=()), asked)
-        elif request.command == "reinit":
-            self._estimate(asked)
-        else:
-            self._pause(request.command == "pause")
-            asked({"state": str(self._judgement.state)})
-
-    def _record(self, request: Record, asked: Asked) -> None:
-        subject = self.follower.subject
-        if request.stop:
-            self._archive.stop(asked)
-        elif subject is None:
-            raise ControlError(f"nothing to record before the camera's pose is known: {self._judgement.reason}")
-        else:
-            self._archive.record(request, self._plan.configuration, subject, self._capture.description, asked)
-
-    def _estimate(self, asked: Asked) -> None:
-        """The camera's pose anew, by the crew: what was begun is given up when who asked has hung up."""
-        if self._judgement.state is State.NO_CAMERA:
-            raise ControlError(f"there is no picture now: {self._judgement.state}: {self._judgement.reason}")
-        if self._crew.busy(POSE):
-            raise ControlError("the camera's pose is being estimated already, for one who has hung up; ask again")
-        self.follower.reinitialise(partial(self._told_pose, asked), lambda: not asked.gone)
-
-    def _told_pose(self, asked: Asked, error: str | None, text: str) -> None:
-        if error is None:
-            self.say(text)
-            asked({"message": text})
-        else:
-            self.say(f"camera pose: {error}")
-            asked(refused(error))
+            self._errands.put(Asked(request, reply))
 
     def _pause(self, paused: bool) -> None:
         self._judgement.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
@@ -365,75 +283,33 @@ class Daemon:
         if not paused:  # nothing moves before it is said that it may
             self._outputs.pause(False)
 
-    def _load(self, wanted: PlanRequest, asked: Asked) -> None:
-        """Read all anew, by the crew, then apply it between two frames; nothing changes if it is wrong."""
-        before = self._plan
+    def _prepare(self, plan: Plan, changed: list[str]) -> Callable[[], bool]:
+        """The way to another plan, as `Loader` wants it."""
+        change = self.follower.prepare(plan, changed)
+        if "output" in changed:
+            self._outputs.exchange(change.outputs, plan.configuration.pointer)
+            self._claim(self._outputs.pointer.native_id)
+        elif "axes" in changed:
+            self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
 
-        def read() -> None:
-            files = stamps_of(wanted, before)
-            try:
-                plan = self._setup.planned(wanted, read_plan(wanted))
-                check_kinds(plan, before)
-                if stages_of(plan) != stages_of(before):
-                    self._setup.make_ready(plan)  # no frame is to wait for a compiler
-            except SpheremouseError as e:
-                error = str(e)
-            except Exception as e:
-                error = f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
-            else:
-                self._ask(lambda: self._do(asked, lambda: self._apply(wanted, plan, files, asked)))
-                return
-            self._ask(lambda: self._do(asked, lambda: self._not_applied(error, files, asked)))
+        def go_over() -> bool:
+            another = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed)
+            ended = another and self._archive.configuration_changes()
+            self._worker.follower = change.go_over()
+            if "source" in changed:
+                self._capture.reopen(self._reopen(plan))
+            if "pointer" in changed and "output" not in changed:
+                self._outputs.change(plan.configuration.pointer)
+            return ended
 
-        self._crew.do(_READING, read)
-
-    def _not_applied(self, error: str, files: dict[Path, int], asked: Asked) -> None:
-        self._files = files
-        self.say(f"configuration not applied: {error}")
-        asked(refused(error))
-
-    def _apply(self, wanted: PlanRequest, plan: Plan, files: dict[Path, int], asked: Asked) -> None:
-        """Another plan from here on; what cannot be changed under way is said."""
-        if asked.gone:
-            asked(refused("given up: who asked has hung up"))
-            return
-        changed = differences(self._plan, plan)
-        try:
-            change = self.follower.prepare(plan, changed)
-            if "output" in changed:
-                self._outputs.exchange(change.outputs, plan.configuration.pointer)
-                self._claim(self._outputs.pointer.native_id)
-            elif "axes" in changed:
-                self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
-        except SpheremouseError as e:
-            self._not_applied(str(e), files, asked)
-            return
-        # Nothing from here on is refused.
-        ended = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed) and self._archive.configuration_changes()
-        self._request, self._plan, self._files = wanted, plan, stamps_of(wanted, plan)
-        for path, stamp in files.items():
-            if path in self._files:
-                self._files[path] = stamp  # when it was read: what was written since is news
-        self._worker.follower = change.go_over()
-        if "source" in changed:
-            self._capture.reopen(self._reopen(plan))
-        if "pointer" in changed and "output" not in changed:
-            self._outputs.change(plan.configuration.pointer)
-        text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
-        later = [name for name in changed if name in AT_START]
-        if later:
-            text += f" ({', '.join(later)}: from the next start on)"
-        text += "; the recording has ended, for it is of one configuration" if ended else ""
-        if changed or not asked.quiet:
-            self.say(text)
-        asked({"changed": changed, "message": text})
+        return go_over
 
     # ---- the status ----
 
     def status(self) -> dict[str, Any]:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
-        worker, plan, how = self._worker, self._plan, self._judgement
+        worker, plan, how = self._worker, self._loader.plan, self._judgement
         output, latency = self._outputs.status()
         return {
             "state": str(how.state),
@@ -456,7 +332,7 @@ class Daemon:
             "uptime_s": now - self._began,
             "version": __version__,
             "pid": os.getpid(),
-            "config": _whole(self._request.file),
+            "config": _whole(self._loader.request.file),
             "rig": _whole(plan.rig_path),
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),
