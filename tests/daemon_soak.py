@@ -29,8 +29,8 @@ from spheremouse.errors import ControlError, OutputError, SourceError
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output import reporter
 from spheremouse.output.reporter import ReporterStatus
+from spheremouse.session import arrivals, worker
 from spheremouse.session import service as run
-from spheremouse.session import worker
 from spheremouse.session.ball import follower as ball
 from spheremouse.session.control.client import Client
 from tests.daemon_world import DT, Film, RawFrame, World, left_over, matrix
@@ -170,7 +170,7 @@ class Cabinet(World):
     def tracked_frame(self, made: Any, _: Any) -> None:
         """In the worker's thread."""
         assert self.daemon is not None
-        motion, counts, state = made.epoch.motion, made.report.counts, self.daemon._state
+        motion, counts, state = made.epoch.motion, made.report.counts, self.daemon._judgement.state
         self.tracked += 1
         self.given += counts
         self._state_of[motion.stamp] = str(state)
@@ -313,7 +313,7 @@ def soak(frames: int, seed: int) -> list[str]:
     """Play so many frames; what was wrong."""
     film = Film.render()
     ball.open_output = lambda spec: cabinet.open_output(spec)  # noqa: PLW0108  it is made later
-    capture.PATIENCE = run.PATIENCE = 0.3
+    capture.PATIENCE = arrivals.PATIENCE = 0.3
     capture.Capture.__init__.__defaults__ = (lambda _: None, 0.3)
     capture.BACK_OFF = reporter.BACK_OFF = (0.005, 0.01)
     run._USELESS = 0.5

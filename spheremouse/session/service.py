@@ -7,55 +7,44 @@ was asked for. Nothing in it waits but for the next shot.
 import contextlib
 import os
 import time
-import traceback
-from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from spheremouse import __version__
 from spheremouse.capture import Camera
-from spheremouse.capture.fetch import PATIENCE, Capture
+from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.stopping import Stopping, on_hang_up
-from spheremouse.errors import ControlError, SpheremouseError
 from spheremouse.output.pointer import Counts, plus
-from spheremouse.output.sparing import Sparing, letters
+from spheremouse.output.sparing import Sparing
+from spheremouse.session.answers import Answers
+from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.cameras import held
-from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
-from spheremouse.session.control.desk import Asked, Desk
-from spheremouse.session.control.metrics import serve as serve_metrics
-from spheremouse.session.control.places import socket_path
-from spheremouse.session.control.protocol import Record, Request, Set, Snapshot, refused
+from spheremouse.session.control.desk import Asked
+from spheremouse.session.control.doors import Doors
+from spheremouse.session.control.protocol import Request, refused
 from spheremouse.session.control.reply import Reply
-from spheremouse.session.control.server import ControlServer
+from spheremouse.session.errands import Errands
 from spheremouse.session.follower import MAP, POSE, TARGETS, Follower, Setup, Tracked
+from spheremouse.session.judgement import Judgement
+from spheremouse.session.loader import READING, Loader
 from spheremouse.session.outputs import OUTPUT, Outputs
-from spheremouse.session.plan import Plan, check_kinds, read_plan
+from spheremouse.session.plan import Plan
 from spheremouse.session.plan import Request as PlanRequest
 from spheremouse.session.process import realtime
 from spheremouse.session.process.notify import Notifier
 from spheremouse.session.process.threads import Crew, begin
-from spheremouse.session.process.usage import memory_mb
+from spheremouse.session.process.usage import CpuShare, memory_mb
 from spheremouse.session.record.archive import RECORDING, SNAPSHOT, Archive
 from spheremouse.session.record.places import recordings_folder, tidy
-from spheremouse.session.states import Facts, State, judge, news
-from spheremouse.session.timing import FrameTimes
+from spheremouse.session.states import State
 from spheremouse.session.worker import Worker
 
 _TICK = 0.25  # s; the longest wait for a shot
 _EVERY = 1.0  # s between two looks at files, and at what the process takes
 _COMPILING = 900.0  # s that a small computer may take for it
-_STATUS_EVERY = 20.0  # s between two lines for systemd where nothing changes
 _USELESS = 5.0  # s of frames that cannot be used, after which the camera is opened anew
-_UNSEEN = (State.NO_CAMERA, State.SEARCHING_TARGETS, State.LOST)  # in which the ball may turn without being seen
-
-_LISTEN_EVERY = 30.0  # s between two tries to have the control socket after all
-_READING = "reading"  # kind of the crew's work, besides the archive's, the outputs' and the follower's
 
 Show = Callable[[Tracked, Follower], None]
 
@@ -80,39 +69,41 @@ class Daemon:
         `say` takes lines for the log, from any thread; `show` sees each tracked frame; `frames` ends the run after so
         many of them.
         """
-        self._request, self._plan, self._setup = request, plan, setup
-        self._reopen, self._print, self._show = reopen, say, show
-        self._sparing = Sparing(self._say_now)
-        self._limit = frames
-        self._began = time.monotonic()
-        self._stack = contextlib.ExitStack()
-        self._todo: deque[Callable[[], None]] = deque()
+        self._setup, self._reopen, self._print, self._show, self._limit = setup, reopen, say, show, frames
+        self._say = Sparing(self._say_now)  # from any thread; of each kind one line a second
+        self._began = self._looked = self._cured = time.monotonic()
         self._over = self._finished = False
-        self._paused = ""
-        self._starting = "the program is being made ready"
-        self._state, self._reason, self._since = State.STARTING, self._starting, self._began
-        self._unseen, self._judged, self._seen_once = 0.0, self._began, False
-        self._arrivals, self._last = FrameTimes(), self._began
-        self._looked, self._cpu, self._cpu_share = self._began, time.process_time(), float("nan")
-        self._stages: dict[str, dict[str, float]] = {}
-        self._status_due = 0.0
+        self._cpu = CpuShare()
         self._scheduling = "usual scheduling"
-        self._files: dict[Path, int] = {}
-        self._ring = LatestFrame()
-        self._desk = Desk(self._ring.wake)
-        self._crew = Crew((_READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self.say)
-        self._archive = Archive(self._crew, self._ask, self.say)
-        self._server: ControlServer | None = None
-        self._listen_at = 0.0  # s, when the socket is tried for again
         self._notifier = Notifier()
-        self._follower = setup.follower(plan, self.say, self._crew.do)
-        self._worker = Worker(self._follower, self.say)
-        self._capture = Capture(open_camera, self._ring, self.say)
-        self._cured = self._began
-        self._outputs = Outputs(
-            self._follower.outputs, plan.configuration.pointer, say=self.say, crew=self._crew, ask=self._ask
-        )
+        self._doors = Doors(self.handle, self._say)
+        self._stack = contextlib.ExitStack()
+        self._stack.callback(self._doors.close)
+        self._ring = LatestFrame()
+        self._errands = Errands(self._ring.wake, self._say)
+        ask = self._errands.ask
+        self._crew = Crew((READING, TARGETS, POSE, MAP, OUTPUT, RECORDING, SNAPSHOT), self._say)
+        self._loader = Loader(request, plan, setup, self._prepare, crew=self._crew, ask=ask, say=self._say)
+        self._archive = Archive(self._crew, ask, self._say)
+        self._capture = Capture(open_camera, self._ring, self._say)
+        self._arrivals = Arrivals()
+        follower = setup.follower(plan, self._say, self._crew.do)
+        self._worker = Worker(follower, self._say)
+        self._outputs = Outputs(follower.outputs, plan.configuration.pointer, say=self._say, crew=self._crew, ask=ask)
         self._counts: Counts = (0, 0, 0)  # of all frames
+        self._judgement = Judgement(
+            self._worker, self._capture, self._arrivals, self._outputs, say=self._say, tell=self._notifier.status
+        )
+        self._answers = Answers(
+            self._worker,
+            self._judgement,
+            self._loader,
+            self._archive,
+            self._crew,
+            pause=self._pause,
+            camera=lambda: self._capture.description,
+            say=self._say,
+        )
 
     def run(self, stopping: Stopping) -> None:
         """Until it is asked to stop, or a recording ends."""
@@ -135,7 +126,7 @@ class Daemon:
     @property
     def follower(self) -> Follower:
         """What follows the ball: another one after a change of the device."""
-        return self._follower
+        return self._worker.follower
 
     @property
     def trouble(self) -> str:
@@ -153,15 +144,14 @@ class Daemon:
     def _loop(self, stopping: Stopping) -> None:
         while not (stopping.asked or self._over):
             arrival = self._ring.take(_TICK)
-            self._act_on_all()
+            self._errands.do_all(self._answers.answer)
             now = time.monotonic()
             if arrival is not None:
-                self._last = now
-                self._arrivals.add(0.0, now)
+                self._arrivals.add(now)
                 try:
                     made = self._worker.work(arrival, colour=self._archive.wants_colour)
                     if made is not None:
-                        if self._state is not State.TRACKING:
+                        if self._judgement.state is not State.TRACKING:
                             self._judge(now)  # nothing moves before it is said that it may
                         self._pass_on(made, arrival.taken)
                 finally:
@@ -175,160 +165,75 @@ class Daemon:
             self._tend(now)
             self._over |= self._outputs.ended
 
-    def _act_on_all(self) -> None:
-        while self._todo:
-            self._act(self._todo.popleft())
-        while (asked := self._desk.take()) is not None:
-            self._act(partial(self._do, asked, partial(self._answer, asked)))
-
-    def _act(self, action: Callable[[], None]) -> None:
-        """Something that was asked for. No error of it ends the run."""
-        try:
-            action()
-        except SpheremouseError as e:
-            self.say(str(e))
-        except Exception:
-            self.say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-
     def _pass_on(self, made: Tracked, taken: float) -> None:
         """What a frame gave, to all that want it; the pointer first."""
         # where the output has come back since this was judged, the next frame is the first one for it
-        self._outputs.give(made.report, taken, self._state is not State.FAILED_OUTPUT)
+        self._outputs.give(made.report, taken, self._judgement.state is not State.FAILED_OUTPUT)
         self._counts = plus(self._counts, made.report.counts)
-        self._archive.keep(made, self._follower, self._counts)
-        self._show(made, self._follower)
+        self._archive.keep(made, self.follower, self._counts)
+        self._show(made, self.follower)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._over = True
 
     def _judge(self, now: float) -> None:
-        """State and reason; said where they have changed."""
-        if self._state in _UNSEEN and self._seen_once:
-            self._unseen += now - self._judged
-        self._judged = now
-        before, (state, reason) = (self._state, self._reason), judge(self._facts(now))
-        self._seen_once |= state is State.TRACKING
-        if state is not before[0]:
-            self._since = now
-        told = self._follower.take_news()
-        for text in filter(None, (news(before, (state, reason), told.change), *told.more)):
-            self.say(text)
-        other = state is not before[0] or letters(reason) != letters(before[1])
-        self._state, self._reason = state, reason
-        if other or now >= self._status_due:
-            self._status_due = now + _STATUS_EVERY
-            self._notifier.status(f"{state}: {reason}; {self._fps(now):.0f} frames/s")
-        if state is State.NO_CAMERA and before[0] is not state:
-            self._interrupted(now)
-
-    def _interrupted(self, now: float) -> None:
-        """No frames come any more: the pointer is not carried on, and what needs frames is not waited for."""
-        self._outputs.rest(now)
-        self._follower.interrupted(self._reason)
-        self._archive.interrupted(self._reason)
-
-    def _facts(self, now: float) -> Facts:
-        camera = self._capture.trouble or self._worker.trouble
-        if not camera and now - self._last > PATIENCE + 1.0:
-            camera = f"the camera has given no frame for {now - self._last:.0f} s"
-        starting = self._starting
-        if not starting and self._capture.attempts <= 1 and self._worker.seen == 0 and self._capture.opening:
-            starting = self._capture.trouble
-        return Facts(
-            starting=starting,
-            camera=camera,
-            paused=self._paused,
-            targets=self._follower.waiting,
-            ball=self._follower.reason,
-            output=self._outputs.pointer.failed or "",
-            tracker=self._follower.status,
-        )
+        """State and reason. Without frames the pointer is not carried on, and what needs them is not waited for."""
+        if self._judgement.renew(now):
+            self._outputs.rest(now)
+            self.follower.interrupted(self._judgement.reason)
+            self._archive.interrupted(self._judgement.reason)
 
     def _tend(self, now: float) -> None:
         """What has time: the watchdog after progress, files now and then, young garbage."""
-        silent = now - self._last > PATIENCE
-        self._notifier.progress(("attempts", self._capture.attempts) if silent else ("frames", self._worker.seen))
-        self._sparing.tend()
+        capture, worker = self._capture, self._worker
+        silent = self._arrivals.silent(now)
+        self._notifier.progress(("attempts", capture.attempts) if silent else ("frames", worker.seen))
+        self._say.tend()
         self._quiet.rest(now)
         if now - self._looked < _EVERY:
             return
-        cpu = time.process_time()
-        self._cpu_share, self._cpu = (cpu - self._cpu) / (now - self._looked), cpu
         self._looked = now
-        self._stages = {
-            name: _ms(times.recent_quantile(0.5), times.recent_quantile(0.99))
-            for name, times in self._worker.times.items()
-            if times.count
-        }
-        if self._server is None and now >= self._listen_at:
-            self._listen_again(now)
-        useless = now - max(self._worker.good, self._cured)
-        if self._worker.trouble and not self._capture.trouble and useless > _USELESS:
+        self._cpu.look(now)
+        worker.look()
+        self._doors.tend(self._loader.plan.configuration.control, now)
+        if worker.trouble and not capture.trouble and now - max(worker.good, self._cured) > _USELESS:
             self._cured = now
-            self._capture.again()
-        if self._files != stamps_of(self._request, self._plan):
-            changed = Asked(Request(command="reload"), Reply(), quiet=True)
-            if self._desk.begin(changed):
-                self._do(changed, partial(self._answer, changed))
+            capture.again()
+        if self._loader.outdated:
+            self._errands.do_now(Asked(Request(command="reload"), Reply(), quiet=True), self._loader.reload)
         self._archive.tend()
 
     # ---- beginning and end ----
 
     def _open_doors(self) -> None:
         """The control socket, metrics, and the news that we are there."""
-        c = self._plan.configuration
-        try:
-            self._listen()
-        except ControlError as e:
-            if c.control.socket is not None:
-                raise
-            self.say(f"control: {e}: `spheremouse ctl` cannot ask this run until that is over")
-            self._listen_at = time.monotonic() + _LISTEN_EVERY
-        try:
-            metrics = serve_metrics(c.metrics, self.status)
-        except SpheremouseError as e:
-            self.say(f"{e}; going on without")
-        else:
-            if metrics is not None:
-                self._stack.enter_context(metrics)
-                self.say(f"metrics: {metrics.url}")
-        self._files = stamps_of(self._request, self._plan)
+        c = self._loader.plan.configuration
+        self._doors.open(c.control, c.metrics, self.status)
         removed = tidy(recordings_folder(c.record))
         if removed:
-            self.say(f"record: {removed} half-written by a run that was cut off, removed")
+            self._say(f"record: {removed} half-written by a run that was cut off, removed")
         self._notifier.ready()
-
-    def _listen(self) -> None:
-        c = self._plan.configuration
-        path = socket_path(c.control.socket)
-        self._server = self._stack.enter_context(ControlServer(path, c.control, self.handle, self.say))
-
-    def _listen_again(self, now: float) -> None:
-        """Whoever had the socket at our start may be gone."""
-        self._listen_at = now + _LISTEN_EVERY
-        with contextlib.suppress(ControlError):
-            self._listen()
-            self.say("control: `spheremouse ctl` can ask this run now")
 
     def _get_ready(self, stopping: Stopping) -> bool:
         """Whether it came to that: a compiler is not waited for by who is asked to stop."""
-        self._starting = "the program is made ready; after an installation it compiles for a minute or more"
+        plan = self._loader.plan
+        self._judgement.starting = "the program is made ready; after an installation it compiles for a minute or more"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
-        with held(self._plan):  # whoever comes second hears so now
-            ready = self._crew.make(_READING, lambda: self._setup.make_ready(self._plan))
+        with held(plan):  # whoever comes second hears so now
+            ready = self._crew.make(READING, lambda: self._setup.make_ready(plan))
             while not ready.wait(_TICK):
-                self._act_on_all()
+                self._errands.do_all(self._answers.answer)
                 if stopping.asked or self._over:
                     return False
         self._notifier.usual()
-        self._starting = ""
-        self._realtime = self._plan.configuration.realtime == "auto"
+        self._judgement.starting = ""
+        self._realtime = plan.configuration.realtime == "auto"
         self._scheduling = realtime.prepare(self._realtime)
         self._quiet = self._stack.enter_context(contextlib.closing(realtime.GcPause()))
         self._claim(self._outputs.pointer.native_id)
         begin(self._capture)
         self._claim(self._capture.native_id)
-        self._last = time.monotonic()
+        self._arrivals.begin()
         return True
 
     def _claim(self, thread: int | None) -> None:
@@ -338,216 +243,104 @@ class Daemon:
     def _close(self) -> None:
         """Each, whatever becomes of the others; the last one first."""
         with contextlib.ExitStack() as last:
-            last.callback(self._sparing.tend, end=True)
+            last.callback(self._say.tend, end=True)
             last.callback(self._stack.close)
-            last.callback(self._follower.close)
+            last.callback(self.follower.close)
             last.callback(self._archive.discard)
             last.callback(self._crew.end, RECORDING, SNAPSHOT, MAP, OUTPUT)  # what is read is of no use any more
             last.callback(self._archive.close)
             last.callback(self._outputs.close)
             last.callback(self._capture.close)
 
-    def _reload(self) -> None:
-        self._ask(lambda: self._desk.put(Asked(Request(command="reload"), Reply())))
-
-    def say(self, text: str) -> None:
-        """A line for the log and for whoever watches, from any thread; of each kind one a second."""
-        self._sparing(text)
-
     def _say_now(self, text: str) -> None:
         self._print(text)
-        if self._server is not None:
-            self._server.publish({"event": "log", "text": text})
+        self._doors.publish(text)
 
     # ---- what is asked ----
 
+    def _reload(self) -> None:
+        self._errands.ask(lambda: self._errands.put(Asked(Request(command="reload"), Reply())))
+
     def handle(self, request: Request, reply: Reply) -> None:
         """A request of the control socket, in its thread."""
+        how = self._judgement
         if request.command == "status":
             reply(self.status())
         elif request.command == "stop":
             self._over = True
             self._ring.wake()
             reply({})
-        elif self._starting and request.command not in ("pause", "resume"):
-            reply(refused(f"{self._state}: {self._starting}"))
+        elif how.starting and request.command not in ("pause", "resume"):
+            reply(refused(f"{how.state}: {how.starting}"))
         else:
-            self._desk.put(Asked(request, reply))
-
-    def _ask(self, action: Callable[[], None]) -> None:
-        self._todo.append(action)
-        self._ring.wake()
-
-    def _do(self, asked: Asked, action: Callable[[], None]) -> None:
-        """On the way to an answer: whatever goes wrong is one, or nothing of that kind would ever be begun again."""
-        try:
-            action()
-        except (SpheremouseError, OSError) as e:
-            asked(refused(str(e)))
-        except Exception as e:
-            asked(refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"))
-            raise
-
-    def _answer(self, asked: Asked) -> None:
-        request = asked.request
-        if isinstance(request, Set):
-            sections = {a.partition("=")[0].partition(".")[0].strip() for a in request.assignments}
-            if not sections.isdisjoint(AT_START):
-                raise ControlError(
-                    f"{', '.join(sorted(sections & set(AT_START)))}: read at the start only; write it into the "
-                    "configuration file and start again"
-                )
-            self._load(replace(self._request, changes=latest((*self._request.changes, *request.assignments))), asked)
-        elif isinstance(request, Record):
-            self._record(request, asked)
-        elif isinstance(request, Snapshot):
-            if self._follower.subject is None or self._state is State.NO_CAMERA:
-                raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
-            self._archive.want_snapshot(request, self._plan.configuration, asked)
-        elif request.command == "reload":
-            self._load(replace(self._request, changes=()), asked)
-        elif request.command == "reinit":
-            self._estimate(asked)
-        else:
-            self._pause(request.command == "pause")
-            asked({"state": str(self._state)})
-
-    def _record(self, request: Record, asked: Asked) -> None:
-        subject = self._follower.subject
-        if request.stop:
-            self._archive.stop(asked)
-        elif subject is None:
-            raise ControlError(f"nothing to record before the camera's pose is known: {self._reason}")
-        else:
-            self._archive.record(request, self._plan.configuration, subject, self._capture.description, asked)
-
-    def _estimate(self, asked: Asked) -> None:
-        """The camera's pose anew, by the crew: what was begun is given up when who asked has hung up."""
-        if self._state is State.NO_CAMERA:
-            raise ControlError(f"there is no picture now: {self._state}: {self._reason}")
-        if self._crew.busy(POSE):
-            raise ControlError("the camera's pose is being estimated already, for one who has hung up; ask again")
-        self._follower.reinitialise(partial(self._told_pose, asked), lambda: not asked.gone)
-
-    def _told_pose(self, asked: Asked, error: str | None, text: str) -> None:
-        if error is None:
-            self.say(text)
-            asked({"message": text})
-        else:
-            self.say(f"camera pose: {error}")
-            asked(refused(error))
+            self._errands.put(Asked(request, reply))
 
     def _pause(self, paused: bool) -> None:
-        self._paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
+        self._judgement.paused = "by `spheremouse ctl pause`; `resume` ends it" if paused else ""
         if paused:
             self._outputs.pause(True)
         self._judge(time.monotonic())
         if not paused:  # nothing moves before it is said that it may
             self._outputs.pause(False)
 
-    def _load(self, wanted: PlanRequest, asked: Asked) -> None:
-        """Read all anew, by the crew, then apply it between two frames; nothing changes if it is wrong."""
-        before = self._plan
+    def _prepare(self, plan: Plan, changed: list[str]) -> Callable[[], bool]:
+        """The way to another plan, as `Loader` wants it."""
+        change = self.follower.prepare(plan, changed)
+        if "output" in changed:
+            self._outputs.exchange(change.outputs, plan.configuration.pointer)
+            self._claim(self._outputs.pointer.native_id)
+        elif "axes" in changed:
+            self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
 
-        def read() -> None:
-            files = stamps_of(wanted, before)
-            try:
-                plan = self._setup.planned(wanted, read_plan(wanted))
-                check_kinds(plan, before)
-                if stages_of(plan) != stages_of(before):
-                    self._setup.make_ready(plan)  # no frame is to wait for a compiler
-            except SpheremouseError as e:
-                error = str(e)
-            except Exception as e:
-                error = f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
-            else:
-                self._ask(lambda: self._do(asked, lambda: self._apply(wanted, plan, files, asked)))
-                return
-            self._ask(lambda: self._do(asked, lambda: self._not_applied(error, files, asked)))
+        def go_over() -> bool:
+            another = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed)
+            ended = another and self._archive.configuration_changes()
+            self._worker.follower = change.go_over()
+            if "source" in changed:
+                self._capture.reopen(self._reopen(plan))
+            if "pointer" in changed and "output" not in changed:
+                self._outputs.change(plan.configuration.pointer)
+            return ended
 
-        self._crew.do(_READING, read)
-
-    def _not_applied(self, error: str, files: dict[Path, int], asked: Asked) -> None:
-        self._files = files
-        self.say(f"configuration not applied: {error}")
-        asked(refused(error))
-
-    def _apply(self, wanted: PlanRequest, plan: Plan, files: dict[Path, int], asked: Asked) -> None:
-        """Another plan from here on; what cannot be changed under way is said."""
-        if asked.gone:
-            asked(refused("given up: who asked has hung up"))
-            return
-        changed = differences(self._plan, plan)
-        try:
-            change = self._follower.prepare(plan, changed)
-            if "output" in changed:
-                self._outputs.exchange(change.outputs, plan.configuration.pointer)
-                self._claim(self._outputs.pointer.native_id)
-            elif "axes" in changed:
-                self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
-        except SpheremouseError as e:
-            self._not_applied(str(e), files, asked)
-            return
-        # Nothing from here on is refused.
-        ended = not {"tracker", "motion", "rig", "balls"}.isdisjoint(changed) and self._archive.configuration_changes()
-        self._request, self._plan, self._files = wanted, plan, stamps_of(wanted, plan)
-        for path, stamp in files.items():
-            if path in self._files:
-                self._files[path] = stamp  # when it was read: what was written since is news
-        self._follower = self._worker.follower = change.go_over()
-        if "source" in changed:
-            self._capture.reopen(self._reopen(plan))
-        if "pointer" in changed and "output" not in changed:
-            self._outputs.change(plan.configuration.pointer)
-        text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
-        later = [name for name in changed if name in AT_START]
-        if later:
-            text += f" ({', '.join(later)}: from the next start on)"
-        text += "; the recording has ended, for it is of one configuration" if ended else ""
-        if changed or not asked.quiet:
-            self.say(text)
-        asked({"changed": changed, "message": text})
+        return go_over
 
     # ---- the status ----
 
     def status(self) -> dict[str, Any]:
         """How it is, as docs/control.md says; from any thread."""
         now = time.monotonic()
-        worker, plan = self._worker, self._plan
+        worker, plan, how = self._worker, self._loader.plan, self._judgement
         output, latency = self._outputs.status()
         return {
-            "state": str(self._state),
-            "reason": self._reason,
-            "since_s": now - self._since,
-            "fps": self._fps(now),
+            "state": str(how.state),
+            "reason": how.reason,
+            "since_s": now - how.since,
+            "fps": self._arrivals.rate(now),
             "latency_ms": None if latency is None else _ms(latency.p50, latency.p99, latency.max),
-            "stages_ms": self._stages,
+            "stages_ms": {name: _ms(*quantiles) for name, quantiles in worker.stages.items()},
             "tracker": plan.configuration.tracker,
-            **self._follower.figures(self._state not in (State.STARTING, State.NO_CAMERA)),
+            **self.follower.figures(how.state not in (State.STARTING, State.NO_CAMERA)),
             "frames": worker.frames,
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
             "damaged": worker.damaged,
             "output": {"spec": plan.output, **output},
             "source": {"spec": plan.source, "description": self._capture.description},
-            "unseen_s": self._unseen,
+            "unseen_s": how.unseen,
             "lost_count": worker.lost,
             "camera_restarts": self._capture.restarts,
             "uptime_s": now - self._began,
             "version": __version__,
             "pid": os.getpid(),
-            "config": _whole(self._request.file),
+            "config": _whole(self._loader.request.file),
             "rig": _whole(plan.rig_path),
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),
             "memory_mb": memory_mb(),
-            "cpu_share": self._cpu_share,
+            "cpu_share": self._cpu.share,
             "scheduling": self._scheduling,
-            "paused": bool(self._paused),
+            "paused": bool(how.paused),
         }
-
-    def _fps(self, now: float) -> float:
-        return 0.0 if now - self._last > PATIENCE else float(np.nan_to_num(self._arrivals.rate))
 
 
 def _whole(path: Path | None) -> str | None:

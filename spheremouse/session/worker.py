@@ -25,7 +25,8 @@ class Worker:
     def __init__(self, follower: Follower, say: Callable[[str], None]) -> None:
         self.follower, self._say = follower, say
         self.trouble = ""  # why no frame can be used
-        self.times: defaultdict[str, FrameTimes] = defaultdict(FrameTimes)  # of each stage
+        self.times: defaultdict[str, FrameTimes] = defaultdict(FrameTimes)  # of each stage; the worker's alone
+        self.stages: dict[str, tuple[float, float]] = {}  # s: median and 99 % of each at the last look
         self.frames = 0  # tracked
         self.seen = 0  # worked on, whatever came of them
         self.damaged = 0
@@ -63,6 +64,14 @@ class Worker:
                 self._count(made, before, {"wait": begun - arrival.taken, "decode": decoded - begun})
             return made
         return None
+
+    def look(self) -> None:
+        """Look what the stages of the last frames took."""
+        self.stages = {
+            name: (times.recent_quantile(0.5), times.recent_quantile(0.99))
+            for name, times in self.times.items()
+            if times.count
+        }
 
     def _count(self, made: Tracked, before: Status, waited: dict[str, float]) -> None:
         self.frames += 1

@@ -28,9 +28,12 @@ from spheremouse.capture import fetch as capture_module
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
 from spheremouse.output import reporter as reporter_module
+from spheremouse.session import arrivals as arrivals_module
+from spheremouse.session import loader as loader_module
 from spheremouse.session import service as run_module
 from spheremouse.session.ball.setup import BallSetup
 from spheremouse.session.control.client import Client
+from spheremouse.session.plan import Request, read_plan
 from spheremouse.session.process import realtime
 from tests.session.control.test_server import conversations
 
@@ -429,7 +432,7 @@ def test_a_change_on_disk_is_picked_up(playing):
 
 
 def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
-    monkeypatch.setattr(run_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
+    monkeypatch.setattr(loader_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
     world = playing
     frames = len(world.frames)
     assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["motion"]
@@ -452,7 +455,7 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
         assert refused(world, "set", assignments=[text])
     assert ask(world, "set", assignments=["tracker=so3"])["changed"] == []
     world.turn()
-    assert len(world.daemon._request.changes) < 12  # the last of each
+    assert len(world.daemon._loader.request.changes) < 12  # the last of each
     assert len(world.frames) > frames
     assert not said(world, "internal error")
     assert not said(world, "output: ")  # the second was opened when the first was closed, and not before
@@ -463,7 +466,7 @@ def test_what_was_set_lasts_until_the_next_reload(playing):
     assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["motion"]
     assert ask(world, "reload")["changed"] == ["motion"]
     assert ask(world, "reload")["changed"] == []
-    assert world.daemon._plan.configuration.motion.scale_y == 1.0
+    assert world.daemon._loader.plan.configuration.motion.scale_y == 1.0
 
 
 @pytest.mark.parametrize("slip", ["output=nonsense", "source=vl42:/dev/video0"])
@@ -510,18 +513,18 @@ def test_another_rig_is_taken_up_or_refused(playing):
 def test_reloads_that_wait_are_served_by_one_reading(playing, monkeypatch):
     """Of SIGHUP and of whoever asks: what is read after all have asked is what each wanted to be read."""
     world = playing
-    hold, read, readings = threading.Event(), run_module.read_plan, []
+    hold, read, readings = threading.Event(), loader_module.read_plan, []
 
     def slowly(wanted):
         readings.append(wanted)
         hold.wait(PATIENCE)
         return read(wanted)
 
-    monkeypatch.setattr(run_module, "read_plan", slowly)
+    monkeypatch.setattr(loader_module, "read_plan", slowly)
     first = in_thread(lambda: ask(world, "reload"))
     world.until(lambda: readings)
     others = [in_thread(lambda: Client(world.socket).ask("reload")) for _ in range(5)]
-    world.until(lambda: len(world.daemon._desk._waiting) == 5)
+    world.until(lambda: len(world.daemon._errands._desk._waiting) == 5)
     hold.set()
     assert all(answer()["changed"] == [] for answer in (first, *others))
     assert len(readings) == 2
@@ -532,10 +535,10 @@ def test_an_error_of_ours_while_reading_is_said_and_the_next_reload_works(playin
     def wrong(_):
         raise ZeroDivisionError("as if")
 
-    right = run_module.read_plan
-    monkeypatch.setattr(run_module, "read_plan", wrong)
+    right = loader_module.read_plan
+    monkeypatch.setattr(loader_module, "read_plan", wrong)
     assert "internal error" in refused(playing, "reload")
-    monkeypatch.setattr(run_module, "read_plan", right)
+    monkeypatch.setattr(loader_module, "read_plan", right)
     assert ask(playing, "reload")["changed"] == []
 
 
@@ -654,12 +657,12 @@ def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing):
 
 def hit_and_run(world, command, begun=None, **arguments):
     """Ask, wait until the daemon has heard it, or has `begun`, and be gone."""
-    heard, clients = len(world.heard), len(world.daemon._server._clients)
+    heard, clients = len(world.heard), len(world.daemon._doors._server._clients)
     with contextlib.closing(socket.socket(socket.AF_UNIX)) as s:
         s.connect(str(world.socket))
         s.sendall(json.dumps({"command": command, **arguments}).encode() + b"\n")
         world.until(begun or (lambda: len(world.heard) > heard), "heard")
-    world.until(lambda: len(world.daemon._server._clients) <= clients, "seen to be gone")
+    world.until(lambda: len(world.daemon._doors._server._clients) <= clients, "seen to be gone")
 
 
 @pytest.fixture
@@ -672,7 +675,7 @@ def hearing(playing, monkeypatch):
         playing.heard.append(reply)
         handle(request, reply)
 
-    monkeypatch.setattr(playing.daemon._server, "_handle", hear)
+    monkeypatch.setattr(playing.daemon._doors._server, "_handle", hear)
     return playing
 
 
@@ -715,20 +718,20 @@ def _try(world, command):
 
 
 def test_a_set_whose_asker_is_gone_is_not_applied(hearing, monkeypatch):
-    world, read, hold, reading = hearing, run_module.read_plan, threading.Event(), threading.Event()
+    world, read, hold, reading = hearing, loader_module.read_plan, threading.Event(), threading.Event()
 
     def slowly(wanted):
         reading.set()
         hold.wait(PATIENCE)
         return read(wanted)
 
-    monkeypatch.setattr(run_module, "read_plan", slowly)
+    monkeypatch.setattr(loader_module, "read_plan", slowly)
     hit_and_run(world, "set", reading.is_set, assignments=["motion.scale_y=3"])
     for _ in range(20):
         hit_and_run(world, "set", assignments=["motion.scale_y=4"])
     hold.set()
     assert ask(world, "set", assignments=["motion.scale_x=2"])["changed"] == ["motion"]
-    motion = world.daemon._plan.configuration.motion
+    motion = world.daemon._loader.plan.configuration.motion
     assert (motion.scale_x, motion.scale_y) == (2.0, 1.0)
 
 
@@ -814,7 +817,7 @@ def test_systemd_hears_of_readiness_and_of_progress_and_of_nothing_else(world, m
 
         monkeypatch.setenv("NOTIFY_SOCKET", path)
         monkeypatch.setenv("WATCHDOG_USEC", "40000")
-        monkeypatch.setattr(run_module, "PATIENCE", 0.05)
+        monkeypatch.setattr(arrivals_module, "PATIENCE", 0.05)
         world.start()
         world.until(lambda: "READY=1" in listen())
         assert ask(world, "status")["pid"] == os.getpid()
@@ -871,7 +874,7 @@ def test_an_error_in_what_was_asked_for_ends_nothing(playing, monkeypatch):
     def wrong(*_, **__):
         raise ZeroDivisionError("as if")
 
-    monkeypatch.setattr(playing.daemon, "_pause", wrong)
+    monkeypatch.setattr(playing.daemon._answers, "_pause", wrong)
     assert "internal error (ZeroDivisionError: as if)" in refused(playing, "pause")
     playing.until(lambda: said(playing, "Traceback"))
     assert playing.state == "tracking"
@@ -1058,9 +1061,9 @@ def test_who_is_refused_has_emptied_no_file(playing, tmp_path):
     """A second run with the same configuration finds the socket taken before it opens its output."""
     path = tmp_path / "out.txt"
     path.write_text("what the first run has written\n")
-    request = run_module.PlanRequest(playing.config, output=f"text:{path}")
+    request = Request(playing.config, output=f"text:{path}")
     other = run_module.Daemon(
-        request, run_module.read_plan(request), BallSetup(), playing.open_camera, lambda _: playing.open_camera,
+        request, read_plan(request), BallSetup(), playing.open_camera, lambda _: playing.open_camera,
         say=lambda _: None,
     )  # fmt: skip
     with pytest.raises(ControlError, match="another daemon listens there"):

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from math import ceil
 from typing import Any
 
-from spheremouse.session.control.protocol import Record, Request, refused
+from spheremouse.errors import SpheremouseError
+from spheremouse.session.control.protocol import Record, Request, internal_error, refused
 from spheremouse.session.control.reply import Reply
 
 MOST = 8  # that wait, of members, and as many of the owner's: clients wait one each
@@ -50,6 +51,16 @@ class Asked:
         self._done()
         for reply in self._replies:
             reply(message)
+
+    def attempt(self, action: Callable[[], None]) -> None:
+        """On the way to an answer: whatever goes wrong is one, or nothing of this kind would ever be begun again."""
+        try:
+            action()
+        except (SpheremouseError, OSError) as e:
+            self(refused(str(e)))
+        except Exception as e:
+            self(refused(internal_error(e)))
+            raise
 
     def _joined(self, other: "Asked") -> None:
         self._replies += other._replies

@@ -161,6 +161,11 @@ def refused(error: str, id_: Id | None = None) -> dict[str, Any]:
     return {"ok": False, **({} if id_ is None else {"id": id_}), "error": line[:2000]}
 
 
+def internal_error(e: Exception) -> str:
+    """What who asked is told of an error of ours."""
+    return f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
+
+
 def encode(message: dict[str, Any]) -> bytes:
     """The line of a message. A number that is not finite is null. ValueError where it is longer than a line may be."""
     text = json.dumps(plain(message), ensure_ascii=False, allow_nan=False)

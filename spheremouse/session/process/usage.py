@@ -1,7 +1,9 @@
 """What this process takes of the machine."""
 
+import math
 import resource
 import sys
+import time
 from pathlib import Path
 
 
@@ -13,3 +15,17 @@ def memory_mb() -> float:
     except (OSError, ValueError, IndexError):
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return most / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+class CpuShare:
+    """Of one core, what this process has had between the last two looks; its making is the first."""
+
+    def __init__(self) -> None:
+        self._looked, self._cpu = time.monotonic(), time.process_time()
+        self.share = math.nan
+
+    def look(self, now: float) -> None:
+        """`now` is s of the monotonic clock."""
+        cpu = time.process_time()
+        self.share = (cpu - self._cpu) / (now - self._looked)
+        self._looked, self._cpu = now, cpu

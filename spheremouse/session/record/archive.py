@@ -15,7 +15,7 @@ from typing import Any
 from spheremouse.errors import ControlError, OutputError, SpheremouseError
 from spheremouse.output.pointer import Counts
 from spheremouse.session.control.desk import Asked
-from spheremouse.session.control.protocol import Record, Snapshot, refused
+from spheremouse.session.control.protocol import Record, Snapshot, internal_error, refused
 from spheremouse.session.control.reply import Reply
 from spheremouse.session.follower import Follower, Tracked
 from spheremouse.session.overlay.pen import Image
@@ -222,5 +222,5 @@ class Archive:
             answer = refused(str(e))
         except Exception as e:
             self._say("internal error, please report it:\n" + traceback.format_exc().rstrip())
-            answer = refused(f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it")
+            answer = refused(internal_error(e))
         return None if answer is None else partial(asked, answer)

@@ -1,9 +1,13 @@
 """The desk: of each kind one request under way, the owner's first, little that waits, nothing for who has hung up."""
 
+import contextlib
+from functools import partial
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from spheremouse.errors import ControlError
 from spheremouse.session.control.desk import CALM, MOST, SHARE, Asked, Desk
 from spheremouse.session.control.protocol import Record, Request, Set, Snapshot
 from spheremouse.session.control.reply import Reply
@@ -178,6 +182,22 @@ steps = st.lists(
     ),
     max_size=60,
 )
+
+
+def test_whatever_goes_wrong_on_the_way_to_an_answer_is_one(desk):
+    """An error of ours besides goes on to who says so."""
+    client = Client(desk)
+    for error in (ControlError("no"), OSError("no disk"), ZeroDivisionError("as\nif")):
+        client.ask(RELOAD)
+        ours = isinstance(error, ZeroDivisionError)
+        with pytest.raises(ZeroDivisionError) if ours else contextlib.nullcontext():
+            desk.take().attempt(partial(_fail, error))
+    said = [answer["error"] for answer in client.answers]
+    assert said == ["no", "no disk", "internal error (ZeroDivisionError: as if); please report it"]
+
+
+def _fail(error):
+    raise error
 
 
 @given(steps)

@@ -1,0 +1,114 @@
+"""The plan in force, and the way to another one: read by the crew, applied between two frames, or refused as a whole.
+
+Wanted is another one when a file has changed that it was read from, and when somebody sets something or wants all read
+anew. All methods are the worker's; attributes may be read by others.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from spheremouse.errors import ControlError, SpheremouseError
+from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
+from spheremouse.session.control.desk import Asked
+from spheremouse.session.control.protocol import internal_error, refused
+from spheremouse.session.follower import Setup
+from spheremouse.session.plan import Plan, Request, check_kinds, read_plan
+from spheremouse.session.process.threads import Crew
+
+READING = "reading"  # kind of the crew's work
+
+Prepare = Callable[[Plan, list[str]], Callable[[], bool]]
+
+
+class Loader:
+    """What a run is to do, as requested and as read."""
+
+    def __init__(
+        self,
+        request: Request,
+        plan: Plan,
+        setup: Setup,
+        prepare: Prepare,
+        *,
+        crew: Crew,
+        ask: Callable[[Callable[[], None]], None],
+        say: Callable[[str], None],
+    ) -> None:
+        """`prepare` takes a plan and what is different in it, and raises SpheremouseError where there is no way to it;
+        what it returns goes over, and tells whether that has ended a recording. `ask` has something done by the worker.
+        """
+        self.request, self.plan, self._setup, self._prepare = request, plan, setup, prepare
+        self._crew, self._ask, self._say = crew, ask, say
+        self._files = stamps_of(request, plan)
+
+    @property
+    def outdated(self) -> bool:
+        """Has a file been written since it was read?"""
+        return self._files != stamps_of(self.request, self.plan)
+
+    def set(self, assignments: tuple[str, ...], asked: Asked) -> None:
+        """Change parameters, KEY=VALUE. ControlError for those that are read at the start only."""
+        sections = {a.partition("=")[0].partition(".")[0].strip() for a in assignments}
+        if not sections.isdisjoint(AT_START):
+            raise ControlError(
+                f"{', '.join(sorted(sections & set(AT_START)))}: read at the start only; write it into the "
+                "configuration file and start again"
+            )
+        self._load(replace(self.request, changes=latest((*self.request.changes, *assignments))), asked)
+
+    def reload(self, asked: Asked) -> None:
+        """Read all anew; what was set is void."""
+        self._load(replace(self.request, changes=()), asked)
+
+    def _load(self, wanted: Request, asked: Asked) -> None:
+        before = self.plan
+
+        def read() -> None:
+            files = stamps_of(wanted, before)
+            try:
+                plan = self._setup.planned(wanted, read_plan(wanted))
+                check_kinds(plan, before)
+                if stages_of(plan) != stages_of(before):
+                    self._setup.make_ready(plan)  # no frame is to wait for a compiler
+            except SpheremouseError as e:
+                error = str(e)
+            except Exception as e:
+                error = internal_error(e)
+            else:
+                self._ask(lambda: asked.attempt(lambda: self._apply(wanted, plan, files, asked)))
+                return
+            self._ask(lambda: asked.attempt(lambda: self._not_applied(error, files, asked)))
+
+        self._crew.do(READING, read)
+
+    def _not_applied(self, error: str, files: dict[Path, int], asked: Asked) -> None:
+        self._files = files
+        self._say(f"configuration not applied: {error}")
+        asked(refused(error))
+
+    def _apply(self, wanted: Request, plan: Plan, files: dict[Path, int], asked: Asked) -> None:
+        """Another plan from here on; what cannot be changed under way is said."""
+        if asked.gone:
+            asked(refused("given up: who asked has hung up"))
+            return
+        changed = differences(self.plan, plan)
+        try:
+            go_over = self._prepare(plan, changed)
+        except SpheremouseError as e:
+            self._not_applied(str(e), files, asked)
+            return
+        # Nothing from here on is refused.
+        self.request, self.plan, self._files = wanted, plan, stamps_of(wanted, plan)
+        for path, stamp in files.items():
+            if path in self._files:
+                self._files[path] = stamp  # when it was read: what was written since is news
+        ended = go_over()
+        text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
+        later = [name for name in changed if name in AT_START]
+        if later:
+            text += f" ({', '.join(later)}: from the next start on)"
+        text += "; the recording has ended, for it is of one configuration" if ended else ""
+        if changed or not asked.quiet:
+            self._say(text)
+        asked({"changed": changed, "message": text})
