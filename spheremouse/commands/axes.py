@@ -2,7 +2,7 @@
 
 import sys
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from spheremouse.capture.stopping import Stopping
     from spheremouse.geometry.rotation import Array
     from spheremouse.output.gestures import Understood
+    from spheremouse.session.directions import Directions
     from spheremouse.session.follower import Follower, Tracked
     from spheremouse.session.settings import Configuration
 
@@ -87,30 +88,40 @@ def axes(
 class Asked:
     """What is asked for, and the settings that may come of it."""
 
-    words: tuple[str, str, str]
+    gestures: tuple[str, str, str]
     section: tuple[str, ...]
-    choices: tuple[dict[str, Any], ...]  # settings
-    sayings: tuple[str, ...]  # where whoever they are of stands
-    directions: tuple["Array", ...]  # (3, 3) of each: unit vectors of the gestures
-    by: slice  # of a motion's (6,) of rotation and shift
+    choices: tuple[tuple[str, Any, str], ...]  # a setting, its value, and of whom it is
+    directions: tuple["Directions", ...]  # of each
     unit: float  # rad or m
+
+    @property
+    def ways(self) -> list["Array"]:
+        """The gestures of each choice, (3, 3) unit vectors: along, against and along its directions."""
+        return [np.array([[1.0], [-1.0], [1.0]]) * choice.axes for choice in self.directions]
 
 
 def asked_of(configuration: "Configuration") -> Asked:
     """The gestures of a ball in its frame, or in a hand."""
-    return _of_hand(configuration) if configuration.tracker == "wand" else _of_ball()
-
-
-def _of_ball() -> Asked:
     from spheremouse.output.counts import MotionSettings, Player
+    from spheremouse.session.directions import of_ball, of_hand
 
+    if configuration.tracker == "wand":
+        pointing, turns = configuration.wand.pointing, configuration.wand.pointing.by == "turn"
+        turn = ("point the ball to the right", "point it up", "turn it clockwise, as you see it")
+        shift = ("move the ball to the right", "move it up", "move it ahead, the way you look")
+        return Asked(
+            turn if turns else shift,
+            ("wand", "pointing"),
+            (("facing", True, "you face the camera"), ("facing", False, "you look the way the camera does")),
+            tuple(of_hand(replace(pointing, facing=facing)) for facing in (True, False)),
+            1.0 if turns else _SHIFT,
+        )
     seats: dict[Player, str] = {
-        "far-side": "on the far side of the ball, opposite the camera",
-        "camera-side": "on the camera's side of the ball",
-        "left": "at the left of the ball, as the camera sees it",
-        "right": "at the right of the ball, as the camera sees it",
+        "far-side": "you stand on the far side of the ball, opposite the camera",
+        "camera-side": "you stand on the camera's side of the ball",
+        "left": "you stand at the left of the ball, as the camera sees it",
+        "right": "you stand at the right of the ball, as the camera sees it",
     }
-    signs = np.array([[1.0], [-1.0], [1.0]])  # right; away, not towards; counter-clockwise
     return Asked(
         (
             "roll the ball to the right, your hand on its top",
@@ -118,29 +129,9 @@ def _of_ball() -> Asked:
             "spin it counter-clockwise, as seen from above",
         ),
         ("motion",),
-        tuple({"player": player} for player in seats),
-        tuple(f"you stand {saying}" for saying in seats.values()),
-        tuple(signs * MotionSettings(player=player).directions() for player in seats),
-        slice(0, 3),
+        tuple(("player", player, saying) for player, saying in seats.items()),
+        tuple(of_ball(MotionSettings(player=player)) for player in seats),
         1.0,
-    )
-
-
-def _of_hand(configuration: "Configuration") -> Asked:
-    from spheremouse.output.hand import PointingSettings
-
-    by = configuration.wand.pointing.by
-    turn = ("point the ball to the right", "point it up", "turn it clockwise, as you see it")
-    shift = ("move the ball to the right", "move it up", "move it ahead, the way you look")
-    signs = np.array([[1.0], [-1.0], [1.0]])
-    return Asked(
-        turn if by == "turn" else shift,
-        ("wand", "pointing"),
-        ({"facing": True}, {"facing": False}),
-        ("you face the camera", "you look the way the camera does"),
-        tuple(signs * PointingSettings(by=by, facing=facing).directions() for facing in (True, False)),
-        slice(0, 3) if by == "turn" else slice(3, 6),
-        1.0 if by == "turn" else _SHIFT,
     )
 
 
@@ -177,7 +168,7 @@ class Dialogue:
         if not self._begun:
             self._begun = True
             self._ask()
-        way = np.concatenate([motion.rotation, motion.shift])[self._asked.by]
+        way = np.concatenate([motion.rotation, motion.shift])[self._asked.directions[0].part]
         self._take(self._watch.add(motion.stamp, way))
 
     def conclusion(self) -> list[tuple[str, Any, Any]]:
@@ -186,18 +177,18 @@ class Dialogue:
         if self.found is None:
             if self.stopped:
                 return []
-            which = " and ".join(f"'{words}'" for words in self._asked.words[len(self._made) :])
+            which = " and ".join(f"'{words}'" for words in self._asked.gestures[len(self._made) :])
             raise CalibrationError(f"{len(self._made)} of 3 gestures are in this recording; missing: {which}")
         before: Any = self._configuration
         for name in self._asked.section:
             before = getattr(before, name)
-        wanted = dict(self._asked.choices[self.found.candidate])
-        wanted |= {name: False for name in ("invert_x", "invert_y") if getattr(before, name)}
+        name, value, _ = self._asked.choices[self.found.candidate]
+        wanted = {name: value} | {name: False for name in ("invert_x", "invert_y") if getattr(before, name)}
         prefix = ".".join(self._asked.section)
         return [(f"{prefix}.{name}", value, getattr(before, name)) for name, value in wanted.items()]
 
     def _ask(self) -> None:
-        print(f"{len(self._made) + 1} of 3: {self._asked.words[len(self._made)]}, and let it rest", flush=True)
+        print(f"{len(self._made) + 1} of 3: {self._asked.gestures[len(self._made)]}, and let it rest", flush=True)
 
     def _take(self, gesture: Any) -> None:
         if gesture is None or self.found is not None:
@@ -208,7 +199,7 @@ class Dialogue:
             return
         self._made.append(gesture.way)
         print(f"   seen: {size}", flush=True)
-        if len(self._made) < len(self._asked.words):
+        if len(self._made) < len(self._asked.gestures):
             self._ask()
             return
         self._understand()
@@ -216,11 +207,11 @@ class Dialogue:
     def _understand(self) -> None:
         from spheremouse.output.gestures import understood
 
-        found = understood(self._made, self._asked.directions)
+        found = understood(self._made, self._asked.ways)
         off = ", ".join(f"{np.degrees(angle):.0f}°" for angle in found.off)
         if found.fits:
             self.found = found
-            saying = self._asked.sayings[found.candidate]
+            saying = self._asked.choices[found.candidate][2]
             print(f"understood: {saying} (the gestures are off by {off})", flush=True)
             self._stopping.asked = True
             return

@@ -168,6 +168,7 @@ def status_table(s: dict[str, Any]) -> Panel:
         rows.add_row("pose", _pose(s.get("pose")))
     for ball in s.get("balls") or ():
         rows.add_row("ball", _ball(ball))
+    rows.add_row("motion", _motion(s))
     rows.add_row("output", _output(s.get("output"), s.get("reason")))
     source = s.get("source") or {}
     rows.add_row("source", _text(source.get("description") or source.get("spec") or "-"))
@@ -197,6 +198,8 @@ def event_line(event: dict[str, Any], clock: str) -> Text:
     ]
     state = _state(event)
     state.pad_right(max(0, _WIDEST - len(state)))
+    if event.get("motion"):
+        parts.append(printable(event["motion"].get("words", "")))
     words = event.get("reason") if event.get("state") != "tracking" else f"output: {failed}" if failed else ""
     tail = f"  {printable(words)}" if words else ""
     return Text.assemble((clock, "dim"), "  ", state, "  ", "  ".join(parts), tail)
@@ -218,6 +221,15 @@ def _latency(values: Any) -> str:
         return "-"
     half, most, longest = (_number(values.get(k), ".1f") for k in ("p50", "p99", "max"))
     return f"median {half} ms, 99 % {most} ms, longest {longest} ms"
+
+
+def _motion(s: dict[str, Any]) -> Text:
+    """How the ball moves, and all that it has moved."""
+    words = str((s.get("motion") or {}).get("words", "not known"))
+    counts = s.get("counts")
+    if counts:
+        words += "; counts x {:+d}, y {:+d}, third {:+d}".format(*counts)
+    return _text(words)
 
 
 def _ball(ball: dict[str, Any]) -> Text:

@@ -324,6 +324,7 @@ class Daemon:
             "skipped": self._ring.skipped,
             "dropped": self._capture.dropped,
             "damaged": worker.damaged,
+            "counts": list(self._counts),
             "output": {"spec": plan.output, **output},
             "source": {"spec": plan.source, "description": self._capture.description},
             "unseen_s": how.unseen,

@@ -291,7 +291,10 @@ def test_no_daemon_is_exit_code_3_and_says_how_to_start_one(ctl, path):
 def test_an_event_is_a_line():
     status = {"event": "status", **Daemon().status}
     line = cli_ctl.event_line(status, "12:00:00").plain
-    assert line == "12:00:00  ● tracking            59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs"
+    assert (
+        line
+        == "12:00:00  ● tracking            59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs  towards you 32 °/s"
+    )
     line = cli_ctl.event_line({**status, "state": "lost", "reason": "hands"}, "12:00:00").plain
     assert line.endswith("  hands")
     line = cli_ctl.event_line({"event": "status", "state": "no-camera", "reason": "unplugged"}, "12:00:00").plain

@@ -41,7 +41,8 @@ def ask(socket: Path | None = None) -> tuple[dict[str, Any] | None, Finding]:
 
 def check(status: dict[str, Any]) -> list[Finding]:
     """Findings on its status; keys that it does not have are passed over."""
-    return [f for f in (_state(status), _frames(status), _latency(status), _discs(status), _output(status)) if f]
+    looks = (_state, _frames, _latency, _discs, _motion, _output)
+    return [found for look in looks if (found := look(status)) is not None]
 
 
 def _state(s: dict[str, Any]) -> Finding:
@@ -95,6 +96,15 @@ def _discs(s: dict[str, Any]) -> Finding | None:
     if s.get("state") == "tracking" and int(used) < _FEW:
         return warning("discs", text, "uncover and light the ball", used=used)
     return ok("discs", text, used=used)
+
+
+def _motion(s: dict[str, Any]) -> Finding | None:
+    """Which way the ball goes now, so that a hand on it can see whether that is so."""
+    told, counts = s.get("motion"), s.get("counts")
+    if not told or not counts:
+        return None
+    x, y, third = counts
+    return ok("motion", f"{told.get('words')}; counts so far x {x:+d}, y {y:+d}, third {third:+d}", **told)
 
 
 def _output(s: dict[str, Any]) -> Finding | None:

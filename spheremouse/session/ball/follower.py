@@ -30,11 +30,12 @@ from spheremouse.session import messages
 from spheremouse.session.ball.looking import FirstPose, Seeker
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.ball.subject import BallSubject, picture
+from spheremouse.session.directions import of_ball
 from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, Follower, News, Tracked, here
 from spheremouse.session.plan import Plan
 from spheremouse.session.process.threads import Work
 from spheremouse.session.settings import Configuration
-from spheremouse.tracker import Frame, Status, Step, check_size
+from spheremouse.tracker import Frame, Motion, Status, Step, check_size
 
 
 class BallFollower:
@@ -66,6 +67,7 @@ class BallFollower:
         self._tracker: Tracker | None = None
         self._subject: BallSubject | None = None
         self._counter = Counter(settings.motion.matrix(rig.radius_m))
+        self._motion: Motion | None = None  # the last one
         self._forget_views()
         self._anew: _Reinitialisation | None = None
         self._detected = 0.0
@@ -182,12 +184,13 @@ class BallFollower:
 
     def figures(self, seeing: bool) -> dict[str, Any]:
         """Discs, and where the camera is."""
-        state = self.state
+        state, motion = self.state, self._motion
         tracking = seeing and self.status is Status.TRACKING
         return {
             "discs": len(state.filter.used) if state is not None and tracking else 0,
             "discs_seen": 0 if state is None else len(state.points),
             "discs_known": 0 if state is None else len(state.filter.discs),
+            "motion": of_ball(self.settings.motion).figures(motion) if tracking and motion is not None else None,
             "pose": self._pose_figures(),
             "balls": None,
         }
@@ -289,7 +292,7 @@ class BallFollower:
         return made._replace(events=asked)
 
     def _remember(self, made: Step[TrackState], tracker: Tracker) -> None:
-        self.state = made.state
+        self.state, self._motion = made.state, made.motion
         if self._anew is not None and self._anew.over:
             self._anew = None
         if made.events:

@@ -29,6 +29,14 @@ class PoseStatus(_Part):
     age_s: float
 
 
+class MotionStatus(_Part):
+    """How the ball that points moves: right, down or towards who stands there, third; and in words."""
+
+    rate: list[float] = Field(min_length=3, max_length=3)
+    unit: Literal["°/s", "m/s"]
+    words: str
+
+
 class BallStatus(_Part):
     """A ball in a hand, in `cam`; null where it is not known."""
 
@@ -86,6 +94,8 @@ class StatusReport(_Part):
     damaged: int
     pose: PoseStatus | None
     balls: list[BallStatus] | None = None
+    motion: MotionStatus | None = None
+    counts: list[int] | None = Field(None, min_length=3, max_length=3)
     output: OutputStatus
     source: SourceStatus
     unseen_s: float

@@ -1,0 +1,56 @@
+"""How a ball moves, in the words of whoever moves it: right and left, towards them and away, and the third way."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spheremouse.geometry.rotation import Array
+from spheremouse.output.counts import MotionSettings
+from spheremouse.output.hand import PointingSettings
+from spheremouse.tracker import Motion
+
+_SHARE = 0.1  # of the largest part; less is not worth a word
+
+
+@dataclass(frozen=True, slots=True)
+class Directions:
+    """Those of the pointer's axes x, y and third, as settings have them before any is reversed."""
+
+    axes: Array  # (3, 3) unit vectors in obj or cam: about which the ball turns, or along which it is shifted
+    words: tuple[tuple[str, str], tuple[str, str], tuple[str, str]]  # along each, and against
+    part: slice  # of (6,) turn and shift
+    unit: str  # of a rate, as it is written
+    factor: float  # from rad/s or m/s to it
+    least: float  # of that unit, below which the ball is at rest
+
+    def figures(self, motion: Motion) -> dict[str, Any]:
+        """The rate of a motion as a status has it: (3,) numbers, their unit, and in words."""
+        rate = self.factor * self.axes @ motion.rate[self.part]
+        return {"rate": rate.tolist(), "unit": self.unit, "words": self.said(rate)}
+
+    def said(self, rate: Array) -> str:
+        """A rate (3,) in words."""
+        least = max(self.least, _SHARE * float(np.max(np.abs(rate))))
+        digits = 0 if self.least >= 1.0 else 2
+        parts = [
+            f"{words[value < 0.0]} {abs(value):.{digits}f} {self.unit}"
+            for value, words in zip(rate.tolist(), self.words, strict=True)
+            if abs(value) >= least
+        ]
+        return ", ".join(parts) or "at rest"
+
+
+def of_ball(settings: MotionSettings) -> Directions:
+    """Of a ball in its frame, as the player sees its top go."""
+    words = ("right", "left"), ("towards you", "away from you"), ("counter-clockwise", "clockwise")
+    return Directions(settings.directions(), words, slice(0, 3), "°/s", np.degrees(1.0), 1.0)
+
+
+def of_hand(settings: PointingSettings) -> Directions:
+    """Of a ball in a hand, as its holder sees it."""
+    if settings.by == "turn":
+        words = ("right", "left"), ("down", "up"), ("clockwise", "counter-clockwise")
+        return Directions(settings.directions(), words, slice(0, 3), "°/s", np.degrees(1.0), 1.0)
+    words = ("right", "left"), ("down", "up"), ("ahead", "back")
+    return Directions(settings.directions(), words, slice(3, 6), "m/s", 1.0, 0.01)

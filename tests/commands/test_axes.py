@@ -1,0 +1,146 @@
+"""`spheremouse axes`: gestures in, the setting out, and the configuration told."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from spheremouse.commands.axes import Dialogue
+from spheremouse.errors import CalibrationError
+from spheremouse.files import config
+from spheremouse.session.settings import Configuration
+from spheremouse.tracker import no_motion
+
+FILM = "synthetic:motion=axes,noise=3,seed=2"
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def spheremouse(*words):
+    done = subprocess.run(
+        [sys.executable, "-m", "spheremouse", *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
+    """The film shows 60° right, away, and counter-clockwise, as somebody opposite the camera does it."""
+    file = tmp_path / "config.yaml"
+    file.write_text("schema: 2\nmotion:\n  player: left  # guessed\n  invert_y: true\n")
+    code, out, err = spheremouse("axes", "--config", file, "--source", FILM)
+    assert code == 0, err
+    assert "understood: you stand on the far side of the ball, opposite the camera" in out
+    assert out.count("seen: 60°") == 3
+    assert out.splitlines()[-3:] == ["motion.player: far-side", "motion.invert_y: false", f"{file}: saved"]
+    motion = config.load(file, Configuration).motion
+    assert (motion.player, motion.invert_y) == ("far-side", False)
+    assert "# guessed" in file.read_text()
+
+
+def test_a_film_without_gestures_is_refused_in_a_line(tmp_path):
+    code, _, err = spheremouse("axes", "--source", "synthetic:motion=still,seconds=2", "--config", tmp_path / "c.yaml")
+    assert code == 2
+    assert "no such file" in err
+    code, _, err = spheremouse("axes", "--source", "synthetic:motion=still,seconds=2")
+    assert code == 2
+    assert "0 of 3 gestures are in this recording; missing: 'roll the ball to the right" in err
+    assert "Traceback" not in err
+
+
+# ---- the dialogue ----
+
+
+class Played:
+    """Motions as a follower gives them."""
+
+    def __init__(self, configuration, live=True):
+        self.stopping = SimpleNamespace(asked=False)
+        self.dialogue = Dialogue(configuration, self.stopping, live)
+        self._t = 0.0
+        self.rest()
+
+    def _frame(self, turn, shift):
+        self._t += 0.05
+        motion = no_motion(self._t)._replace(rotation=turn, shift=shift, confirmed=True)
+        report = SimpleNamespace(counts=(0, 0, 0), motion=motion)
+        self.dialogue.show(SimpleNamespace(report=report, seconds={}), None)
+
+    def rest(self):
+        for _ in range(30):
+            self._frame(np.zeros(3), np.zeros(3))
+
+    def make(self, *gestures, of="turn"):
+        """A second each, and a rest."""
+        for way in gestures:
+            for _ in range(20):
+                part = np.array(way, dtype=float) / 20
+                self._frame(*((part, np.zeros(3)) if of == "turn" else (np.zeros(3), part)))
+            self.rest()
+
+
+LOOKS = {"far-side": (0, 0, 1), "camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0)}
+
+
+def by_hand(player):
+    """Rotation vectors of a ball whose top goes to the player's right, and away; and a spin."""
+    ahead = np.array(LOOKS[player], dtype=float)
+    return np.cross(UP, np.cross(ahead, UP)), np.cross(UP, ahead), UP
+
+
+@pytest.mark.parametrize("player", LOOKS)
+def test_each_seat_is_told_by_its_gestures(player, capsys):
+    played = Played(Configuration())
+    played.make(*by_hand(player))
+    assert played.stopping.asked
+    ((name, value, _),) = played.dialogue.conclusion()
+    assert (name, value) == ("motion.player", player)
+    assert capsys.readouterr().out.count("of 3:") == 3
+
+
+def test_what_was_wrong_is_asked_for_again(capsys):
+    """To and fro: that one once more. Not as any player's: all of them."""
+    right, away, spin = by_hand("left")
+    played = Played(Configuration())
+    for _ in range(2):
+        played.make(right)
+    assert len(played.dialogue._made) == 2  # taken for the second; no seat has it
+    played.make(spin)
+    assert "not understood" in capsys.readouterr().out
+    assert not played.stopping.asked
+    for k in range(20):  # there and most of the way back
+        played._frame(right / 10 if k < 10 else -0.8 * right / 10, np.zeros(3))
+    played.rest()
+    assert "to and fro" in capsys.readouterr().out
+    played.make(right, away, spin)
+    ((_, value, _),) = played.dialogue.conclusion()
+    assert value == "left"
+
+
+def test_a_recording_of_a_mirror_image_is_refused():
+    right, away, spin = by_hand("right")
+    played = Played(Configuration(), live=False)
+    with pytest.raises(CalibrationError, match=r"not understood.*push the top of the ball") as refused:
+        played.make(right, -away, spin)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("facing", [True, False])
+@pytest.mark.parametrize("by", ["turn", "shift"])
+def test_a_hand_is_told_as_well(by, facing):
+    down = np.array([0.0, 1.0, 0.0])
+    look = np.array([0.0, 0.0, -1.0 if facing else 1.0])
+    right = np.cross(down, look)
+    shifts = right, -down, look
+    turns = np.cross(look, right), np.cross(look, -down), np.cross(-down, right)
+    settings = config.in_force(
+        None, ("tracker=wand", f"wand.pointing.by={by}", "wand.pointing.invert_x=true"), Configuration
+    )
+    played = Played(settings)
+    played.make(*(turns if by == "turn" else [0.4 * s for s in shifts]), of=by)
+    told = {name: value for name, value, _ in played.dialogue.conclusion()}
+    assert told == {"wand.pointing.facing": facing, "wand.pointing.invert_x": False}
