@@ -2,7 +2,7 @@
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import cv2
 import numpy as np
@@ -17,6 +17,9 @@ from spheremouse.files.bounded import read_bytes
 from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
 from spheremouse.files.wand import WandFile, load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
+
+if TYPE_CHECKING:
+    from spheremouse.wand.pick_colours import Picked
 
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
 
@@ -87,11 +90,7 @@ def colours(
     given = WandFile(ball, {c: DEFAULT_COLOURS[c] for c in ball.colours}) if wand is None else load_wand(wand)
     if check and out is not None:
         raise ConfigurationError("--out: does not go with --check, which picks no bounds; leave one of them out")
-    if show is None:
-        beside = picture.resolve()
-        show = beside.parent / f"{beside.name}{_OVERLAY}"
-    if show.suffix.lower() != ".png":
-        raise ConfigurationError(f"--show {show}: must end in .png")
+    show = _shown_at(picture, show)
     _refuse(out, [picture, wand], force)
     _refuse(show, [picture, wand, out], force or show.name.endswith(_OVERLAY))
     image = _image(picture)
@@ -101,6 +100,26 @@ def colours(
     else:
         picked = pick(image, given.ball, circle)
     _write_png(show, overlay(image, picked))
+    _print(picked, narrower=check)
+    print(f"{show}: what they select")
+    if out is not None:
+        save_wand(out, given.ball, picked.colours, {"colours_from": picture.name})
+        print(f"{out}: the ball with these bounds")
+    elif not check:
+        print("next: look at the picture, then write the bounds with --out wand.yaml")
+
+
+def _shown_at(picture: Path, given: Path | None) -> Path:
+    """Where the overlay goes: as given, else beside the picture."""
+    beside = picture.resolve()
+    show = given or beside.parent / f"{beside.name}{_OVERLAY}"
+    if show.suffix.lower() != ".png":
+        raise ConfigurationError(f"--show {show}: must end in .png")
+    return show
+
+
+def _print(picked: "Picked", narrower: bool) -> None:
+    """Where the ball is, its bounds and what they select; `narrower`: bounds may be blamed for that, too."""
     c = picked.circle
     print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (not so? say it with --at U,V,RADIUS)")
     for name, colour in picked.colours.items():
@@ -110,14 +129,8 @@ def colours(
             f"  selects {100 * picked.inside[name]:.1f} % of the ball, {100 * picked.outside[name]:.2f} % of the rest"
         )
         if name in picked.much():
-            narrower = ", or narrow the bounds" if check else ""
-            print(f"  much beside the ball is {name}: clear it away, or use another background{narrower}")
-    print(f"{show}: what they select")
-    if out is not None:
-        save_wand(out, given.ball, picked.colours, {"colours_from": picture.name})
-        print(f"{out}: the ball with these bounds")
-    elif not check:
-        print("next: look at the picture, then write the bounds with --out wand.yaml")
+            instead = ", or narrow the bounds" if narrower else ""
+            print(f"  much beside the ball is {name}: clear it away, or use another background{instead}")
 
 
 def _tells(colour: object, name: str) -> bool:
