@@ -160,7 +160,9 @@ def fields(cls: type) -> list[str]:
         if "meaning" in field.metadata:
             unit = "" if field.metadata["unit"] == "-" else f" {field.metadata['unit']}"
             default = "none" if field.default is None else f"{field.default}{unit}"
-            meaning = f"{field.metadata['meaning']} (default {default})"
+            meaning = field.metadata["meaning"]
+            told = unit.strip() if "[default: " in meaning else f"default {default}"
+            meaning += f" ({told})" if told else ""
         else:
             meaning = comments.get(field.name, "")
         rows.append(f"    {field.name}: {meaning}" if meaning else f"    {field.name}")

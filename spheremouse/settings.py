@@ -1,9 +1,11 @@
-"""How a parameter is declared: one line with its default, unit, meaning and bounds, read by the configuration.
+"""How a parameter is declared: one line with its default, unit, meaning and bounds, read by whoever asks a person.
 
 Settings are frozen dataclasses beside the code that uses them; `config` builds its schema from them, so that a
 parameter is written down once. Every number has a bound on both sides, and every list a greatest length: what is
 accepted must work, and beyond them nothing does that anybody could mean. The reason for a bound stands in the meaning
 or in a comment beside it; those that many parameters share have theirs here.
+
+What a film shows is declared so too, and `commands/options.py` makes the options of the command line from it.
 """
 
 from dataclasses import field

@@ -45,17 +45,8 @@ def experiments(
     where it stopped. What fails is listed under its experiment, and is exit code 1.
     """
     chosen = _chosen(names)
-    if cores is not None and cores < 1:
-        raise ConfigurationError(f"--cores: must be 1 or more, is {cores}")
-    if datasets is not None and not datasets.is_dir():
-        raise ConfigurationError(f"--datasets: {datasets}: no such folder")
-    if find_spec("matplotlib") is None or find_spec("pandas") is None:
-        raise ConfigurationError("experiments need matplotlib and pandas: pip install 'spheremouse[lab]'")
-    folder = out / "experiments" / "jobs"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise ConfigurationError(f"--out {out}: cannot be made a folder ({e.strerror}); name another") from None
+    _check(cores, datasets)
+    folder = _made(out)
     request = Request(quick, None if datasets is None else datasets.resolve())
     modules = {name: import_module(f"spheremouse.experiments.{name}") for name in chosen}
     jobs = {name: module.jobs(request) for name, module in modules.items()}
@@ -86,6 +77,25 @@ def _chosen(names: list[str] | None) -> list[str]:
         if name not in NAMES:
             raise ConfigurationError(f"unknown experiment {name!r}; there are {', '.join(NAMES)}")
     return [name for name in NAMES if not names or name in names]
+
+
+def _check(cores: int | None, datasets: Path | None) -> None:
+    if cores is not None and cores < 1:
+        raise ConfigurationError(f"--cores: must be 1 or more, is {cores}")
+    if datasets is not None and not datasets.is_dir():
+        raise ConfigurationError(f"--datasets: {datasets}: no such folder")
+    if find_spec("matplotlib") is None or find_spec("pandas") is None:
+        raise ConfigurationError("experiments need matplotlib and pandas: pip install 'spheremouse[lab]'")
+
+
+def _made(out: Path) -> Path:
+    """The folder of what each film gave."""
+    folder = out / "experiments" / "jobs"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise ConfigurationError(f"--out {out}: cannot be made a folder ({e.strerror}); name another") from None
+    return folder
 
 
 def _worked(jobs: dict[str, list[Job]], folder: Path, cores: int, again: bool) -> dict[str, dict[str, Result]]:

@@ -75,40 +75,24 @@ def check(
     if not port:
         raise OutputError("--port: is empty; write a port's name, auto or none")
     check_outputs([json_file], [drive], force)
-    source = service_files(firmware.PICO)
-    ours = firmware.version_of(source)
+    ours = firmware.version_of(service_files(firmware.PICO))
     found: dict[str, Any] = {"here": words(ours)}
-    wrong: list[str] = []
-    lines = [f"here: firmware {words(ours)}"]
+    lines, wrong = [f"here: firmware {words(ours)}"], []
     with contextlib.suppress(_NoDriveError):
-        board = _drive(drive)
-        there = firmware.version_of(board.path)
-        found["drive"] = {
-            "path": str(board.path),
-            "board": board.board,
-            "circuitpython": ".".join(map(str, board.circuitpython)),
-            "version": words(there),
-            "stale": firmware.stale(source, board.path),
-        }
-        lines.append(
-            f"drive {board.path}: {board.board}, CircuitPython {found['drive']['circuitpython']}, "
-            f"firmware {words(there)}"
-        )
-        wrong += _wrong_with_drive(board, there, ours)
-    identity = None
+        found["drive"], line, wrong = _look(_drive(drive), ours)
+        lines.append(line)
     if port != "none":
         try:
-            identity, text, faults = _ask(port, baud)
+            identity, found["port"], faults = _ask(port, baud)
         except OutputError as e:
             if "drive" not in found:
                 raise
             wrong.append(f"{e}; if the firmware has just been copied, pull the board and plug it in again")
         else:
-            found["port"] = text
-            lines.append(f"{text['port']}: {identity}; {text['state']}")
+            lines.append(f"{found['port']['port']}: {identity}; {found['port']['state']}")
             wrong += faults
-    if identity is not None and ours is not None and identity.firmware != ours:
-        wrong.append(_wrong_version(identity.firmware, ours, identity.kind))
+            if ours is not None and identity.firmware != ours:
+                wrong.append(_wrong_version(identity.firmware, ours, identity.kind))
     if len(found) == 1:
         raise OutputError(f"no board: no drive CIRCUITPY and no port asked; {_how()}")
     found["wrong"] = wrong
@@ -289,6 +273,20 @@ def _what_stays(path: Path, others: list[str]) -> str | None:
         if name not in firmware.FILES:
             return f"{path / name}: CircuitPython runs it in place of our program; move it away"
     return None
+
+
+def _look(board: Drive, ours: firmware.Version | None) -> tuple[dict[str, Any], str, list[str]]:
+    """What is on a board's drive, as figures and as a line, and what is wrong with that."""
+    there, circuitpython = firmware.version_of(board.path), ".".join(map(str, board.circuitpython))
+    found = {
+        "path": str(board.path),
+        "board": board.board,
+        "circuitpython": circuitpython,
+        "version": words(there),
+        "stale": firmware.stale(service_files(firmware.PICO), board.path),
+    }
+    line = f"drive {board.path}: {board.board}, CircuitPython {circuitpython}, firmware {words(there)}"
+    return found, line, _wrong_with_drive(board, there, ours)
 
 
 def _wrong_with_drive(board: Drive, there: firmware.Version | None, ours: firmware.Version | None) -> list[str]:

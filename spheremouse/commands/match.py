@@ -57,49 +57,31 @@ def match(
     missing. Says how well the two agree, and the settings with which the pointer moves as the trackball moved it.
     Exit codes: 0 they agree, 1 they do not, or the ball was not moved enough; 2 unusable input.
     """
-    from spheremouse.evaluate.trackball import match as core
     from spheremouse.evaluate.trackball.match_verdict import judge, settings_of
+    from spheremouse.files.atomic import write_atomically, write_json
     from spheremouse.files.mouse_log import read_log
-    from spheremouse.session.plan import Request, read_plan
 
     _check_outputs(out, force, json_file)
     trackball = read_log(log)
     if not trackball.counts.any():
         raise DatasetError(f"{log}: no motion in it; log the mouse that lies under the ball, while the ball moves")
     said = [] if tracker is None else [f"tracker={tracker}"]
-    plan = read_plan(Request(config, (*(assignments or ()), *said), _spec(recording), "null", rig, camera, no_map=True))
-    if plan.configuration.tracker == "wand":
-        raise ConfigurationError("tracker: wand is for balls in a hand; --tracker so3 is for one on a trackball")
+    plan = _plan(recording, (*(assignments or ()), *said), config, rig, camera)
     run, device, frames = _tracked(recording, plan, stamps)
-    ball = core.turning(run)
-    seconds = float((ball.end - ball.begin).sum())
-    if seconds < _LEAST:
-        raise DatasetError(
-            f"{recording}: the ball was tracked for {seconds:.1f} s of {frames} frames, {_LEAST:g} s are needed; "
-            "see what `spheremouse run --overlay` shows"
-        )
-    found = core.match(ball, trackball)
-    if found is None:
-        raise DatasetError(
-            f"{log}: has less than {_LEAST:g} s of motion in common with {recording} whatever the lag; "
-            "record both at once, for half a minute"
-        )
+    ball, found = _matched(recording, run, frames, log, trackball)
     verdict = judge(found)
-    radius = device.radius_m
-    before = plan.configuration.motion
+    radius, before = device.radius_m, plan.configuration.motion
     after = settings_of(found, radius, before) if verdict.usable else None
-    if json_file != Path("-"):
-        _print(found, verdict, ball, trackball, after, before, radius, frames, run)
+    quiet = json_file == Path("-")
+    if not quiet:
+        _print(found, verdict, radius, f"{len(run.tracked)} of {frames} frames tracked, {len(trackball)} reports")
+        if after is not None:
+            _print_settings(found, ball, trackball, after, before, radius)
     if json_file is not None:
-        from spheremouse.files.atomic import write_json
-
         write_json(json_file, figures(found, verdict, after))
     if after is None:
         raise typer.Exit(_NO_MATCH)
-    quiet = json_file == Path("-")
     if out is not None:
-        from spheremouse.files.atomic import write_atomically
-
         write_atomically(out, fragment(after, f"{recording} and {log}", verdict.text))
         if not quiet:
             print(f"{out}: written; next: spheremouse run --config {out} ..., or copy its section into your own file")
@@ -119,6 +101,17 @@ def _check_outputs(out: Path | None, force: bool, json_file: Path | None) -> Non
             raise ConfigurationError(f"{name}: {path}: is a directory; name a file in it")
     if out is not None and out.exists() and not force:
         raise ConfigurationError(f"--out: {out}: exists already; choose another name, or replace it with --force")
+
+
+def _plan(
+    recording: str, assignments: tuple[str, ...], config: Path | None, rig: Path | None, camera: Path | None
+) -> "Plan":
+    from spheremouse.session.plan import Request, read_plan
+
+    plan = read_plan(Request(config, assignments, _spec(recording), "null", rig, camera, no_map=True))
+    if plan.configuration.tracker == "wand":
+        raise ConfigurationError("tracker: wand is for balls in a hand; --tracker so3 is for one on a trackball")
+    return plan
 
 
 def _spec(recording: str) -> str:
@@ -174,6 +167,26 @@ def _stamped(frames: Iterator["Frame"], file: Path) -> Iterator["Frame"]:
         yield replace(frame, stamp=float(stamp[k]))
 
 
+def _matched(recording: str, run: "Run", frames: int, log: Path, trackball: "MouseLog") -> "tuple[Turning, Match]":
+    """How the ball turned, and how the trackball goes with that; DatasetError where there is too little of either."""
+    from spheremouse.evaluate.trackball.match import match, turning
+
+    ball = turning(run)
+    seconds = float((ball.end - ball.begin).sum())
+    if seconds < _LEAST:
+        raise DatasetError(
+            f"{recording}: the ball was tracked for {seconds:.1f} s of {frames} frames, {_LEAST:g} s are needed; "
+            "see what `spheremouse run --overlay` shows"
+        )
+    found = match(ball, trackball)
+    if found is None:
+        raise DatasetError(
+            f"{log}: has less than {_LEAST:g} s of motion in common with {recording} whatever the lag; "
+            "record both at once, for half a minute"
+        )
+    return ball, found
+
+
 # ---- output ----
 
 
@@ -196,29 +209,23 @@ def fragment(settings: "MotionSettings", source: str, verdict: str) -> str:
     return "\n".join([*lines, f"schema: {newest(KIND)}", section(settings)])
 
 
-def _print(
-    found: "Match",
-    verdict: "Verdict",
-    ball: "Turning",
-    trackball: "MouseLog",
-    after: "MotionSettings | None",
-    before: "MotionSettings",
-    radius: float | None,
-    frames: int,
-    run: "Run",
-) -> None:
+def _print(found: "Match", verdict: "Verdict", radius: float | None, title: str) -> None:
+    """What was found; `radius` of the ball, m."""
+    if verdict.kind != "another time":
+        _print_figures(found, radius, title)
+    print(f"verdict: {verdict.text}")
+    for note in verdict.notes:
+        print(f"  note: {note}")
+
+
+def _print_figures(found: "Match", radius: float | None, title: str) -> None:
     from rich.console import Console
     from rich.table import Table
-
-    from spheremouse.evaluate.trackball.match import reproduced
 
     console = Console(soft_wrap=True)
     if not console.is_terminal:
         console.width = 1000
-    mm = None if radius is None else found.scale / (1000.0 * radius)  # counts per mm
-    table = Table(
-        title_justify="left", title=f"{len(run.tracked)} of {frames} frames tracked, {len(trackball)} reports"
-    )
+    table = Table(title_justify="left", title=title)
     for name in ("", "x", "y"):
         table.add_column(name, justify="left" if not name else "right")
     for k, axis in enumerate("XYZ"):
@@ -227,26 +234,34 @@ def _print(
         table.add_row(f"counts/rad about {axis} of obj{unknown}", *cells)
     table.add_row("Pearson's r of the rates, frame by frame", *("–" if r is None else f"{r:.4f}" for r in found.r))
     table.add_row("RMSE, counts/s", *(f"{v:.1f}" for v in found.rmse))
-    if mm is not None:
+    if radius is not None:
+        mm = found.scale / (1000.0 * radius)  # counts per mm
         table.add_row("RMSE, mm/s of ball surface", *(f"{v / mm:.1f}" for v in found.rmse))
-    if verdict.kind != "another time":
-        console.print(table)
-        late = "later" if found.lag >= 0.0 else "earlier"
-        print(
-            f"lag: the log is {1e3 * abs(found.lag):.2f} ± {1e3 * found.lag_sigma:.2f} ms {late} than the frames; "
-            f"drift {1e6 * found.drift:+.0f} ± {1e6 * found.drift_sigma:.0f} ppm; {found.seconds:.1f} s compared, "
-            f"{found.cut} of {found.intervals} intervals left out"
-        )
-        moved = ", ".join(f"{v:.2f} about {axis}" for v, axis in zip(found.rate, "XYZ", strict=True))
-        print(f"the ball turned at (RMS, rad/s): {moved}; condition {found.condition:.0f}")
-    print(f"verdict: {verdict.text}")
-    for note in verdict.notes:
-        print(f"  note: {note}")
-    if after is not None:
-        r, _ = reproduced(ball, trackball, found, after.matrix(radius)[:2])
-        print(f"with the settings below the pointer follows the trackball with r = {r:.4f} over 0.1 s")
-        now = _assignments(after, before)
-        print(f"as options: {' '.join(f'--set {a}' for a in now) if now else 'none, the settings are right already'}")
+    console.print(table)
+    late = "later" if found.lag >= 0.0 else "earlier"
+    print(
+        f"lag: the log is {1e3 * abs(found.lag):.2f} ± {1e3 * found.lag_sigma:.2f} ms {late} than the frames; "
+        f"drift {1e6 * found.drift:+.0f} ± {1e6 * found.drift_sigma:.0f} ppm; {found.seconds:.1f} s compared, "
+        f"{found.cut} of {found.intervals} intervals left out"
+    )
+    moved = ", ".join(f"{v:.2f} about {axis}" for v, axis in zip(found.rate, "XYZ", strict=True))
+    print(f"the ball turned at (RMS, rad/s): {moved}; condition {found.condition:.0f}")
+
+
+def _print_settings(
+    found: "Match",
+    ball: "Turning",
+    trackball: "MouseLog",
+    after: "MotionSettings",
+    before: "MotionSettings",
+    radius: float | None,
+) -> None:
+    from spheremouse.evaluate.trackball.match import reproduced
+
+    r, _ = reproduced(ball, trackball, found, after.matrix(radius)[:2])
+    print(f"with the settings below the pointer follows the trackball with r = {r:.4f} over 0.1 s")
+    now = _assignments(after, before)
+    print(f"as options: {' '.join(f'--set {a}' for a in now) if now else 'none, the settings are right already'}")
 
 
 def _assignments(after: "MotionSettings", before: "MotionSettings") -> list[str]:

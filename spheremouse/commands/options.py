@@ -1,9 +1,95 @@
-"""Options that describe a simulated camera, as a person types them."""
+"""Options from the fields of a dataclass, and what a person types as one word: sizes, lenses, lists of numbers.
+
+A field is declared with `settings.param`: its meaning is the option's help, its unit the metavar. The unit of a word
+is how it is written, WxH or X,Y,Z.
+"""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import Field, fields
+from functools import wraps
+from math import isfinite
+from typing import Annotated, Any, get_args
+
+import typer
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.pictures import FRAME_PIXELS
+from spheremouse.simulate.ball.film import option_name
 
 _LARGEST = 8192  # px, a side
+
+Command = Callable[..., None]
+
+
+def with_fields(**names: tuple[str, ...]) -> Callable[[Command], Command]:
+    """Decorator of a command: each field of the dataclass that its keyword `options` takes is an option in its place.
+
+    `names`: of options that are called otherwise than their fields.
+    """
+
+    def decorate(command: Command) -> Command:
+        written = dict(inspect.signature(command).parameters)
+        kind = written["options"].annotation
+        made = [_option(field, names.get(field.name, ())) for field in fields(kind)]
+        signature = inspect.Signature([p for name in written for p in (made if name == "options" else [written[name]])])
+
+        @wraps(command)
+        def call(*args: Any, **kwargs: Any) -> None:
+            bound = signature.bind(*args, **kwargs)
+            bound.apply_defaults()
+            given = bound.arguments
+            options = kind(**{field.name: _value(field, given.pop(field.name)) for field in fields(kind)})
+            command(**given, options=options)
+
+        vars(call)["__signature__"] = signature
+        return call
+
+    return decorate
+
+
+def _option(field: "Field[Any]", names: tuple[str, ...]) -> inspect.Parameter:
+    unit, bounds, annotation, default = field.metadata["unit"], field.metadata["bounds"], field.type, field.default
+    metavar: str | None = unit.upper()
+    if _is_word(unit):
+        annotation, default, metavar, bounds = str | None, _word(unit, default), unit, {}
+    elif unit.startswith("["):  # refused by who takes it, in words of its own
+        annotation, metavar = str, unit
+    elif unit == "-":
+        kinds = (annotation, *get_args(annotation))
+        metavar = "N" if int in kinds else "F" if float in kinds else None
+    if default is False:
+        names = names or (option_name(field.name),)  # and no opposite
+    option = typer.Option(
+        *names, metavar=metavar, min=bounds.get("ge"), max=bounds.get("le"), help=field.metadata["meaning"]
+    )
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(field.name, kind, default=default, annotation=Annotated[annotation, option])
+
+
+# ---- words ----
+
+
+def _is_word(unit: str) -> bool:
+    return unit == "WxH" or "," in unit
+
+
+def _word(unit: str, value: Any) -> str | None:
+    """A value as it is typed."""
+    return None if value is None else ("x" if unit == "WxH" else ",").join(f"{part:g}" for part in value)
+
+
+def _value(field: "Field[Any]", typed: Any) -> Any:
+    """What was typed as the field has it; ConfigurationError where a word is written otherwise."""
+    unit = field.metadata["unit"]
+    if typed is None or not _is_word(unit):
+        return typed
+    if unit == "k1,k2,p1,p2,k3":
+        return _lens(typed)
+    example = _word(unit, field.default) or "30,30,200 for red"  # colours alone have no default
+    if unit == "WxH":
+        return parse_size(typed, field.metadata["bounds"]["ge"], example)
+    return _numbers(option_name(field.name), typed, unit.count(",") + 1, example)
 
 
 def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
@@ -21,14 +107,25 @@ def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def parse_distortion(text: str, example: str) -> tuple[float, float, float, float, float]:
-    """k1, k2, p1, p2, k3 of five numbers with commas."""
+def _lens(text: str) -> tuple[float, float, float, float, float]:
+    """k1, k2, p1, p2, k3 of five numbers between commas."""
     try:
         k1, k2, p1, p2, k3 = (float(part) for part in text.split(","))
         if not all(abs(k) <= 2.0 for k in (k1, k2, p1, p2, k3)):  # nan, too: no lens bends more
             raise ValueError(text)
     except ValueError:
         raise ConfigurationError(
-            f"--dist {text}: write five numbers k1,k2,p1,p2,k3 from -2 to 2, as in {example}"
+            f"--dist {text}: write five numbers k1,k2,p1,p2,k3 from -2 to 2, as in -0.1,0,0,0,0"
         ) from None
     return k1, k2, p1, p2, k3
+
+
+def _numbers(option: str, text: str, n: int, example: str) -> tuple[float, ...]:
+    """`n` numbers between commas."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+        if len(numbers) != n or not all(isfinite(x) for x in numbers):
+            raise ValueError(text)
+    except ValueError:
+        raise ConfigurationError(f"{option} {text}: write {n} numbers, as in {example}") from None
+    return numbers

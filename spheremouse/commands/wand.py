@@ -2,89 +2,39 @@
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import cv2
 import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from spheremouse.commands.options import parse_distortion, parse_size
-from spheremouse.commands.terminal import progress_bar
+from spheremouse.commands.options import with_fields
+from spheremouse.commands.simulate import written
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import replace
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
 from spheremouse.files.wand import WandFile, load_wand, save_wand
-from spheremouse.simulate.wand.film import Light, Motion, WandOptions, prepare_wand
+from spheremouse.simulate.wand.film import WandOptions, prepare_wand
+
+if TYPE_CHECKING:
+    from spheremouse.wand.pick_colours import Picked
 
 app = typer.Typer(no_args_is_help=True, help="A hand-held ball: film it, or pick the bounds of its colours.")
 
-_DEFAULT = WandOptions()
 _OVERLAY = ".colours.png"  # how pictures end that only `wand colours` makes: they may be replaced
 
 
 @app.command(epilog="Example: spheremouse wand simulate demo/drive --seed 1")
+@with_fields(motion=("--motion", "--path"))
 def simulate(
     folder: Annotated[Path, typer.Argument(metavar="OUT_DIR", help="Folder of the dataset; made, or empty.")],
-    motion: Annotated[
-        str,
-        typer.Option(
-            "--motion",
-            "--path",
-            metavar="[drive|hand]",
-            help="drive: on a robot, as in Grzonka 2005; hand: on a stick.",
-        ),
-    ] = _DEFAULT.motion,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of path, room, paints and noise.")] = _DEFAULT.seed,
-    fps: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Frames per second.  [default: 0.8 of a drive, 15 of a hand]")
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", help="Length in s.  [default: the whole drive, 20 s of a hand]")
-    ] = None,
-    begin: Annotated[float, typer.Option(metavar="S", help="Time of the motion at which the film begins.")] = 0.0,
-    speed: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M/S", help="Largest speed; a drive turns in proportion.  [default: 0.035, 0.4 of a hand]"
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None, typer.Option(metavar="DEG/S", help="Largest turning rate of a hand.  [default: 180]")
-    ] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Size of the images in px.")] = "1280x960",
-    focal: Annotated[
-        float | None,
-        typer.Option(metavar="PX", help="Focal length.  [default: 2100 of a drive, 1000 of a hand, at 1280 columns]"),
-    ] = None,
-    dist: Annotated[
-        str, typer.Option(metavar="k1,k2,p1,p2,k3", help="Lens distortion in OpenCV's order.")
-    ] = "0,0,0,0,0",
-    distance: Annotated[
-        float | None, typer.Option(metavar="M", help="From the camera to a hand.  [default: 1]")
-    ] = None,
+    *,
+    options: WandOptions,
     wand: Annotated[
         Path | None, typer.Option("--ball", metavar="FILE", help="Another ball than Grzonka's: a wand file.")
     ] = None,
-    balls: Annotated[int, typer.Option(metavar="N", help="Balls in view, 1 to 3.")] = _DEFAULT.balls,
-    light: Annotated[
-        str, typer.Option(metavar="[indoor|outdoor]", help="outdoor: sun, with glare on the ball.")
-    ] = _DEFAULT.light,
-    noise: Annotated[
-        float, typer.Option(metavar="LEVELS", help="Standard deviation of the image noise in grey values.")
-    ] = _DEFAULT.noise,
-    blur: Annotated[float, typer.Option(metavar="S", help="Exposure time in s: motion blur.")] = _DEFAULT.blur,
-    hand: Annotated[
-        float | None, typer.Option(metavar="S", help="Time at which a hand passes beside the ball.")
-    ] = None,
-    card: Annotated[
-        float | None, typer.Option(metavar="S", help="Time at which a card in the ball's colours passes before it.")
-    ] = None,
-    clutter: Annotated[bool, typer.Option(help="A red mug and a blue book.")] = _DEFAULT.clutter,
-    vary: Annotated[
-        float, typer.Option(metavar="F", help="Share by which paints differ from seed to seed.")
-    ] = _DEFAULT.vary,
     force: Annotated[bool, typer.Option("--force", help="Replace a dataset that is there.")] = False,
 ) -> None:
     """Film a simulated wand: a dataset with exact truth.
@@ -94,40 +44,12 @@ def simulate(
     """
     from spheremouse.simulate.to_dataset import write_wand
 
-    if motion == "drive" and distance is not None:
-        raise ConfigurationError("--distance: belongs to a hand; on a drive the robot's way decides")
-    options = WandOptions(
-        motion=cast(Motion, motion),  # `prepare_wand` refuses others
-        seed=seed,
-        fps=fps,
-        seconds=seconds,
-        begin=begin,
-        speed=speed,
-        rate=rate,
-        size=parse_size(size, 64, "1280x960"),
-        focal=focal,
-        dist=parse_distortion(dist, "-0.1,0,0,0,0"),
-        distance=_DEFAULT.distance if distance is None else distance,
-        balls=balls,
-        light=cast(Light, light),
-        noise=noise,
-        blur=blur,
-        hand=hand,
-        card=card,
-        clutter=clutter,
-        vary=vary,
-    )
-    ball = None if wand is None else load_wand(wand).ball
-    film = prepare_wand(options, ball)
-    with progress_bar() as bar:
-        task = bar.add_task(f"filming {folder}", total=film.frames)
-        for done in write_wand(folder, film, replace=force):
-            bar.update(task, completed=done)
-    megabytes = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file()) / 1e6
+    film = prepare_wand(options, None if wand is None else load_wand(wand).ball)
+    megabytes = written(folder, film.frames, write_wand(folder, film, replace=force))
     camera = film.scene.camera
     print(
         f"{folder}: {film.frames} frame{'' if film.frames == 1 else 's'} of {camera.width}x{camera.height} at "
-        f"{film.fps:g} Hz, motion {motion}, ball {film.scene.balls[0].ball.name}; {megabytes:.1f} MB"
+        f"{film.fps:g} Hz, motion {options.motion}, ball {film.scene.balls[0].ball.name}; {megabytes:.1f} MB"
     )
     print(f"next: spheremouse evaluate {folder} --tracker wand")
 
@@ -168,11 +90,7 @@ def colours(
     given = WandFile(ball, {c: DEFAULT_COLOURS[c] for c in ball.colours}) if wand is None else load_wand(wand)
     if check and out is not None:
         raise ConfigurationError("--out: does not go with --check, which picks no bounds; leave one of them out")
-    if show is None:
-        beside = picture.resolve()
-        show = beside.parent / f"{beside.name}{_OVERLAY}"
-    if show.suffix.lower() != ".png":
-        raise ConfigurationError(f"--show {show}: must end in .png")
+    show = _shown_at(picture, show)
     _refuse(out, [picture, wand], force)
     _refuse(show, [picture, wand, out], force or show.name.endswith(_OVERLAY))
     image = _image(picture)
@@ -182,6 +100,26 @@ def colours(
     else:
         picked = pick(image, given.ball, circle)
     _write_png(show, overlay(image, picked))
+    _print(picked, narrower=check)
+    print(f"{show}: what they select")
+    if out is not None:
+        save_wand(out, given.ball, picked.colours, {"colours_from": picture.name})
+        print(f"{out}: the ball with these bounds")
+    elif not check:
+        print("next: look at the picture, then write the bounds with --out wand.yaml")
+
+
+def _shown_at(picture: Path, given: Path | None) -> Path:
+    """Where the overlay goes: as given, else beside the picture."""
+    beside = picture.resolve()
+    show = given or beside.parent / f"{beside.name}{_OVERLAY}"
+    if show.suffix.lower() != ".png":
+        raise ConfigurationError(f"--show {show}: must end in .png")
+    return show
+
+
+def _print(picked: "Picked", narrower: bool) -> None:
+    """Where the ball is, its bounds and what they select; `narrower`: bounds may be blamed for that, too."""
     c = picked.circle
     print(f"the ball is at {c.u:.0f}, {c.v:.0f}, radius {c.radius:.0f} px (not so? say it with --at U,V,RADIUS)")
     for name, colour in picked.colours.items():
@@ -191,14 +129,8 @@ def colours(
             f"  selects {100 * picked.inside[name]:.1f} % of the ball, {100 * picked.outside[name]:.2f} % of the rest"
         )
         if name in picked.much():
-            narrower = ", or narrow the bounds" if check else ""
-            print(f"  much beside the ball is {name}: clear it away, or use another background{narrower}")
-    print(f"{show}: what they select")
-    if out is not None:
-        save_wand(out, given.ball, picked.colours, {"colours_from": picture.name})
-        print(f"{out}: the ball with these bounds")
-    elif not check:
-        print("next: look at the picture, then write the bounds with --out wand.yaml")
+            instead = ", or narrow the bounds" if narrower else ""
+            print(f"  much beside the ball is {name}: clear it away, or use another background{instead}")
 
 
 def _tells(colour: object, name: str) -> bool:

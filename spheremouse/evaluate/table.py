@@ -1,12 +1,26 @@
 """Figures of an evaluation as a table for a terminal or a page."""
 
+from collections.abc import Callable
 from typing import Any
 
 from rich.table import Table
 
+from spheremouse.evaluate.metrics import MIN_AREA
+
+
+def ball_table(results: list[dict[str, Any]], title: str) -> Table:
+    """The reports on balls in their frames side by side."""
+    table = Table(title=title, caption="in brackets: about or along x, y, z of obj", title_justify="left")
+    table.add_column("")
+    for result in results:
+        table.add_column(result["dataset"], justify="right")
+    for label, value in _ROWS:
+        table.add_row(label, *[value(result) for result in results])
+    return table
+
 
 def wand_table(results: list[dict[str, Any]]) -> Table:
-    """The reports side by side."""
+    """Those on balls in hands."""
     every = [r for result in results for r in (result, *result.get("more_balls", []))]
     table = Table(title="wand", caption="x right, y down, z away from the camera", title_justify="left")
     table.add_column("")
@@ -48,3 +62,52 @@ def axes(part: dict[str, float | None], form: str = ".3g", scale: float = 1.0) -
     """x, y and z, or a dash."""
     values = [part[a] for a in "xyz"]
     return "  ".join("–" if v is None else format(scale * v, form) for v in values)
+
+
+def _combined(part: dict[str, float | None], form: str = ".3g") -> str:
+    """Combined first, then each axis."""
+    if part["combined"] is None:
+        return "–"
+    return f"{shown(part['combined'], form)} ({' '.join(shown(part[a], form) for a in 'xyz' if a in part)})"
+
+
+def _each(result: dict[str, Any], part: str, *names: str, form: str = ".3g") -> str:
+    values = result[part]
+    return "–" if values is None else "  ".join(shown(values[name], form) for name in names)
+
+
+def _list(result: dict[str, Any], part: str, name: str) -> str:
+    values = result[part]
+    return "–" if values is None else f"({' '.join(shown(v, '.2g') for v in values[name])})"
+
+
+def _percent(result: dict[str, Any], name: str) -> str:
+    detection = result["detection"]
+    return "–" if detection is None or detection[name] is None else f"{100.0 * detection[name]:.1f}"
+
+
+_ROWS: tuple[tuple[str, Callable[[dict[str, Any]], str]], ...] = (
+    ("frames tracked / all", lambda r: f"{r['tracked']} / {r['frames']}"),
+    ("times lost", lambda r: str(r["lost_episodes"])),
+    ("attitude RMSE, °", lambda r: _combined(r["attitude_rmse_deg"])),
+    ("rate RMSE, °/s", lambda r: _combined(r["rate_rmse_deg_s"])),
+    ("surface speed RMSE, mm/s", lambda r: _combined(r["surface_speed_rmse_mm_s"])),
+    ("surface speed, Pearson's r", lambda r: _combined(r["surface_speed_r"], ".4f")),
+    ("discs used per frame", lambda r: shown(r["mean_discs"])),
+    ("recognised in the map from frame", lambda r: shown(r["identified_from_frame"], "d")),
+    (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r, "recall")),
+    ("points used that are no disc, %", lambda r: _percent(r, "false_share")),
+    ("disc centre RMS per axis, px", lambda r: _each(r, "detection", "centre_rms_px")),
+    ("camera position error, mm", lambda r: _list(r, "pose_error", "position_mm")),
+    ("  its standard deviation, mm", lambda r: _list(r, "pose_error", "sigma_position_mm")),
+    ("camera rotation error, °", lambda r: _list(r, "pose_error", "angle_deg")),
+    ("  its standard deviation, °", lambda r: _list(r, "pose_error", "sigma_angle_deg")),
+    ("NEES of attitude, rate (3 is right)", lambda r: _each(r, "nees", "attitude", "rate")),
+    ("NIS per degree of freedom (1 is right)", lambda r: shown(r["nis"])),
+    ("RMSE / bound: attitude, rate", lambda r: _each(r, "bound_ratio", "attitude", "rate")),
+    ("time per frame: median, p99, max, µs", lambda r: _each(r, "frame_us", "median", "p99", "max", form=".0f")),
+    (
+        "median per stage, µs",
+        lambda r: "  ".join(f"{stage} {shown(us, '.0f')}" for stage, us in r["stages_us"].items()) or "–",
+    ),
+)

@@ -45,29 +45,27 @@ class AxesFrom:
                 "or roll the ball forward, then right, and say when with --forward A:B --right A:B"
             )
 
-    def find(self, rolled: Rolled, views: Views) -> tuple[Axes, str, float | None, float]:
-        """Axes, their source, and the ball's radius with its standard deviation, m, where targets tell it."""
+    def find(self, rolled: Rolled, views: Views) -> tuple[Axes, str]:
+        """Axes, and their source: targets, device or gestures."""
         self.check()
         if self.gestures is not None:
             assert views.first is not None
             begin = views.first
             spans = [(a + begin, b + begin) for a, b in self.gestures]
-            return axes_from_gestures(rolled.rolling, spans[0], spans[1]), "gestures", None, 0.0
+            return axes_from_gestures(rolled.rolling, spans[0], spans[1]), "gestures"
         if not views.colour:
             raise CalibrationError(
                 "the pictures are grey: targets need colour; roll two gestures (--forward, --right) instead"
             )
         if self.device is not None:
             seen = _seen(views, self.device.target_radii)
-            return axes_from_rings(_sizes(seen), self.device, self.camera), "device", None, 0.0
+            return axes_from_rings(_sizes(seen), self.device, self.camera), "device"
         assert self.rig is not None
         seen = _seen(views, self.rig.targets.radii)
         try:
-            axes = axes_from_targets(gather(seen, PoseSettings()), self.rig, rolled.rolling)
+            return axes_from_targets(gather(seen, PoseSettings()), self.rig, rolled.rolling), "targets"
         except PoseError as e:
             raise CalibrationError(str(e)) from None
-        assert axes.distance is not None
-        return axes, "targets", axes.distance / rolled.rolling.ratio, axes.distance_sigma / rolled.rolling.ratio
 
 
 def _seen(views: Views, radii: np.ndarray) -> list[TargetDetections]:

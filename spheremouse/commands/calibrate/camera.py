@@ -1,30 +1,32 @@
 """`spheremouse calibrate camera`: the interior orientation from photos of a board."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-from spheremouse.calibrate.camera.calibrate import calibrate, provenance
-from spheremouse.calibrate.outputs import check_outputs, copyable, note
-from spheremouse.commands.calibrate.options import Force, Json, Report
-from spheremouse.commands.terminal import progress_bar
-from spheremouse.errors import CalibrationError
-from spheremouse.files.atomic import write_json
-
-if TYPE_CHECKING:
-    from spheremouse.calibrate.camera.corners import Pattern
-from typing import TYPE_CHECKING
-
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from spheremouse.calibrate.camera.calibrate import Calibrated
-
-if TYPE_CHECKING:
-    pass
-from spheremouse.calibrate.camera.report import advice, held_out_rms, parameter_rows, view_rows
+from spheremouse.calibrate.camera.calibrate import Calibrated, calibrate, provenance
+from spheremouse.calibrate.camera.corners import DICTIONARIES, Pattern, markers_in, markers_of
+from spheremouse.calibrate.camera.report import (
+    advice,
+    camera_json,
+    held_out_rms,
+    parameter_rows,
+    view_rows,
+    write_camera_report,
+)
+from spheremouse.calibrate.lengths import parse_board, parse_length
+from spheremouse.calibrate.outputs import check_outputs, copyable, note
+from spheremouse.calibrate.photos import read_photos
+from spheremouse.commands.calibrate.options import Force, Json, Report
+from spheremouse.commands.terminal import progress_bar
+from spheremouse.errors import CalibrationError
+from spheremouse.files.atomic import write_json
+from spheremouse.files.report.style import has_matplotlib, require_matplotlib
+from spheremouse.files.rig import save_camera
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
@@ -63,10 +65,6 @@ def camera(
     10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
     reaching into all corners of the picture. With --source it watches the camera and takes the views that are wanted.
     """
-    from spheremouse.calibrate.camera.report import camera_json, write_camera_report
-    from spheremouse.calibrate.photos import read_photos
-    from spheremouse.files.rig import save_camera
-
     pattern = _pattern(board, square, marker, dictionary)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
@@ -99,10 +97,7 @@ def camera(
     typer.echo(f"next: {copyable('spheremouse', *words, '--out', folder / 'rig.yaml')}")
 
 
-def _pattern(board: str, square: str | None, marker: str | None, dictionary: str) -> "Pattern":
-    from spheremouse.calibrate.camera.corners import DICTIONARIES, Pattern, markers_in, markers_of
-    from spheremouse.calibrate.lengths import parse_board, parse_length
-
+def _pattern(board: str, square: str | None, marker: str | None, dictionary: str) -> Pattern:
     columns, rows = parse_board(board)
     if square is None:
         raise CalibrationError("--square: measure the side of a square on the print, and give it, as in --square 86mm")
@@ -126,8 +121,6 @@ def _pattern(board: str, square: str | None, marker: str | None, dictionary: str
 
 
 def _page(report: Path | None, out: Path) -> Path | None:
-    from spheremouse.files.report.style import has_matplotlib, require_matplotlib
-
     if report is not None:
         require_matplotlib()
         return report
@@ -138,7 +131,7 @@ def _page(report: Path | None, out: Path) -> Path | None:
 
 
 def camera_text(done: Calibrated) -> None:
-    """The same on the terminal."""
+    """Print parameters, views and advice."""
     console = Console(soft_wrap=True, highlight=False)
     if not console.is_terminal:
         console.width = 1000

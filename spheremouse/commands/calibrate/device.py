@@ -5,35 +5,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from spheremouse import __version__
-from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
-from spheremouse.commands.calibrate.options import Force, Json, Report
-from spheremouse.commands.terminal import progress_bar
-from spheremouse.errors import CalibrationError
-from spheremouse.files.atomic import write_json
-from spheremouse.files.yaml import read_document
-
-if TYPE_CHECKING:
-    from spheremouse.ball.device import Device
-    from spheremouse.ball.settings import Settings
-    from spheremouse.calibrate.device.adjust import DeviceCalibration
-    from spheremouse.calibrate.device.plans import Advice
-    from spheremouse.calibrate.photos import Photo
-    from spheremouse.geometry.camera import InteriorOrientation
-
 import numpy as np
+import typer
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from spheremouse.calibrate.device.adjust import DeviceCalibration
+from spheremouse import __version__
+from spheremouse.ball.device import Device, DistanceError
+from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS, DeviceCalibration
+from spheremouse.calibrate.device.advice import advise
 from spheremouse.calibrate.device.plans import Advice
-from spheremouse.calibrate.device.report import AXES, MARKS
+from spheremouse.calibrate.device.report import AXES, MARKS, write_device_report
 from spheremouse.calibrate.device.results import (
     advice_or_made,
+    device_json,
     distance_rows,
     per_photo,
     points,
@@ -42,7 +29,20 @@ from spheremouse.calibrate.device.results import (
     sigma_of,
     unit_of,
 )
-from spheremouse.calibrate.photos import Photo
+from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
+from spheremouse.calibrate.photos import Photo, check_size, image, read_photos
+from spheremouse.commands.calibrate.options import Force, Json, Report
+from spheremouse.commands.terminal import progress_bar
+from spheremouse.errors import CalibrationError
+from spheremouse.files.atomic import write_json
+from spheremouse.files.device import load_device, untouched
+from spheremouse.files.report.style import has_matplotlib
+from spheremouse.files.rig import load_camera, save_rig
+from spheremouse.files.yaml import read_document
+from spheremouse.geometry.camera import InteriorOrientation
+
+if TYPE_CHECKING:
+    from spheremouse.ball.settings import Settings
 
 EXAMPLE = "Example: spheremouse calibrate device device/ --device device.yaml --camera camera.yaml --out rig.yaml"
 
@@ -75,31 +75,16 @@ def device(
     Six to twelve photos from as many sides as targets allow; the ball must not turn between them. Tape distances in
     the device file give metres; without any the scale is free and counts are per radian.
     """
-    from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS
-    from spheremouse.calibrate.device.advice import advise
-    from spheremouse.calibrate.device.report import write_device_report
-    from spheremouse.calibrate.device.results import device_json
-    from spheremouse.calibrate.photos import check_size, read_photos
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
-    from spheremouse.files.device import load_device, untouched
     from spheremouse.files.disc_map import map_path, save_map, saved_now
-    from spheremouse.files.report.style import has_matplotlib
-    from spheremouse.files.rig import load_camera, save_rig
 
-    page = report or out.with_suffix(".html")
-    the_map = map_path(out)
+    page, the_map = report or out.with_suffix(".html"), map_path(out)
     check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force)
-    for file, option, how in (
-        (device_file, "--device", "`spheremouse calibrate init` writes one to fill in"),
-        (camera_file, "--camera", "`spheremouse calibrate camera` makes it"),
-    ):
-        if not file.exists():
-            raise CalibrationError(f"{file}: no such file; give {option} FILE: {how}")
+    _check_inputs(device_file, camera_file)
     if not has_matplotlib():
         note("the report has no pictures without matplotlib: pip install 'spheremouse[plot]'")
-    known = load_device(device_file)
-    camera = load_camera(camera_file)
+    known, camera = load_device(device_file), load_camera(camera_file)
     chosen = in_force(config, settings or (), root())
     found = read_photos(photos, note=note)
     check_size(found, camera, camera_file)
@@ -129,12 +114,19 @@ def device(
     )
 
 
+def _check_inputs(device_file: Path, camera_file: Path) -> None:
+    for file, option, how in (
+        (device_file, "--device", "`spheremouse calibrate init` writes one to fill in"),
+        (camera_file, "--camera", "`spheremouse calibrate camera` makes it"),
+    ):
+        if not file.exists():
+            raise CalibrationError(f"{file}: no such file; give {option} FILE: {how}")
+
+
 def _calibrated(
-    photos: "Sequence[Photo]", known: "Device", camera: "InteriorOrientation", device_file: Path, settings: "Settings"
-) -> "DeviceCalibration":
-    from spheremouse.ball.device import DistanceError
+    photos: Sequence[Photo], known: Device, camera: InteriorOrientation, device_file: Path, settings: "Settings"
+) -> DeviceCalibration:
     from spheremouse.calibrate.device.calibrate import calibrate_device
-    from spheremouse.calibrate.photos import image
 
     with progress_bar() as bar:
         task = bar.add_task("reading", total=_STEPS)
@@ -154,11 +146,11 @@ def _calibrated(
 
 
 def _provenance(
-    photos: "Sequence[Photo]",
-    calibration: "DeviceCalibration",
+    photos: Sequence[Photo],
+    calibration: DeviceCalibration,
     device_file: Path,
     camera_file: Path,
-    advice: "Sequence[Advice]",
+    advice: Sequence[Advice],
 ) -> dict[str, Any]:
     used = [photos[k] for k in calibration.photos]
     return {

@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from spheremouse.calibrate.outputs import copyable
-from spheremouse.commands.options import parse_distortion, parse_size
+from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
@@ -24,40 +24,21 @@ from spheremouse.simulate.ball.stills import DeviceShape, Stills, StillsOptions,
 
 EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"
 
-_DEFAULT = StillsOptions()
 _PARTS = ("board", "device", "device.yaml", "truth.json")
 _TAPE = 0.001  # m, standard deviation of a tape measure held by hand
-_MOST = 99  # photos of a kind
 # as in the reference sets: at half the resolution the colours of narrow rings mix
 _FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
+@with_fields()
 def practice(
     folder: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the photos; made, or empty.")],
+    *,
     like: Annotated[
         Path | None,
         typer.Option(metavar="DATASET", help="Photograph this dataset's device: ball, discs and targets as there."),
     ] = None,
-    n_photos: Annotated[
-        int, typer.Option("--photos", metavar="N", min=0, max=_MOST, help="Photos of the device.")
-    ] = _DEFAULT.photos,
-    boards: Annotated[
-        int, typer.Option(metavar="N", min=0, max=_MOST, help="Photos of the chessboard, 11x8 corners, 86 mm.")
-    ] = _DEFAULT.boards,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Size of the photos in px.")] = "1920x1080",
-    focal: Annotated[
-        float | None, typer.Option(metavar="PX", help="Focal length in px.  [default: 1404 at 1920x1080]")
-    ] = None,
-    dist: Annotated[
-        str, typer.Option(metavar="k1,k2,p1,p2,k3", help="Lens distortion in OpenCV's order.")
-    ] = "-0.49,0.3,-0.0001,-0.0001,-0.11",
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of places, errors of the tape and noise.")] = 0,
-    noise: Annotated[
-        float, typer.Option(metavar="S", min=0, max=50, help="Standard deviation of the noise in grey values.")
-    ] = _DEFAULT.noise,
-    discs: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Discs on the ball.  [default: 50, or as --like]")
-    ] = None,
+    options: StillsOptions,
     jpeg: Annotated[int, typer.Option(metavar="Q", min=50, max=100, help="Quality of the JPEG files.")] = 95,
     force: Annotated[bool, typer.Option("--force", help="Replace a practice set that is there.")] = False,
 ) -> None:
@@ -65,30 +46,22 @@ def practice(
 
     Six photos are from front, left, right, high, low and turned by 90 degrees; more stand between and beside them.
     """
-    if like is not None and discs is not None:
-        raise CalibrationError(f"--discs {discs}: the discs are those of --like {like}; leave one of the two out")
-    if n_photos + boards == 0:
+    if like is not None and options.discs is not None:
+        raise CalibrationError(
+            f"--discs {options.discs}: the discs are those of --like {like}; leave one of the two out"
+        )
+    if options.photos + options.boards == 0:
         raise CalibrationError("--photos 0 --boards 0: nothing to photograph; ask for one or more of a kind")
-    if focal is not None and not 10.0 <= focal <= 100_000.0:
-        raise CalibrationError(f"--focal {focal:g}: must be from 10 to 100000 px")
-    options = StillsOptions(
-        photos=n_photos,
-        boards=boards,
-        size=parse_size(size, 64, "1920x1080"),
-        focal=focal,
-        dist=parse_distortion(dist, "-0.49,0.3,0,0,-0.11"),
-        seed=seed,
-        noise=noise,
-        discs=_DEFAULT.discs if discs is None else discs,
-    )
+    if options.focal is not None and not 10.0 <= options.focal <= 100_000.0:
+        raise CalibrationError(f"--focal {options.focal:g}: must be from 10 to 100000 px")
     stills = prepare_stills(options, None if like is None else device_of(like))
     with _new_folder(folder, force) as made, progress_bar() as bar:
-        task = bar.add_task(f"photographing into {folder}", total=n_photos + boards)
+        task = bar.add_task(f"photographing into {folder}", total=options.photos + options.boards)
         for _ in write_stills(made, stills, jpeg):
             bar.advance(task)
     what = "a practice device" if like is None else f"the device of {like}"
-    many = "photo" if n_photos == 1 else "photos"
-    print(f"{folder}: {n_photos} {many} of {what}, {boards} of the board, device.yaml, truth.json")
+    many = "photo" if options.photos == 1 else "photos"
+    print(f"{folder}: {options.photos} {many} of {what}, {options.boards} of the board, device.yaml, truth.json")
     lens, given = folder / "camera.yaml", folder / "device.yaml"
     camera = ("camera", folder / "board", "--board", "11x8", "--square", "86mm", "--out", lens)
     device = ("device", folder / "device", "--device", given, "--camera", lens, "--out", folder / "rig.yaml")

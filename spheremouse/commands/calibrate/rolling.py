@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,12 +13,17 @@ from spheremouse.commands.calibrate.options import Force, Json
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.atomic import write_json
 
+if TYPE_CHECKING:
+    from spheremouse.ball.rig import Rig
+    from spheremouse.calibrate.rolling.axes_choice import AxesFrom
+    from spheremouse.calibrate.rolling.calibrate import Solution, Views
+    from spheremouse.calibrate.rolling.footage import Footage
+    from spheremouse.calibrate.rolling.lengths import Lengths
+    from spheremouse.calibrate.rolling.problem import Rolled
+    from spheremouse.calibrate.rolling.rig import Calibrated
+
 EXAMPLE = "Example: spheremouse calibrate rolling --source video:roll.mkv --camera camera.yaml --device device.yaml"
 
-_TAPE = 0.002  # part by which a length that a person measured on a ball is off: tape, and balls are not rounder
-_DOUBT = 5.0  # standard deviations from which a radius contradicts what the targets tell
-_FIRST = 0.1  # part by which the first look's radius may be off: its discs' size was only seen
-_READOUT_KNOWN = 1e-3  # s, standard deviation from which a readout is told
 _GESTURE = 5.0  # s for a guided gesture
 _PAUSE = 3.0  # s before it
 
@@ -62,6 +67,7 @@ def rolling(
     Without a length the scale is free: all works, and counts are per radian.
     """
     from spheremouse.calibrate.lengths import parse_length
+    from spheremouse.calibrate.rolling.lengths import Lengths
 
     lengths = [None if text is None else parse_length(text) for text in (radius, circumference, disc_radius)]
     if radius is not None and circumference is not None:
@@ -76,8 +82,7 @@ def rolling(
         rig,
         seconds,
         None if forward is None or right is None else (_span(forward, "--forward"), _span(right, "--right")),
-        ball,
-        lengths[2],
+        Lengths(ball, lengths[2]),
         out,
         json_file,
         force,
@@ -93,8 +98,7 @@ class _Given:
     rig: Path | None
     seconds: float | None
     gestures: tuple[tuple[float, float], tuple[float, float]] | None
-    radius: float | None  # m
-    disc_radius: float | None  # m
+    lengths: "Lengths"
     out: Path | None
     json_file: Path | None
     force: bool
@@ -114,7 +118,7 @@ def _span(text: str, name: str) -> tuple[float, float]:
 def _calibrate(given: _Given) -> None:
     from spheremouse.ball.settings import Settings
     from spheremouse.calibrate.rolling.axes_choice import AxesFrom
-    from spheremouse.calibrate.rolling.calibrate import solve
+    from spheremouse.calibrate.rolling.rig import calibrated
     from spheremouse.capture import open_source
     from spheremouse.files.device import load_device
     from spheremouse.files.disc_map import map_path
@@ -144,26 +148,35 @@ def _calibrate(given: _Given) -> None:
     footage, gestures = _footage(given, live, ask=live and not axes.known)
     if gestures is not None:
         axes = replace(axes, gestures=gestures)
-    readout = (known.readout_s, known.readout_sigma_s) if known is not None else (0.0, _unknown_readout())
     with _Bar(count, given.seconds, stream.fps) as bar:
-        told: list[float] = []  # what lengths said of the discs' size
-        try:
-            solution = solve(footage, interior, readout, lambda r, v: _disc_angle(given, axes, r, v, told), bar.frames)
-        except CalibrationError as e:
-            if given.radius is None or not told:
-                raise
-            disc = told[0] * given.radius
-            raise CalibrationError(
-                f"{e}. If it did turn: are the lengths right? {1e3 * disc:.3g} mm for a disc's radius and "
-                f"{given.radius:.4g} m for the ball's, not a diameter"
-            ) from None
-    _conclude(given, solution, axes, known, interior)
+        solution = _solved(given.lengths, footage, axes, known, bar)
+    exposure = 0.0 if known is None else known.exposure_s
+    _write(given, solution, calibrated(solution, axes, given.lengths.radius, exposure))
 
 
-def _unknown_readout() -> float:
+def _solved(lengths: "Lengths", footage: "Footage", axes: "AxesFrom", known: "Rig | None", bar: "_Bar") -> "Solution":
+    """Ball, camera and discs; a ball that did not turn may have had the wrong lengths."""
     from spheremouse.ball.rig import UNKNOWN_READOUT
+    from spheremouse.calibrate.rolling.calibrate import solve
+    from spheremouse.calibrate.rolling.lengths import disc_angle
 
-    return UNKNOWN_READOUT
+    told: float | None = None  # what lengths said of the discs' size
+
+    def angle(rolled: "Rolled", views: "Views") -> float | None:
+        nonlocal told
+        told = disc_angle(lengths, axes, rolled, views)
+        return told
+
+    readout = (known.readout_s, known.readout_sigma_s) if known is not None else (0.0, UNKNOWN_READOUT)
+    try:
+        return solve(footage, axes.camera, readout, angle, bar.frames)
+    except CalibrationError as e:
+        if lengths.radius is None or told is None:
+            raise
+        raise CalibrationError(
+            f"{e}. If it did turn: are the lengths right? {1e3 * told * lengths.radius:.3g} mm for a disc's radius and "
+            f"{lengths.radius:.4g} m for the ball's, not a diameter"
+        ) from None
 
 
 class _Bar:
@@ -191,40 +204,6 @@ class _Bar:
             yield frame
             self._progress.advance(task)
         self._progress.remove_task(task)
-
-
-def _disc_angle(given: _Given, axes: Any, rolled: Any, views: Any, told: list[float]) -> float | None:
-    """Radius of a disc over the ball's where lengths tell it, which `told` keeps."""
-    radius = given.radius
-    if axes.rig is not None and axes.device is None and axes.gestures is None:
-        from spheremouse.calibrate.rolling.placed import placed, with_rolled
-
-        ball = placed(rolled, with_rolled(axes.find(rolled, views)[0], rolled))[1]
-        if not axes.rig.scale_free:
-            _check_radius(given.radius, ball, _FIRST)
-        if radius is None or (axes.rig.scale_free and given.disc_radius is None):
-            radius = ball.radius
-    disc = given.disc_radius or axes.disc_radius
-    if disc is None or radius is None:
-        return None
-    told.append(disc / radius)
-    return told[-1]
-
-
-def _check_radius(radius: float | None, ball: Any, rough: float) -> None:
-    """CalibrationError where a length that was given contradicts the ball that the targets tell, beyond `rough`."""
-    if radius is None:
-        return
-    sigma = float(ball.covariance[3, 3]) ** 0.5
-    if abs(radius - ball.radius) <= max(rough * ball.radius, _DOUBT * ((_TAPE * radius) ** 2 + sigma**2) ** 0.5):
-        return
-    why = "measure again, or leave the length out: the targets tell it"
-    for factor, what in ((2.0, "the diameter was given for the radius"), (0.5, "half the radius was given")):
-        if abs(radius / ball.radius / factor - 1.0) < _FIRST:
-            why = f"it seems that {what}; leave the length out, or correct it"
-    raise CalibrationError(
-        f"the ball's radius is given as {radius:.4g} m, but the targets of the rig put it at {ball.radius:.4g} m: {why}"
-    )
 
 
 def _footage(given: _Given, live: bool, ask: bool) -> Any:
@@ -267,77 +246,30 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
     return kept, None if not ask else tuple((a - first, b - first) for a, b in spans)
 
 
-def _conclude(given: _Given, solution: Any, axes: Any, known: Any, interior: Any) -> None:
-    import numpy as np
-
-    from spheremouse.ball.compare_maps import turned
-    from spheremouse.ball.disc_map import DiscMap
-    from spheremouse.ball.rig import Rig, Targets
+def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
+    """Rig, map and figures into their files, and what was found to the reader."""
     from spheremouse.calibrate.rolling.advice import advise
-    from spheremouse.calibrate.rolling.placed import (
-        known_with_ball,
-        placed,
-        placed_targets,
-        rescaled_targets,
-        with_rolled,
-    )
     from spheremouse.calibrate.rolling.report import figures, text
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig
 
-    rolled = solution.rolled
-    found, source = axes.find(rolled, solution.views)[:2]
-    found = with_rolled(found, rolled)
-    targets, cross = Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), None
-    radius, sigma, free = 1.0, 0.0, True
-    if given.radius is not None:
-        radius, sigma, free = given.radius, _TAPE * given.radius, False
-    pose, ball = placed(rolled, found, radius, sigma)
-    if source == "targets":
-        targets, told = axes.rig.targets, placed(rolled, found)
-        if given.radius is None:
-            (pose, ball), free = told, axes.rig.scale_free
-            radius, cross = ball.radius, known_with_ball(found, ball.radius)
-        elif axes.rig.scale_free:
-            targets, cross = rescaled_targets(targets, told[1], ball)
-        else:
-            _check_radius(given.radius, told[1], 0.0)
-    elif source == "device" and not free:
-        targets, cross = placed_targets(found, axes.device, rolled, radius, sigma)
-    at_first = found.rotation @ rolled.rolling.attitude[0]
-    seen = np.bincount(rolled.sightings.disc, minlength=len(rolled.rolling.discs))
-    disc_map = turned(DiscMap(rolled.rolling.discs, rolled.disc_covariance, seen), at_first)
-    readout, readout_sigma = rolled.rolling.readout, rolled.readout_sigma
-    told = readout_sigma < _READOUT_KNOWN and readout > -2.0 * readout_sigma
-    rig = Rig(
-        camera=interior,
-        ball=ball,
-        targets=targets,
-        disc_radius=solution.disc_angle * radius,
-        readout_s=(readout if readout > 2.0 * readout_sigma else 0.0) if told else 0.0,
-        readout_sigma_s=0.0 if told else _unknown_readout(),
-        exposure_s=0.0 if known is None else known.exposure_s,
-        pose=pose,
-        disc_directions=disc_map.directions,
-        cross_covariance=cross,
-        scale_free=free,
-    )
-    result = figures(solution, found, source, rig)
+    result = figures(solution, made.axes, made.source, made.rig)
     if given.out is not None:
+        saved = saved_now(made.disc_map, made.rig)
         provenance = {
             "made_by": "spheremouse calibrate rolling",
-            "date": saved_now(disc_map, rig).saved.isoformat(),
-            "version": saved_now(disc_map, rig).version,
+            "date": saved.saved.isoformat(),
+            "version": saved.version,
             "source": given.source,
             "seconds": round(solution.seconds, 1),
             "frames": result["frames"],
-            "axes": source,
+            "axes": made.source,
         }
-        save_rig(given.out, rig, provenance)
-        save_map(map_path(given.out), saved_now(disc_map, rig))
+        save_rig(given.out, made.rig, provenance)
+        save_map(map_path(given.out), saved)
     printed = given.json_file is not None and write_json(given.json_file, result)
-    typer.echo(text(solution, found, source, rig), err=printed)
-    for line in advise(rolled):
+    typer.echo(text(solution, made.axes, made.source, made.rig), err=printed)
+    for line in advise(solution.rolled):
         typer.echo(f"advice: {line}", err=printed)
     if given.out is None:
         typer.echo("nothing written: keep it with --out rig.yaml", err=printed)

@@ -115,12 +115,7 @@ def run(
     A ball in a hand is tracked with --tracker wand: it needs a camera file and no rig, moves the pointer as the ball
     turns, and writes position and attitude as text.
     """
-    from spheremouse.capture.stopping import Stopping
-    from spheremouse.commands.run.view import view
-    from spheremouse.session import trackers
-    from spheremouse.session.cameras import is_camera
     from spheremouse.session.plan import Request, check_kinds, read_plan
-    from spheremouse.session.process.standard_error import unhurried
 
     if output is not None and len(output) > 1:
         raise ConfigurationError(f"--output: given {len(output)} times; motion goes to one place, choose one")
@@ -134,12 +129,31 @@ def run(
     check_kinds(plan)
     if overlay is not None:
         _refuse_loss(overlay, plan, (config, rig, camera, map_file, *(balls or ())))
-    of_wand, live = plan.configuration.tracker == "wand", is_camera(plan.source) or realtime
     for name, value in (("--ball", balls), ("--axes", axes)):
-        if value and not of_wand:
+        if value and plan.configuration.tracker != "wand":
             raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
-    shared = plan.output in ("text:-", "text:", "text") or (of_wand and plan.configuration.wand.axes == "-")
-    wanted = sys.stderr.isatty() and not (shared and sys.stdout.isatty()) if table is None else table
+    _run(request, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames)
+
+
+def _has_terminal(plan: "Plan") -> bool:
+    """Is standard error a terminal that no output writes to besides?"""
+    configuration = plan.configuration
+    on_output = configuration.tracker == "wand" and configuration.wand.axes == "-"
+    shared = plan.output in ("text:-", "text:", "text") or on_output
+    return sys.stderr.isatty() and not (shared and sys.stdout.isatty())
+
+
+def _run(
+    request: "Request", plan: "Plan", realtime: bool, table: bool, overlay: Path | None, frames: int | None
+) -> None:
+    """From the first frame to the last words; what ended the run is raised when all is said."""
+    from spheremouse.capture.stopping import Stopping
+    from spheremouse.commands.run.view import view
+    from spheremouse.session import trackers
+    from spheremouse.session.cameras import is_camera
+    from spheremouse.session.process.standard_error import unhurried
+
+    live = is_camera(plan.source) or realtime
     failure: SpheremouseError | None = None
     words: tuple[str, ...] = ()
     with unhurried() if live else nullcontext():
@@ -147,13 +161,11 @@ def run(
             stopping = stack.enter_context(Stopping())
             setup = trackers.setup(plan, realtime)
             plan = setup.planned(request, plan)
-            shown = view(plan, wanted, overlay, None if setup.source is None else setup.source.fps, stack)
+            shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack)
             try:
-                end = (serve if live else follow)(request, plan, setup, stopping, shown, frames)
+                failure, words = (serve if live else follow)(request, plan, setup, stopping, shown, frames)
             except SpheremouseError as e:  # before there was anything to follow
                 failure = e
-            else:
-                failure, words = end
         if shown.overlay is not None and shown.overlay.written:
             print(f"overlay: {overlay}", file=sys.stderr)
         if shown.tally.frames or failure is None:

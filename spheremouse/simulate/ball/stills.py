@@ -16,6 +16,7 @@ from spheremouse.ball.rig import Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array
+from spheremouse.settings import param
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.board import Board, render_board
 from spheremouse.simulate.ball.caps import Caps
@@ -27,6 +28,8 @@ from spheremouse.simulate.light import Lighting
 _BLUR = 0.5  # px, standard deviation of a lens in focus
 _REFERENCE = (1920, 1080, 1404.0)  # px: width, height and focal length of a wide webcam
 _OFF_MIDDLE = (7.0, -5.0)  # px at that size, the principal point
+_MOST = 99  # photos of a kind
+_DISCS = 50
 _BOLT = 0.525  # radii of a disc: as in the reference recordings
 
 
@@ -34,14 +37,16 @@ _BOLT = 0.525  # radii of a disc: as in the reference recordings
 class StillsOptions:
     """Photos to take, and the camera; the fields are the options of `spheremouse calibrate practice`."""
 
-    photos: int = 6  # of the device
-    boards: int = 15
-    size: tuple[int, int] = (1920, 1080)  # px, width and height
-    focal: float | None = None  # px; None: that of a wide webcam
-    dist: tuple[float, float, float, float, float] = (-0.49, 0.3, -0.0001, -0.0001, -0.11)  # k1, k2, p1, p2, k3
-    seed: int = 0
-    noise: float = 1.5  # grey values
-    discs: int = 50
+    photos: int = param(6, "-", "Photos of the device.", ge=0, le=_MOST)
+    boards: int = param(15, "-", "Photos of the chessboard, 11x8 corners, 86 mm.", ge=0, le=_MOST)
+    size: tuple[int, int] = param((1920, 1080), "WxH", "Size of the photos in px.", ge=64)
+    focal: float | None = param(None, "px", "Focal length in px.  [default: 1404 at 1920x1080]")
+    dist: tuple[float, float, float, float, float] = param(
+        (-0.49, 0.3, -0.0001, -0.0001, -0.11), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
+    )
+    seed: int = param(0, "-", "Of places, errors of the tape and noise.", ge=0)
+    noise: float = param(1.5, "levels", "Standard deviation of the noise in grey values.", ge=0, le=50)
+    discs: int | None = param(None, "-", "Discs on the ball.  [default: 50, or as --like]", ge=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +152,9 @@ def _scene(options: StillsOptions, device: DeviceShape | None) -> Scene:
     focal = _REFERENCE[2] * scale if options.focal is None else options.focal
     cx, cy = 0.5 * width + _OFF_MIDDLE[0] * scale, 0.5 * height + _OFF_MIDDLE[1] * scale
     camera = InteriorOrientation(width, height, focal, focal, cx, cy, np.array(options.dist, dtype=float))
+    discs = _DISCS if options.discs is None else options.discs
     try:
-        scene = replace(default_scene(options.discs if device is None else 1, seed=options.seed), camera=camera)
+        scene = replace(default_scene(discs if device is None else 1, seed=options.seed), camera=camera)
     except ValueError as e:
         raise ConfigurationError(f"--discs: {e}") from None
     if device is None:

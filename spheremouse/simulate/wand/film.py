@@ -13,6 +13,7 @@ import numpy as np
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
+from spheremouse.settings import param
 from spheremouse.simulate.ball.film import MOST_FRAMES, option_name
 from spheremouse.simulate.wand.path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
@@ -26,7 +27,7 @@ Light = Literal["indoor", "outdoor"]
 
 _DRIVE_FPS, _HAND_FPS = 0.8, 15.0  # Hz: that of the thesis' recording, and what the issue asks of a hand
 _DRIVE_FOCAL, _HAND_FOCAL = 2100.0, 1000.0  # px at 1280 columns: the thesis' lens, and that of a webcam
-_HAND_SECONDS = 20.0
+_HAND_SECONDS, _HAND_DISTANCE = 20.0, 1.0  # s, m
 _WIDTH = 1280  # px, that those focal lengths are for
 _PASSES = 0.10  # m/s, of the hand past the robot, as in the shared recording
 _MOST_BALLS = 3
@@ -36,25 +37,31 @@ _MOST_BALLS = 3
 class WandOptions:
     """A film to make; the fields are the options of `spheremouse wand simulate`."""
 
-    motion: Motion = "drive"
-    seed: int = 0
-    fps: float | None = None  # Hz; None: 0.8 of a drive, 15 of a hand
-    seconds: float | None = None  # s; None: to the end of the drive, 20 s of a hand
-    begin: float = 0.0  # s, of the motion, at which the film begins
-    speed: float | None = None  # m/s, largest; None: 0.035 of a drive (which turns in proportion), 0.4 of a hand
-    rate: float | None = None  # deg/s, largest, of a hand; None: 180
-    size: tuple[int, int] = (1280, 960)  # px
-    focal: float | None = None  # px; None: 2100 of a drive, 1000 of a hand, at 1280 columns
-    dist: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    distance: float = 1.0  # m, of a hand
-    balls: int = 1
-    light: Light = "indoor"
-    noise: float = 2.0  # grey values
-    blur: float = 0.0  # s, exposure
-    hand: float | None = None  # s, when a hand passes beside the ball
-    card: float | None = None  # s, when a card in the ball's colours passes before the ball
-    clutter: bool = True  # a red mug and a blue book
-    vary: float = 0.1  # share by which paints differ from one seed to the next
+    motion: Motion = param("drive", "[drive|hand]", "drive: on a robot, as in Grzonka 2005; hand: on a stick.")
+    seed: int = param(0, "-", "Of path, room, paints and noise.")
+    fps: float | None = param(None, "Hz", "Frames per second.  [default: 0.8 of a drive, 15 of a hand]")
+    seconds: float | None = param(None, "s", "Length in s.  [default: the whole drive, 20 s of a hand]")
+    begin: float = param(0.0, "s", "Time of the motion at which the film begins.")
+    speed: float | None = param(
+        None, "m/s", "Largest speed; a drive turns in proportion.  [default: 0.035, 0.4 of a hand]"
+    )
+    rate: float | None = param(None, "deg/s", "Largest turning rate of a hand.  [default: 180]")
+    size: tuple[int, int] = param((1280, 960), "WxH", "Size of the images in px.", ge=64)
+    focal: float | None = param(
+        None, "px", "Focal length.  [default: 2100 of a drive, 1000 of a hand, at 1280 columns]"
+    )
+    dist: tuple[float, float, float, float, float] = param(
+        (0.0, 0.0, 0.0, 0.0, 0.0), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
+    )
+    distance: float | None = param(None, "m", "From the camera to a hand.  [default: 1]")
+    balls: int = param(1, "-", "Balls in view, 1 to 3.")
+    light: Light = param("indoor", "[indoor|outdoor]", "outdoor: sun, with glare on the ball.")
+    noise: float = param(2.0, "levels", "Standard deviation of the image noise in grey values.")
+    blur: float = param(0.0, "s", "Exposure time in s: motion blur.")
+    hand: float | None = param(None, "s", "Time at which a hand passes beside the ball.")
+    card: float | None = param(None, "s", "Time at which a card in the ball's colours passes before it.")
+    clutter: bool = param(True, "-", "A red mug and a blue book.")
+    vary: float = param(0.1, "-", "Share by which paints differ from seed to seed.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,15 +158,16 @@ def _paths(options: WandOptions) -> list[WandPath]:
             found.append(drive(rng, speed=speed, part=k, of=options.balls))
         else:
             seconds = options.begin + (_HAND_SECONDS if options.seconds is None else options.seconds)
+            distance = _HAND_DISTANCE if options.distance is None else options.distance
             found.append(
                 hand(
                     rng,
-                    distance=options.distance,
-                    reach=0.16 * options.distance,
+                    distance=distance,
+                    reach=0.16 * distance,
                     speed=HAND_SPEED if options.speed is None else options.speed,
                     rate=HAND_RATE if options.rate is None else np.radians(options.rate),
                     seconds=seconds,
-                    aside=0.45 * options.distance * (k - 0.5 * (options.balls - 1)),
+                    aside=0.45 * distance * (k - 0.5 * (options.balls - 1)),
                 )
             )
     return found
@@ -216,7 +224,9 @@ def _check(options: WandOptions, named: Named) -> None:
         raise ConfigurationError(f"{named('vary')}: {options.vary:g} must not be above 0.5: red would not be red")
     if options.fps is not None and options.blur > 1.0 / options.fps:
         raise ConfigurationError(f"{named('blur')}: {options.blur:g} s is longer than a frame at {options.fps:g} Hz")
-    if options.motion == "hand" and options.distance < 0.4:
+    if options.motion == "drive" and options.distance is not None:
+        raise ConfigurationError(f"{named('distance')}: belongs to a hand; on a drive the robot's way decides")
+    if options.distance is not None and options.distance < 0.4:
         raise ConfigurationError(f"{named('distance')}: {options.distance:g} m is too near; from 0.4 m")
     if options.motion == "drive" and options.rate is not None:
         raise ConfigurationError(f"{named('rate')}: belongs to a hand; a drive turns in proportion to {named('speed')}")

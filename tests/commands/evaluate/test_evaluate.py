@@ -3,22 +3,20 @@
 import json
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
-import typer
 from conftest import directions as ball_directions
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from scipy.stats import pearsonr
-from typer.testing import CliRunner
 
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth, Truth
-from spheremouse.commands import evaluate as cli_evaluate
 from spheremouse.errors import ConfigurationError
 from spheremouse.evaluate import plot
 from spheremouse.evaluate.bound import Bound, manoeuvre, posterior_bound
@@ -471,9 +469,6 @@ def test_bound_ratio_leaves_out_the_first_frame():
 
 # ---- the command ----
 
-app = typer.Typer()
-app.command()(cli_evaluate.evaluate)
-
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
@@ -484,14 +479,22 @@ def filmed(tmp_path_factory):
     return path
 
 
-def run_command(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+class Done(NamedTuple):
+    exit_code: int
+    stdout: str
+    stderr: str
 
 
-def test_command_writes_a_table_and_json(filmed, tmp_path):
+@pytest.fixture
+def run_command(spheremouse):
+    """(*words) -> exit code, standard output and error of `evaluate`."""
+    return lambda *words: Done(*spheremouse("evaluate", *words))
+
+
+def test_command_writes_a_table_and_json(run_command, filmed, tmp_path):
     file = tmp_path / "out.json"
     done = run_command(filmed, "--json", file)
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 0, done.stderr
     assert "attitude RMSE, °" in done.stdout
     result = json.loads(file.read_text())
     assert_has_all_keys(result)
@@ -501,9 +504,9 @@ def test_command_writes_a_table_and_json(filmed, tmp_path):
     assert result["detection"]["recall"] > 0.8
 
 
-def test_json_to_stdout_is_only_json_and_a_list_for_several(filmed):
+def test_json_to_stdout_is_only_json_and_a_list_for_several(run_command, filmed):
     done = run_command(filmed, filmed, "--pose", "known", "--tracker", "ekf2", "--json", "-")
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 0, done.stderr
     both = json.loads(done.stdout)
     assert [r["tracker"] for r in both] == ["ekf2", "ekf2"]
     assert both[0]["pose_error"] is None
@@ -512,7 +515,7 @@ def test_json_to_stdout_is_only_json_and_a_list_for_several(filmed):
     assert both[0] == both[1]
 
 
-def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_is(filmed, tmp_path):
+def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_is(run_command, filmed, tmp_path):
     recording = open_dataset(filmed)
     d = recording.truth_directions
     R = Rotation.random(rng=3).as_matrix()
@@ -521,7 +524,7 @@ def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_
     save_map(file, saved_now(true, recording.rig))
     before = file.read_bytes()
     done = run_command(filmed, "--pose", "known", "--map", file, "--json", "-")
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["identified_from_frame"] == 0
     assert result["tracked"] == 15
@@ -530,11 +533,11 @@ def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_
     assert [p.name for p in tmp_path.iterdir()] == ["m.yaml"]
     save_map(file, saved_now(replace(true, directions=ball_directions(len(d), 9)), recording.rig))
     done = run_command(filmed, "--pose", "known", "--map", file, "--json", "-")
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 0, done.stderr
     assert json.loads(done.stdout)["identified_from_frame"] is None  # another ball
 
 
-def test_the_whole_configuration_file_of_a_run_is_taken(filmed, tmp_path):
+def test_the_whole_configuration_file_of_a_run_is_taken(run_command, filmed, tmp_path):
     """What names source, output and files is no parameter of the tracker, and does no harm."""
     file = tmp_path / "spheremouse.yaml"
     text = "schema: 1\nsource: v4l2:0\nrig: none.yaml\npointer: {rate: 500}\ntracker: ekf2\n"
@@ -544,13 +547,13 @@ def test_the_whole_configuration_file_of_a_run_is_taken(filmed, tmp_path):
     assert json.loads(done.stdout)["tracker"] == "ekf2"
 
 
-def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
+def test_without_truth_it_runs_all_the_same(run_command, filmed, tmp_path):
     (tmp_path / "bare").mkdir()
     for name in filmed.iterdir():
         if name.name not in ("truth.csv", "discs.csv"):
             (tmp_path / "bare" / name.name).symlink_to(name)
     done = run_command(tmp_path / "bare", "--pose", "known", "--json", "-")
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["tracked"] == 15
     assert result["attitude_rmse_deg"]["combined"] is None
@@ -579,14 +582,14 @@ def test_without_truth_it_runs_all_the_same(filmed, tmp_path):
         (("missing",), "missing"),
     ],
 )
-def test_a_fault_is_one_line_and_code_2(filmed, arguments, says):
+def test_a_fault_is_one_line_and_code_2(run_command, filmed, arguments, says):
     done = run_command(filmed, *arguments)
     assert (done.exit_code, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1
     assert says in done.stderr
 
 
-def test_a_recording_that_fails_does_not_take_the_others_along(filmed, tmp_path):
+def test_a_recording_that_fails_does_not_take_the_others_along(run_command, filmed, tmp_path):
     (tmp_path / "cut").mkdir()
     for name in filmed.iterdir():
         if name.name != "scene.json":
@@ -601,7 +604,7 @@ def test_a_recording_that_fails_does_not_take_the_others_along(filmed, tmp_path)
     assert [r["dataset"] for r in json.loads((tmp_path / "out.json").read_text())] == ["short"]
 
 
-def test_darkness_is_one_line(filmed, tmp_path):
+def test_darkness_is_one_line(run_command, filmed, tmp_path):
     done = run_command(filmed, "--brightness", "-255", "--json", tmp_path / "out.json")
     assert (done.exit_code, done.stdout) == (2, "")
     assert len(done.stderr.splitlines()) == 1
@@ -646,7 +649,7 @@ def test_plot_breaks_its_curves_where_nothing_was_tracked_and_where_a_rotation_v
     assert np.isnan(plot._unbroken(vectors)).any(axis=1).tolist() == [False, False, True, False]
 
 
-def test_without_matplotlib_it_says_what_to_install(filmed, monkeypatch):
+def test_without_matplotlib_it_says_what_to_install(run_command, filmed, monkeypatch):
     monkeypatch.setattr(style, "has_matplotlib", lambda: False)
     done = run_command(filmed, "--plot", "out.png")
     assert done.exit_code == 2

@@ -41,7 +41,7 @@ def evening():
 def folder(tmp_path_factory):
     """The same evening as the command leaves it."""
     path = tmp_path_factory.mktemp("practice") / "set"
-    practice(path, n_photos=2, boards=1, size="1280x720", seed=2)
+    practice(path, photos=2, boards=1, size="1280x720", seed=2)
     return path
 
 
@@ -245,7 +245,7 @@ KEYS = {
 
 
 def little(path, **options):
-    practice(path, **{"n_photos": 0, "boards": 1, "size": "320x240", "focal": 300.0, **options})
+    practice(path, **{"photos": 0, "boards": 1, "size": "320x240", "focal": 300.0, **options})
 
 
 def test_the_folder_has_what_a_calibration_needs(folder, evening):
@@ -267,7 +267,7 @@ def test_the_folder_has_what_a_calibration_needs(folder, evening):
 
 
 def test_it_says_what_it_wrote_and_what_is_next(tmp_path, capsys):
-    practice(tmp_path / "set", n_photos=0, boards=1, size="320x240", focal=300.0)
+    practice(tmp_path / "set", photos=0, boards=1, size="320x240", focal=300.0)
     said = capsys.readouterr().out
     assert said.startswith(f"{tmp_path / 'set'}: 0 photos of a practice device, 1 of the board")
     assert "next: spheremouse calibrate camera" in said
@@ -372,9 +372,9 @@ def test_force_replaces_a_set_and_only_when_the_new_one_is_whole(tmp_path, monke
         ({"dist": "1,2"}, "--dist 1,2: write five numbers"),
         ({"dist": "nan,0,0,0,0"}, "--dist .*: write five numbers"),
         ({"focal": -3.0}, "--focal -3: must be from 10"),
-        ({"focal": 9000.0, "n_photos": 1}, "--focal 9000: no place in the room shows"),
+        ({"focal": 9000.0, "photos": 1}, "--focal 9000: no place in the room shows"),
         ({"focal": 9000.0}, "--focal 9000: the board does not fit"),
-        ({"n_photos": 0, "boards": 0}, "nothing to photograph"),
+        ({"photos": 0, "boards": 0}, "nothing to photograph"),
         ({"discs": 5000}, "--discs: 5000 discs do not fit"),
         ({"like": "elsewhere", "discs": 5}, "--discs 5: the discs are those of --like"),
     ],

@@ -1,0 +1,79 @@
+"""Options made from a dataclass: words in, the dataclass out, and help as the fields have it."""
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from spheremouse.commands.options import with_fields
+from spheremouse.errors import ConfigurationError
+from spheremouse.settings import param
+
+
+@dataclass(frozen=True)
+class Film:
+    number: int | None = param(None, "-", "How many.  [default: all]")
+    share: float = param(0.5, "-", "Of what.", ge=0, le=1)
+    length_m: float = param(2.0, "m", "How long.")
+    kind: Literal["one", "two"] = param("one", "-", "Which.")
+    judged: str = param("one", "[one|two]", "Which, that somebody else looks at.")
+    size: tuple[int, int] = param((640, 480), "WxH", "How large.", ge=16)
+    places: tuple[float, float] = param((1.0, -0.5), "X,Y", "Where.")
+    seen: bool = param(False, "-", "Whether.")
+    heard: bool = param(True, "-", "Whether.")
+
+
+@pytest.fixture
+def run():
+    """(*words) -> the film that the command got; or what it printed."""
+    app, got = typer.Typer(rich_markup_mode=None), []
+
+    @app.command()
+    @with_fields(length_m=("--length", "--long"))
+    def film(name: str, *, options: Film, again: bool = False) -> None:
+        got.append(options)
+
+    def call(*words):
+        result = CliRunner().invoke(app, ["name", *words])
+        if isinstance(result.exception, ConfigurationError):
+            raise result.exception
+        return got.pop() if got else result.output
+
+    return call
+
+
+def test_nothing_said_is_what_the_dataclass_has(run):
+    assert run() == Film()
+
+
+def test_what_is_typed_arrives_in_the_fields(run):
+    words = "--number 3 --share 1 --long 4 --kind two --judged three --size 64X48 --places 3,4e-1 --seen --no-heard"
+    assert run(*words.split()) == Film(3, 1.0, 4.0, "two", "three", (64, 48), (3.0, 0.4), True, False)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--size", "8x8"), "--size 8x8: write WIDTHxHEIGHT in px, as in 640x480, each from 16 to 8192"),
+        (("--places", "1"), "--places 1: write 2 numbers, as in 1,-0.5"),
+        (("--places", "1,inf"), "--places 1,inf: write 2 numbers, as in 1,-0.5"),
+    ],
+)
+def test_a_word_that_is_written_otherwise_is_refused_with_an_example(run, words, message):
+    with pytest.raises(ConfigurationError) as refused:
+        run(*words)
+    assert str(refused.value) == message
+
+
+def test_help_tells_meaning_unit_bounds_and_default_of_every_field(run):
+    said = " ".join(run("--help").split())
+    for field in fields(Film):
+        assert " ".join(field.metadata["meaning"].split()) in said
+    for option in (
+        *("--number N How", "--share F Of what. [default: 0.5; 0<=x<=1]", "--length, --long M How", "--seen Whether."),
+        *("--judged [one|two]", "--size WxH How large. [default: 640x480]", "--places X,Y Where. [default: 1,-0.5]"),
+    ):
+        assert option in said
+    assert "--no-seen" not in said
