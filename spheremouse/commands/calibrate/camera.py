@@ -20,11 +20,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from spheremouse.calibrate.camera.advice import advise
 from spheremouse.calibrate.camera.calibrate import Calibrated
 
 if TYPE_CHECKING:
     pass
-from spheremouse.calibrate.camera.report import advice, held_out_rms, parameter_rows, view_rows
+from spheremouse.calibrate.camera.report import held_out_rms, parameter_rows, view_rows
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
@@ -160,6 +161,6 @@ def camera_text(done: Calibrated) -> None:
     for row, used in view_rows(done):
         views.add_row(*map(escape, row), style=None if used else "red")
     console.print(views)
-    for kind, text in advice(done):
+    for kind, text in advise(done):
         mark = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/]"}[kind]
         console.print(f"{mark} {escape(text.replace('`', ''))}")
