@@ -15,10 +15,8 @@ from spheremouse.errors import ConfigurationError, DatasetError, PoseError, Sour
 if TYPE_CHECKING:
     from spheremouse.ball.rig import Rig
     from spheremouse.evaluate.metrics import Run
-    from spheremouse.evaluate.trackball.lag import Turning
     from spheremouse.evaluate.trackball.match import Match
     from spheremouse.evaluate.trackball.match_verdict import Verdict
-    from spheremouse.files.mouse_log import MouseLog
     from spheremouse.output.counts import MotionSettings
     from spheremouse.session.plan import Plan
     from spheremouse.tracker import Frame
@@ -89,7 +87,11 @@ def match(
     before = plan.configuration.motion
     after = settings_of(found, radius, before) if verdict.usable else None
     if json_file != Path("-"):
-        _print(found, verdict, ball, trackball, after, before, radius, frames, run)
+        tracked = f"{len(run.tracked)} of {frames} frames tracked, {len(trackball)} reports"
+        _print(found, verdict, tracked, radius)
+        if after is not None:
+            r, _ = core.reproduced(ball, trackball, found, after.matrix(radius)[:2])
+            _print_settings(r, after, before)
     if json_file is not None:
         from spheremouse.files.atomic import write_json
 
@@ -195,29 +197,15 @@ def fragment(settings: "MotionSettings", source: str, verdict: str) -> str:
     return "\n".join([*lines, f"schema: {SCHEMA}", section(settings)])
 
 
-def _print(
-    found: "Match",
-    verdict: "Verdict",
-    ball: "Turning",
-    trackball: "MouseLog",
-    after: "MotionSettings | None",
-    before: "MotionSettings",
-    radius: float | None,
-    frames: int,
-    run: "Run",
-) -> None:
+def _print(found: "Match", verdict: "Verdict", title: str, radius: float | None) -> None:
     from rich.console import Console
     from rich.table import Table
-
-    from spheremouse.evaluate.trackball.match import reproduced
 
     console = Console(soft_wrap=True)
     if not console.is_terminal:
         console.width = 1000
     mm = None if radius is None else found.scale / (1000.0 * radius)  # counts per mm
-    table = Table(
-        title_justify="left", title=f"{len(run.tracked)} of {frames} frames tracked, {len(trackball)} reports"
-    )
+    table = Table(title_justify="left", title=title)
     for name in ("", "x", "y"):
         table.add_column(name, justify="left" if not name else "right")
     for k, axis in enumerate("XYZ"):
@@ -241,11 +229,12 @@ def _print(
     print(f"verdict: {verdict.text}")
     for note in verdict.notes:
         print(f"  note: {note}")
-    if after is not None:
-        r, _ = reproduced(ball, trackball, found, after.matrix(radius)[:2])
-        print(f"with the settings below the pointer follows the trackball with r = {r:.4f} over 0.1 s")
-        now = _assignments(after, before)
-        print(f"as options: {' '.join(f'--set {a}' for a in now) if now else 'none, the settings are right already'}")
+
+
+def _print_settings(r: float, after: "MotionSettings", before: "MotionSettings") -> None:
+    print(f"with the settings below the pointer follows the trackball with r = {r:.4f} over 0.1 s")
+    now = _assignments(after, before)
+    print(f"as options: {' '.join(f'--set {a}' for a in now) if now else 'none, the settings are right already'}")
 
 
 def _assignments(after: "MotionSettings", before: "MotionSettings") -> list[str]:
