@@ -14,10 +14,11 @@ from typing import Any, Literal
 from spheremouse.calibrate.lengths import parse_board
 from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
+from spheremouse.capture.usual import usual_camera
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import UNTOUCHED, load_device, untouched
 from spheremouse.files.rig import load_camera, load_rig
-from spheremouse.files.yaml import read_document
+from spheremouse.files.yaml import read_document, shown
 
 DEFAULT = Path("cabinet")
 # Photos, as in the printed recipe. Three views of a plane fix a lens (Zhang 2000); four tilts and near and far and four
@@ -25,6 +26,7 @@ DEFAULT = Path("cabinet")
 BOARD_ENOUGH, BOARD_MOST = 15, 20
 DEVICE_ENOUGH, DEVICE_MOST = 6, 12
 _BOARD, _DEVICE, _CAMERA_FILE, _DEVICE_FILE, _RIG_FILE = "board", "device", "camera.yaml", "device.yaml", "rig.yaml"
+_CONFIG_FILE = "config.yaml"
 _USUAL_BOARD = "--board 11x8 --square 20mm"  # as `calibrate print` makes it on A4
 
 State = Literal["done", "not needed", "next", "later"]
@@ -102,6 +104,7 @@ def checklist(folder: Path) -> list[Step]:
             _device_file_step(folder, have_rig, rolling),
             _shots_step(folder, shots, have_rig, rolling),
             _rig_step(folder, rig, shots),
+            _axes_step(folder),
             _run_step(folder),
         ]
     )
@@ -122,7 +125,7 @@ def device_command(folder: Path, *, again: bool = False) -> str:
 
 def rolling_command(folder: Path, *, again: bool = False) -> str:
     """Command that makes rig.yaml without photos of the device."""
-    given: list[str | Path] = ["--source", "opencv:0", "--camera", folder / _CAMERA_FILE]
+    given: list[str | Path] = ["--source", usual_camera(), "--camera", folder / _CAMERA_FILE]
     if (folder / _DEVICE_FILE).exists() and not untouched(folder / _DEVICE_FILE):  # its targets give the axes
         given += ["--device", folder / _DEVICE_FILE]
     return _command("rolling", *given, "--out", folder / _RIG_FILE, again=again)
@@ -242,12 +245,27 @@ def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
     return Step(name, "done", rig.found, tuple(f"But it warned: {text}" for text in rig.doubts))
 
 
+def _axes_step(folder: Path) -> Step:
+    path = folder / _CONFIG_FILE
+    todo = ("Which way is right? Stand where the player stands, and show it; the answers are asked for one by one:",)
+    given = ["--rig", str(folder / _RIG_FILE), "--source", usual_camera()]
+    command = shlex.join(["spheremouse", "axes", "--config", str(path), *([] if path.exists() else given)])
+    if not path.exists():
+        return Step("axes", "next", "not asked yet", todo, command)
+    try:
+        player = read_document(path).data.get("motion", {}).get("player")
+    except (ConfigurationError, AttributeError) as e:
+        return Step("axes", "next", f"{path.name} cannot be used", (*str(e).splitlines(), "Mend the file."), "")
+    if player is None:
+        return Step("axes", "next", f"{path.name} does not say where the player stands", todo, command)
+    return Step("axes", "done", f"player: {shown(player)}")
+
+
 def _run_step(folder: Path) -> Step:
-    todo = ("All is calibrated. Watch what the ball does; with `--output uinput` it is the mouse:",)
-    command = shlex.join(
-        ["spheremouse", "run", "--rig", str(folder / _RIG_FILE), "--source", "opencv:0", "--output", "text:-"]
-    )
-    return Step("run", "next", "", todo, command)
+    todo = ("All is calibrated. Play; `spheremouse ctl watch` in another terminal says what the ball does:",)
+    command = ["spheremouse", "run", "--config", str(folder / _CONFIG_FILE), "--output", "auto"]
+    told = (("Or only watch what the ball does:", shlex.join([*command, "--table"]).replace("auto", "null")),)
+    return Step("run", "next", "", todo, shlex.join(command), told)
 
 
 def _open(overtaken: bool) -> State:

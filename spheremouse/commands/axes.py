@@ -1,5 +1,6 @@
 """`spheremouse axes`: three gestures tell where the player stands, and the pointer goes where the hand goes."""
 
+import os
 import sys
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from spheremouse.output.gestures import Understood
     from spheremouse.session.directions import Directions
     from spheremouse.session.follower import Follower, Tracked
+    from spheremouse.session.plan import Plan, Request
     from spheremouse.session.settings import Configuration
 
 _SHIFT = 0.4  # m of a hand that are taken for a radian: a forearm does the one with as much ease as a wrist the other
@@ -27,7 +29,7 @@ _MIRRORED = "no player's right, away and counter-clockwise go together so"
 def axes(
     config: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Configuration file; what is understood is saved into it, comments kept."),
+        typer.Option(metavar="FILE", help="What is understood is saved into it, comments kept; made if missing."),
     ] = None,
     source: Annotated[
         str | None,
@@ -63,9 +65,9 @@ def axes(
     from spheremouse.session.process.standard_error import unhurried
 
     said = () if tracker is None else (f"tracker={tracker}",)
-    request = Request(
-        config, (*(assignments or ()), *said), source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ())
-    )
+    there = config is not None and config.exists()
+    file, told = config if there else None, (*(assignments or ()), *said)
+    request = Request(file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ()))
     plan = read_plan(request)
     live = is_camera(plan.source)
     with unhurried() if live else nullcontext(), Stopping() as stopping:
@@ -81,7 +83,8 @@ def axes(
     for key, value, before in values:
         shown = str(value).lower() if isinstance(value, bool) else value
         print(f"{key}: {shown}{' (as it was)' if value == before else ''}")
-    _keep(config, values, dry)
+    kept = {} if config is None or there else _begun(plan, request, config.parent)
+    _keep(config, kept | {tuple(key.split(".")): value for key, value, _ in values}, dry)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,17 +226,28 @@ class Dialogue:
         self._ask()
 
 
-def _keep(config: Path | None, values: list[tuple[str, Any, Any]], dry: bool) -> None:
-    """Write what is new into the configuration, or say where it belongs."""
+def _begun(plan: "Plan", request: "Request", beside: Path) -> dict[tuple[str, ...], Any]:
+    """What the first lines of a configuration say: what this run was told on its command line."""
+    said: dict[tuple[str, ...], Any] = {("source",): plan.source}
+    if plan.configuration.tracker == "wand":
+        said["tracker",] = "wand"
+    for key, path in (("rig", request.rig), ("camera_file", request.camera)):
+        if path is not None:
+            said[key,] = os.path.relpath(path, beside)
+    if request.balls:
+        said["wand", "balls"] = [os.path.relpath(path, beside) for path in request.balls]
+    return said
+
+
+def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:
+    """Write settings into the configuration, or say where they belong."""
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
 
-    changed = {tuple(name.split(".")): value for name, value, before in values if value != before}
-    if dry or not changed:
-        print("nothing is saved" if dry else "nothing to change")
-        return
-    if config is None:
-        print("say so in your configuration, or give it with --config to have it saved")
-        return
-    save_settings(config, changed, Configuration)
-    print(f"{config}: saved")
+    if dry:
+        print("nothing is saved")
+    elif config is None:
+        print("write it into your configuration, or give that with --config and it is")
+    else:
+        save_settings(config, values, Configuration)
+        print(f"{config}: saved")

@@ -42,10 +42,21 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
     assert "# guessed" in file.read_text()
 
 
-def test_a_film_without_gestures_is_refused_in_a_line(tmp_path):
-    code, _, err = spheremouse("axes", "--source", "synthetic:motion=still,seconds=2", "--config", tmp_path / "c.yaml")
-    assert code == 2
-    assert "no such file" in err
+def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
+    """So that `run --config` needs nothing else."""
+    config_file = tmp_path / "cabinet" / "config.yaml"
+    config_file.parent.mkdir()
+    given = ("--config", config_file, "--source", FILM)
+    code, out, err = spheremouse("axes", *given, "--dry-run")
+    assert (code, out.splitlines()[-1]) == (0, "nothing is saved"), err
+    assert not config_file.exists()
+    code, out, err = spheremouse("axes", *given)
+    assert (code, out.splitlines()[-1]) == (0, f"{config_file}: saved"), err
+    saved = config.load(config_file, Configuration)
+    assert (saved.source, saved.motion.player) == (FILM, "far-side")
+
+
+def test_a_film_without_gestures_is_refused_in_a_line():
     code, _, err = spheremouse("axes", "--source", "synthetic:motion=still,seconds=2")
     assert code == 2
     assert "0 of 3 gestures are in this recording; missing: 'roll the ball to the right" in err

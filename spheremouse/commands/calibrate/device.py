@@ -31,6 +31,7 @@ from spheremouse.calibrate.device.results import (
 )
 from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
 from spheremouse.calibrate.photos import Photo, check_size, image, read_photos
+from spheremouse.capture.usual import usual_camera
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
@@ -108,7 +109,7 @@ def device(
         return
     device_text(calibration, names, advice)
     typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
-    typer.echo(f"next: {copyable('spheremouse', 'run', '--rig', out, '--source', 'opencv:0', '--output', 'text:-')}")
+    typer.echo(f"next: {copyable('spheremouse', 'axes', '--rig', out, '--source', usual_camera())}")
     typer.echo(
         "      with --camera FILE where the camera runs in another mode than the photos'; --output uinput is the mouse"
     )

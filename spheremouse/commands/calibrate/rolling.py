@@ -275,4 +275,4 @@ def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
         typer.echo("nothing written: keep it with --out rig.yaml", err=printed)
     else:
         typer.echo(f"{given.out}: written, and the map of the discs beside it: {map_path(given.out)}", err=printed)
-        typer.echo(f"Next: spheremouse run --rig {given.out} --source {given.source} --output text:-", err=printed)
+        typer.echo(f"Next: spheremouse axes --rig {given.out} --source {given.source}", err=printed)

@@ -20,7 +20,16 @@ from spheremouse.geometry.camera import InteriorOrientation
 
 SIZE = (64, 48)
 CAMERA = InteriorOrientation(*SIZE, 60.0, 60.0, 31.5, 23.5)
-NAMES = ["folder", "photos of the board", "camera.yaml", "device.yaml", "photos of the device", "rig.yaml", "run"]
+NAMES = [
+    "folder",
+    "photos of the board",
+    "camera.yaml",
+    "device.yaml",
+    "photos of the device",
+    "rig.yaml",
+    "axes",
+    "run",
+]
 
 
 def run(*words):
@@ -89,6 +98,7 @@ def finished(evening):
     make_rig(evening, provenance(evening / "device"))
     tick(evening / "camera.yaml", 1)
     tick(evening / "rig.yaml", 2)
+    (evening / "config.yaml").write_text("schema: 2\nmotion: {player: left}\n")
     assert next_of(evening).name == "run"
     return evening
 
@@ -129,8 +139,22 @@ def test_an_evening_from_nothing_to_the_mouse(tmp_path):
     tick(folder / "rig.yaml", 2)
 
     step = next_of(folder)
+    assert (step.name, step.found) == ("axes", "not asked yet")
+    configuration = folder / "config.yaml"
+    config, rig = str(configuration), str(folder / "rig.yaml")
+    assert shlex.split(step.command)[:6] == ["spheremouse", "axes", "--config", config, "--rig", rig]
+    configuration.write_text("schema: 2\n# rig: other.yaml\n")
+    step = next_of(folder)
+    assert (step.name, step.found) == ("axes", "config.yaml does not say where the player stands")
+    assert shlex.split(step.command) == ["spheremouse", "axes", "--config", config]
+    for wrong in ("schema: 2\nmotion: 3\n", "schema: [\n"):
+        configuration.write_text(wrong)
+        assert next_of(folder).found == "config.yaml cannot be used"
+    configuration.write_text("schema: 2\nmotion: {player: left}\n")
+
+    step = next_of(folder)
     assert step.name == "run"
-    assert shlex.split(step.command)[:4] == ["spheremouse", "run", "--rig", str(folder / "rig.yaml")]
+    assert shlex.split(step.command)[:4] == ["spheremouse", "run", "--config", config]
 
 
 def test_some_photos_are_counted_and_may_do(evening):
@@ -212,7 +236,7 @@ def test_a_rig_from_rolling_needs_no_photos_of_the_device(evening):
     tick(evening / "rig.yaml", 2)
     states = {s.name: s.state for s in checklist(evening)}
     assert states["device.yaml"] == states["photos of the device"] == "not needed"
-    assert next_of(evening).name == "run"
+    assert next_of(evening).name == "axes"
     tick(evening / "camera.yaml", 3)
     assert "calibrate rolling" in next_of(evening).command
 
@@ -276,7 +300,7 @@ def test_the_terminal_shows_the_list_and_one_thing(evening):
     photograph(evening / "board", BOARD_ENOUGH)
     lines = run("next", evening).stdout.splitlines()
     states = [line.split()[0] for line in lines[: len(NAMES)]]
-    assert states == ["done", "done", "next", "later", "later", "later", "later"]
+    assert states == ["done", "done", "next", *["later"] * 5]
     assert "Next: camera.yaml" in lines
     assert sum("spheremouse calibrate" in line for line in lines) == 1
     command = shlex.split(lines[-1])  # one line, to copy, whatever is in the folder's name
