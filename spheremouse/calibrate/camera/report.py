@@ -1,4 +1,4 @@
-"""What `calibrate camera` found: figures for programs, text for the terminal, a page with pictures; and advice."""
+"""What `calibrate camera` found: figures for programs, text for the terminal, a page with pictures."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from spheremouse.calibrate.camera.advice import advise
 from spheremouse.calibrate.camera.bundle import PARAMETERS
 from spheremouse.calibrate.camera.calibrate import Calibrated, false_views
-from spheremouse.calibrate.camera.coverage import LEANS, VIEWS, bare, listed, unleant
+from spheremouse.calibrate.camera.coverage import LEANS
 from spheremouse.calibrate.camera.figures import (
     arrows_figure,
     coverage_figure,
@@ -25,71 +26,8 @@ from spheremouse.files.report.style import styled
 from spheremouse.geometry.camera import interior_vector
 from spheremouse.geometry.rotation import Array, hat, log
 
-_GOOD_FOCAL = 5e-4  # of the focal length: 1 mm at 2 m, which is what targets are wanted to
-_INSIGNIFICANT = 2.0  # standard deviations
 _CORRELATED = 0.98  # from which on two unknowns are named
 _PIXELS = ("fx", "fy", "cx", "cy")
-
-
-def advice(done: Calibrated) -> list[tuple[str, str]]:
-    """("good" | "note" | "warning", sentence): what is wrong with this calibration and what would make it better."""
-    found, covered = done.found, done.coverage
-    camera, sigma = found.camera, found.deviations
-    said: list[tuple[str, str]] = []
-    for i, why in false_views(done).items():
-        said.append(("warning", f"{done.photos[i].path.name} {why} It was left out."))
-    if done.skipped:
-        names = ", ".join(done.photos[i].path.name for i in done.skipped)
-        said.append(("note", f"Left out, because the whole board is not found in them: {names}."))
-    if covered.views < VIEWS:
-        said.append(("warning", f"Only {covered.views} views; {VIEWS} to 20 make a lens reliable."))
-    if places := bare(covered):
-        said.append(("note", f"No view shows the board {listed(places)}."))
-    if ways := unleant(covered):
-        said.append(
-            ("note", f"Too few views of the board facing {listed(ways)}: tilt it by 20° to 45°, twice to each side.")
-        )
-    if covered.reach < 0.85:
-        said.append(
-            (
-                "note",
-                f"No corner lies beyond {100 * covered.reach:.0f} % of the way from the middle of the picture to its "
-                "corners: what the lens does farther out is a guess. Bring the board into the corners.",
-            )
-        )
-    if found.free[:2].all() and sigma[0] / camera.fx > _GOOD_FOCAL:
-        tilt = np.degrees(found.tilts()[found.used])
-        said.append(
-            (
-                "warning",
-                f"The focal length is uncertain by {100 * sigma[0] / camera.fx:.2f} %; the "
-                f"board is tilted by {np.min(tilt):.0f}° to {np.max(tilt):.0f}°. More views at 30° to 45° help most.",
-            )
-        )
-    value = np.concatenate([camera.intrinsic, camera.distortion])
-    if found.free[8] and abs(value[8]) < _INSIGNIFICANT * sigma[8]:
-        said.append(
-            (
-                "note",
-                f"k3 is {value[8]:.3f} with a standard deviation of {sigma[8]:.3f}: it may as well be 0, and "
-                "`--distortion 4` would do.",
-            )
-        )
-    if found.contradiction > 1.0:
-        said.append(
-            (
-                "note",
-                "The views contradict each other more than their corners say; all standard deviations were "
-                f"made {np.sqrt(found.contradiction):.1f} times larger. Is the board flat, and did it stand still?"
-                + ("" if found.free.all() else " Or does the lens need more terms (`--distortion 5`)?"),
-            )
-        )
-    dropped = int(sum((~k).sum() for k, u in zip(found.kept, found.used, strict=True) if u))
-    if dropped:
-        said.append(("note", f"{dropped} corner{'s were' if dropped > 1 else ' was'} false and left out."))
-    if not any(kind == "warning" for kind, _ in said):
-        said.append(("good", "The camera is well determined."))
-    return sorted(said, key=lambda item: ("warning", "good", "note").index(item[0]))
 
 
 def camera_json(done: Calibrated) -> dict[str, Any]:
@@ -134,7 +72,7 @@ def camera_json(done: Calibrated) -> dict[str, Any]:
             "reach": done.coverage.reach,
         },
         "board_views": [views[i] for i in sorted(views)],
-        "advice": [text for _, text in advice(done)],
+        "advice": [text for _, text in advise(done)],
     }
 
 
@@ -145,59 +83,11 @@ def write_camera_report(path: Path, done: Calibrated, provenance: Mapping[str, A
 
 
 def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
-    found, camera = done.found, done.found.camera
-    sigma, held = found.deviations, held_out_rms(done)
-    pattern, used = done.pattern, int(found.used.sum())
-    kind = "chessboard" if pattern.marker is None else "ChArUco board"
-    distance = np.linalg.norm(found.camera_positions()[found.used], axis=1)
-    lead = (
-        f"{used} views of a {kind} with {pattern.columns} × {pattern.rows} inner corners, squares of "
-        f"{1e3 * pattern.square:g} mm, from {distance.min():.2f} to {distance.max():.2f} m; images of {camera.width} × "
-        f"{camera.height} px. It holds for this mode of the camera, this zoom and this focus, and for no other."
-    )
-    cards = [
-        ("focal length", f"{camera.fx:.1f} px", f"± {sigma[0]:.2f} px, {100 * sigma[0] / camera.fx:.3f} %"),
-        ("principal point", f"{camera.cx:.1f}, {camera.cy:.1f}", f"± {sigma[2]:.2f}, {sigma[3]:.2f} px"),
-        ("reprojection error", f"{found.rms:.3f} px", f"RMS of {sum(int(k.sum()) for k in found.kept)} corners"),
-        ("views held out", "–" if held is None else f"{held:.3f} px", "RMS, calibrated without them"),
-    ]
     blocks = [
-        page.numbers(cards),
-        page.advice(advice(done)),
-        page.section(
-            "What the views cover",
-            page.beside(
-                page.figure(
-                    coverage_figure(done),
-                    "All corners in the picture. The number in a region counts the views that show corners there; "
-                    "where there are none, the lens is not known.",
-                ),
-                page.figure(
-                    tilt_figure(done),
-                    "Where the printed face points, seen from the camera: the farther from the middle, the more the "
-                    "board was tilted. Views in all four quarters are best.",
-                ),
-            ),
-        ),
-        page.section(
-            "Reprojection errors",
-            page.figure(
-                views_figure(done),
-                "Root mean square distance of the corners seen from where the camera found puts them, per view; and "
-                "the same where the camera was calibrated without that view. Bars that stand out are bad photos.",
-            ),
-            page.beside(
-                page.figure(
-                    arrows_figure(done),
-                    f"Residuals of all views in one picture, {magnification(done):.0f} times enlarged. They should "
-                    "point anywhere; a common direction in one place is what the lens model does not explain.",
-                ),
-                page.figure(
-                    scatter_figure(done),
-                    "All residuals from one origin, with the circle of the RMS. A round cloud is random error.",
-                ),
-            ),
-        ),
+        page.numbers(_headlines(done)),
+        page.advice(advise(done)),
+        _coverage_section(done),
+        _residual_section(done),
         page.section(
             "Where the camera stood",
             page.figure(
@@ -206,30 +96,8 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
                 "The coloured axes are three squares long.",
             ),
         ),
-        page.section(
-            "Values and standard deviations",
-            page.table(["", "value", "std. dev.", "value / std. dev."], parameter_rows(done)),
-            page.paragraph(
-                "From the inverse normal matrix of the adjustment, with the variances of the corners estimated in each "
-                "view."
-                + (
-                    f" Widened by {np.sqrt(found.contradiction):.2f} because views contradict each other."
-                    if found.contradiction > 1.0
-                    else ""
-                )
-            ),
-            page.correlations(PARAMETERS, found.correlation()[:9, :9]),
-            page.paragraph(_correlated(done)),
-        ),
-        page.section(
-            "Views",
-            page.table(
-                ["view", "RMS, px", "held out, px", "tilt, °", "distance, m", "remark"],
-                [row for row, _ in view_rows(done)],
-                [not good for _, good in view_rows(done)],
-            ),
-            page.sheet([small_picture(done, k) for k in range(len(done.views))]),
-        ),
+        _value_section(done),
+        _view_section(done),
         page.section(
             "Poses",
             page.paragraph(
@@ -240,7 +108,93 @@ def _page(done: Calibrated, provenance: Mapping[str, Any]) -> str:
         ),
     ]
     foot = f"{provenance['made_by']}, {provenance['date']}"
-    return page.page("Camera calibration", lead, blocks, foot)
+    return page.page("Camera calibration", _lead(done), blocks, foot)
+
+
+def _lead(done: Calibrated) -> str:
+    """What was photographed, and what the calibration holds for."""
+    found, camera, pattern = done.found, done.found.camera, done.pattern
+    kind = "chessboard" if pattern.marker is None else "ChArUco board"
+    distance = np.linalg.norm(found.camera_positions()[found.used], axis=1)
+    return (
+        f"{int(found.used.sum())} views of a {kind} with {pattern.columns} × {pattern.rows} inner corners, squares of "
+        f"{1e3 * pattern.square:g} mm, from {distance.min():.2f} to {distance.max():.2f} m; images of {camera.width} × "
+        f"{camera.height} px. It holds for this mode of the camera, this zoom and this focus, and for no other."
+    )
+
+
+def _headlines(done: Calibrated) -> list[tuple[str, str, str]]:
+    found, camera, sigma = done.found, done.found.camera, done.found.deviations
+    held = held_out_rms(done)
+    return [
+        ("focal length", f"{camera.fx:.1f} px", f"± {sigma[0]:.2f} px, {100 * sigma[0] / camera.fx:.3f} %"),
+        ("principal point", f"{camera.cx:.1f}, {camera.cy:.1f}", f"± {sigma[2]:.2f}, {sigma[3]:.2f} px"),
+        ("reprojection error", f"{found.rms:.3f} px", f"RMS of {sum(int(k.sum()) for k in found.kept)} corners"),
+        ("views held out", "–" if held is None else f"{held:.3f} px", "RMS, calibrated without them"),
+    ]
+
+
+def _coverage_section(done: Calibrated) -> str:
+    return page.section(
+        "What the views cover",
+        page.beside(
+            page.figure(
+                coverage_figure(done),
+                "All corners in the picture. The number in a region counts the views that show corners there; "
+                "where there are none, the lens is not known.",
+            ),
+            page.figure(
+                tilt_figure(done),
+                "Where the printed face points, seen from the camera: the farther from the middle, the more the "
+                "board was tilted. Views in all four quarters are best.",
+            ),
+        ),
+    )
+
+
+def _residual_section(done: Calibrated) -> str:
+    return page.section(
+        "Reprojection errors",
+        page.figure(
+            views_figure(done),
+            "Root mean square distance of the corners seen from where the camera found puts them, per view; and "
+            "the same where the camera was calibrated without that view. Bars that stand out are bad photos.",
+        ),
+        page.beside(
+            page.figure(
+                arrows_figure(done),
+                f"Residuals of all views in one picture, {magnification(done):.0f} times enlarged. They should "
+                "point anywhere; a common direction in one place is what the lens model does not explain.",
+            ),
+            page.figure(
+                scatter_figure(done),
+                "All residuals from one origin, with the circle of the RMS. A round cloud is random error.",
+            ),
+        ),
+    )
+
+
+def _value_section(done: Calibrated) -> str:
+    found = done.found
+    text = "From the inverse normal matrix of the adjustment, with the variances of the corners estimated in each view."
+    if found.contradiction > 1.0:
+        text += f" Widened by {np.sqrt(found.contradiction):.2f} because views contradict each other."
+    return page.section(
+        "Values and standard deviations",
+        page.table(["", "value", "std. dev.", "value / std. dev."], parameter_rows(done)),
+        page.paragraph(text),
+        page.correlations(PARAMETERS, found.correlation()[:9, :9]),
+        page.paragraph(_correlated(done)),
+    )
+
+
+def _view_section(done: Calibrated) -> str:
+    head, rows = ["view", "RMS, px", "held out, px", "tilt, °", "distance, m", "remark"], view_rows(done)
+    return page.section(
+        "Views",
+        page.table(head, [row for row, _ in rows], [not good for _, good in rows]),
+        page.sheet([small_picture(done, k) for k in range(len(done.views))]),
+    )
 
 
 # ---- tables ----

@@ -8,10 +8,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from spheremouse.calibrate.camera.advice import advise
 from spheremouse.calibrate.camera.calibrate import Calibrated, calibrate, provenance
 from spheremouse.calibrate.camera.corners import DICTIONARIES, Pattern, markers_in, markers_of
 from spheremouse.calibrate.camera.report import (
-    advice,
     camera_json,
     held_out_rms,
     parameter_rows,
@@ -153,6 +153,6 @@ def camera_text(done: Calibrated) -> None:
     for row, used in view_rows(done):
         views.add_row(*map(escape, row), style=None if used else "red")
     console.print(views)
-    for kind, text in advice(done):
+    for kind, text in advise(done):
         mark = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/]"}[kind]
         console.print(f"{mark} {escape(text.replace('`', ''))}")
