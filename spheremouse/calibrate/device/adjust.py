@@ -208,54 +208,20 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
     """Everything counted from the ball's centre (eq. 91, 92), with the joint covariance that it then has."""
     solution, sphere, columns = result.solution, result.sphere, result.solution.columns
     block, n = solution.block, len(device.ids)
-    k, m = len(block.poses), len(block.points) - n
     unit = 1.0 if device.distances else sphere.radius
-    joint = np.block(
-        [
-            [sphere.observation_covariance, sphere.cross_covariance],
-            [sphere.cross_covariance.T, sphere.covariance],
-        ]
-    )
-    l = sphere.observations
-    centre_at = columns.all + np.arange(3)
-    rows: list[tuple[NDArray[np.intp], bool]] = [(columns.point(i), True) for i in range(n)]
-    rows.append((np.array([columns.all + 3]), False))
-    for i in range(k):
-        rows += [(columns.pose(i)[:3], True), (columns.pose(i)[3:], False)]
-    rows += [(columns.point(n + i), True) for i in range(m)]
-    J = np.zeros((3 * n + 1 + 6 * k + 3 * m, columns.all + 4))
-    at = 0
-    for which, length in rows:
-        J[at + np.arange(len(which)), which] = 1.0
-        if length:
-            J[at + np.arange(3), centre_at] = -1.0
-        at += len(which)
-    turns = 3 * n + 1 + (np.arange(k)[:, None] * 6 + np.arange(3, 6)).ravel()
-    lengths = np.setdiff1d(np.arange(len(J)), turns)
-    if not device.distances:  # in radii: y = x / R
-        values = np.concatenate([l, sphere.centre, [sphere.radius]])
-        y = J[lengths] @ values
-        J[lengths] /= unit
-        J[lengths, columns.all + 3] -= y / unit**2
-    covariance = J @ joint @ J.T
-    covariance = 0.5 * (covariance + covariance.T)
-    K = sphere.centre
+    covariance = _covariance_about_ball(result, n, unit, in_radii=not device.distances)
+    l, K = sphere.observations, sphere.centre
     poses = []
     for i, pose in enumerate(block.poses):
         here = slice(3 * n + 1 + 6 * i, 3 * n + 7 + 6 * i)
         step = l[columns.pose(i)]
         poses.append(Pose(exp(step[3:]) @ pose.rotation, (step[:3] - K) / unit, covariance[here, here].copy()))
-    points = l[columns.point(np.arange(n + m))]
-    interior = interior_vector(block.camera) + l[:INTERIOR]
-    index = np.full(len(result.everything), -1)
-    index[result.used] = np.unique(result.everything.point[result.used], return_inverse=True)[1]
-    uv = predicted(block, result.problem.image, result.problem)[0]
-    residual = np.full((len(result.everything), 2), np.nan)
-    residual[result.used] = uv - result.problem.image.centre
+    points = l[columns.point(np.arange(len(block.points)))]
+    measured = _measured(result)
     return DeviceCalibration(
         device=device,
         camera=replace(
-            with_interior(block.camera, interior),
+            with_interior(block.camera, interior_vector(block.camera) + l[:INTERIOR]),
             covariance=sphere.observation_covariance[:INTERIOR, :INTERIOR].copy(),
         ),
         photos=views.photos,
@@ -263,13 +229,13 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
         targets=(points[:n] - K) / unit,
         radius=sphere.radius / unit,
         discs=(points[n:] - K) / unit,
-        sightings=np.bincount(result.problem.image.point, minlength=n + m)[n:],
+        sightings=np.bincount(result.problem.image.point, minlength=len(points))[n:],
         covariance=covariance,
         centre=K / unit,
         ball_covariance=sphere.covariance / unit**2,
         out_of_round=sphere.out_of_round / unit,
-        measured=Measured(result.everything.photo, index, result.everything.centre, residual, result.used),
-        rms_px=float(np.sqrt(np.mean(residual[result.used] ** 2))),
+        measured=measured,
+        rms_px=float(np.sqrt(np.mean(measured.residual[result.used] ** 2))),
         variance_factors=result.factors,
         distance_residuals=distances(device, points[:n]) - np.array([d.metres for d in device.distances]),
         ring_scale=_ring_scale(views, block),
@@ -281,6 +247,43 @@ def moved_to_ball(result: Bundled, views: TargetViews, device: Device) -> Device
         solution=solution,
         sphere=sphere,
     )
+
+
+def _covariance_about_ball(result: Bundled, n: int, unit: float, in_radii: bool) -> Array:
+    """Joint covariance of [n targets, radius, poses, discs] as `DeviceCalibration` has it, lengths over `unit`."""
+    sphere, columns = result.sphere, result.solution.columns
+    k, m = len(result.solution.block.poses), len(result.solution.block.points) - n
+    rows: list[tuple[NDArray[np.intp], bool]] = [(columns.point(i), True) for i in range(n)]
+    rows.append((np.array([columns.all + 3]), False))
+    for i in range(k):
+        rows += [(columns.pose(i)[:3], True), (columns.pose(i)[3:], False)]
+    rows += [(columns.point(n + i), True) for i in range(m)]
+    J = np.zeros((3 * n + 1 + 6 * k + 3 * m, columns.all + 4))
+    at = 0
+    for which, from_centre in rows:
+        J[at + np.arange(len(which)), which] = 1.0
+        if from_centre:
+            J[at + np.arange(3), columns.all + np.arange(3)] = -1.0
+        at += len(which)
+    if in_radii:  # y = x / R
+        turns = 3 * n + 1 + (np.arange(k)[:, None] * 6 + np.arange(3, 6)).ravel()
+        lengths = np.setdiff1d(np.arange(len(J)), turns)
+        y = J[lengths] @ np.concatenate([sphere.observations, sphere.centre, [sphere.radius]])
+        J[lengths] /= unit
+        J[lengths, columns.all + 3] -= y / unit**2
+    cross = sphere.cross_covariance
+    covariance = J @ np.block([[sphere.observation_covariance, cross], [cross.T, sphere.covariance]]) @ J.T
+    return 0.5 * (covariance + covariance.T)
+
+
+def _measured(result: Bundled) -> Measured:
+    """All image points, with what is left of those used."""
+    everything, used, image = result.everything, result.used, result.problem.image
+    index = np.full(len(everything), -1)
+    index[used] = np.unique(everything.point[used], return_inverse=True)[1]
+    residual = np.full((len(everything), 2), np.nan)
+    residual[used] = predicted(result.solution.block, image, result.problem)[0] - image.centre
+    return Measured(everything.photo, index, everything.centre, residual, used)
 
 
 def check_distances(result: Bundled, device: Device) -> None:

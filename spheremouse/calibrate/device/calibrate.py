@@ -71,8 +71,7 @@ def calibrate_device(
     def found(size: float) -> tuple[Bundled, Spots]:
         """With discs of that part of their radius."""
         sized = replace(device, disc_radius=size * device.disc_radius)
-        observed = _first_discs(here, block, sized, discs, tolerance)
-        result = bundled(views, observed, block, sized, camera)
+        result = bundled(views, _first_discs(here, block, sized, discs, tolerance), block, sized, camera)
         check_distances(result, sized)
         spots = Spots(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
         for turn in range(2):  # the second time with the ball where the first one found it
@@ -88,16 +87,24 @@ def calibrate_device(
     except DistanceError:
         raise
     except CalibrationError as e:
-        for size, what in ((0.5, "half"), (2.0, "twice")):  # a diameter given for a radius is what happens
-            try:
-                n = len(found(size)[0].solution.block.points) - len(device.ids)
-            except CalibrationError:
-                continue
-            raise CalibrationError(
-                f"{n} discs are seen on the ball, but {what} as large as disc_radius says ({device.disc_radius:g} m): "
-                "give their radius, not the diameter, in metres"
-            ) from None
+        _check_radius(lambda size: found(size)[0], device)
         raise e from None
+
+
+def _check_radius(found: Callable[[float], Bundled], device: Device) -> None:
+    """Refuse a device whose discs are found with half or twice their radius: a diameter given for it is what happens.
+
+    `found` takes the part of the radius. Raises CalibrationError.
+    """
+    for size, what in ((0.5, "half"), (2.0, "twice")):
+        try:
+            n = len(found(size).solution.block.points) - len(device.ids)
+        except CalibrationError:
+            continue
+        raise CalibrationError(
+            f"{n} discs are seen on the ball, but {what} as large as disc_radius says ({device.disc_radius:g} m): "
+            "give their radius, not the diameter, in metres"
+        ) from None
 
 
 def _spots(grey: Image, seen: TargetDetections, share: float, settings: DiscSettings) -> Detections:

@@ -20,7 +20,6 @@ def device_json(
     """
     c = calibration
     ball = np.sqrt(np.diag(c.ball_covariance))
-    adjusted = _adjusted_distances(c)
     return {
         "targets": [
             {"id": id_, "code": code, "position": place.tolist(), "sigma": sigma.tolist()}
@@ -38,31 +37,10 @@ def device_json(
             {"position": place.tolist(), "sigma": sigma.tolist(), "photos": int(seen)}
             for place, sigma, seen in zip(c.discs, sigma_of(c, "discs"), c.sightings, strict=True)
         ],
-        "photos": [
-            {
-                "file": names[k],
-                "T_obj_cam": pose.matrix().tolist(),
-                "sigma": np.sqrt(np.diag(pose.covariance)).tolist(),
-                "points": used,
-                "rejected": rejected,
-                "rms_px": rms,
-            }
-            for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, per_photo(c), strict=True)
-        ],
+        "photos": _photos_json(c, names),
         "rms_px": c.rms_px,
         "variance_factors": dict(zip(("targets", "discs"), c.variance_factors, strict=True)),
-        "distances": [
-            {
-                "from": d.start,
-                "to": d.end,
-                "metres": d.metres,
-                "adjusted": float(length),
-                "residual": float(residual),
-                "sigma": d.sigma,
-                "adjusted_sigma": float(sigma),
-            }
-            for d, length, residual, sigma in zip(c.device.distances, *adjusted, strict=True)
-        ],
+        "distances": _distances_json(c),
         "scale_free": c.scale_free,
         "ring_scale": c.ring_scale,
         "out_of_round": c.out_of_round,
@@ -73,6 +51,35 @@ def device_json(
             for a in advice_or_made(c, names, advice)
         ],
     }
+
+
+def _photos_json(c: DeviceCalibration, names: Sequence[str]) -> list[dict[str, Any]]:
+    return [
+        {
+            "file": names[k],
+            "T_obj_cam": pose.matrix().tolist(),
+            "sigma": np.sqrt(np.diag(pose.covariance)).tolist(),
+            "points": used,
+            "rejected": rejected,
+            "rms_px": rms,
+        }
+        for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, per_photo(c), strict=True)
+    ]
+
+
+def _distances_json(c: DeviceCalibration) -> list[dict[str, Any]]:
+    return [
+        {
+            "from": d.start,
+            "to": d.end,
+            "metres": d.metres,
+            "adjusted": float(length),
+            "residual": float(residual),
+            "sigma": d.sigma,
+            "adjusted_sigma": float(sigma),
+        }
+        for d, length, residual, sigma in zip(c.device.distances, *_adjusted_distances(c), strict=True)
+    ]
 
 
 def advice_or_made(c: DeviceCalibration, names: Sequence[str], given: Sequence[Advice] | None) -> Sequence[Advice]:
