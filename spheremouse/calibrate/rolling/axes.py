@@ -72,29 +72,7 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
     CalibrationError where fewer than three are seen, or where they do not fit.
     """
     known = {code: k for k, code in enumerate(rig.targets.codes)}
-    seen = {c: [s for s in sightings if s.code == c] for c in known}
-    seen = {c: s for c, s in seen.items() if s}
-    if len(seen) < 3:
-        raise CalibrationError(
-            f"{len(seen)} of {len(known)} targets are seen ({', '.join(seen) or 'none'}), the axes need 3: light and "
-            "uncover them, or roll two gestures (--forward, --right)"
-        )
-    best: tuple[float, Array, tuple[Sighting, ...]] | None = None
-    for combination in product(*([*s, None] if len(s) > 1 else s for s in seen.values())):
-        used = tuple(s for s in combination if s is not None)
-        if len(used) < 3:
-            continue
-        for x0 in _starts(used, rig, rolling, known):
-            found = least_squares(_target_residuals, x0, args=(used, rig, rolling, known), x_scale="jac")
-            cost = 2.0 * found.cost / (2 * len(used) - 4)
-            if best is None or (-len(used), cost) < (-len(best[2]), best[0]):
-                best = cost, found.x, used
-    if best is None:
-        raise CalibrationError(
-            f"no camera position fits the targets {', '.join(seen)} and the ball that turns: their positions are those "
-            "of another device, or count from another place than the ball's centre"
-        )
-    _, x, used = best
+    x, used = _fitted(sightings, rig, rolling, known)
     J = jacobian(lambda y: _target_residuals(y, used, rig, rolling, known), x)
     Q = np.linalg.inv(J.T @ J)
     by_targets = jacobian(
@@ -131,6 +109,35 @@ def axes_from_targets(sightings: Sequence[Sighting], rig: Rig, rolling: Rolling)
         codes=tuple(s.code for s in used),
         parts=parts,
     )
+
+
+def _fitted(
+    sightings: Sequence[Sighting], rig: Rig, rolling: Rolling, known: dict[str, int]
+) -> tuple[Array, tuple[Sighting, ...]]:
+    """Rotation vector (R_obj_cam) and log distance, (4,), that fit the most targets best, and those targets."""
+    seen = {c: [s for s in sightings if s.code == c] for c in known}
+    seen = {c: s for c, s in seen.items() if s}
+    if len(seen) < 3:
+        raise CalibrationError(
+            f"{len(seen)} of {len(known)} targets are seen ({', '.join(seen) or 'none'}), the axes need 3: light and "
+            "uncover them, or roll two gestures (--forward, --right)"
+        )
+    best: tuple[float, Array, tuple[Sighting, ...]] | None = None
+    for combination in product(*([*s, None] if len(s) > 1 else s for s in seen.values())):
+        used = tuple(s for s in combination if s is not None)
+        if len(used) < 3:
+            continue
+        for x0 in _starts(used, rig, rolling, known):
+            found = least_squares(_target_residuals, x0, args=(used, rig, rolling, known), x_scale="jac")
+            cost = 2.0 * found.cost / (2 * len(used) - 4)
+            if best is None or (-len(used), cost) < (-len(best[2]), best[0]):
+                best = cost, found.x, used
+    if best is None:
+        raise CalibrationError(
+            f"no camera position fits the targets {', '.join(seen)} and the ball that turns: their positions are those "
+            "of another device, or count from another place than the ball's centre"
+        )
+    return best[1:]
 
 
 def _pose_at(x: Array, rolling: Rolling) -> Pose:

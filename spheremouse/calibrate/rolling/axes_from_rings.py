@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
-from spheremouse.ball.device import Device
+from spheremouse.ball.device import Device, Distance
 from spheremouse.calibrate.rolling.axes import PLACE, RIM, SIZE, Axes, Parts, changes_by_lens, jacobian
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, unproject
@@ -20,22 +20,10 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
     The lens' covariance is counted.
     CalibrationError where one of the three targets that define the axes is not seen.
     """
-    code_of = dict(zip(device.ids, device.codes, strict=True))
-    seen = {code: (centre, radius) for code, centre, radius in sightings}
-    a = device.axes
-    missing = [f"{i} ({code_of[i]})" for i in (a.origin, a.up, a.plane) if code_of[i] not in seen]
-    if missing:
-        raise CalibrationError(
-            f"the axes are defined by target {', '.join(missing)}, not seen by the camera: uncover and light it, "
-            "name others under `axes` in the device file, or roll two gestures (--forward, --right)"
-        )
-    ids = [i for i in device.ids if code_of[i] in seen]
-    at = {i: k for k, i in enumerate(ids)}
-    uv = np.array([seen[code_of[i]][0] for i in ids])
-    size = np.array([seen[code_of[i]][1] for i in ids])
-    alike = np.stack([np.full(len(ids), SIZE[0]), RIM[0] / size], axis=1)
+    ids, uv, size = _seen(sightings, device)
+    n, at = len(ids), {i: k for k, i in enumerate(ids)}
+    alike = np.stack([np.full(n, SIZE[0]), RIM[0] / size], axis=1)
     alone = np.hypot(SIZE[1], RIM[1] / size)
-    n = len(ids)
 
     def moved(x: Array, lens: InteriorOrientation = camera) -> Array:
         """Places, (n, 3), if observations were off by: two of the size of all, one of each size, two of each centre."""
@@ -60,18 +48,7 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
         return np.concatenate([there.ravel(), log(_axes_of(there, at, device) @ R.T)])
 
     by_x, seen_through = jacobian(told, x), changes_by_lens(lambda c: told(x, c), camera)
-    pull = np.zeros((len(x), 9))  # of the lens on what tape distances correct
-    J, r = np.eye(len(x)), residuals(x)
-    for d in taped:
-        i, j = at[d.start], at[d.end]
-        along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
-        row = along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])
-        J = np.vstack([J, row])
-        pull += np.outer(row, along @ (seen_through[3 * i : 3 * i + 3] - seen_through[3 * j : 3 * j + 3]))
-    factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
-    Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
-    by_lens = seen_through - by_x @ Q @ pull
-    own = by_x @ (factor * Q) @ by_x.T
+    own, by_lens = _propagated(by_x, seen_through, residuals(x), places, taped, at)
     joint = own + by_lens @ by_lens.T
     four = np.eye(4)[:, :3]  # no distance of the ball comes with rings
     return Axes(
@@ -80,9 +57,44 @@ def axes_from_rings(sightings: Sequence[tuple[str, Array, float]], device: Devic
         targets_cam=places,
         targets_cam_covariance=joint,
         targets_cam_by_lens=by_lens,
-        codes=tuple(code_of[i] for i in ids),
+        codes=tuple(code for i, code in zip(device.ids, device.codes, strict=True) if i in at),
         parts=Parts(four @ own[-3:, -3:] @ four.T, np.zeros((4, 3)), four @ by_lens[-3:], np.zeros((3 * n, 4))),
     )
+
+
+def _seen(sightings: Sequence[tuple[str, Array, float]], device: Device) -> tuple[list[int], Array, Array]:
+    """Ids of the targets seen, in the order of the device, their centres, (n, 2) px, and radii, (n,) px."""
+    code_of = dict(zip(device.ids, device.codes, strict=True))
+    seen = {code: (centre, radius) for code, centre, radius in sightings}
+    a = device.axes
+    missing = [f"{i} ({code_of[i]})" for i in (a.origin, a.up, a.plane) if code_of[i] not in seen]
+    if missing:
+        raise CalibrationError(
+            f"the axes are defined by target {', '.join(missing)}, not seen by the camera: uncover and light it, "
+            "name others under `axes` in the device file, or roll two gestures (--forward, --right)"
+        )
+    ids = [i for i in device.ids if code_of[i] in seen]
+    return ids, np.array([seen[code_of[i]][0] for i in ids]), np.array([seen[code_of[i]][1] for i in ids])
+
+
+def _propagated(
+    by_x: Array, by_lens: Array, r: Array, places: Array, taped: Sequence[Distance], at: dict[int, int]
+) -> tuple[Array, Array]:
+    """Covariance of places and axes, (3n + 3, 3n + 3), without the lens' part, and that part, (3n + 3, 9).
+
+    `by_x` and `by_lens` are the Jacobians of places and axes by what observations are off, of variance 1, and by the
+    lens. The distances `taped`, whose residuals end those of the adjustment, `r`, correct both.
+    """
+    J, pull = np.eye(by_x.shape[1]), np.zeros((by_x.shape[1], 9))  # pull: of the lens on what distances correct
+    for d in taped:
+        i, j = at[d.start], at[d.end]
+        along = (places[i] - places[j]) / np.linalg.norm(places[i] - places[j]) / d.sigma
+        row = along @ (by_x[3 * i : 3 * i + 3] - by_x[3 * j : 3 * j + 3])
+        J = np.vstack([J, row])
+        pull += np.outer(row, along @ (by_lens[3 * i : 3 * i + 3] - by_lens[3 * j : 3 * j + 3]))
+    factor = max(float(r @ r) / len(taped), 1.0) if taped else 1.0
+    Q = np.asarray(np.linalg.inv(J.T @ J), dtype=float)
+    return by_x @ (factor * Q) @ by_x.T, by_lens - by_x @ Q @ pull
 
 
 def _by_size(uv: Array, size: Array, at: dict[int, int], device: Device, camera: InteriorOrientation) -> Array:
