@@ -10,13 +10,7 @@ from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields
 from spheremouse.wand.events import BallLost, ColourEverywhere, ColourNowhere, NotInView, SecondBall
 from spheremouse.wand.likelihood import FULLY
-from spheremouse.wand.peaks import (
-    SURE,
-    Found,
-    Scene,
-    passes_without_prior,
-    some_peaks,
-)
+from spheremouse.wand.peaks import SURE, Found, Sought, passes_without_prior, some_peaks
 from spheremouse.wand.state import Track, WandTracker
 
 _AWAY = 10.0  # searches in which no hand holds one side towards the camera
@@ -56,19 +50,19 @@ def doubtful(track: Track) -> bool:
 
 
 def second_ball(
-    track: Track, found: Found, first: Array | None, dt: float, scene: Scene, index: int
+    track: Track, found: Found, first: Array | None, dt: float, sought: Sought
 ) -> tuple[Track, SecondBall | None]:
     """The track with what a search of the whole picture says of a second ball like it, and that where it is there.
 
     `first` is where the ball is. A second one lies beside it in the picture, shows half as much, and is a ball wherever
     it is looked for, `_SIGHTINGS` times in a row, no farther from where it was than it can have moved in `dt` s.
     """
-    s, ball = scene.tracker.settings, scene.tracker.balls[index]
+    s, ball = sought.tracker.settings, sought.ball
     if first is None or not found.peaks:
         return replace(track, second=None), None
     least = max(s.evidence, 0.5 * found.log_likelihood[0])
     good = [i for i in range(len(found.peaks)) if found.log_likelihood[i] >= least and found.match[i] >= SURE]
-    for k in passes_without_prior(some_peaks(found, good), scene, index).peaks:
+    for k in passes_without_prior(some_peaks(found, good), sought).peaks:
         apart = np.linalg.norm(k.position[:2] / k.position[2] - first[:2] / first[2])
         if apart < ball.radius / k.position[2] + ball.radius / first[2]:
             continue

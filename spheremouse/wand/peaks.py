@@ -6,6 +6,7 @@ import numpy as np
 
 from spheremouse.geometry.rotation import Array
 from spheremouse.wand import limb
+from spheremouse.wand.ball import WandBall
 from spheremouse.wand.colour import Fields, Region, Tone, fields, reduction
 from spheremouse.wand.likelihood import log_likelihood
 from spheremouse.wand.model import Model
@@ -16,7 +17,7 @@ from spheremouse.wand.refine import Peak, refine
 from spheremouse.wand.rims import Image
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import spots
-from spheremouse.wand.start import convincing, hypotheses, same
+from spheremouse.wand.start import convincing, distinct, hypotheses, same
 from spheremouse.wand.state import WandTracker
 
 _MOST_PEAKS = 3  # of the likelihood followed at a time: a pose, its mirror, a second ball
@@ -55,6 +56,27 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
+class Sought:
+    """One ball that is looked for in one picture."""
+
+    scene: Scene
+    index: int  # of the ball
+    others: list[Array]  # (3,) m, cam: where other balls are
+
+    @property
+    def tracker(self) -> WandTracker:
+        return self.scene.tracker
+
+    @property
+    def ball(self) -> WandBall:
+        return self.scene.tracker.balls[self.index]
+
+    @property
+    def model(self) -> Model:
+        return self.scene.tracker.models[self.index]
+
+
+@dataclass(frozen=True, slots=True)
 class Found:
     """Peaks of one ball in one picture, the best first."""
 
@@ -63,6 +85,16 @@ class Found:
     match: Array  # (k,)
     fields: Fields | None
     turn: int = 0  # spot with which the next search begins
+
+    @property
+    def position(self) -> Array:
+        """(k, 3) m, cam."""
+        return np.array([k.position for k in self.peaks]).reshape(-1, 3)
+
+    @property
+    def rotation(self) -> Array:
+        """(k, 3, 3) R_cam_ball."""
+        return np.array([k.rotation for k in self.peaks]).reshape(-1, 3, 3)
 
 
 def some_peaks(found: Found, kept: list[int]) -> Found:
@@ -75,26 +107,24 @@ def some_peaks(found: Found, kept: list[int]) -> Found:
     )
 
 
-def passes_without_prior(found: Found, scene: Scene, index: int) -> Found:
+def passes_without_prior(found: Found, sought: Sought) -> Found:
     """Those of its peaks that would be a ball if nothing led to them."""
-    tracker, kept = scene.tracker, []
+    tracker, kept = sought.tracker, []
     if found.fields is None:
         return found
     for i, k in enumerate(found.peaks):
         discs, bare = convincing(
-            scene.image, k.position, k.rotation, tracker.balls[index], tracker.models[index], tracker.camera,
-            found.fields,
-        )  # fmt: skip
+            sought.scene.image, k.position, k.rotation, sought.ball, sought.model, tracker.camera, found.fields
+        )
         if discs >= _DISCS and bare >= tracker.settings.match:
             kept.append(i)
     return some_peaks(found, kept)
 
 
-def _weighed(peaks: list[Peak], index: int, tracker: WandTracker, seen: Fields) -> tuple[Array, Array]:
+def _weighed(peaks: list[Peak], m: Model, seen: Fields) -> tuple[Array, Array]:
     """Log-likelihood ratio and match of peaks."""
     position = np.array([k.position for k in peaks])
-    out, match = log_likelihood(position, np.array([k.rotation for k in peaks]), tracker.models[index], seen)
-    m = tracker.models[index]
+    out, match = log_likelihood(position, np.array([k.rotation for k in peaks]), m, seen)
     limb.weigh(position, np.arange(len(peaks)), np.array([k.edges for k in peaks]), m.radius, m.lens, seen.factor, out)
     return out, match
 
@@ -103,59 +133,57 @@ def climb(
     position: Array,
     rotation: Array,
     most: int,
-    index: int,
-    scene: Scene,
+    sought: Sought,
     seen: Fields,
-    others: list[Array],
     outline: bool = True,
     sure: float = 0.0,
 ) -> Found:
     """Peaks near the best of some poses; of the best alone where its log-likelihood is above `sure`."""
-    tracker = scene.tracker
-    m, radius = tracker.models[index], tracker.balls[index].radius
+    m, radius = sought.model, sought.ball.radius
     empty = Found((), np.zeros(0), np.zeros(0), seen)
     if len(position) == 0:
         return empty
     first, _ = log_likelihood(position, rotation, m, seen, _FLANK)
-    starts: list[int] = []
     rounds = _ROUNDS
     if sure and first.max() > sure:
         most, rounds = 1, _ROUNDS_NEAR
-    for i in np.argsort(-first, kind="stable"):
-        if len(starts) < most and not any(
-            same(position[i], rotation[i], position[j], rotation[j], 0.5 * radius) for j in starts
-        ):
-            starts.append(i)
+    order = np.argsort(-first, kind="stable")
+    starts = order[distinct(position[order], rotation[order], 0.5 * radius, most)]
     none = np.zeros((limb.DIRECTIONS, 5))
     peaks = [refine(position[i], rotation[i], m, seen, none, rounds) for i in starts]
     if len(peaks) > _MOST_PEAKS:  # only those that come to something are climbed to the end
-        value, _ = _weighed(peaks, index, tracker, seen)
+        value, _ = _weighed(peaks, m, seen)
         peaks = [peaks[i] for i in np.argsort(-value, kind="stable")[: 2 * _MOST_PEAKS] if value[i] > 0.0]
     peaks = [_converged(k, m, seen) for k in peaks]
-    s = tracker.settings
-    peaks = [
-        k
-        for k in peaks
-        if s.nearest < k.position[2] < 1.2 * s.farthest
-        and all(np.linalg.norm(k.position[:2] / k.position[2] - o[:2] / o[2]) > radius / k.position[2] for o in others)
-    ]
+    peaks = [k for k in peaks if _in_view(k, sought)]
     if not peaks:
         return empty
-    value, match = _weighed(peaks, index, tracker, seen)
+    value, match = _weighed(peaks, m, seen)
     least = min(value.max() - 2.0 * _WORSE, 0.5 * value.max())  # a second ball is worth a word, if not a particle
-    order = [i for i in np.argsort(-value) if value[i] > least][: 4 * _MOST_PEAKS]
-    chosen: list[Peak] = []
-    for i in order:
-        k = peaks[i]
-        if len(chosen) < _MOST_PEAKS and not any(_one(k, c, radius) for c in chosen):
-            chosen.append(k)
-    if s.outline and outline:
-        for i, k in enumerate(chosen):
-            edges = limb.measure(scene.image, k.position, k.rotation, tracker.discs[index], radius, m.lens, seen.factor)
-            chosen[i] = _converged(refine(k.position, k.rotation, m, seen, edges, _ROUNDS_NEAR), m, seen)
-    value, match = _weighed(chosen, index, tracker, seen)
+    best = [peaks[i] for i in np.argsort(-value) if value[i] > least][: 4 * _MOST_PEAKS]
+    position, rotation = np.array([k.position for k in best]), np.array([k.rotation for k in best])
+    chosen = [best[i] for i in distinct(position, rotation, radius, _MOST_PEAKS)]
+    if outline and sought.tracker.settings.outline:
+        chosen = [_outlined(k, sought, seen) for k in chosen]
+    value, match = _weighed(chosen, m, seen)
     order = np.argsort(-value)
     return Found(tuple(chosen[i] for i in order), value[order], match[order], seen)
+
+
+def _in_view(peak: Peak, sought: Sought) -> bool:
+    """Is it in reach of the camera, and neither before nor behind another ball?"""
+    s, p, radius = sought.tracker.settings, peak.position, sought.ball.radius
+    return s.nearest < p[2] < 1.2 * s.farthest and all(
+        np.linalg.norm(p[:2] / p[2] - o[:2] / o[2]) > radius / p[2] for o in sought.others
+    )
+
+
+def _outlined(peak: Peak, sought: Sought, seen: Fields) -> Peak:
+    """The peak, climbed on with the ball's outline as it is measured there."""
+    m, discs = sought.model, sought.tracker.discs[sought.index]
+    p, R = peak.position, peak.rotation
+    edges = limb.measure(sought.scene.image, p, R, discs, sought.ball.radius, m.lens, seen.factor)
+    return _converged(refine(p, R, m, seen, edges, _ROUNDS_NEAR), m, seen)
 
 
 def _converged(peak: Peak, m: Model, seen: Fields) -> Peak:
@@ -184,20 +212,20 @@ def accepted(found: Found, settings: WandSettings, level: float = 0.0) -> bool:
     return bool(strong or match >= SURE or (level > 0.0 and value >= HIDDEN_LEVEL * level))
 
 
-def search(scene: Scene, index: int, others: list[Array], turn: int) -> Found:
+def search(sought: Sought, turn: int) -> Found:
     """Peaks in the whole picture, from spot `turn` on."""
-    scene.searched = True
-    return from_spots(scene, index, scene.all(), 12, others, turn)
+    sought.scene.searched = True
+    return from_spots(sought, sought.scene.all(), 12, turn)
 
 
-def from_spots(scene: Scene, index: int, seen: Fields, most: int, others: list[Array], turn: int = 0) -> Found:
+def from_spots(sought: Sought, seen: Fields, most: int, turn: int = 0) -> Found:
     """Peaks from the spots of a region.
 
     A hypothesis is as exact as the ball is near round and far away, some hundredths of its diameter. So near balls are
     looked for in reduced pictures first.
     """
-    tracker, ball, s = scene.tracker, scene.tracker.balls[index], scene.tracker.settings
-    guess = hypotheses(spots(seen), ball, tracker.camera, tracker.names, s.nearest, s.farthest, first=turn)
+    tracker, ball = sought.tracker, sought.ball
+    guess = hypotheses(spots(seen), ball, tracker.camera, tracker.names, tracker.settings, first=turn)
     across = 2.0 * tracker.camera.fx * ball.radius / np.maximum(guess.position[:, 2], ball.radius)
     coarse = np.maximum(np.rint(across / _COARSE), seen.factor).astype(int)
     position, rotation = [], []
@@ -207,21 +235,19 @@ def from_spots(scene: Scene, index: int, seen: Fields, most: int, others: list[A
             position.append(guess.position[group])
             rotation.append(guess.rotation[group])
             continue
-        reduced = scene.part(whole_region(seen), int(factor))
+        reduced = sought.scene.part(whole_region(seen), int(factor))
         part = int(np.ceil(most * np.mean(group)))
-        found = climb(guess.position[group], guess.rotation[group], part, index, scene, reduced, others, False)
-        position.append(np.array([k.position for k in found.peaks]).reshape(-1, 3))
-        rotation.append(np.array([k.rotation for k in found.peaks]).reshape(-1, 3, 3))
+        found = climb(guess.position[group], guess.rotation[group], part, sought, reduced, outline=False)
+        position.append(found.position)
+        rotation.append(found.rotation)
     if not position:
         return Found((), np.zeros(0), np.zeros(0), seen, guess.following)
-    p, R = np.concatenate(position), np.concatenate(rotation)
-    found = climb(p, R, most, index, scene, seen, others)
+    found = climb(np.concatenate(position), np.concatenate(rotation), most, sought, seen)
     if found.peaks:
         factor = reduction(2.0 * tracker.camera.fx * ball.radius / found.peaks[0].position[2])
         if factor > seen.factor:
-            p = np.array([k.position for k in found.peaks])
-            R = np.array([k.rotation for k in found.peaks])
-            found = climb(p, R, _MOST_PEAKS, index, scene, scene.part(whole_region(seen), factor), others)
+            larger = sought.scene.part(whole_region(seen), factor)
+            found = climb(found.position, found.rotation, _MOST_PEAKS, sought, larger)
     return replace(found, turn=guess.following)
 
 
@@ -235,9 +261,7 @@ def as_peaks(found: Found) -> Peaks:
     covariance = np.array([_WIDER * k.covariance for k in found.peaks])
     _, log_det = np.linalg.slogdet(covariance)
     mass = found.log_likelihood + 0.5 * log_det + 3.0 * np.log(2.0 * np.pi)
-    return Peaks(
-        np.array([k.position for k in found.peaks]), np.array([k.rotation for k in found.peaks]), covariance, mass
-    )
+    return Peaks(found.position, found.rotation, covariance, mass)
 
 
 def joined(a: Found, b: Found, radius: float) -> Found:

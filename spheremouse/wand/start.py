@@ -20,6 +20,7 @@ from spheremouse.wand.colour import Fields
 from spheremouse.wand.likelihood import BEGINS, FULLY
 from spheremouse.wand.model import Model
 from spheremouse.wand.rims import Image
+from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import Spots
 
 _PALE = 0.37  # of full saturation: print has more, whatever white has in the light of a lamp or of the sky has less
@@ -44,13 +45,11 @@ def hypotheses(
     ball: WandBall,
     camera: InteriorOrientation,
     names: tuple[str, ...],
-    nearest: float,
-    farthest: float,
-    least: float = _LEAST,
+    settings: WandSettings,
     first: int = 0,
     effort: int = EFFORT,
 ) -> Hypotheses:
-    """Poses of a ball that explain spots, its centre between `nearest` and `farthest` m away.
+    """Poses of a ball that explain spots, its centre between `nearest` and `farthest` of the settings away.
 
     `names` are the colours of the fields the spots come from. No more assignments are tried than `effort`, beginning
     with those of spot `first`: where there are more, the next picture's turn is at `following`.
@@ -70,10 +69,10 @@ def hypotheses(
     radius = np.sqrt(seen.glare[:, 2] / (np.pi * camera.fx * camera.fy))
     glare = np.column_stack([glare, radius])[np.isfinite(glare[:, 0])]
     found = np.empty((_KEPT, 13))
-    limits = np.array([ball.radius / farthest, ball.radius / nearest])
+    limits = np.array([ball.radius / settings.farthest, ball.radius / settings.nearest])
     begin = first % len(xy)
     n, following = search(
-        xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, least, glare,
+        xy, area / (camera.fx * camera.fy), colour, direction, angle, colours, limits, 1.5 / camera.fx, _LEAST, glare,
         begin, effort, found,
     )  # fmt: skip
     found = found[np.argsort(-found[:n, 0], kind="stable")]
@@ -121,11 +120,13 @@ def convincing(
     return number, float(np.mean(like))
 
 
-def distinct(position: Array, rotation: Array, radius: float) -> list[int]:
-    """Of poses in falling order, those that are not near a better one."""
+def distinct(position: Array, rotation: Array, radius: float, most: int = _KEPT) -> list[int]:
+    """Of poses in falling order, those that are not near a better one, so many at `most`."""
     chosen: list[int] = []
     for i in range(len(position)):
-        if not any(same(position[i], rotation[i], position[j], rotation[j], radius) for j in chosen):
+        if len(chosen) < most and not any(
+            same(position[i], rotation[i], position[j], rotation[j], radius) for j in chosen
+        ):
             chosen.append(i)
     return chosen
 

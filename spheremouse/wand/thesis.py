@@ -17,10 +17,7 @@ from spheremouse.wand.particles import (
     moved,
     normalised,
 )
-from spheremouse.wand.peaks import (
-    Scene,
-    whole_region,
-)
+from spheremouse.wand.peaks import Sought, whole_region
 from spheremouse.wand.state import Track, WandPose
 
 REDRAW = 0.5  # of the particles that count, below which they are resampled
@@ -33,15 +30,14 @@ def some(particles: Particles, n: int, rng: np.random.Generator) -> Particles:
 
 
 def by_motion(
-    track: Track, stamp: float, motions: Motions, seen: Fields, scene: Scene, index: int, rng: np.random.Generator
+    track: Track, stamp: float, motions: Motions, seen: Fields, sought: Sought, rng: np.random.Generator
 ) -> tuple[Track, WandPose]:
     """The thesis' step (Grzonka 2005, table 3), for comparison: move at random, weigh one way or another, resample."""
     assert track.particles is not None
-    ball = scene.tracker.balls[index]
     ahead = moved(track.particles, motions, rng)
-    m, likelihood = scene.tracker.models[index], scene.tracker.settings.likelihood
+    m, likelihood = sought.model, sought.tracker.settings.likelihood
     if likelihood == "edges":
-        away, place = distances(scene.image, whole_region(seen), seen.factor)
+        away, place = distances(sought.scene.image, whole_region(seen), seen.factor)
         value, match = on_edges(ahead.position, ahead.rotation, m, away, place)
     else:
         weigh = published if likelihood == "product" else log_likelihood
@@ -53,4 +49,4 @@ def by_motion(
     if count < REDRAW * len(weight):
         particles = some(particles, len(weight), rng)
     after = replace(track, particles=particles, pose=pose, stamp=stamp, seen=stamp)
-    return after, WandPose(ball.name, *pose, Status.TRACKING, None, float(weight @ match), count, True)
+    return after, WandPose(sought.ball.name, *pose, Status.TRACKING, None, float(weight @ match), count, True)

@@ -14,12 +14,12 @@ from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Frame, Status
 from spheremouse.wand import limb
 from spheremouse.wand.ball import WandBall
-from spheremouse.wand.colour import DEFAULT_COLOURS, tone
+from spheremouse.wand.colour import DEFAULT_COLOURS, Fields, tone
 from spheremouse.wand.complaints import complaint_of, doubtful, second_ball, turned_away, unseen
 from spheremouse.wand.course import begun, between, measured, predicted, told
 from spheremouse.wand.events import BallHidden, SecondBall
 from spheremouse.wand.likelihood import counts, log_likelihood
-from spheremouse.wand.model import model
+from spheremouse.wand.model import Model, model
 from spheremouse.wand.motions import (
     accelerations,
     limited,
@@ -47,6 +47,7 @@ from spheremouse.wand.peaks import (
     SURE,
     Found,
     Scene,
+    Sought,
     accepted,
     as_peaks,
     climb,
@@ -56,6 +57,7 @@ from spheremouse.wand.peaks import (
     search,
     some_peaks,
 )
+from spheremouse.wand.refine import Peak
 from spheremouse.wand.rims import ColourSettings
 from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.state import Track, WandPose, WandState, WandTracker
@@ -127,7 +129,7 @@ def step(
         ]
         if command is not None and track.course is not None:
             track = replace(track, course=told(track.course, command, np.diag([1e-4] * 3 + [1e-3] * 3)))
-        tracks[i], pose = _follow(track, frame.stamp, scene, i, others, looked, rng)
+        tracks[i], pose = _follow(track, frame.stamp, Sought(scene, i, others), looked, rng)
         if isinstance(pose.event, SecondBall) and len(others) < len(tracks) - 1:
             pose = replace(pose, event=None)  # it may be a declared one that is not found yet
         poses.append(pose)
@@ -152,60 +154,40 @@ def step(
     return after, tuple(poses)
 
 
-def _follow(
-    track: Track, stamp: float, scene: Scene, index: int, others: list[Array], look: bool, rng: np.random.Generator
-) -> tuple[Track, WandPose]:
-    """One ball, one frame."""
-    tracker, s = scene.tracker, scene.tracker.settings
-    ball = tracker.balls[index]
+def _follow(track: Track, stamp: float, sought: Sought, look: bool, rng: np.random.Generator) -> tuple[Track, WandPose]:
+    """One ball, one frame; `look`: it is time to look around in the whole picture."""
     if track.phase != Status.TRACKING or track.particles is None:
-        return _acquire(track, stamp, scene, index, others, rng)
+        return _acquire(track, stamp, sought, rng)
+    s, scene, radius = sought.tracker.settings, sought.scene, sought.ball.radius
     dt = max(stamp - track.stamp, 1e-4)
-    motions = possible_motions(track, dt, tracker)
-    region, factor = search_region(track, motions, tracker, ball.radius)
+    motions = possible_motions(track, dt, sought.tracker)
+    region, factor = search_region(track, motions, sought.tracker, radius)
     seen = scene.part(region if s.region else None, factor)
     if s.region is False and factor == 1:
         scene.whole = seen
     if s.proposal == "motion":
-        return by_motion(track, stamp, motions, seen, scene, index, rng)
-    ahead = moved(some(track.particles, _PREDICTED, rng), motions, rng)
-    p, R, _ = track.pose if track.pose is not None else (None, None, None)
-    assert p is not None
-    assert R is not None
-    position = np.concatenate([p + motions.shift[:, :3], ahead.position])
-    rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
-    found = climb(position, rotation, 2, index, scene, seen, others, sure=_NEAR_PEAK * track.level)
-    found = _gate_by_motion(found, track, motions, scene, index)
-    if not accepted(found, s, track.level) or found.match[0] < SURE or found.log_likelihood[0] < _DOUBT * track.level:
-        near = _gate_by_motion(from_spots(scene, index, seen, 6, others), track, motions, scene, index)
-        found = joined(found, near, ball.radius)
+        return by_motion(track, stamp, motions, seen, sought, rng)
+    found = _near_prediction(track, motions, seen, sought, rng)
     event = None
     if not accepted(found, s, track.level) or look or doubtful(track):
-        far = search(scene, index, others, track.turn)
+        far = search(sought, track.turn)
         track = replace(track, turn=far.turn)
-        found = joined(found, _gate_by_motion(far, track, motions, scene, index), ball.radius)
+        found = joined(found, _gate_by_motion(far, track, motions, sought), radius)
         first = found.peaks[0].position if accepted(found, s, track.level) else None
-        track, event = second_ball(track, far, first, dt, scene, index)
+        track, event = second_ball(track, far, first, dt, sought)
     if not accepted(found, s, track.level):
-        return _unseen(track, stamp, dt, scene, index, rng, found)
+        return _unseen(track, stamp, dt, sought, rng, found)
     assert track.particles is not None
     assert track.course is not None
     peaks = as_peaks(found)
     drawn, ratio, nearest = proposed(track.particles, motions, peaks, _BLIND, s.particles, rng)
-    assert found.fields is not None
-    m, edges = tracker.models[index], np.array([k.edges for k in found.peaks])
-    counted_as = counts(peaks.position, peaks.rotation, m, found.fields.factor), _about(drawn, peaks, nearest)
-    value, _ = log_likelihood(drawn.position, drawn.rotation, m, found.fields, matches=False, counted_as=counted_as)
-    limb.weigh(drawn.position, nearest, edges, m.radius, m.lens, found.fields.factor, value)
+    value = _values(drawn.position, drawn.rotation, nearest, _about(drawn, peaks, nearest), found, sought.model)
     weight, _ = normalised(ratio + value)
-    count = effective(weight)
     particles = Particles(drawn.position, drawn.rotation, weight)
-    p, R, sample = estimate(particles)
-    followed = found.peaks[int(np.bincount(nearest, weight).argmax())]
-    wrong = limited(followed.covariance)  # what this picture has, as far as it says so
-    pose = p, R, steadied(sample, count, followed.covariance)
+    pose, count, followed = _averaged(particles, nearest, found)
     if count < REDRAW * len(weight):
         particles = some(particles, len(weight), rng)
+    wrong = limited(followed.covariance)  # what this picture has, as far as it says so
     after = replace(
         track,
         phase=Status.TRACKING,
@@ -219,10 +201,55 @@ def _follow(
         level=_level(track, found),
         repeats=wrong,
     )
-    return after, WandPose(ball.name, *pose, Status.TRACKING, event, float(found.match[0]), count, True)
+    return after, WandPose(sought.ball.name, *pose, Status.TRACKING, event, float(found.match[0]), count, True)
 
 
-def _gate_by_motion(found: Found, track: Track, motions: Motions, scene: Scene, index: int) -> Found:
+def _near_prediction(track: Track, motions: Motions, seen: Fields, sought: Sought, rng: np.random.Generator) -> Found:
+    """Peaks that the ball can have moved to: from where it is predicted, and from spots where those leave a doubt."""
+    assert track.particles is not None
+    assert track.pose is not None
+    ahead = moved(some(track.particles, _PREDICTED, rng), motions, rng)
+    p, R, _ = track.pose
+    position = np.concatenate([p + motions.shift[:, :3], ahead.position])
+    rotation = np.concatenate([exp(motions.shift[:, 3:]) @ R, ahead.rotation])
+    found = climb(position, rotation, 2, sought, seen, sure=_NEAR_PEAK * track.level)
+    found = _gate_by_motion(found, track, motions, sought)
+    if (
+        not accepted(found, sought.tracker.settings, track.level)
+        or found.match[0] < SURE
+        or found.log_likelihood[0] < _DOUBT * track.level
+    ):
+        near = _gate_by_motion(from_spots(sought, seen, 6), track, motions, sought)
+        found = joined(found, near, sought.ball.radius)
+    return found
+
+
+def _values(
+    position: Array, rotation: Array, nearest: NDArray[np.int64], about: NDArray[np.int64], found: Found, m: Model
+) -> Array:
+    """Log-likelihood ratios of n poses, (n,), each with the outline as measured at its `nearest` peak.
+
+    `about` says by which peak's counts the discs count, -1 for the pose's own.
+    """
+    assert found.fields is not None
+    f = found.fields.factor
+    counted_as = counts(found.position, found.rotation, m, f), about
+    value, _ = log_likelihood(position, rotation, m, found.fields, matches=False, counted_as=counted_as)
+    limb.weigh(position, nearest, np.array([k.edges for k in found.peaks]), m.radius, m.lens, f, value)
+    return value
+
+
+def _averaged(
+    particles: Particles, nearest: NDArray[np.int64], found: Found
+) -> tuple[tuple[Array, Array, Array], float, Peak]:
+    """Pose and covariance of weighted particles, their effective number, and the peak that most of them lie about."""
+    count = effective(particles.weight)
+    p, R, sample = estimate(particles)
+    followed = found.peaks[int(np.bincount(nearest, particles.weight).argmax())]
+    return (p, R, steadied(sample, count, followed.covariance)), count, followed
+
+
+def _gate_by_motion(found: Found, track: Track, motions: Motions, sought: Sought) -> Found:
     """Of peaks, those that the ball can have moved to, or that are a ball and show as much of it as it did of late.
 
     One that starts all of a sudden is not half hidden as well: where a ball is hidden, other things of its colours are
@@ -242,7 +269,7 @@ def _gate_by_motion(found: Found, track: Track, motions: Motions, scene: Scene, 
             reached.append(i)
         elif found.log_likelihood[i] >= ELSEWHERE * track.level:
             elsewhere.append(i)
-    balls = passes_without_prior(some_peaks(found, elsewhere), scene, index).peaks
+    balls = passes_without_prior(some_peaks(found, elsewhere), sought).peaks
     return some_peaks(found, [i for i, k in enumerate(found.peaks) if i in reached or any(k is b for b in balls)])
 
 
@@ -258,12 +285,12 @@ def _about(particles: Particles, peaks: Peaks, nearest: NDArray[np.int64]) -> ND
 
 
 def _unseen(
-    track: Track, stamp: float, dt: float, scene: Scene, index: int, rng: np.random.Generator, found: Found
+    track: Track, stamp: float, dt: float, sought: Sought, rng: np.random.Generator, found: Found
 ) -> tuple[Track, WandPose]:
     """The ball does not show: the particles go on unweighted, for a while."""
     assert track.particles is not None
     assert track.course is not None
-    s, ball = scene.tracker.settings, scene.tracker.balls[index]
+    s, ball = sought.tracker.settings, sought.ball
     frames = track.unseen_frames + 1
     match = float(found.match[0]) if found.peaks else 0.0
     if stamp - track.seen > s.lost_after and frames > 1:
@@ -283,40 +310,28 @@ def _unseen(
     return after, WandPose(ball.name, *pose, Status.TRACKING, BallHidden(ball.name), match)
 
 
-def _acquire(
-    track: Track, stamp: float, scene: Scene, index: int, others: list[Array], rng: np.random.Generator
-) -> tuple[Track, WandPose]:
+def _acquire(track: Track, stamp: float, sought: Sought, rng: np.random.Generator) -> tuple[Track, WandPose]:
     """Find the ball in the whole picture: particles are injected at the peaks."""
-    tracker, s, ball = scene.tracker, scene.tracker.settings, scene.tracker.balls[index]
-    found = search(scene, index, others, track.turn)
+    s, ball = sought.tracker.settings, sought.ball
+    found = search(sought, track.turn)
     track = replace(track, turn=found.turn)
-    found = passes_without_prior(found, scene, index)
+    found = passes_without_prior(found, sought)
     least = ELSEWHERE * track.level * np.exp(-(stamp - track.seen) / _REMEMBERED) if track.level else 0.0
     if not accepted(found, s) or found.log_likelihood[0] < least:
-        phase = track.phase
         match = float(found.match[0]) if found.peaks else 0.0
-        return replace(track, stamp=stamp), WandPose(
-            ball.name, None, None, None, phase, unseen(ball, track.seen), match
-        )
-    assert found.fields is not None
+        missing = WandPose(ball.name, None, None, None, track.phase, unseen(ball, track.seen), match)
+        return replace(track, stamp=stamp), missing
     peaks = as_peaks(found)
     share, _ = normalised(peaks.log_mass)
     which = low_variance(share, s.particles, rng.random())
     root = np.linalg.cholesky(peaks.covariance)
     d = np.einsum("nij,nj->ni", root[which], rng.standard_normal((s.particles, 6)))
     position, rotation = peaks.position[which] + d[:, :3], exp(d[:, 3:]) @ peaks.rotation[which]
-    m = tracker.models[index]
-    counted_as = counts(peaks.position, peaks.rotation, m, found.fields.factor), which
-    value, _ = log_likelihood(position, rotation, m, found.fields, matches=False, counted_as=counted_as)
-    limb.weigh(position, which, np.array([k.edges for k in found.peaks]), m.radius, m.lens, found.fields.factor, value)
+    value = _values(position, rotation, which, which, found, sought.model)
     gaussian = -0.5 * np.einsum("ni,nij,nj->n", d, np.linalg.inv(peaks.covariance)[which], d)
     weight, _ = normalised(value - gaussian - found.log_likelihood[which])
-    count = effective(weight)
     particles = Particles(position, rotation, weight)
-    p, R, sample = estimate(particles)
-    followed = found.peaks[int(np.bincount(which, weight).argmax())]
-    pose = p, R, steadied(sample, count, followed.covariance)
-    level = float(found.log_likelihood[0])
+    pose, count, followed = _averaged(particles, which, found)
     after = Track(
         Status.TRACKING,
         some(particles, s.particles, rng),
@@ -325,7 +340,7 @@ def _acquire(
         repeats=limited(followed.covariance),
         stamp=stamp,
         seen=stamp,
-        level=level,
+        level=float(found.log_likelihood[0]),
     )
-    after, event = second_ball(after, found, found.peaks[0].position, 0.0, scene, index)
+    after, event = second_ball(after, found, found.peaks[0].position, 0.0, sought)
     return after, WandPose(ball.name, *pose, Status.TRACKING, event, float(found.match[0]), count, True)

@@ -13,6 +13,7 @@ from spheremouse.tracker import Frame, Status
 from spheremouse.wand.ball import contrast_ball, grzonka_ball
 from spheremouse.wand.colour import DEFAULT_COLOURS, fields
 from spheremouse.wand.model import model
+from spheremouse.wand.settings import WandSettings
 from spheremouse.wand.spots import spots
 from spheremouse.wand.start import convincing, hypotheses
 from spheremouse.wand.track import begin, build, step
@@ -91,11 +92,11 @@ def test_a_search_in_turns_finds_what_a_whole_one_finds():
     (shot,) = simulate_wand(film)
     ball, camera = contrast_ball(), film.scene.camera
     seen = spots(fields(shot.frame.image, DEFAULT_COLOURS, ball.colours))
-    whole = hypotheses(seen, ball, camera, ball.colours, 0.2, 8.0, effort=10**12)
+    whole = hypotheses(seen, ball, camera, ball.colours, WandSettings(), effort=10**12)
     assert whole.following == 0
     best, turns, first = 0.0, 0, 0
     while turns < 100:
-        part = hypotheses(seen, ball, camera, ball.colours, 0.2, 8.0, first=first, effort=100_000)
+        part = hypotheses(seen, ball, camera, ball.colours, WandSettings(), first=first, effort=100_000)
         best, turns, first = max(best, float(part.score[0]) if len(part.score) else 0.0), turns + 1, part.following
         if first == 0 or turns * 100_000 > 60 * 28 * 17**3:
             break

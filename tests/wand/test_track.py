@@ -251,7 +251,7 @@ def test_spots_give_the_pose_without_any_other_knowledge(hand):
     near = 0
     for shot in shots[::4]:
         seen = fields(shot.frame.image, DEFAULT_COLOURS, balls[0].colours)
-        guess = hypotheses(spots(seen), balls[0], camera, balls[0].colours, 0.2, 8.0)
+        guess = hypotheses(spots(seen), balls[0], camera, balls[0].colours, WandSettings())
         angles = np.linalg.norm(log(guess.rotation @ shot.rotation[0].T), axis=1)
         gaps = np.linalg.norm(guess.position[:, :2] - shot.position[0][:2], axis=1)
         near += bool(np.any((angles < 0.35) & (gaps < 0.01)))
