@@ -17,6 +17,7 @@ from spheremouse.geometry.rotation import Array, log
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _AXES = "XYZ"
 _COLOURS = RED, GREEN, BLUE
@@ -67,14 +68,17 @@ def plot_run(
             _draw_errors(column[1:], t, np.rad2deg(error) + gap, np.rad2deg(claimed) + gap, unit)
             column[-1].set_xlabel("time, s")
         figure.align_ylabels(axes)
-        path = Path(path)
-        path = path if path.suffix else path.with_name(f"{path.name}.png")  # as matplotlib does
-        drawn = BytesIO()
-        try:
-            figure.savefig(drawn, format=path.suffix[1:], facecolor="white")
-            write(path, drawn.getvalue())
-        except (OSError, ValueError) as e:
-            raise ConfigurationError(f"{path}: cannot be written: {e}") from None
+        _save(figure, Path(path))
+
+
+def _save(figure: "Figure", path: Path) -> None:
+    path = path if path.suffix else path.with_name(f"{path.name}.png")  # as matplotlib does
+    drawn = BytesIO()
+    try:
+        figure.savefig(drawn, format=path.suffix[1:], facecolor="white")
+        write(path, drawn.getvalue())
+    except (OSError, ValueError) as e:
+        raise ConfigurationError(f"{path}: cannot be written: {e}") from None
 
 
 def _draw_curves(axes: "Axes", t: Array, estimate: Array, truth: Array, label: str) -> None:

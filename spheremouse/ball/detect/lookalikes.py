@@ -129,14 +129,7 @@ def classify_candidates(
     track = _found(state, expected, centre, settings)
     known = track >= 0
     which = track[known]
-
-    path = np.linalg.norm(expected[which] - state.anchor[which], axis=1)
-    off = np.linalg.norm(centre[known] - expected[which], axis=1)
-    stayed = np.linalg.norm(centre[known] - state.anchor[which], axis=1)
-    tell = path > settings.moved
-    turns = tell & (off < 0.3 * path)
-    stands = tell & (stayed < settings.still) & (off > 0.5 * path)
-
+    turns, stands = _told_apart(centre[known], state.anchor[which], expected[which], settings)
     proven, still = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     proven[known] = state.proven[which] | turns
     still[known] = stands
@@ -157,6 +150,20 @@ def classify_candidates(
         proven=np.concatenate([known_proven[keep], np.zeros(np.count_nonzero(new), dtype=bool)]),
     )
     return proven, still, mask(updated, centre[still], stamp)
+
+
+def _told_apart(
+    centre: Array, first: Array, turned: Array, settings: StaticSettings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which candidates turn with the ball, (n,), and which stand still, (n,): neither until the ball has turned enough.
+
+    `centre`, (n, 2) px, is where they are, `first` where they were first seen, `turned` where discs would be by now.
+    """
+    path = np.linalg.norm(turned - first, axis=1)
+    off = np.linalg.norm(centre - turned, axis=1)
+    stayed = np.linalg.norm(centre - first, axis=1)
+    tell = path > settings.moved
+    return tell & (off < 0.3 * path), tell & (stayed < settings.still) & (off > 0.5 * path)
 
 
 def known_before_to_turn(

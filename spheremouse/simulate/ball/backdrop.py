@@ -57,23 +57,12 @@ def render_backdrop(scene: Scene, *, ball: bool = True) -> Backdrop:
     edge = np.flatnonzero((_borders(ids.reshape(h, w)) | _borders(outline.reshape(h, w))).ravel())
     offset = (np.arange(_FINE) + 0.5) / _FINE - 0.5
     grid = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2)
-    base = (len(shapes) + 1) * _IDS
     for part in _parts(edge, 2000):
         fine = xy[part, None] + grid @ dxy_duv[part].transpose(0, 2, 1)
         fine_ids, depth = _seen(view, fine)
         outline[part] = (alone.cast(fine)[0] == 0).mean(axis=1)
         shown[part] = (fine_ids == 0).mean(axis=1)
-        # One colour for each shape in each pixel, at the mean of the places where it is seen.
-        key = np.arange(len(part))[:, None] * base + fine_ids + _IDS
-        pairs, group, count = np.unique(key, return_inverse=True, return_counts=True)
-        group = group.ravel()
-        place = np.concatenate([fine, np.nan_to_num(depth, posinf=0.0)[..., None]], axis=2).reshape(-1, 3)
-        mean = np.stack([np.bincount(group, place[:, i]) / count for i in range(3)], axis=1)
-        colours = _colours(scene, view, mean[:, :2], pairs % base - _IDS, mean[:, 2])
-        for image, colour in zip((white, black), colours, strict=True):
-            for channel in range(3):
-                share = count / len(grid) * colour[:, channel]
-                image[part, channel] = np.bincount(pairs // base, share, len(part))
+        white[part], black[part] = _mixed(scene, view, fine, fine_ids, depth)
     return Backdrop(
         white.reshape(h, w, 3).astype(np.float32),
         black.reshape(h, w, 3).astype(np.float32),
@@ -103,6 +92,26 @@ def _seen(view: Viewpoint, xy: Array) -> tuple[NDArray[np.int64], Array]:
             on = first == index
             ids[on] += shape.stripe(view.origin + depth[on][:, None] * view.rays(xy[on]))
     return ids, depth
+
+
+def _mixed(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
+    """Grey values of n pixels, (n, 3), with a white and with a black ball, from k rays each, (n, k).
+
+    Each shape has one colour in a pixel, that at the mean of the places where it is seen.
+    """
+    base = (len(view.shapes) + 1) * _IDS
+    key = np.arange(len(xy))[:, None] * base + ids + _IDS
+    pairs, group, count = np.unique(key, return_inverse=True, return_counts=True)
+    group = group.ravel()
+    place = np.concatenate([xy, np.nan_to_num(depth, posinf=0.0)[..., None]], axis=2).reshape(-1, 3)
+    mean = np.stack([np.bincount(group, place[:, i]) / count for i in range(3)], axis=1)
+    colours = _colours(scene, view, mean[:, :2], pairs % base - _IDS, mean[:, 2])
+    mixed = np.empty((2, len(xy), 3))
+    for image, colour in zip(mixed, colours, strict=True):
+        for channel in range(3):
+            share = count / xy.shape[1] * colour[:, channel]
+            image[:, channel] = np.bincount(pairs // base, share, len(xy))
+    return mixed[0], mixed[1]
 
 
 def _colours(scene: Scene, view: Viewpoint, xy: Array, ids: NDArray[np.int64], depth: Array) -> tuple[Array, Array]:
