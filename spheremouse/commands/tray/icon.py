@@ -43,9 +43,6 @@ class TrayError(SpheremouseError):
     """There is no tray to put an icon into."""
 
 
-# ---- the daemon's side ----
-
-
 # ---- the desktop's side ----
 
 
@@ -182,16 +179,11 @@ def _mend_xorg(icon: Any) -> None:
 
     It asks for no clicks, docks again with every picture, which trays take for another icon, stretches pictures, and
     ends where a title is not Latin-1.
-    Its threads share one connection, on which python-xlib now and then loses an event, and the icon then hangs: here
-    the main thread alone has it, and others wake it from connections of their own.
     """
     from Xlib import X
-    from Xlib.display import Display
-    from Xlib.protocol.event import ClientMessage
 
     icon._window.change_attributes(event_mask=X.ExposureMask | X.StructureNotifyMask | X.ButtonPressMask)
-    dock, window_id = icon._dock_window, icon._window.id
-    waiting: queue.SimpleQueue[Callable[[Any], None]] = queue.SimpleQueue()
+    dock = icon._dock_window
 
     def dock_once(self: Any) -> None:
         if self._systray_manager is None:
@@ -200,6 +192,30 @@ def _mend_xorg(icon: Any) -> None:
     def fit(self: Any, width: int, height: int) -> None:
         if self._icon_data is None or self._icon_data.size != (width, height):
             self._icon_data = _fitted(self.icon, width, height)
+
+    def title(self: Any) -> None:
+        self._window.set_wm_name(self.title.encode("latin-1", "replace").decode("latin-1"))
+        names = [self._display.intern_atom(name) for name in ("_NET_WM_NAME", "UTF8_STRING")]
+        self._window.change_text_property(*names, self.title)
+
+    icon._dock_window = types.MethodType(dock_once, icon)
+    icon._assert_icon_data = types.MethodType(fit, icon)
+    changes = {name: getattr(type(icon), name) for name in ("_show", "_hide", "_update_icon", "_stop")}
+    _leave_to_main_thread(icon, changes | {"_update_title": title})
+
+
+def _leave_to_main_thread(icon: Any, changes: dict[str, Callable[[Any], None]]) -> None:
+    """Methods of an icon on bare X11, by name, as the main thread alone may do them.
+
+    pystray's threads share one connection, on which python-xlib now and then loses an event, and the icon then hangs:
+    here the main thread alone has it, and others wake it from connections of their own.
+    """
+    from Xlib import X
+    from Xlib.display import Display
+    from Xlib.protocol.event import ClientMessage
+
+    window_id = icon._window.id
+    waiting: queue.SimpleQueue[Callable[[Any], None]] = queue.SimpleQueue()
 
     def wake() -> None:
         display = Display()
@@ -227,17 +243,9 @@ def _mend_xorg(icon: Any) -> None:
             except Exception as e:  # the loop would end
                 logging.getLogger(__name__).debug("not shown: %s", e)
 
-    def title(self: Any) -> None:
-        self._window.set_wm_name(self.title.encode("latin-1", "replace").decode("latin-1"))
-        names = [self._display.intern_atom(name) for name in ("_NET_WM_NAME", "UTF8_STRING")]
-        self._window.change_text_property(*names, self.title)
-
-    icon._update_title = types.MethodType(in_main_thread(title), icon)
-    for name in ("_show", "_hide", "_update_icon", "_stop"):
-        setattr(icon, name, types.MethodType(in_main_thread(getattr(type(icon), name)), icon))
+    for name, work in changes.items():
+        setattr(icon, name, types.MethodType(in_main_thread(work), icon))
     icon._message_handlers[X.ClientMessage] = awake
-    icon._dock_window = types.MethodType(dock_once, icon)
-    icon._assert_icon_data = types.MethodType(fit, icon)
 
 
 def _fitted(picture: Image.Image, width: int, height: int) -> Any:
