@@ -33,7 +33,7 @@ from spheremouse.errors import SpheremouseError
 from spheremouse.files.rig import with_camera
 from spheremouse.session.cameras import node_of
 from spheremouse.session.plan import Plan, Request, without_map
-from spheremouse.session.wand.setup import wand_setup
+from spheremouse.session.wand.setup import WandSetup, wand_setup
 from spheremouse.wand.state import WandTracker
 
 _NO_CAMERA = "v4l2:"  # source of a plan where none is named and none is there
@@ -95,13 +95,7 @@ def _with_plan(
         )
     elif not any(f.verdict is Verdict.WRONG for f in camera):
         say(f"filming {seconds:g} s with {plan.source}")
-        try:
-            brought = wand_setup(plan.source, realtime=False) if of_wand and not live else None
-            footage = film(plan, seconds, node, None if brought is None else brought.source)
-        except SpheremouseError as e:
-            camera.append(refused("film", e))
-        except Exception as e:
-            camera.append(_ours("film", e))
+        footage, brought = _filmed(plan, seconds, node, of_wand and not live, camera)
     tracker: WandTracker | None = None
     if of_wand:
         findings += _guarded("camera file", wand.camera_file, plan, brought)
@@ -112,10 +106,7 @@ def _with_plan(
         plan, rig = _with_rig(plan, footage, findings)
     yield Section("configuration", tuple(findings))
     if footage is not None:
-        camera.append(ok("source", footage.description))
-        camera += _guarded("rate", timing.rate, footage) + _guarded("stamps", timing.stamps, footage)
-        if footage.controls is not None:
-            camera += _guarded("exposure", controls.check, footage.controls)
+        camera += _camera(footage)
     yield Section("camera", tuple(camera))
     if footage is not None:
         say("looking for the ball" if of_wand else "looking for targets and discs")
@@ -127,6 +118,21 @@ def _with_plan(
         "output", "none is named, and a recording needs none", "give --output KIND:ARG to have it looked at"
     )
     yield Section("output", tuple(_guarded("output", outputs.check, plan.output) if named or live else [none]))
+
+
+def _filmed(
+    plan: Plan, seconds: float, node: Path | None, brings: bool, camera: list[Finding]
+) -> tuple[Footage | None, WandSetup | None]:
+    """Frames, and what a source that `brings` its own wands has of them; why there are none is added to `camera`."""
+    brought = None
+    try:
+        brought = wand_setup(plan.source, realtime=False) if brings else None
+        return film(plan, seconds, node, None if brought is None else brought.source), brought
+    except SpheremouseError as e:
+        camera.append(refused("film", e))
+    except Exception as e:
+        camera.append(_ours("film", e))
+    return None, brought
 
 
 def _with_rig(plan: Plan, footage: Footage | None, findings: list[Finding]) -> tuple[Plan, Rig | None]:
@@ -143,6 +149,15 @@ def _with_rig(plan: Plan, footage: Footage | None, findings: list[Finding]) -> t
         findings += _guarded("rig", files.rig_file, plan.rig_path, plan.rig, given)
     findings += _guarded("map", files.map_of, plan.map_path, rig)
     return plan, rig
+
+
+def _camera(footage: Footage) -> Iterator[Finding]:
+    """Findings on how the frames came: rate, stamps, exposure."""
+    yield ok("source", footage.description)
+    yield from _guarded("rate", timing.rate, footage)
+    yield from _guarded("stamps", timing.stamps, footage)
+    if footage.controls is not None:
+        yield from _guarded("exposure", controls.check, footage.controls)
 
 
 def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]:
