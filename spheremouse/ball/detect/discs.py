@@ -27,7 +27,6 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.settings import AREA, PART, SHARE, SIGMA_PX, param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
-_EXPECTED = 0.3  # of the contrast is enough where the map says that a disc must be: glare, deep shade
 _LEARN_EVERY = 16  # frames: noise, and the size of the discs
 _FINE = 14.0  # px, diameter of a disc that the fit needs no finer: larger pictures are reduced to about that
 
@@ -88,10 +87,8 @@ class DiscDetector:
     settings: DiscSettings
     rig: Rig
     pose: Pose
-    mask: Image  # (h, w) 255 on the ball, a little within its outline
     window: tuple[slice, slice]  # rows and columns of the ball's bounding box, whole pixels of the reduced picture
     diameter: float  # px, of the largest disc
-    fit: FitSettings
     lattice: Lattice
     view: View
 
@@ -106,7 +103,7 @@ class DiscDetector:
         plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
-        return self._look_at(image, directions[best], noise, places[index[best]])
+        return look_at(_with_channels(image), directions[best], self.view, noise, places[index[best]])[0]
 
     def follow(
         self, image: Image, directions: Array, rate: Array, readout: float, state: SearchState
@@ -120,41 +117,24 @@ class DiscDetector:
             state.turn % _LEARN_EVERY == 0 or state.noise == 0.0
         )  # light and discs do not change from frame to frame
         noise = self.noise(image) if again else state.noise
+        known = 0.0 if again else state.size
         found, size = look_at(
-            _with_channels(image),
-            self.mask,
-            directions,
-            self.view,
-            self.fit,
-            noise,
-            _EXPECTED,
-            self.settings.min_area,
-            0.3 * self.diameter,
-            rate=rate,
-            readout=readout,
-            size=0.0 if again else state.size,
+            _with_channels(image), directions, self.view, noise, rate=rate, readout=readout, size=known
         )
         return found, replace(state, noise=noise, size=size) if again else state
 
     def find_new_discs(self, image: Image, state: SearchState, known: Array) -> tuple[Detections, SearchState]:
         """A share of the search for discs that are not at `known`, (m, 2) px."""
-        fit, radius = self.fit, 0.5 * self.diameter
+        fit, radius = self.view.fit, 0.5 * self.diameter
         noise = state.noise or self.noise(image)
         colours = _with_channels(image)
-        places = places_to_look_at(
-            colours, self.mask, self.lattice, state, known, fit.reduction, radius, fit.contrast, noise, fit.light
-        )
+        places = places_to_look_at(colours, self.view.mask, self.lattice, state, known, fit, radius, noise)
         if len(places) == 0:
             return no_detections(), went(state, places, fit.reduction)
         directions, index = directions_at(places, self.rig, self.pose)
-        found = self._look_at(image, directions, noise, places[index])
+        found, _ = look_at(colours, directions, self.view, noise, places[index])
         near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
         return found, went(state, places[~near.any(axis=1)], fit.reduction)
-
-    def _look_at(self, image: Image, directions: Array, noise: float, places: Array) -> Detections:
-        least, apart = self.settings.min_area, 0.3 * self.diameter
-        colours = _with_channels(image)
-        return look_at(colours, self.mask, directions, self.view, self.fit, noise, 1.0, least, apart, places)[0]
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""
@@ -166,7 +146,7 @@ class DiscDetector:
         grey = image[self.window]
         if grey.ndim == 3:
             grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)
-        f = self.fit.reduction
+        f = self.view.fit.reduction
         if f > 1:
             grey = cv2.resize(grey, (grey.shape[1] // f, grey.shape[0] // f), interpolation=cv2.INTER_AREA)
         if self.settings.polarity == "light":
@@ -178,12 +158,12 @@ class DiscDetector:
 
         Looked for at three levels: the low one finds slivers at the limb, the high one parts a disc from a shadow.
         """
-        f = self.fit.reduction
+        f = self.view.fit.reduction
         diameter, least = self.diameter / f, 0.3 * self.settings.min_area / f**2
         width = 2 * int(np.ceil(0.75 * diameter)) + 1
         background = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
         deep = cv2.inRange(cv2.subtract(background, grey), np.array(4.0 * noise / f + 1.0), np.array(255.0))
-        deep = cv2.bitwise_and(deep, self.mask[self.window][f // 2 :: f, f // 2 :: f])
+        deep = cv2.bitwise_and(deep, self.view.mask[self.window][f // 2 :: f, f // 2 :: f])
         places, sizes = [], []
         for share in (0.6, 1.2, 2.4):
             level = cv2.convertScaleAbs(background, alpha=max(1.0 - share * self.settings.contrast, 0.0))
@@ -233,9 +213,8 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
         settings.rim,
         settings.sigma,
     )
-    return DiscDetector(
-        settings, rig, pose, mask, window, diameter, fit, lattice(mask, diameter, f), view_of(rig, pose)
-    )
+    view = view_of(rig, pose, mask, fit, settings.min_area, 0.3 * diameter)
+    return DiscDetector(settings, rig, pose, window, diameter, lattice(mask, diameter, f), view)
 
 
 def _with_channels(image: Image) -> Image:

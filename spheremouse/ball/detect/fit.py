@@ -78,17 +78,14 @@ def measure(
     shape: Array,
     noise: float,
     settings: FitSettings,
-    share: float = 1.0,
-    size: float = 0.0,
     smear: Array | None = None,
 ) -> Fits:
     """Fit n discs expected at `place`, (n, 2) px, with `shape`, (n, 2, 2) px², in an image (h, w, c) of uint8.
 
     `mask` (h, w) is not 0 on the ball, `noise` is that of one pixel. First the size is free, which tells discs from
     other things and the size all discs share; then it is held at that, so that a disc cut by a strut is seen as cut,
-    not as smaller. Where fewer than three tell it, 1 is taken. With `size` (fitted over expected) it is held at that
-    from the beginning. Of the contrast that is asked for, `share` is enough. `smear` (n, 2) px is the way of each while
-    the shutter is open.
+    not as smaller. Where fewer than three tell it, 1 is taken. `smear` (n, 2) px is the way of each while the shutter
+    is open.
     """
     n = len(place)
     f = settings.reduction
@@ -106,11 +103,11 @@ def measure(
             settings.light,
             settings.kernel,
             settings.blur,
-            share * settings.contrast,
+            settings.contrast,
             settings.size_tolerance,
             settings.rim,
             settings.sigma,
-            size,
+            0.0,
             ok,
             centroid,
             covariance,
@@ -125,7 +122,10 @@ def measure_into(
     image, mask, place, shape, smear, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
     size_known, ok, centroid, covariance, rim, cut,
 ):  # fmt: skip
-    """`measure` into ok, centroid, covariance, rim and cut; returns the size all discs share, 0 where too few tell."""
+    """`measure` into ok, centroid, covariance, rim and cut; returns the size all discs share, 0 where too few tell.
+
+    Where `size_known` is not 0, the size is held at that from the beginning.
+    """
     n = len(place)
     widest = 0.0
     for k in range(n):

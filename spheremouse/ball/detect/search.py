@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.fit import FitSettings
 from spheremouse.geometry.rotation import Array
 
 _STRIDE = (2, 8)  # columns and rows of the reduced picture between samples of one frame: few rows are few cache misses
@@ -76,16 +77,13 @@ def places_to_look_at(
     where: Lattice,
     state: SearchState,
     known: Array,
-    reduction: int,
+    fit: FitSettings,
     radius: float,
-    contrast: float,
     noise: float,
-    light: bool,
 ) -> Array:
     """What is dark in an image (h, w, c), on the ball (`mask`, (h, w)), and not near one of `known`, (m, 2) px.
 
-    The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `contrast` as asked of a
-    disc, `noise` of a pixel, `light` for discs lighter than the ball.
+    The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `noise` of a pixel.
     """
     shift = state.turn % len(_SHIFTS)
     found = np.empty((_MOST, 2))
@@ -98,14 +96,14 @@ def places_to_look_at(
         where.offsets,
         state.turn,
         known,
-        radius + 2.0 * reduction,
+        radius + 2.0 * fit.reduction,
         state.rejected[state.until > state.turn],
-        _REJECTED * reduction,
-        0.5 * contrast,
+        _REJECTED * fit.reduction,
+        0.5 * fit.contrast,
         2.5 * noise,
-        light,
+        fit.light,
         radius,
-        reduction,
+        fit.reduction,
         found,
     )
     return found[:n]

@@ -1,7 +1,7 @@
 """Discs in windows of their own: directions on the ball and a picture in, measured centres out, in one compiled call.
 
 Where each disc is by the time its row is read, how it looks from there and how far it travels while the shutter is open
-comes from the geometry (detect.cap); the measuring itself is detect.fit.
+comes from the geometry (detect.appearance); the measuring itself is detect.fit.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,9 @@ from spheremouse.geometry.rotation import Array, exp_into
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What decides how the ball's discs look, laid out for compiled code."""
+    """What decides where discs are looked for, how they look and which are taken, laid out for compiled code."""
 
+    mask: Image  # (h, w) 255 on the ball, a little within its outline
     centre: Array  # (3,) m, of the ball, obj
     radius: float  # m
     alpha: float  # rad, angular radius of a disc
@@ -29,11 +30,15 @@ class View:
     intrinsic: tuple[float, float, float, float]
     distortion: Array  # (5,)
     exposure: float  # s
+    fit: FitSettings
+    least: float  # px², smaller discs are left out
+    apart: float  # px, of two that are nearer that which fits less well is left out
 
 
-def view_of(rig: Rig, pose: Pose) -> View:
+def view_of(rig: Rig, pose: Pose, mask: Image, fit: FitSettings, least: float, apart: float) -> View:
     """Of a device and a camera that stands still."""
     return View(
+        mask,
         np.ascontiguousarray(rig.ball.centre, dtype=np.float64),
         float(rig.ball.radius),
         float(rig.disc_radius / rig.ball.radius),
@@ -42,23 +47,22 @@ def view_of(rig: Rig, pose: Pose) -> View:
         rig.camera.intrinsic,
         np.ascontiguousarray(rig.camera.distortion, dtype=np.float64),
         float(rig.exposure_s),
+        fit,
+        least,
+        apart,
     )
 
 
+_EXPECTED = 0.3  # of the contrast is enough where the map says that a disc must be: glare, deep shade
 _ANYWHERE = np.zeros((0, 2))
 _STILL = np.zeros(3)
 
 
 def look_at(
     image: Image,
-    mask: Image,
     directions: Array,
     view: View,
-    fit: FitSettings,
     noise: float,
-    share: float,
-    least: float,
-    apart: float,
     places: Array = _ANYWHERE,
     rate: Array = _STILL,
     readout: float = 0.0,
@@ -66,42 +70,21 @@ def look_at(
 ) -> tuple[Detections, float]:
     """Those of the discs at `directions`, (n, 3) unit vectors in obj, that are in an image (h, w, c) of uint8.
 
-    Each begins at its place of `places`, (n, 2) px, or where it is expected. `mask` (h, w) is not 0 on the ball,
-    `noise` is that of a pixel; of the contrast that is asked for, `share` is enough. Discs of less than `least` px² or
-    not wholly in the picture are left out, and of two nearer than `apart` px that which fits less well. With `rate`
-    (3,) rad/s, w_obj, they are carried to when their row is read (`readout` s for all rows), smeared by the exposure.
-    `size` as in `fit.measure`; the second result is the size that the discs have in common, 0 where too few tell.
+    Each begins at its place of `places`, (n, 2) px, where something dark was seen; without them where it is expected,
+    and there a part of the contrast is enough. `noise` is that of a pixel. Discs that are not wholly in the picture are
+    left out. With `rate` (3,) rad/s, w_obj, they are carried to when their row is read (`readout` s for all rows),
+    smeared by the exposure. `size` (fitted over expected) is held where it is known, not 0; the second result is the
+    one that the discs have in common, 0 where too few tell.
     """
     if len(directions) == 0:
         return no_detections(), size
+    fit, share = view.fit, 1.0 if len(places) else _EXPECTED
     centre, covariance, area, told = _look_at(
-        image,
-        mask,
-        np.ascontiguousarray(directions),
-        np.ascontiguousarray(places),
-        rate,
-        readout,
-        view.exposure,
-        view.centre,
-        view.radius,
-        view.alpha,
-        view.rotation,
-        view.position,
-        view.intrinsic,
-        view.distortion,
-        noise,
-        least,
-        apart,
-        fit.reduction,
-        fit.light,
-        fit.kernel,
-        fit.blur,
-        share * fit.contrast,
-        fit.size_tolerance,
-        fit.rim,
-        fit.sigma,
-        size,
-    )
+        image, view.mask, np.ascontiguousarray(directions), np.ascontiguousarray(places), rate, readout, view.exposure,
+        view.centre, view.radius, view.alpha, view.rotation, view.position, view.intrinsic, view.distortion, noise,
+        view.least, view.apart, fit.reduction, fit.light, fit.kernel, fit.blur, share * fit.contrast,
+        fit.size_tolerance, fit.rim, fit.sigma, size,
+    )  # fmt: skip
     return Detections(centre, covariance, area), told
 
 

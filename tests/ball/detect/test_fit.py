@@ -343,7 +343,7 @@ def test_what_is_no_disc_is_refused():
     pale = digital(disc(40, c, shape, ink=0.85 * BALL), 1.0, rng)
     for image in (small, large, pale):
         assert not fit(image, c, shape, 1.0).ok[0]
-    assert fit(pale, c, shape, 1.0, share=0.4).ok[0]  # a part of the contrast is enough where it is said so
+    assert fit(pale, c, shape, 1.0, settings(contrast=0.1)).ok[0]
     bar = np.full((40, 40), BALL)
     bar[:, 16:24] = PRINT
     assert not fit(digital(bar, 1.0, rng), c, shape, 1.0).ok[0]

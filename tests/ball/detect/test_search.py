@@ -1,5 +1,7 @@
 """The search for unknown discs: lattices against the mask, discs drawn at any place, what is none, what is put off."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -48,8 +50,8 @@ def random_discs(rng, n, detector, least):
 
 def drawn(centres, shapes, detector=PLAIN, ball=BALL, ink=INK):
     """Grey picture, (h, w) float, of ellipses on the ball, by subpixels, with a lens' blur."""
-    w = detector.mask.shape[1]
-    ball_again = cv2.dilate(detector.mask, np.ones((3, 3), np.uint8))
+    w = detector.view.mask.shape[1]
+    ball_again = cv2.dilate(detector.view.mask, np.ones((3, 3), np.uint8))
     image = np.where(ball_again > 0, ball, ROOM)
     sub = (np.arange(OVER) + 0.5) / OVER - 0.5
     for c, S in zip(centres, shapes, strict=True):
@@ -71,11 +73,9 @@ def photo(image, noise=NOISE, seed=0):
 
 
 def look(image, state, known=NOWHERE, detector: DiscDetector = PLAIN, light=False):
-    f = detector.fit
+    fit = replace(detector.view.fit, light=light)
     radius = 0.5 * detector.diameter
-    return places_to_look_at(
-        image, detector.mask, detector.lattice, state, known, f.reduction, radius, f.contrast, NOISE, light
-    )
+    return places_to_look_at(image, detector.view.mask, detector.lattice, state, known, fit, radius, NOISE)
 
 
 def four_turns(image, first=0, **more):
@@ -96,16 +96,16 @@ def distances(places, to):
 def test_four_lattices_cover_the_mask(scale):
     """No pixel of the ball is further from a sample than half a diagonal of 2 px of the reduced picture."""
     detector = FORM[scale]
-    f = detector.fit.reduction
+    f = detector.view.fit.reduction
     assert f == scale
-    free = np.full(detector.mask.shape, 255, np.uint8)
+    free = np.full(detector.view.mask.shape, 255, np.uint8)
     for places in detector.lattice.places:
-        assert np.all(detector.mask[places[:, 1], places[:, 0]] == 255)
+        assert np.all(detector.view.mask[places[:, 1], places[:, 0]] == 255)
         free[places[:, 1], places[:, 0]] = 0
     count = sum(len(p) for p in detector.lattice.places)
     assert count == np.count_nonzero(free == 0)  # none is looked at twice
     off = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    inner = cv2.erode(detector.mask, np.ones((4 * f + 1, 4 * f + 1), np.uint8)) > 0
+    inner = cv2.erode(detector.view.mask, np.ones((4 * f + 1, 4 * f + 1), np.uint8)) > 0
     assert off[inner].max() <= np.sqrt(2.0) * f + 1e-6
 
 
@@ -114,13 +114,13 @@ def test_bits_say_which_neighbours_lie_on_the_ball():
     assert_array_equal(lattice.offsets[0::2], -lattice.offsets[1::2])  # opposite ones follow each other
     length = np.linalg.norm(lattice.offsets, axis=1)
     assert np.all(length > 0.5 * PLAIN.diameter + 1.0)  # beyond a disc around it
-    h, w = PLAIN.mask.shape
+    h, w = PLAIN.view.mask.shape
     kinds = set()
     for places, sides in zip(lattice.places, lattice.sides, strict=True):
         for (x, y), bits in zip(places[::7].tolist(), sides[::7].tolist(), strict=True):
             for k, (dx, dy) in enumerate(lattice.offsets.tolist()):
                 u, v = x + dx, y + dy
-                on = 0 <= u < w and 0 <= v < h and PLAIN.mask[v, u] > 0
+                on = 0 <= u < w and 0 <= v < h and PLAIN.view.mask[v, u] > 0
                 assert bool((bits >> k) & 1) == on
             kinds.add(bits == 255)
     assert kinds == {True, False}
