@@ -146,7 +146,7 @@ def take(
     before = resampler.rate or rate
     taken = min(stamp, now)  # a stamp ahead of the clock would have it run back to the frame
     a, b, c = (
-        _take(course, s, n, began, ends, taken, *_foresight(n, r0, r, interval, horizon))
+        _take(course, s, n, began, ends, taken, _foresight(n, r0, r, interval, horizon))
         for course, s, n, r0, r in zip(resampler.courses, sent, counts, before, rate, strict=True)
     )
     until = max(a.until, b.until, c.until)
@@ -178,10 +178,9 @@ def _take(
     began: float,
     ends: float,
     stamp: float,
-    speed: float,
-    acceleration: float,
-    lasts: float,
+    foresight: tuple[float, float, float],  # as `_foresight` gives it
 ) -> Course:
+    speed, acceleration, lasts = foresight
     way = 1 if counts > 0 else -1 if counts < 0 else course.way
     kept = course.kept
     if way != course.way:

@@ -62,7 +62,7 @@ class World:
 
 def world(discs: int, layout: int, exposure: float = 0.0) -> World:
     """The far camera's."""
-    scene = default_scene(discs, "far", layout, exposure_s=exposure)
+    scene = replace(default_scene(discs, "far", layout), exposure_s=exposure)
     camera, pose = scene.camera, scene.pose
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     xy, _ = unproject(np.stack([u.ravel(), v.ravel()], axis=1).astype(float), camera)

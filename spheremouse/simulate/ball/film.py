@@ -162,13 +162,16 @@ def prepare(options: SimulationOptions, named: Named = option_name) -> Simulatio
             width=width,
             height=height,
             distortion=np.array(options.dist),
-            exposure_s=options.blur,
-            readout_s=options.readout,
-            ball_colour=WHITE_BALL if options.ball_colour is None else reflectance(options.ball_colour),
-            disc_colour=BLACK if options.disc_colour is None else reflectance(options.disc_colour),
         )
     except ValueError as e:
         raise ConfigurationError(f"{named('discs')}: {e}") from None
+    scene = replace(
+        scene,
+        exposure_s=options.blur,
+        readout_s=options.readout,
+        ball_colour=WHITE_BALL if options.ball_colour is None else reflectance(options.ball_colour),
+        disc_colour=BLACK if options.disc_colour is None else reflectance(options.disc_colour),
+    )
     changes = _changes(options, scene, profile, named)
     return Simulation(scene, profile, _effects(options, seconds), seconds, options.fps, options.seed, changes)
 

@@ -73,10 +73,6 @@ def default_scene(
     width: int = 640,
     height: int = 480,
     distortion: Array | None = None,
-    exposure_s: float = 0.0,
-    readout_s: float = 0.0,
-    ball_colour: Colour = WHITE_BALL,
-    disc_colour: Colour = BLACK,
 ) -> Scene:
     """The reference geometry; `seed` places the discs. Other sizes than 640 x 480 keep the whole view."""
     focal, position, angles = _VIEWS[view]
@@ -102,10 +98,6 @@ def default_scene(
         targets=targets,
         surroundings=(*frame(targets, bolt_radius), *room()),
         lighting=Lighting(LAMPS, STRIPS, ball_radius),
-        exposure_s=exposure_s,
-        readout_s=readout_s,
-        ball_colour=ball_colour,
-        disc_colour=disc_colour,
     )
 
 

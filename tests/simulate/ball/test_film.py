@@ -256,18 +256,17 @@ def test_disc_truth_equals_opencv_and_the_closed_form_of_a_projected_circle():
 
 
 @pytest.mark.parametrize(
-    ("change", "profile"),
+    ("scene", "profile"),
     [
-        ({}, thesis()),
-        ({"view": "near", "distortion": LENS}, thesis()),
-        ({"readout_s": 0.025}, play(20.0, rng(1))),
-        ({"width": 1280, "height": 720, "discs": 74}, thesis()),
+        (default_scene(), thesis()),
+        (default_scene(view="near", distortion=LENS), thesis()),
+        (replace(default_scene(), readout_s=0.025), play(20.0, rng(1))),
+        (default_scene(width=1280, height=720, discs=74), thesis()),
     ],
     ids=["plain", "distorted", "rolling shutter", "720p"],
 )
-def test_covered_pixels_have_the_centroid_and_area_of_the_projected_cap(change, profile):
+def test_covered_pixels_have_the_centroid_and_area_of_the_projected_cap(scene, profile):
     """Ray casting on one side, the projected outline on the other."""
-    scene = default_scene(**change)
     caps, width = Caps(scene), scene.camera.width
     off, ratio = [], []
     for t in np.linspace(1.0, 9.0, 12):
