@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 import typer
 
-from spheremouse.errors import CalibrationError
+from spheremouse.errors import CalibrationError, ConfigurationError
 
 if TYPE_CHECKING:
     from spheremouse.capture.stopping import Stopping
@@ -66,6 +66,8 @@ def axes(
 
     said = () if tracker is None else (f"tracker={tracker}",)
     there = config is not None and config.exists()
+    if config is not None and not dry and not os.access(config.parent, os.W_OK):
+        raise ConfigurationError(f"{config}: this account may not write there; use sudo, or only look with --dry-run")
     file, told = config if there else None, (*(assignments or ()), *said)
     request = Request(file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ()))
     plan = read_plan(request)
