@@ -57,12 +57,10 @@ def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
 
 
 def test_who_may_not_save_hears_so_before_the_first_gesture(tmp_path):
-    code, out, err = spheremouse("axes", "--config", tmp_path / "no" / "config.yaml", "--source", FILM)
-    assert (code, out) == (2, "")
-    assert (
-        err
-        == f"spheremouse: {tmp_path}/no/config.yaml: this account may not write there; use sudo, or only look with --dry-run\n"
-    )
+    path = tmp_path / "no" / "config.yaml"
+    code, out, err = spheremouse("axes", "--config", path, "--source", FILM)
+    advice = "this account may not write there; use sudo, or only look with --dry-run"
+    assert (code, out, err) == (2, "", f"spheremouse: {path}: {advice}\n")
 
 
 def test_a_film_without_gestures_is_refused_in_a_line():
