@@ -134,12 +134,11 @@ def surface_speeds(run: Run, truth: Truth, radius: float) -> tuple[Array, Array]
 
 
 def surface_travel(rotation: Array, radius: float) -> Array:
-    """Travel of the pointer in mm of ball surface, (n, 2), for rotation vectors, (n, 3) rad in obj; `radius` m.
+    """Travel (d_x, -d_z) of the touching point in mm, (n, 2), for rotation vectors, (n, 3) rad in obj; `radius` m.
 
-    The touching point C = (0, -R, 0) travels d = rho x C = (R rho_z, 0, -R rho_x), the pointer of a player on the far
-    side goes by (d_x, d_z) (Wittich 2017, eq. 172-174, along the arc, and with Y downwards).
+    The point C = (0, -R, 0) travels d = rho x C = (R rho_z, 0, -R rho_x) (Wittich 2017, eq. 172-174, along the arc).
     """
-    return 1000.0 * radius * rotation[:, [2, 0]] * (1.0, -1.0)
+    return 1000.0 * radius * rotation[:, [2, 0]]
 
 
 def per_axis(error: Array | None, axes: str) -> dict[str, float | None]:

@@ -184,7 +184,7 @@ def test_a_simulated_camera_brings_its_rig():
 
 def test_a_simulation_that_cannot_be():
     assert (
-        "synthetic: motion: must be 'thesis', 'roll', 'play', 'still', 'rest', 'creep' or 'flick', is 'fly'"
+        "synthetic: motion: must be 'thesis', 'roll', 'play', 'still', 'rest', 'creep', 'flick' or 'axes', is 'fly'"
         in failing("synthetic:motion=fly")[1]
     )
     meant = "did you mean seconds or dim_seconds or lift_seconds?"

@@ -108,7 +108,7 @@ def test_distance_and_roughness_are_what_they_say():
 
 
 def test_the_exact_pointer_overshoots_a_stop_by_at_most_its_horizon():
-    push = stroke(0.3, (1.0, 0.0, 0.0), 7.0, up=0.12, hold=0.25, down=0.05)
+    push = stroke(0.3, (-1.0, 0.0, 0.0), 7.0, up=0.12, hold=0.25, down=0.05)
     moving = Gestures((push,), 1.3)
     told = pointer.exact(moving, np.arange(1.0, 39.0) / 30.0, MATRIX)
     true = pointer.ball(moving, 1.3, MATRIX)

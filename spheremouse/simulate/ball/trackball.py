@@ -42,7 +42,7 @@ def trackball_matrix(scale_x: float, scale_y: float, turned: float = 0.0, tilt: 
     Its axes are turned by `turned` rad about Y, and it is moved from the lowest point by `tilt` rad towards +X.
     """
     c, s = np.cos(turned), np.sin(turned)
-    below = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # as MotionSettings.matrix
+    below = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # (d_x, -d_z) of the lowest point
     ct, st = np.cos(tilt), np.sin(tilt)
     Rz = np.array([[ct, -st, 0.0], [st, ct, 0.0], [0.0, 0.0, 1.0]])
     return np.diag([scale_x, scale_y]) @ np.array([[c, s], [-s, c]]) @ below @ Rz.T

@@ -130,7 +130,7 @@ def test_rms_per_axis_and_combined():
 
 
 def test_surface_speed_is_what_the_mouse_does_per_second():
-    """Sent and true motion as counts at 1 per mm, over the time they take; frames after a gap have no time."""
+    """Sent and true motion in mm, Y upwards, over the time they take; frames after a gap have no time."""
     truth = random_motion(30)
     matrix = MotionSettings(counts_per_mm=1.0).matrix(0.6)
     travel = np.array(
@@ -140,7 +140,7 @@ def test_surface_speed_is_what_the_mouse_does_per_second():
     run = replace(run, rotation=run.rotation * 1.01, status=(*(T,) * 10, Status.LOST, *(T,) * 19))
     sent, true = surface_speeds(run, truth, 0.6)
     kept = [k for k in range(1, 30) if k not in {10, 11}]
-    assert_allclose(true, travel[:, :2][np.array(kept) - 1], rtol=1e-9, atol=1e-9)
+    assert_allclose(true, travel[:, :2][np.array(kept) - 1] * (1.0, -1.0), rtol=1e-9, atol=1e-9)
     assert_allclose(sent, 1.01 * true, rtol=1e-9, atol=1e-9)
 
 
