@@ -17,6 +17,7 @@ from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.capture.usual import usual_camera
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import UNTOUCHED, load_device, untouched
+from spheremouse.files.migrate import without_schema
 from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.yaml import read_document, shown
 
@@ -253,9 +254,12 @@ def _axes_step(folder: Path) -> Step:
     if not path.exists():
         return Step("axes", "next", "not asked yet", todo, command)
     try:
-        player = read_document(path).data.get("motion", {}).get("player")
-    except (ConfigurationError, AttributeError) as e:
+        motion = without_schema(read_document(path), "configuration").data.get("motion")
+        player = (motion or {}).get("player")
+    except ConfigurationError as e:
         return Step("axes", "next", f"{path.name} cannot be used", (*str(e).splitlines(), "Mend the file."), "")
+    except AttributeError:
+        return Step("axes", "next", f"{path.name} cannot be used", (f"{path}: motion is no section.", "Mend the file."))
     if player is None:
         return Step("axes", "next", f"{path.name} does not say where the player stands", todo, command)
     return Step("axes", "done", f"player: {shown(player)}")

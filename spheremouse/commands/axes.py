@@ -59,6 +59,7 @@ def axes(
     """
     from spheremouse.capture.stopping import Stopping
     from spheremouse.commands.run import follow, serve
+    from spheremouse.files.edit import check_place
     from spheremouse.session import trackers
     from spheremouse.session.cameras import is_camera
     from spheremouse.session.plan import Request, read_plan
@@ -66,8 +67,10 @@ def axes(
 
     said = () if tracker is None else (f"tracker={tracker}",)
     there = config is not None and config.exists()
-    if config is not None and not dry and not os.access(config.parent, os.W_OK):
-        raise ConfigurationError(f"{config}: this account may not write there; use sudo, or only look with --dry-run")
+    if config is not None and not dry:
+        check_place(config)
+        if not os.access(config.parent, os.W_OK) or (there and not os.access(config, os.W_OK)):
+            raise ConfigurationError(f"{config}: this account may not write it; use sudo, or only look with --dry-run")
     file, told = config if there else None, (*(assignments or ()), *said)
     request = Request(file, told, source, "null", rig, camera, None, no_map=True, balls=tuple(balls or ()))
     plan = read_plan(request)
@@ -83,8 +86,7 @@ def axes(
     if dialogue.stopped:
         raise KeyboardInterrupt
     for key, value, before in values:
-        shown = str(value).lower() if isinstance(value, bool) else value
-        print(f"{key}: {shown}{' (as it was)' if value == before else ''}")
+        print(f"{key}: {_shown(value)} ({'as it was' if value == before else f'was {_shown(before)}'})")
     kept = {} if config is None or there else _begun(plan, request, config.parent)
     _keep(config, kept | {tuple(key.split(".")): value for key, value, _ in values}, dry)
 
@@ -178,12 +180,12 @@ class Dialogue:
 
     def conclusion(self) -> list[tuple[str, Any, Any]]:
         """Settings by name, with their values and those before. Raises CalibrationError where too little was shown."""
+        if self.stopped:
+            return []
         self._take(self._watch.ended())  # a recording may end without a rest
         if self.found is None:
-            if self.stopped:
-                return []
             which = " and ".join(f"'{words}'" for words in self._asked.gestures[len(self._made) :])
-            raise CalibrationError(f"{len(self._made)} of 3 gestures are in this recording; missing: {which}")
+            raise CalibrationError(f"{len(self._made)} of 3 gestures were seen; missing: {which}")
         before: Any = self._configuration
         for name in self._asked.section:
             before = getattr(before, name)
@@ -228,11 +230,20 @@ class Dialogue:
         self._ask()
 
 
+def _shown(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def _begun(plan: "Plan", request: "Request", beside: Path) -> dict[tuple[str, ...], Any]:
     """What the first lines of a configuration say: what this run was told on its command line."""
-    said: dict[tuple[str, ...], Any] = {("source",): plan.source}
-    if plan.configuration.tracker == "wand":
-        said["tracker",] = "wand"
+    from spheremouse.session.cameras import is_camera
+
+    said: dict[tuple[str, ...], Any] = {("source",): plan.source} if is_camera(plan.source) else {}
+    for assignment in request.assignments:
+        key, value = tuple(assignment.partition("=")[0].strip().split(".")), plan.configuration
+        for name in key:
+            value = getattr(value, name)
+        said[key] = value
     for key, path in (("rig", request.rig), ("camera_file", request.camera)):
         if path is not None:
             said[key,] = os.path.relpath(path, beside)

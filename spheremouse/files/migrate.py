@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ruamel.yaml.comments import CommentedMap
+
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import replace
 from spheremouse.files.lookup import open_to_read
@@ -20,9 +22,10 @@ Step = Callable[[MutableMapping[str, Any]], None]
 
 
 def _seated(data: MutableMapping[str, Any]) -> None:
-    """A configuration says where the player stands, and Y counts downwards; the pointer goes as it went.
+    """A configuration says where the player stands, and Y counts downwards.
 
-    Axes that were never set are left to their defaults, with which it went like a mirror image.
+    Where an axis was reversed, or X and Y exchanged, the pointer goes as it went; where none was, it goes like the hand
+    of who stands on the far side, and no longer like its mirror image.
     """
     motion = data.get("motion")
     if not isinstance(motion, MutableMapping) or "player" in motion:
@@ -31,9 +34,27 @@ def _seated(data: MutableMapping[str, Any]) -> None:
     if not {"swap_xy", "invert_x", "invert_y"} & set(motion) or not all(type(value) is bool for value in old):
         return
     swapped, x, y = old
-    motion["player"] = ("right" if x else "left") if swapped else ("camera-side" if x else "far-side")
-    motion["invert_x"], motion["invert_y"] = False, (x != y) if swapped else (x == y)
-    motion.pop("swap_xy", None)
+    player = ("right" if x else "left") if swapped else ("camera-side" if x else "far-side")
+    mirrored = any(old) and ((x != y) if swapped else (x == y))
+    for key, value in (("invert_x", False), ("invert_y", mirrored)):
+        if key in motion or value:
+            _set(motion, key, value)
+    _set(motion, "player", player, "swap_xy")
+
+
+def _set(section: MutableMapping[str, Any], key: str, value: Any, instead: str = "") -> None:
+    """A key of a section, in the place of another with its comments, or else as the first one."""
+    if key in section or not isinstance(section, CommentedMap):
+        section.pop(instead, None)
+        section[key] = value
+    elif instead in section:
+        place, comment = list(section).index(instead), section.ca.items.pop(instead, None)
+        del section[instead]
+        section.insert(place, key, value)
+        if comment is not None:
+            section.ca.items[key] = comment
+    else:
+        section.insert(0, key, value)
 
 
 # The first step of each goes from schema 1 to 2.

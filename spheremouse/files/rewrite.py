@@ -56,4 +56,5 @@ class _Representer(RoundTripRepresenter):
 
 _FLOAT = "tag:yaml.org,2002:float"
 _Constructor.add_constructor(_FLOAT, lambda _, node: _Number(node.value))
+_Representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
 _Representer.add_representer(_Number, lambda r, number: r.represent_scalar(_FLOAT, number.text))

@@ -36,7 +36,11 @@ def test_a_player_on_the_far_side_is_understood_and_the_file_told(tmp_path):
     assert code == 0, err
     assert "understood: you stand on the far side of the ball, opposite the camera" in out
     assert out.count("seen: 60°") == 3
-    assert out.splitlines()[-3:] == ["motion.player: far-side", "motion.invert_y: false", f"{file}: saved"]
+    assert out.splitlines()[-3:] == [
+        "motion.player: far-side (was left)",
+        "motion.invert_y: false (was true)",
+        f"{file}: saved",
+    ]
     motion = config.load(file, Configuration).motion
     assert (motion.player, motion.invert_y) == ("far-side", False)
     assert "# guessed" in file.read_text()
@@ -46,27 +50,26 @@ def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
     """So that `run --config` needs nothing else."""
     config_file = tmp_path / "cabinet" / "config.yaml"
     config_file.parent.mkdir()
-    given = ("--config", config_file, "--source", FILM)
+    given = ("--config", config_file, "--source", FILM, "--set", "motion.scale_y=2")
     code, out, err = spheremouse("axes", *given, "--dry-run")
     assert (code, out.splitlines()[-1]) == (0, "nothing is saved"), err
     assert not config_file.exists()
     code, out, err = spheremouse("axes", *given)
     assert (code, out.splitlines()[-1]) == (0, f"{config_file}: saved"), err
     saved = config.load(config_file, Configuration)
-    assert (saved.source, saved.motion.player) == (FILM, "far-side")
+    assert (saved.source, saved.motion.player, saved.motion.scale_y) == (None, "far-side", 2.0)  # a film is no camera
 
 
-def test_who_may_not_save_hears_so_before_the_first_gesture(tmp_path):
+def test_who_cannot_save_hears_so_before_the_first_gesture(tmp_path):
     path = tmp_path / "no" / "config.yaml"
     code, out, err = spheremouse("axes", "--config", path, "--source", FILM)
-    advice = "this account may not write there; use sudo, or only look with --dry-run"
-    assert (code, out, err) == (2, "", f"spheremouse: {path}: {advice}\n")
+    assert (code, out, err) == (2, "", f"spheremouse: {path}: cannot be written: there is no folder {path.parent}\n")
 
 
 def test_a_film_without_gestures_is_refused_in_a_line():
     code, _, err = spheremouse("axes", "--source", "synthetic:motion=still,seconds=2")
     assert code == 2
-    assert "0 of 3 gestures are in this recording; missing: 'roll the ball to the right" in err
+    assert "0 of 3 gestures were seen; missing: 'roll the ball to the right" in err
     assert "Traceback" not in err
 
 
@@ -118,6 +121,17 @@ def test_each_seat_is_told_by_its_gestures(player, capsys):
     ((name, value, _),) = played.dialogue.conclusion()
     assert (name, value) == ("motion.player", player)
     assert capsys.readouterr().out.count("of 3:") == 3
+
+
+def test_a_gesture_that_is_under_way_when_it_is_interrupted_counts_for_nothing():
+    right, away, spin = by_hand("left")
+    played = Played(Configuration())
+    played.make(right, away)
+    for _ in range(10):
+        played._frame(spin / 10, np.zeros(3))
+    played.stopping.asked = True  # Ctrl-C
+    assert played.dialogue.conclusion() == []
+    assert played.dialogue.stopped
 
 
 def test_what_was_wrong_is_asked_for_again(capsys):

@@ -33,7 +33,7 @@ def file(tmp_path):
 
 def test_one_value_changes_and_nothing_else(file):
     save_settings(file, SEAT, Configuration)
-    assert file.read_text() == MINE.replace("player: right ", "player: left  ")  # comments stay in their column
+    assert file.read_text() == MINE.replace("player: right", "player: left")
     assert file.stat().st_mode & 0o777 == 0o640
     assert list(file.parent.iterdir()) == [file]
 
@@ -84,7 +84,63 @@ def test_what_would_be_wrong_is_refused_and_the_file_left(file, text, values, sa
     assert file.read_text() == text
 
 
+ANNOTATED = """\
+---
+schema: 2
+motion:
+    # of the ball
+    counts_per_mm: 1.0
+
+# ---- the camera ----
+# how it exposes
+camera:
+    exposure_s: null
+# vim: et
+"""
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
+def test_a_new_key_is_the_first_of_its_section_and_no_heading_moves(tmp_path, end, mark):
+    path = tmp_path / "config.yaml"
+    path.write_bytes(mark + ANNOTATED.replace("\n", end).encode())
+    save_settings(path, {**SEAT, ("camera", "gain"): 4, ("pointer", "rate"): 500.0}, Configuration)
+    wanted = ANNOTATED.replace("motion:\n", "motion:\n    player: left\n").replace(
+        "camera:\n", "camera:\n    gain: 4\n"
+    )
+    assert path.read_bytes() == mark + (wanted + "pointer:\n  rate: 500.0\n").replace("\n", end).encode()
+    before = path.stat().st_ino
+    save_settings(path, SEAT, Configuration)
+    assert path.stat().st_ino == before  # nothing new is nothing written
+
+
+@pytest.mark.parametrize(
+    ("text", "saved"),
+    [
+        ("schema: 2\nmotion: {scale_y: 2}\n", "schema: 2\nmotion: {player: left, scale_y: 2}\n"),
+        ("schema: 2\nmotion: null  # none yet\n", "schema: 2\nmotion:   # none yet\n  player: left\n"),
+        ("schema: 2\nmotion:", "schema: 2\nmotion:\n  player: left\n"),
+        ("{schema: 2}\n", "{motion: {player: left}, schema: 2}\n"),
+        ('schema: 2\nmotion:\n  player: "right"\n', "schema: 2\nmotion:\n  player: left\n"),
+    ],
+)
+def test_other_ways_to_write_it(tmp_path, text, saved):
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    save_settings(path, SEAT, Configuration)
+    assert path.read_text().replace("'", "") == saved
+
+
+def test_a_link_is_not_replaced_by_a_file(tmp_path, file):
+    link = tmp_path / "link.yaml"
+    link.symlink_to(file)
+    with pytest.raises(ConfigurationError, match=r"link.yaml: is a link; name the file itself, .*config.yaml"):
+        save_settings(link, SEAT, Configuration)
+    assert link.is_symlink()
+    assert file.read_text() == MINE
+
+
 def test_a_folder_that_is_missing_is_said_in_a_line(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"no/config.yaml: cannot be written: No such file") as refused:
+    with pytest.raises(ConfigurationError, match=r"no/config.yaml: cannot be written: there is no folder") as refused:
         save_settings(tmp_path / "no" / "config.yaml", SEAT, Configuration)
     assert "\n" not in str(refused.value)
