@@ -236,14 +236,11 @@ def _shown(value: Any) -> str:
 
 def _begun(plan: "Plan", request: "Request", beside: Path) -> dict[tuple[str, ...], Any]:
     """What the first lines of a configuration say: what this run was told on its command line."""
+    from spheremouse.files.config import assigned
     from spheremouse.session.cameras import is_camera
 
     said: dict[tuple[str, ...], Any] = {("source",): plan.source} if is_camera(plan.source) else {}
-    for assignment in request.assignments:
-        key, value = tuple(assignment.partition("=")[0].strip().split(".")), plan.configuration
-        for name in key:
-            value = getattr(value, name)
-        said[key] = value
+    said |= assigned(plan.configuration, request.assignments)
     for key, path in (("rig", request.rig), ("camera_file", request.camera)):
         if path is not None:
             said[key,] = os.path.relpath(path, beside)

@@ -84,8 +84,27 @@ def set_(
     as_json: _Json = False,
     socket: _Socket = None,
 ) -> None:
-    """Change parameters until the next start or reload: all of them or, where one is wrong, none."""
+    """Change parameters until the next start or reload: all of them or, where one is wrong, none. `save` keeps them."""
     _report(_ask(socket, "set", assignments=assignments), as_json, "set")
+
+
+@app.command()
+def save(as_json: _Json = False, socket: _Socket = None) -> None:
+    """Write what was set into the daemon's configuration file; comments stay, and it holds at the next start."""
+    from spheremouse.files import config
+    from spheremouse.files.edit import save_settings
+    from spheremouse.session.settings import Configuration
+
+    status = _ask(socket, "status")
+    file, changes = status.get("config"), status.get("changes") or []
+    if file is None or not Path(file).is_file():
+        _fail(ControlError("the daemon has no configuration file; start it with --config FILE to have one"))
+    if changes:
+        save_settings(
+            Path(file), config.assigned(config.in_force(Path(file), changes, Configuration), changes), Configuration
+        )
+    told = f"saved: {', '.join(changes)}" if changes else "nothing was set that is not in it"
+    _report({"file": file, "saved": changes}, as_json, told, "file")
 
 
 @app.command(epilog="Example: spheremouse ctl record --seconds 60")
@@ -169,6 +188,8 @@ def status_table(s: dict[str, Any]) -> Panel:
     for ball in s.get("balls") or ():
         rows.add_row("ball", _ball(ball))
     rows.add_row("motion", _motion(s))
+    if s.get("changes"):
+        rows.add_row("set", _text(f"{', '.join(map(str, s['changes']))} (until the next start; `ctl save` keeps it)"))
     rows.add_row("output", _output(s.get("output"), s.get("reason")))
     source = s.get("source") or {}
     rows.add_row("source", _text(source.get("description") or source.get("spec") or "-"))

@@ -47,6 +47,17 @@ def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
     return settings
 
 
+def assigned(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...], Any]:
+    """What settings have where each KEY=VALUE put something; by key."""
+    found: dict[tuple[str, ...], Any] = {}
+    for assignment in assignments:
+        key, value = tuple(assignment.partition("=")[0].strip().split(".")), settings
+        for name in key:
+            value = getattr(value, name)
+        found[key] = value
+    return found
+
+
 def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
     """Settings with one `KEY=VALUE`, as in `so3.acceleration_sigma=0.5`; the value is read as YAML.
 

@@ -334,6 +334,7 @@ class Daemon:
             "version": __version__,
             "pid": os.getpid(),
             "config": _whole(self._loader.request.file),
+            "changes": list(self._loader.request.changes),
             "rig": _whole(plan.rig_path),
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),

@@ -67,7 +67,8 @@ def shown(status, width=80):
 
 
 def test_there_is_a_command_for_every_request():
-    assert set(typer.main.get_command(cli_ctl.app).commands) == set(protocol.COMMANDS)
+    own = {"save"}  # asks for the status
+    assert set(typer.main.get_command(cli_ctl.app).commands) == {*protocol.COMMANDS, *own}
 
 
 @pytest.mark.parametrize("command", protocol.COMMANDS)
@@ -347,3 +348,30 @@ def test_an_error_of_the_connection_is_a_line(ctl, path):
     code, _, err = ctl("status")
     assert code == 3
     assert len(err.splitlines()) == 1
+
+
+# ---- save ----
+
+
+def test_what_was_set_is_saved_into_the_daemons_file_and_its_comments_stay(ctl, daemon, tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("schema: 2\n# of the hall\nmotion: {scale_y: 3}  # steep\n")
+    daemon.status = {**daemon.status, "config": str(file), "changes": ["motion.scale_x=2", "so3.gate = 8"]}
+    code, out, err = ctl("save")
+    assert (code, err) == (0, "")
+    assert out == f"{file}: saved: motion.scale_x=2, so3.gate = 8\n"
+    assert file.read_text() == (
+        "schema: 2\n# of the hall\nmotion: {scale_x: 2.0, scale_y: 3}  # steep\nso3:\n  gate: 8.0\n"
+    )
+    daemon.status = {**daemon.status, "changes": []}
+    before = file.read_text()
+    assert ctl("save")[:2] == (0, f"{file}: nothing was set that is not in it\n")
+    assert file.read_text() == before
+
+
+@pytest.mark.parametrize("config", [None, "/nowhere/config.yaml"])
+def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
+    daemon.status = {**daemon.status, "config": config}
+    code, out, err = ctl("save")
+    assert (code, out) == (1, "")
+    assert err == "spheremouse: the daemon has no configuration file; start it with --config FILE to have one\n"

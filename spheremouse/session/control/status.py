@@ -105,6 +105,7 @@ class StatusReport(_Part):
     version: str
     pid: int
     config: str | None
+    changes: list[str] = []
     rig: str | None
     map: str | None
     recording: RecordingStatus | None
