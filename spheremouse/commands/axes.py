@@ -245,7 +245,7 @@ def _begun(plan: "Plan", request: "Request", beside: Path) -> dict[tuple[str, ..
         if path is not None:
             said[key,] = os.path.relpath(path, beside)
     if request.balls:
-        said["wand", "balls"] = [os.path.relpath(path, beside) for path in request.balls]
+        said["wand", "balls"] = tuple(os.path.relpath(path, beside) for path in request.balls)
     return said
 
 

@@ -14,7 +14,7 @@ from ruamel.yaml.nodes import MappingNode, ScalarNode
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.atomic import replace
-from spheremouse.files.migrate import migrate_file, newest
+from spheremouse.files.migrate import copied, migrate_file, newest
 from spheremouse.files.yaml import Key, parse_document
 
 
@@ -31,13 +31,13 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
             migrate_file(path)
         raw = path.read_bytes() if path.exists() else f"schema: {newest(config.KIND)}\n".encode()
         mark, text = raw[: len(BOM_UTF8)] if raw.startswith(BOM_UTF8) else b"", raw.removeprefix(BOM_UTF8).decode()
-        wanted = _plain(parse_document(text, str(path)).data)
+        wanted = copied(parse_document(text, str(path)).data)
         for key, value in values.items():
             text = _with(text, key, value)
             _put(wanted, key, value)
         document = parse_document(text, str(path))
         config.loads(document, root)
-        if _plain(document.data) != _plain(wanted):
+        if document.data != wanted:
             raise ConfigurationError(f"{path}: cannot be written by the program; change it by hand, it is as it was")
         if mark + text.encode() != raw or not path.exists():
             replace(path, mark + text.encode())
@@ -64,7 +64,7 @@ def _with(text: str, key: tuple[str, ...], value: Any) -> str:
             return _inserted(text, node, key[depth:], value, indent, after, end)
         name_node, node = pair
         if depth == len(key) - 1:
-            return text[: node.start_mark.index] + _word(value) + text[node.end_mark.index :]
+            return text[: node.start_mark.index] + config.to_yaml(value) + text[node.end_mark.index :]
         if isinstance(node, ScalarNode):  # all of it is commented out, or `null`
             whole = text[: node.start_mark.index] + text[node.end_mark.index :] if node.value else text
             return _inserted(whole, None, key[depth + 1 :], value, indent + "  ", name_node.end_mark.index, end)
@@ -79,21 +79,17 @@ def _inserted(
 ) -> str:
     """A text with a key, and sections that it needs, in a section that is there: `node`, whose own key ends `after`."""
     if node is not None and node.flow_style:
-        inner = _word(value)
+        inner = config.to_yaml(value)
         for name in reversed(key[1:]):
             inner = f"{{{name}: {inner}}}"
         at = node.start_mark.index + 1
         return text[:at] + f"{key[0]}: {inner}{', ' if node.value else ''}" + text[at:]
     lines = [f"{indent}{'  ' * k}{name}:" for k, name in enumerate(key)]
-    block = end.join(lines) + f" {_word(value)}{end}"
+    block = end.join(lines) + f" {config.to_yaml(value)}{end}"
     if after is None:
         return text + ("" if text.endswith("\n") or not text else end) + block
     line = text.find("\n", after)
     return text + end + block if line < 0 else text[: line + 1] + block + text[line + 1 :]
-
-
-def _word(value: Any) -> str:
-    return config.to_yaml(tuple(value) if isinstance(value, list) else value)
 
 
 def _put(data: Any, key: Key, value: Any) -> None:
@@ -102,10 +98,3 @@ def _put(data: Any, key: Key, value: Any) -> None:
             data[name] = {}
         data = data[name]
     data[key[-1]] = value
-
-
-def _plain(data: Any) -> Any:
-    """A copy whose sections may be changed, its lists as they are read."""
-    if isinstance(data, dict):
-        return {key: _plain(value) for key, value in data.items()}
-    return tuple(map(_plain, data)) if isinstance(data, list | tuple) else data

@@ -91,9 +91,9 @@ def converted(document: Document, kind: str) -> Document:
         raise document.error([Problem(("schema",), text)])
     if version == newest(kind):
         return document
-    copied = _copied(data)
-    _step_up(copied, kind, version)
-    return Document(document.name, copied, document.lines)
+    newer = copied(data)
+    _step_up(newer, kind, version)
+    return Document(document.name, newer, document.lines)
 
 
 def due(path: Path) -> str:
@@ -196,11 +196,11 @@ def _read(path: Path) -> _There:
     return _There(raw, mode, parse_bytes(raw, str(path)))
 
 
-def _copied(value: Any) -> Any:
+def copied(value: Any) -> Any:
     """Plain data that may be changed: sections of its own. Lists stay tuples, as they are read."""
     if isinstance(value, dict):
-        return {k: _copied(v) for k, v in value.items()}
-    return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value
+        return {k: copied(v) for k, v in value.items()}
+    return tuple(copied(v) for v in value) if isinstance(value, tuple) else value
 
 
 def without_schema(document: Document, kind: str) -> Document:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from seats import LOOKS
 
 from spheremouse.commands.axes import Dialogue
 from spheremouse.errors import CalibrationError
@@ -102,9 +103,6 @@ class Played:
                 part = np.array(way, dtype=float) / 20
                 self._frame(*((part, np.zeros(3)) if of == "turn" else (np.zeros(3), part)))
             self.rest()
-
-
-LOOKS = {"far-side": (0, 0, 1), "camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0)}
 
 
 def by_hand(player):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from seats import LOOKS
 
 from spheremouse.geometry.rotation import exp, rotation_between
 from spheremouse.output.counts import MotionSettings, Remainder, to_counts
@@ -59,8 +60,6 @@ def test_a_ball_at_rest_on_the_boundary_between_two_counts_is_silent():
 
 # ---- directions ----
 
-# The way a player looks, in obj, where the camera stands at +Z.
-LOOKS = {"far-side": (0, 0, 1), "camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0)}
 UP = np.array([0.0, 1.0, 0.0])
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from seats import LOOKS
 
 from spheremouse.output.counts import MotionSettings
 from spheremouse.output.hand import PointingSettings
@@ -9,7 +10,6 @@ from spheremouse.session.directions import of_ball, of_hand
 from spheremouse.tracker import no_motion
 
 UP = np.array([0.0, 1.0, 0.0])
-LOOKS = {"far-side": (0, 0, 1), "camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0)}
 
 
 def at(turn=(0.0, 0.0, 0.0), shift=(0.0, 0.0, 0.0)):

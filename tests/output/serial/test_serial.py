@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import serial as pyserial
 from reporting import report
+from seats import LOOKS
 from serial.tools import list_ports
 
 from spheremouse.errors import OutputError
@@ -49,9 +50,6 @@ def refused(spec):
 def board():
     with Simulator() as simulator:
         yield simulator
-
-
-LOOKS = {"far-side": (0, 0, 1), "camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0)}
 
 
 @pytest.mark.parametrize("player", LOOKS)
