@@ -2,8 +2,10 @@
 # Run one command as root in a QEMU guest that has a real kernel with uinput, evdev, USB and cameras on top of this
 # machine's own files: the guest sees them read-only, what it writes goes to its memory, and nothing outside can be harmed.
 #
-#     run_in_vm.sh [--setup] [--timeout SECONDS] COMMAND [ARGUMENT...]
+#     run_in_vm.sh [--setup] [--timeout SECONDS] [--system DIR] COMMAND [ARGUMENT...]
 #
+# With --system the guest's own files are those of DIR, a Debian with systemd (mmdebstrap makes one), which boots as it
+# would anywhere; this machine's are in /host, read-only.
 # Starts in the current folder. Standard output and error of the command come out here, together. Exit code: that of
 # the command, 123 at most; 124 after the timeout (300 s unless given); 125 if the guest could not be made or died.
 # The kernel is Debian's linux-image-amd64, downloaded once (70 MB) and kept with an initramfs in
@@ -147,12 +149,25 @@ exec </dev/null >/dev/console 2>&1
 for m in /modules/*; do $B insmod "$m" 2>/dev/null; done
 $B mount -t 9p -o trans=virtio,version=9p2000.L,msize=512000,ro,cache=loose,noxattr root /low || leave 125
 $B mount -t tmpfs -o size=75% top /top && $B mkdir /top/upper /top/work || leave 125
-$B mount -t overlay -o lowerdir=/low,upperdir=/top/upper,workdir=/top/work all /root || leave 125
+$B mount -t overlay -o lowerdir=/low$system,upperdir=/top/upper,workdir=/top/work all /root || leave 125
 $B mount -t devtmpfs dev /root/dev && $B mount -t proc proc /root/proc && $B mount -t sysfs sys /root/sys || leave 125
 $B mkdir -p /root/dev/shm && $B mount -t tmpfs shm /root/dev/shm
 $B mount -t tmpfs run /root/run && $B cp -r /cameras /root/run/
 $B ifconfig lo 127.0.0.1 up
 $B stty -F /dev/ttyS1 raw -echo
+if [ -n "$system" ]; then
+    $B mkdir -p /root/host && $B mount --bind /low /root/host || leave 125
+    cd /root/etc/systemd/system
+    $B printf '[Service]\nExecStart=/bin/bash /etc/job\n' >job.service
+    $B mkdir -p multi-user.target.wants && $B ln -s ../job.service multi-user.target.wants/
+    $B cat >/root/etc/job <<JOB
+/bin/bash /host$job </dev/null >/dev/ttyS1 2>&1
+code=\$?
+[ \$code -le 123 ] || code=123
+printf "\\\\\$(printf %o \$((code + 1)))" | dd of=/dev/port bs=1 seek=244 2>/dev/null
+JOB
+    exec $B switch_root /root /sbin/init
+fi
 $B chroot /root /bin/bash "$job" >/dev/ttyS1 2>&1
 code=$?
 [ $code -le 123 ] || code=123
@@ -164,6 +179,7 @@ while [ $# -gt 0 ]; do
     case $1 in
     --setup) only_setup=1; shift ;;
     --timeout) limit=$2; shift 2 ;;
+    --system) system=$(realpath "$2"); shift 2 ;;
     -h | --help) sed -n '2,/^set /{/^set /d;s/^# \{0,1\}//;p}' "$0"; exit 0 ;;
     -*) die "unknown option $1" ;;
     *) break ;;
@@ -178,7 +194,7 @@ check_tools
 job=$(mktemp -d)
 trap 'rm -rf "$job"' EXIT
 {
-    printf 'cd %q && exec env -i IN_VM=1 TERM=dumb' "$PWD"
+    printf 'cd %q && exec env -i IN_VM=1 TERM=dumb' "${system:+/host}$PWD"
     for name in PATH HOME LANG LC_ALL; do
         [ -z "${!name:-}" ] || printf ' %q' "$name=${!name}"
     done
@@ -196,7 +212,7 @@ timeout "$limit" qemu-system-x86_64 -M pc -m 1536 -accel tcg,thread=multi -cpu m
     -device virtio-9p-pci,fsdev=root,mount_tag=root \
     -object rng-random,id=rng,filename=/dev/urandom -device virtio-rng-pci,rng=rng \
     -kernel "$cache/vmlinuz" -initrd "$cache/initrd" \
-    -append "console=ttyS0 quiet panic=-1 tsc=reliable clocksource=tsc no_timer_check mitigations=off random.trust_cpu=on job=$job/script" \
+    -append "console=ttyS0 quiet panic=-1 tsc=reliable clocksource=tsc no_timer_check mitigations=off random.trust_cpu=on job=$job/script ${system:+system=$system systemd.journald.forward_to_console=0}" \
     </dev/null 2>"$job/qemu" || code=$?
 [ "$code" != 124 ] || { say "timed out after $limit s"; exit 124; }
 # the debug port makes 2 n + 1 of a byte n, which is never 0; QEMU's own failure is 1, an orderly power-off 0
