@@ -45,6 +45,7 @@ FILMS = Path(os.environ["FILMS"])
 SHORT = bool(os.environ.get("SHORT"))
 PATIENCE = 120.0  # s, for what takes a few
 INTERVAL = 0.2  # s between two pictures, on a guest that is fast enough
+AXES_INTERVAL = 0.35  # s: peaks of 28 °/s, which are gestures still
 LONGEST = 0.5  # s; three of them are less than what a camera may be silent
 W, H = 640, 480
 COUNTS = 600.0  # per radian: the default, 1 per mm of a ball of 0.6 m
@@ -625,6 +626,22 @@ def test_stopped_it_leaves_nothing_and_has_sent_what_the_frames_said(cabinet):
     assert not cabinet.socket.exists()
     np.testing.assert_array_equal(told_at_the_end(cabinet.daemon), cabinet.mouse.counts)
     assert "internal error" not in cabinet.daemon.said
+
+
+def test_axes_asks_for_three_gestures_and_writes_down_where_the_player_stands(cabinet):
+    film, config = Film(FILMS / "axes"), cabinet.folder / "axes.yaml"
+    seated = CONFIG.format(folder=cabinet.folder, slow=SLOW.loss) + "motion: {player: left}  # says the last tenant\n"
+    config.write_text(seated)
+    cabinet.writer.end()
+    cabinet.writer = Writer(film, 11, "YUYV", 0)
+    asked = Program(cabinet.folder, "axes", "--config", config, "--rig", film.folder / "rig.yaml")
+    until(lambda: "1 of 3" in asked.out or asked.ended() is not None, "it does not ask")
+    for _ in range(3):  # what a slow guest has not seen is asked for again
+        if asked.ended() is None:
+            cabinet.writer.play(range(len(film)), AXES_INTERVAL)
+    assert asked.wait() == 0, asked.said
+    print(asked.out)
+    assert config.read_text() == seated.replace("left", "far-side")
 
 
 def test_a_camera_without_ball_and_with_stamps_ahead_of_the_clock(cabinet):

@@ -91,11 +91,14 @@ def convert_wand(dataset: Path, folder: Path) -> None:
 
 
 def main() -> None:
-    """The film that somebody plays; without --short also a longer one, and the reference recording where it is."""
+    """The films that somebody plays and of what `spheremouse axes` asks for, a hand's; without --short also a longer one, and the reference recording where it is."""
     out, short = Path(sys.argv[1]), "--short" in sys.argv
     seconds, fps = (3, 16) if short else (4, 30)
     words = f"simulate {out / 'dataset'} --motion play --seed 7 --seconds {seconds} --fps {fps} --noise 2"
     subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
+    words = f"simulate {out / 'gestures'} --motion axes --fps 8 --noise 2"
+    subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
+    convert(out / "gestures", out / "axes")
     words = f"wand simulate {out / 'hand'} --path hand --seed 1 --seconds {seconds} --fps 10 --size 640x480"
     subprocess.run([sys.executable, "-m", "spheremouse", *words.split()], check=True, stdout=subprocess.DEVNULL)
     convert_wand(out / "hand", out / "wand")
