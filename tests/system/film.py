@@ -91,7 +91,7 @@ def convert_wand(dataset: Path, folder: Path) -> None:
 
 
 def main() -> None:
-    """The films that somebody plays and of what `spheremouse axes` asks for, a hand's; without --short also a longer one, and the reference recording where it is."""
+    """The films, of the ball and of a hand; without --short also a longer one, and the reference recording."""
     out, short = Path(sys.argv[1]), "--short" in sys.argv
     seconds, fps = (3, 16) if short else (4, 30)
     words = f"simulate {out / 'dataset'} --motion play --seed 7 --seconds {seconds} --fps {fps} --noise 2"
