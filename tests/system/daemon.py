@@ -25,6 +25,7 @@ import pytest
 from film import SLOW
 from modules import insert
 from numba.core.dispatcher import Dispatcher
+from seats import LOOKS
 
 from spheremouse import commands as cli
 from spheremouse.commands import ctl as cli_ctl
@@ -493,10 +494,7 @@ def test_while_paused_nothing_moves_and_nothing_is_saved_up(cabinet):
     at_rest(cabinet.mouse.counts, before)
 
 
-LOOKS = {"camera-side": (0, 0, -1), "left": (1, 0, 0), "right": (-1, 0, 0), "far-side": (0, 0, 1)}
-
-
-@pytest.mark.parametrize("player", LOOKS)
+@pytest.mark.parametrize("player", reversed(LOOKS))  # the far side last, where the other tests stand
 def test_the_kernels_pointer_follows_the_hand_on_the_top_of_the_ball(cabinet, player):
     """REL_X is right and REL_Y is down, as the player looks at the ball, whose film turns as it is known to."""
     if cabinet.told("set", assignments=[f"motion.player={player}"])["changed"]:
