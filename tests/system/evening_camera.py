@@ -1,0 +1,46 @@
+"""A camera's other side: writes films to a v4l2loopback device, and rests on the last picture of each.
+
+    python evening_camera.py NODE WxH FIRST PIPE
+
+FIRST and what comes through PIPE, a line each: a file of YUYV pictures and the seconds that each is shown. Pictures
+are written five times a second, since a camera whose scene stands still goes on filming.
+"""
+
+import os
+import select
+import sys
+import time
+
+import numpy as np
+from linuxpy.video.device import BufferType, Device
+
+INTERVAL = 0.2  # s
+
+
+def main() -> None:
+    """Write until PIPE says `end`."""
+    node, size, first, fifo = sys.argv[1:]
+    width, height = map(int, size.split("x"))
+    device = Device.from_id(int(node))
+    device.open()
+    device.set_format(BufferType.VIDEO_OUTPUT, width, height, "YUYV")
+    pipe = os.open(fifo, os.O_RDWR)  # it never ends, as it has a writer
+    pictures, hold, began, line = film(first, width, height), 1.0, time.monotonic(), ""
+    while line != "end":
+        k = min(int((time.monotonic() - began) / hold), len(pictures) - 1)
+        os.write(device.fileno(), pictures[k].tobytes())
+        if select.select([pipe], [], [], min(INTERVAL, hold))[0]:
+            line = os.read(pipe, 4096).decode().strip()
+            if line != "end":
+                path, seconds = line.split()
+                pictures, hold, began = film(path, width, height), float(seconds), time.monotonic()
+    device.close()
+
+
+def film(path: str, width: int, height: int) -> np.ndarray:
+    """(n, bytes of a picture), as they lie on the disk."""
+    return np.memmap(path, np.uint8, "r").reshape(-1, 2 * width * height)
+
+
+if __name__ == "__main__":
+    main()
