@@ -14,6 +14,7 @@ from io import BufferedReader, TextIOWrapper
 from pathlib import Path
 
 PATIENCE = 10.0  # s in which all that a pipe brings must have come
+FRAME_PIXELS = 8192 * 4320  # 8K of the cinema; webcams have 4K at most
 LONGEST_LINE = 65_536  # characters of a table's line; a wand's truth of 20 balls has 6,000
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_NOCTTY", "O_BINARY"))
 _PIECE = 65_536  # bytes

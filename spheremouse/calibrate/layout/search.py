@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.associate import identify
 from spheremouse.calibrate.layout.coincidence import nearest_doubles, turns_of_all, weights
+from spheremouse.calibrate.layout.limits import CLEAR, ENOUGH, FEWEST, MOST
 from spheremouse.geometry.rotation import Array, exp, hat, log, tangent_basis
 from spheremouse.simulate.ball.scene import spread_directions
-
-FEWEST, MOST = 4, 120  # discs
-CLEAR = 3.0  # contradictions: one disc hidden and one look-alike leave more than nothing
-ENOUGH = 4  # discs in view: three fix an attitude, the fourth confirms it
 
 _SHARPNESS = 2.0  # of the mean over views, per contradiction: the worst views count by far the most
 _COOLING = 0.15  # contradictions that a move may lose at the start

@@ -5,15 +5,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.settings import param
 from spheremouse.simulate.ball.events import Change, Dimming, Flicker, Lift, bumped, displaced, facing
 from spheremouse.simulate.ball.furniture import BLACK, WHITE_BALL
 from spheremouse.simulate.ball.hands import HandVisit
+from spheremouse.simulate.ball.options import Motion, SimulationOptions, View, option_name
 from spheremouse.simulate.ball.profile import (
     TURN_SECONDS,
     Profile,
@@ -27,7 +26,7 @@ from spheremouse.simulate.ball.profile import (
     thesis,
 )
 from spheremouse.simulate.ball.render import Renderer, RenderOptions, SimulatedFrame
-from spheremouse.simulate.ball.scene import Scene, View, default_scene
+from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.simulate.light import reflectance
 
 __all__ = [
@@ -50,65 +49,9 @@ __all__ = [
     "simulate",
 ]
 
-Motion = Literal["thesis", "roll", "play", "still", "rest", "creep", "flick", "axes"]
-Triple = tuple[float, float, float]
-
 MOST_FRAMES = 1_000_000  # of one recording: nine hours at 30 Hz, 300 GB of video
 _MOST_FPS = 1000.0  # Hz
 _MOST_PIXELS = 8192  # px, a side
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationOptions:
-    """A film to make; the fields are the options of `spheremouse simulate`."""
-
-    discs: int = param(26, "-", "Discs on the ball.")
-    view: View = param("far", "-", "Camera 2.35 m or 1.35 m from the ball's centre.")
-    motion: Motion = param(
-        "thesis",
-        "-",
-        "What the ball does; roll goes through phi = 90 degrees. rest, creep and flick first show the ball from all "
-        "sides for 8 s: then it lies still, or turns by 0.05 deg/s for a minute, or is flicked at 400 deg/s, stopped "
-        "within 50 ms and flicked back. axes: what `spheremouse axes` asks for.",
-    )
-    turns: float = param(20.0, "-", "Turns of --motion roll.")
-    seconds: float | None = param(None, "s", "Length in s.  [default: as long as the motion takes]")
-    fps: float = param(30.0, "Hz", "Frames per second.")
-    noise: float = param(0.0, "levels", "Standard deviation of the image noise in grey values.")
-    brightness: float = param(0.0, "levels", "Grey values added to every pixel; may be negative.")
-    blur: float = param(0.0, "s", "Exposure time in s: motion blur.")
-    readout: float = param(0.0, "s", "Time a rolling shutter takes over all rows in s.")
-    seed: int = param(0, "-", "Of discs, noise and play.")
-    layout: int | None = param(None, "-", "Seed of the places of the discs alone: another ball.  [default: as --seed]")
-    size: tuple[int, int] = param((640, 480), "WxH", "Size of the images in px.", ge=16)
-    dist: tuple[float, float, float, float, float] = param(
-        (0.0, 0.0, 0.0, 0.0, 0.0), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
-    )
-    ball_colour: Triple | None = param(
-        None, "B,G,R", "Blue, green and red of the ball, 0 to 255 as on a screen.  [default: white]"
-    )
-    disc_colour: Triple | None = param(None, "B,G,R", "The same of the discs.  [default: black]")
-    hands: bool = param(False, "-", "Hands reach over the ball, first one, later two.")
-    cover: float | None = param(None, "s", "Two hands cover a third of the ball from this time on.")
-    cover_seconds: float = param(1.0, "s", "For how long; half a second more to come and to go.")
-    dim: float | None = param(None, "-", "Factor on the light, in the middle fifth of the time.")
-    dim_at: float | None = param(None, "s", "Time at which --dim begins instead.")
-    dim_seconds: float = param(1.0, "s", "And how long it lasts.")
-    flicker: float = param(0.0, "-", "Share of the light that comes and goes with the mains, 0 to 1.")
-    mains: float = param(50.0, "Hz", "Frequency of the mains; light flickers at twice that.")
-    limited: bool = param(False, "-", "Grey values from 16 to 235 in place of 0 to 255.")
-    bump: float | None = param(None, "s", "Time at which the camera is pushed; it stays so.")
-    bump_by: tuple[float, float, float, float, float, float] = param(
-        (2.0, 1.0, -2.0, 0.1, -0.2, 0.1),
-        "X,Y,Z,RX,RY,RZ",
-        "By how much: mm and degrees along and about the camera's axes.",
-    )
-    lift: float | None = param(None, "s", "Time at which the ball is lifted off its bearings.")
-    lift_by: Triple = param((0.0, 30.0, 0.0), "X,Y,Z", "By how much, in mm, Y up.")
-    lift_seconds: float = param(1.0, "s", "For how long.")
-    eccentric: float = param(0.0, "mm", "From the point the ball turns about to its centre.")
-    disc_off: float | None = param(None, "s", "Time at which a disc in view falls off.")
-    disc_moved: float | None = param(None, "s", "Time at which a disc in view is put 12 cm beside its place.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +73,6 @@ class Simulation:
 
 
 Named = Callable[[str], str]
-
-
-def option_name(field: str) -> str:
-    """A field as the command line has it."""
-    return "--" + field.replace("_", "-")
 
 
 def prepare(options: SimulationOptions, named: Named = option_name) -> Simulation:

@@ -5,7 +5,6 @@ Wittich 2017, table 2.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -13,10 +12,9 @@ from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array, from_euler
 from spheremouse.simulate.ball.furniture import BLACK, LAMPS, STRIPS, WHITE_BALL, frame, room
+from spheremouse.simulate.ball.options import View
 from spheremouse.simulate.light import Lighting
 from spheremouse.simulate.shapes import Colour, Shape
-
-View = Literal["far", "near"]
 
 # Wittich 2017, table 2: focal length (px), position (m), and omega, phi, kappa (deg) of R_obj_cam with the z axis
 # of `cam` forward; the table's angles mean the same rotation.

@@ -16,11 +16,11 @@ from spheremouse.ball.rig import Targets
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import param
 from spheremouse.simulate.ball.backdrop import render_backdrop
 from spheremouse.simulate.ball.board import Board, render_board
 from spheremouse.simulate.ball.caps import Caps
 from spheremouse.simulate.ball.furniture import LAMPS, STRIPS, frame, room
+from spheremouse.simulate.ball.options import StillsOptions
 from spheremouse.simulate.ball.scene import Scene, default_scene
 from spheremouse.simulate.ball.stations import board_stations, device_stations
 from spheremouse.simulate.light import Lighting
@@ -28,25 +28,8 @@ from spheremouse.simulate.light import Lighting
 _BLUR = 0.5  # px, standard deviation of a lens in focus
 _REFERENCE = (1920, 1080, 1404.0)  # px: width, height and focal length of a wide webcam
 _OFF_MIDDLE = (7.0, -5.0)  # px at that size, the principal point
-_MOST = 99  # photos of a kind
 _DISCS = 50
 _BOLT = 0.525  # radii of a disc: as in the reference recordings
-
-
-@dataclass(frozen=True, slots=True)
-class StillsOptions:
-    """Photos to take, and the camera; the fields are the options of `spheremouse calibrate practice`."""
-
-    photos: int = param(6, "-", "Photos of the device.", ge=0, le=_MOST)
-    boards: int = param(15, "-", "Photos of the chessboard, 11x8 corners, 86 mm.", ge=0, le=_MOST)
-    size: tuple[int, int] = param((1920, 1080), "WxH", "Size of the photos in px.", ge=64)
-    focal: float | None = param(None, "px", "Focal length in px.  [default: 1404 at 1920x1080]")
-    dist: tuple[float, float, float, float, float] = param(
-        (-0.49, 0.3, -0.0001, -0.0001, -0.11), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
-    )
-    seed: int = param(0, "-", "Of places, errors of the tape and noise.", ge=0)
-    noise: float = param(1.5, "levels", "Standard deviation of the noise in grey values.", ge=0, le=50)
-    discs: int | None = param(None, "-", "Discs on the ball.  [default: 50, or as --like]", ge=1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,15 @@ The scene and the drive are those of Grzonka 2005, chapter 4; the hand-held moti
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import param
-from spheremouse.simulate.ball.film import MOST_FRAMES, option_name
+from spheremouse.simulate.ball.film import MOST_FRAMES
+from spheremouse.simulate.ball.options import option_name
+from spheremouse.simulate.wand.options import WandOptions
 from spheremouse.simulate.wand.path import HAND_RATE, HAND_SPEED, WandPath, drive, hand
 from spheremouse.simulate.wand.render import Carried, WandRenderer, WandScene, indoor_light, outdoor_light
 from spheremouse.simulate.wand.things import Passing
@@ -22,46 +22,12 @@ from spheremouse.tracker import Frame
 from spheremouse.wand.ball import WandBall, grzonka_ball
 from spheremouse.wand.truth import WandTruth
 
-Motion = Literal["drive", "hand"]
-Light = Literal["indoor", "outdoor"]
-
 _DRIVE_FPS, _HAND_FPS = 0.8, 15.0  # Hz: that of the thesis' recording, and what the issue asks of a hand
 _DRIVE_FOCAL, _HAND_FOCAL = 2100.0, 1000.0  # px at 1280 columns: the thesis' lens, and that of a webcam
 _HAND_SECONDS, _HAND_DISTANCE = 20.0, 1.0  # s, m
 _WIDTH = 1280  # px, that those focal lengths are for
 _PASSES = 0.10  # m/s, of the hand past the robot, as in the shared recording
 _MOST_BALLS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class WandOptions:
-    """A film to make; the fields are the options of `spheremouse wand simulate`."""
-
-    motion: Motion = param("drive", "[drive|hand]", "drive: on a robot, as in Grzonka 2005; hand: on a stick.")
-    seed: int = param(0, "-", "Of path, room, paints and noise.")
-    fps: float | None = param(None, "Hz", "Frames per second.  [default: 0.8 of a drive, 15 of a hand]")
-    seconds: float | None = param(None, "s", "Length in s.  [default: the whole drive, 20 s of a hand]")
-    begin: float = param(0.0, "s", "Time of the motion at which the film begins.")
-    speed: float | None = param(
-        None, "m/s", "Largest speed; a drive turns in proportion.  [default: 0.035, 0.4 of a hand]"
-    )
-    rate: float | None = param(None, "deg/s", "Largest turning rate of a hand.  [default: 180]")
-    size: tuple[int, int] = param((1280, 960), "WxH", "Size of the images in px.", ge=64)
-    focal: float | None = param(
-        None, "px", "Focal length.  [default: 2100 of a drive, 1000 of a hand, at 1280 columns]"
-    )
-    dist: tuple[float, float, float, float, float] = param(
-        (0.0, 0.0, 0.0, 0.0, 0.0), "k1,k2,p1,p2,k3", "Lens distortion in OpenCV's order."
-    )
-    distance: float | None = param(None, "m", "From the camera to a hand.  [default: 1]")
-    balls: int = param(1, "-", "Balls in view, 1 to 3.")
-    light: Light = param("indoor", "[indoor|outdoor]", "outdoor: sun, with glare on the ball.")
-    noise: float = param(2.0, "levels", "Standard deviation of the image noise in grey values.")
-    blur: float = param(0.0, "s", "Exposure time in s: motion blur.")
-    hand: float | None = param(None, "s", "Time at which a hand passes beside the ball.")
-    card: float | None = param(None, "s", "Time at which a card in the ball's colours passes before it.")
-    clutter: bool = param(True, "-", "A red mug and a blue book.")
-    vary: float = param(0.1, "-", "Share by which paints differ from seed to seed.")
 
 
 @dataclass(frozen=True, slots=True)

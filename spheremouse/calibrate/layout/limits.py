@@ -1,0 +1,5 @@
+"""How many discs a layout may have, and when its views are told apart."""
+
+FEWEST, MOST = 4, 120  # discs
+CLEAR = 3.0  # contradictions: one disc hidden and one look-alike leave more than nothing
+ENOUGH = 4  # discs in view: three fix an attitude, the fourth confirms it
