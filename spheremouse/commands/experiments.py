@@ -6,18 +6,16 @@ from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.markdown import Markdown
 
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import ConfigurationError
 from spheremouse.experiments import NAMES
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.run import work_all
-from spheremouse.experiments.report.page import numbers_of, said, write_report
+
+if TYPE_CHECKING:
+    from spheremouse.experiments.kit.job import Job, Result
 
 _FIGURES = re.compile(r"^```\{figure\}.*?^```$\n", re.MULTILINE | re.DOTALL)
 
@@ -44,6 +42,12 @@ def experiments(
     What each film gave is kept in DIR/experiments/jobs until the program changes: a run that was interrupted goes on
     where it stopped. What fails is listed under its experiment, and is exit code 1.
     """
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from spheremouse.experiments.kit.job import Request
+    from spheremouse.experiments.report.page import numbers_of, said, write_report
+
     chosen = _chosen(names)
     _check(cores, datasets)
     folder = _made(out)
@@ -98,8 +102,10 @@ def _made(out: Path) -> Path:
     return folder
 
 
-def _worked(jobs: dict[str, list[Job]], folder: Path, cores: int, again: bool) -> dict[str, dict[str, Result]]:
+def _worked(jobs: "dict[str, list[Job]]", folder: Path, cores: int, again: bool) -> "dict[str, dict[str, Result]]":
     """All jobs in one queue; results by experiment and key."""
+    from spheremouse.experiments.kit.run import work_all
+
     wanted = [replace(job, key=f"{name}/{job.key}") for name, of in jobs.items() for job in of]
     with progress_bar() as bar:
         task = bar.add_task("experiments", total=len(wanted))

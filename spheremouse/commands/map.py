@@ -1,14 +1,14 @@
 """`spheremouse map`: what a saved map holds, and what became of its discs in another one."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from spheremouse.geometry.rotation import Array
+from spheremouse.commands.terminal import table_console
+
+if TYPE_CHECKING:
+    from spheremouse.geometry.rotation import Array
 
 app = typer.Typer(no_args_is_help=True, help="Look at a saved map of discs, or compare two.")
 _ANOTHER_BALL = 1  # exit code
@@ -21,6 +21,9 @@ def show(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False
     Latitude and longitude are in degrees in `ball`: the pole is Y, longitude 0 is Z, 90 is X. Sigma is the standard
     deviation of the direction per axis.
     """
+    import numpy as np
+    from rich.table import Table
+
     from spheremouse.ball.compare_maps import variances
     from spheremouse.files.disc_map import age, load_map
 
@@ -39,7 +42,7 @@ def show(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False
         table.add_row(str(i), *place, f"{s:.3f}", str(sightings))
     table.add_section()
     table.add_row("all", "", "", f"{np.sqrt(np.mean(sigma**2)):.3f}", str(saved.map.sightings.sum()))
-    _console().print(table)
+    table_console().print(table)
 
 
 @app.command("compare", epilog="Example: spheremouse map compare rig.map.old.yaml rig.map.yaml")
@@ -51,13 +54,16 @@ def compare_(
 
     The exit code is 0 for the same ball and 1 where they have too few discs in common to be one.
     """
+    import numpy as np
+    from rich.table import Table
+
     from spheremouse.ball.compare_maps import compare, in_words
     from spheremouse.files.disc_map import BALL_DIFFERS, load_map
     from spheremouse.geometry.rotation import log
 
     one, other = load_map(a), load_map(b)
     before, after = one.map, other.map
-    console = _console()
+    console = table_console()
     if abs(one.ball_radius - other.ball_radius) > BALL_DIFFERS * one.ball_radius:
         console.print(f"another ball: its radius is {one.ball_radius:g} m in {a}, {other.ball_radius:g} m in {b}")
         raise typer.Exit(_ANOTHER_BALL)
@@ -87,17 +93,11 @@ def compare_(
     console.print("latitude and longitude in the frame of B")
 
 
-def _places(directions: Array) -> list[tuple[str, str]]:
+def _places(directions: "Array") -> list[tuple[str, str]]:
     """Latitude about Y and longitude from Z towards X, in degrees, of directions (m, 3) or one (3,)."""
+    import numpy as np
+
     x, y, z = np.atleast_2d(directions).T
     latitude = np.rad2deg(np.arcsin(np.clip(y, -1.0, 1.0)))
     longitude = np.rad2deg(np.arctan2(x, z))
     return [(f"{a:+.1f}", f"{o:+.1f}") for a, o in zip(latitude, longitude, strict=True)]
-
-
-def _console() -> Console:
-    """As wide as the terminal; into a file or a pipe, as wide as it takes."""
-    console = Console(soft_wrap=True, highlight=False)
-    if not console.is_terminal:
-        console.width = 1000
-    return console

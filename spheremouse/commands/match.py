@@ -219,12 +219,11 @@ def _print(found: "Match", verdict: "Verdict", radius: float | None, title: str)
 
 
 def _print_figures(found: "Match", radius: float | None, title: str) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console(soft_wrap=True)
-    if not console.is_terminal:
-        console.width = 1000
+    from spheremouse.commands.terminal import table_console
+
+    console = table_console()
     table = Table(title_justify="left", title=title)
     for name in ("", "x", "y"):
         table.add_column(name, justify="left" if not name else "right")

@@ -8,8 +8,7 @@ import typer
 
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
-from spheremouse.simulate.ball.film import SimulationOptions, prepare
-from spheremouse.simulate.to_dataset import write_simulation
+from spheremouse.simulate.ball.options import SimulationOptions
 
 
 @with_fields()
@@ -24,6 +23,9 @@ def simulate(
     Ray-cast and anti-aliased: discs as true spherical caps, shading, highlights, struts, bolts that look like discs,
     ring targets. 300 frames take seconds. Nothing is written unless all of it is.
     """
+    from spheremouse.simulate.ball.film import prepare
+    from spheremouse.simulate.to_dataset import write_simulation
+
     film = prepare(options)
     megabytes = written(folder, film.frames, write_simulation(folder, film, replace=force))
     (width, height), discs = options.size, options.discs

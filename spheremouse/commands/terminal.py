@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from spheremouse.session.process.standard_error import unhurried
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress
 
 
@@ -14,6 +15,16 @@ def error(message: str) -> None:
     with unhurried():
         for line in message.splitlines():
             print(f"spheremouse: {line}", file=sys.stderr)
+
+
+def table_console(*, stderr: bool = False, markup: bool = True) -> "Console":
+    """As wide as the terminal; into a file or a pipe, as wide as it takes."""
+    from rich.console import Console
+
+    console = Console(stderr=stderr, soft_wrap=True, highlight=False, markup=markup)
+    if not console.is_terminal:
+        console.width = 1000
+    return console
 
 
 def progress_bar(auto_refresh: bool = True) -> "Progress":

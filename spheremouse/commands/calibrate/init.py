@@ -5,10 +5,7 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.evening import default_folder, next_command
 from spheremouse.errors import CalibrationError
-from spheremouse.files.atomic import write_atomically
-from spheremouse.files.device import device_template
 
 EXAMPLE = "Example: spheremouse calibrate init cabinet"
 
@@ -22,6 +19,10 @@ def init(
     ] = False,
 ) -> None:
     """Make a folder with room for photos, and device.yaml to fill in."""
+    from spheremouse.calibrate.evening import default_folder, next_command
+    from spheremouse.files.atomic import write_atomically
+    from spheremouse.files.device import device_template
+
     folder = default_folder() if folder is None else folder
     for place in (folder / "board", folder / "device"):
         try:

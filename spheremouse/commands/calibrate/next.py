@@ -4,16 +4,17 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from spheremouse.calibrate.evening import Step, checklist, default_folder
+from spheremouse.commands.terminal import table_console
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.atomic import write_atomically
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from spheremouse.calibrate.evening import Step
 
 EXAMPLE = "Example: spheremouse calibrate next cabinet"
 
@@ -32,6 +33,9 @@ def next_(
 
     One thing at a time, with its command. It looks at the folder alone, so an evening can be left and continued.
     """
+    from spheremouse.calibrate.evening import checklist, default_folder
+    from spheremouse.files.atomic import write_atomically
+
     if json_file is not None and json_file != Path("-") and not json_file.parent.is_dir():
         raise ConfigurationError(f"--json: {json_file.parent}: no such folder")
     folder = default_folder() if folder is None else folder
@@ -48,10 +52,11 @@ def next_(
     _show(steps)
 
 
-def _show(steps: Sequence[Step]) -> None:
-    console = Console(soft_wrap=True, highlight=False, markup=False)
-    if not console.is_terminal:
-        console.width = 1000
+def _show(steps: "Sequence[Step]") -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    console = table_console(markup=False)
     table = Table(box=None, show_header=False, pad_edge=False)
     for step in steps:
         style = _STYLES[step.state]
@@ -67,6 +72,6 @@ def _show(steps: Sequence[Step]) -> None:
         _commands(console, command)
 
 
-def _commands(console: Console, command: str) -> None:
+def _commands(console: "Console", command: str) -> None:
     if command:
         console.print(f"    {command}", style="cyan")

@@ -8,21 +8,9 @@ from typing import Annotated
 import typer
 
 from spheremouse.calibrate.lengths import parse_board, parse_length
-from spheremouse.calibrate.prints.page import pdf
-from spheremouse.calibrate.prints.recipe import recipe
-from spheremouse.calibrate.prints.sheets import (
-    board_pages,
-    charuco,
-    chessboard,
-    disc_pages,
-    largest_square,
-    mm,
-    target_pages,
-)
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
 from spheremouse.files.bounded import read_bytes
-from spheremouse.files.report.style import require_matplotlib
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
 
@@ -69,6 +57,19 @@ def print_(
 
     Vector PDFs at true scale, with rulers to check the print; the recipe is HTML. The same options give the same bytes.
     """
+    from spheremouse.calibrate.prints.page import pdf
+    from spheremouse.calibrate.prints.recipe import recipe
+    from spheremouse.calibrate.prints.sheets import (
+        board_pages,
+        charuco,
+        chessboard,
+        disc_pages,
+        largest_square,
+        mm,
+        target_pages,
+    )
+    from spheremouse.files.report.style import require_matplotlib
+
     kinds, size = set(only or Kind), paper.value
     corners = parse_board(board)
     side = largest_square(corners, size) if square is None else _millimetres("--square", square)
@@ -97,7 +98,7 @@ def print_(
 def _millimetres(option: str, text: str) -> float:
     length = round(1e3 * parse_length(text), 6)
     if not _SMALLEST <= length <= _LARGEST:
-        raise CalibrationError(f"{option} {text}: must be from {mm(_SMALLEST)} to {mm(_LARGEST)} mm")
+        raise CalibrationError(f"{option} {text}: must be from {_SMALLEST:g} to {_LARGEST:g} mm")
     return length
 
 

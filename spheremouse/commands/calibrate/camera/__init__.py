@@ -1,32 +1,20 @@
 """`spheremouse calibrate camera`: the interior orientation from photos of a board."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from spheremouse.calibrate.camera.advice import advise
-from spheremouse.calibrate.camera.calibrate import Calibrated, calibrate, provenance
-from spheremouse.calibrate.camera.corners import DICTIONARIES, Pattern, markers_in, markers_of
-from spheremouse.calibrate.camera.report import (
-    camera_json,
-    held_out_rms,
-    parameter_rows,
-    view_rows,
-    write_camera_report,
-)
 from spheremouse.calibrate.lengths import parse_board, parse_length
 from spheremouse.calibrate.outputs import check_outputs, copyable, note
-from spheremouse.calibrate.photos import read_photos
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import write_json
 from spheremouse.files.report.style import has_matplotlib, require_matplotlib
-from spheremouse.files.rig import save_camera
+
+if TYPE_CHECKING:
+    from spheremouse.calibrate.camera.corners import Pattern
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
@@ -65,6 +53,12 @@ def camera(
     10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
     reaching into all corners of the picture. With --source it watches the camera and takes the views that are wanted.
     """
+    from spheremouse.calibrate.camera.calibrate import calibrate, provenance
+    from spheremouse.calibrate.camera.report import camera_json, write_camera_report
+    from spheremouse.calibrate.photos import read_photos
+    from spheremouse.commands.calibrate.camera.text import camera_text
+    from spheremouse.files.rig import save_camera
+
     pattern = _pattern(board, square, marker, dictionary)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
@@ -97,7 +91,9 @@ def camera(
     typer.echo(f"next: {copyable('spheremouse', *words, '--out', folder / 'rig.yaml')}")
 
 
-def _pattern(board: str, square: str | None, marker: str | None, dictionary: str) -> Pattern:
+def _pattern(board: str, square: str | None, marker: str | None, dictionary: str) -> "Pattern":
+    from spheremouse.calibrate.camera.corners import DICTIONARIES, Pattern, markers_in, markers_of
+
     columns, rows = parse_board(board)
     if square is None:
         raise CalibrationError("--square: measure the side of a square on the print, and give it, as in --square 86mm")
@@ -128,31 +124,3 @@ def _page(report: Path | None, out: Path) -> Path | None:
         note("no report with pictures without matplotlib: pip install 'spheremouse[plot]'")
         return None
     return out.with_suffix(".html")
-
-
-def camera_text(done: Calibrated) -> None:
-    """Print parameters, views and advice."""
-    console = Console(soft_wrap=True, highlight=False)
-    if not console.is_terminal:
-        console.width = 1000
-    table = Table(box=None, title_justify="left", title_style="")
-    held = held_out_rms(done)
-    table.title = (
-        f"{int(done.found.used.sum())} views of {len(done.photos)} photos, {done.found.camera.width}x"
-        f"{done.found.camera.height}: reprojection {done.found.rms:.3f} px RMS"
-        + ("" if held is None else f", {held:.3f} px in views held out")
-    )
-    for name in ("", "value", "std. dev."):
-        table.add_column(name, justify="left" if not name else "right")
-    for row in parameter_rows(done):
-        table.add_row(*row[:3])
-    console.print(table)
-    views = Table(box=None)
-    for name in ("view", "rms, px", "held out, px", "tilt, °", "distance, m", ""):
-        views.add_column(name, justify="left" if name in ("view", "") else "right")
-    for row, used in view_rows(done):
-        views.add_row(*map(escape, row), style=None if used else "red")
-    console.print(views)
-    for kind, text in advise(done):
-        mark = {"good": "[green]✓[/]", "note": "[blue]i[/]", "warning": "[yellow]![/]"}[kind]
-        console.print(f"{mark} {escape(text.replace('`', ''))}")

@@ -5,45 +5,23 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from rich.console import Console
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
 
 from spheremouse import __version__
-from spheremouse.ball.device import Device, DistanceError
-from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS, DeviceCalibration
-from spheremouse.calibrate.device.advice import advise
-from spheremouse.calibrate.device.plans import Advice
-from spheremouse.calibrate.device.report import AXES, MARKS, write_device_report
-from spheremouse.calibrate.device.results import (
-    advice_or_made,
-    device_json,
-    distance_rows,
-    per_photo,
-    points,
-    px,
-    rms_of,
-    sigma_of,
-    unit_of,
-)
 from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
-from spheremouse.calibrate.photos import Photo, check_size, image, read_photos
-from spheremouse.capture.usual import usual_camera
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import write_json
-from spheremouse.files.device import load_device, untouched
 from spheremouse.files.report.style import has_matplotlib
-from spheremouse.files.rig import load_camera, save_rig
-from spheremouse.files.yaml import read_document
-from spheremouse.geometry.camera import InteriorOrientation
 
 if TYPE_CHECKING:
+    from spheremouse.ball.device import Device
     from spheremouse.ball.settings import Settings
+    from spheremouse.calibrate.device.adjust import DeviceCalibration
+    from spheremouse.calibrate.device.plans import Advice
+    from spheremouse.calibrate.photos import Photo
+    from spheremouse.geometry.camera import InteriorOrientation
 
 EXAMPLE = "Example: spheremouse calibrate device device/ --device device.yaml --camera camera.yaml --out rig.yaml"
 
@@ -76,9 +54,18 @@ def device(
     Six to twelve photos from as many sides as targets allow; the ball must not turn between them. Tape distances in
     the device file give metres; without any the scale is free and counts are per radian.
     """
+    from spheremouse.calibrate.device.adjust import DOUBTFUL_RMS
+    from spheremouse.calibrate.device.advice import advise
+    from spheremouse.calibrate.device.report import write_device_report
+    from spheremouse.calibrate.device.results import device_json
+    from spheremouse.calibrate.photos import check_size, read_photos
+    from spheremouse.capture.usual import usual_camera
+    from spheremouse.commands.calibrate.device.text import device_text
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
+    from spheremouse.files.device import load_device, untouched
     from spheremouse.files.disc_map import map_path, save_map, saved_now
+    from spheremouse.files.rig import load_camera, save_rig
 
     page, the_map = report or out.with_suffix(".html"), map_path(out)
     check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force)
@@ -125,9 +112,12 @@ def _check_inputs(device_file: Path, camera_file: Path) -> None:
 
 
 def _calibrated(
-    photos: Sequence[Photo], known: Device, camera: InteriorOrientation, device_file: Path, settings: "Settings"
-) -> DeviceCalibration:
+    photos: "Sequence[Photo]", known: "Device", camera: "InteriorOrientation", device_file: Path, settings: "Settings"
+) -> "DeviceCalibration":
+    from spheremouse.ball.device import DistanceError
     from spheremouse.calibrate.device.calibrate import calibrate_device
+    from spheremouse.calibrate.photos import image
+    from spheremouse.files.yaml import read_document
 
     with progress_bar() as bar:
         task = bar.add_task("reading", total=_STEPS)
@@ -147,11 +137,11 @@ def _calibrated(
 
 
 def _provenance(
-    photos: Sequence[Photo],
-    calibration: DeviceCalibration,
+    photos: "Sequence[Photo]",
+    calibration: "DeviceCalibration",
     device_file: Path,
     camera_file: Path,
-    advice: Sequence[Advice],
+    advice: "Sequence[Advice]",
 ) -> dict[str, Any]:
     used = [photos[k] for k in calibration.photos]
     return {
@@ -163,50 +153,3 @@ def _provenance(
         "photos": [{"file": p.path.name, "sha256": p.sha256} for p in used],
         "left_out": [{"file": photos[k].path.name, "why": why} for k, why in calibration.skipped],
     }
-
-
-def device_text(
-    calibration: DeviceCalibration,
-    names: Sequence[str],
-    advice: Sequence[Advice] | None = None,
-    console: Console | None = None,
-) -> None:
-    """Print the figures that matter, and the advice; `names` of all photos."""
-    c = calibration
-    console = console or Console(highlight=False)
-    unit, f, digits = unit_of(c)
-    ball = np.sqrt(np.diag(c.ball_covariance))
-    lines = Table(box=None, show_header=False, pad_edge=False, padding=(0, 3, 0, 0))
-    if not c.scale_free:
-        lines.add_row("radius", f"{f * c.radius:.{digits}f} ± {f * ball[3]:.{digits}f} {unit}")
-    where = ", ".join(f"{a} ± {f * s:.{digits}f}" for a, s in zip(AXES, ball, strict=False))
-    lines.add_row("ball's centre", f"{where} {unit} against the targets")
-    lines.add_row("targets", f"{len(c.targets)}, ± {f * rms_of(sigma_of(c, 'targets')):.{digits}f} {unit}")
-    often = int(np.count_nonzero(c.sightings >= 3))
-    lines.add_row(
-        "discs", f"{len(c.discs)}, ± {f * rms_of(sigma_of(c, 'discs')):.{digits}f} {unit}; {often} in 3 photos +"
-    )
-    lines.add_row("image points", f"{points(c)}; {c.rms_px:.3f} px RMS")
-    console.print(Padding(lines, (0, 0, 1, 0)))
-    photos = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
-    for head in ("photo", "points", "not used", "px RMS", f"place ± {unit}", "attitude ± °"):
-        photos.add_column(head, justify="left" if head == "photo" else "right")
-    for k, pose, (used, rejected, rms) in zip(c.photos, c.poses, per_photo(c), strict=True):
-        sigma = np.sqrt(np.diag(pose.covariance))
-        photos.add_row(
-            Text(names[k]), str(used), str(rejected or "-"), px(rms),
-            f"{f * np.linalg.norm(sigma[:3]):.{digits}f}", f"{np.degrees(np.linalg.norm(sigma[3:])):.3f}",
-        )  # fmt: skip
-    console.print(Padding(photos, (0, 0, 1, 0)))
-    if c.device.distances:
-        tape = Table(box=None, header_style="dim", pad_edge=False, padding=(0, 2, 0, 0))
-        for head in ("distance", "tape mm", "adjusted mm", "residual mm", "over sigma"):
-            tape.add_column(head, justify="left" if head == "distance" else "right")
-        for row in distance_rows(c):
-            tape.add_row(*(row[i] for i in (0, 1, 3, 5, 6)))
-        console.print(Padding(tape, (0, 0, 1, 0)))
-    for a in advice_or_made(c, names, advice):
-        mark, colour = MARKS[a.kind]
-        line = Table.grid(padding=(0, 1, 0, 0))
-        line.add_row(Text(mark, style=colour), Text(a.text))
-        console.print(line)
