@@ -17,7 +17,7 @@ from oversized import mkv, png, sparse
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.capture import open_source
 from spheremouse.commands.options import parse_size
-from spheremouse.commands.wand import _image
+from spheremouse.commands.wand.picture import read_picture
 from spheremouse.errors import ConfigurationError, DatasetError, SpheremouseError
 from spheremouse.files import bounded, pictures, plain_json, tables, validate
 from spheremouse.files import yaml as yaml_file
@@ -57,7 +57,7 @@ IN_A_CHILD = """
 import resource, sys
 from pathlib import Path
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.commands.wand import _image
+from spheremouse.commands.wand.picture import read_picture
 from spheremouse.errors import SpheremouseError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.capture import open_source
@@ -72,7 +72,7 @@ def film():
         return list(frames)
 try:
     {"dataset": lambda: list(read_frames(open_dataset(path))), "film": film, "photo": lambda: read_photos([path]),
-     "wand": lambda: _image(path)}[sys.argv[2]]()
+     "wand": lambda: read_picture(path)}[sys.argv[2]]()
 except SpheremouseError as e:
     print(e)
 """
@@ -243,7 +243,7 @@ def readers(path):
         "configuration": lambda: yaml_file.read_document(path),
         "camera": lambda: load_camera(path),
         "photo": lambda: read_photos([path]),
-        "picture": lambda: _image(path),
+        "picture": lambda: read_picture(path),
         "log": lambda: read_log(path),
         "table": lambda: tables.read_columns(path, ("a",)),
         "film": lambda: open_source(f"video:{path}"),

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.photos import image, read_photos
 from spheremouse.capture import open_source
-from spheremouse.commands.wand import _image
+from spheremouse.commands.wand.picture import read_picture
 from spheremouse.files import config, plain_json
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.dataset.wand import is_wand, open_wand
@@ -110,7 +110,7 @@ def _shown(path: Path) -> None:
     photos = refused(lambda: read_photos([path], lambda _: None))
     if photos:
         refused(lambda: image(photos[0]))
-    refused(lambda: _image(path))
+    refused(lambda: read_picture(path))
     folder = _dataset({})
     file(path.read_bytes(), str(folder / "frames" / "000000.png"))
     recording = refused(lambda: open_dataset(folder))

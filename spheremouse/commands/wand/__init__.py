@@ -4,19 +4,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import cv2
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.simulate import written
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.atomic import replace
-from spheremouse.files.bounded import read_bytes
-from spheremouse.files.pictures import FRAME_PIXELS, MOST_BYTES, decoded, read_header
-from spheremouse.files.wand import WandFile, load_wand, save_wand
-from spheremouse.simulate.wand.film import WandOptions, prepare_wand
+from spheremouse.simulate.wand.options import WandOptions
 
 if TYPE_CHECKING:
     from spheremouse.wand.pick_colours import Picked
@@ -42,7 +35,9 @@ def simulate(
     Ray-cast and anti-aliased: discs as true spherical caps, shading, highlights, robot or hand, a room that changes
     with the seed. Nothing is written unless all of it is.
     """
+    from spheremouse.files.wand import load_wand
     from spheremouse.simulate.to_dataset import write_wand
+    from spheremouse.simulate.wand.film import prepare_wand
 
     film = prepare_wand(options, None if wand is None else load_wand(wand).ball)
     megabytes = written(folder, film.frames, write_wand(folder, film, replace=force))
@@ -82,6 +77,8 @@ def colours(
 
     Hold the ball so that discs of every colour face the camera, in the light it will be used in.
     """
+    from spheremouse.commands.wand.picture import read_picture, write_picture
+    from spheremouse.files.wand import WandFile, load_wand, save_wand
     from spheremouse.wand.ball import grzonka_ball
     from spheremouse.wand.colour import DEFAULT_COLOURS
     from spheremouse.wand.pick_colours import Circle, find, judged, overlay, pick
@@ -93,13 +90,13 @@ def colours(
     show = _shown_at(picture, show)
     _refuse(out, [picture, wand], force)
     _refuse(show, [picture, wand, out], force or show.name.endswith(_OVERLAY))
-    image = _image(picture)
+    image = read_picture(picture)
     circle = None if at is None else Circle(*_circle(at))
     if check:
         picked = judged(image, given.colours, find(image, given.ball) if circle is None else circle)
     else:
         picked = pick(image, given.ball, circle)
-    _write_png(show, overlay(image, picked))
+    write_picture(show, overlay(image, picked))
     _print(picked, narrower=check)
     print(f"{show}: what they select")
     if out is not None:
@@ -138,25 +135,6 @@ def _tells(colour: object, name: str) -> bool:
     return getattr(colour, name) != getattr(type(colour)(), name)
 
 
-def _image(path: Path) -> NDArray[np.uint8]:
-    """A picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
-    from spheremouse.files.dataset.wand import open_wand, read_wand_frames
-
-    if path.is_dir():
-        return next(read_wand_frames(open_wand(path))).image
-    if not path.exists():
-        raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
-    try:
-        data = read_bytes(path, MOST_BYTES, "picture")
-        read_header(data, FRAME_PIXELS)
-        image = decoded(data, upright=True)
-    except OSError as e:
-        raise ConfigurationError(f"{path}: {e.strerror or e}") from None
-    if min(image.shape[:2]) < 32:
-        raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
-    return image
-
-
 def _circle(text: str) -> tuple[float, float, float]:
     try:
         u, v, radius = (float(part) for part in text.split(","))
@@ -177,11 +155,3 @@ def _refuse(path: Path | None, others: list[Path | None], replace: bool) -> None
         raise ConfigurationError(f"{path}: is another file of this very command; name another one to write")
     if path.exists() and not replace:
         raise ConfigurationError(f"{path}: there already; name another file, or replace it with --force")
-
-
-def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    """Whole or not at all."""
-    try:
-        replace(path, cv2.imencode(".png", image)[1].tobytes())
-    except OSError as e:
-        raise ConfigurationError(f"{path}: cannot be written ({e.strerror}); name another with --show") from None

@@ -15,7 +15,7 @@ from spheremouse.calibrate.device.figures import magnification, photo_picture
 from spheremouse.calibrate.device.report import write_device_report
 from spheremouse.calibrate.device.results import device_json
 from spheremouse.calibrate.photos import read_photos
-from spheremouse.commands.calibrate.device import device_text
+from spheremouse.commands.calibrate.device.text import device_text
 from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.files.report import style
 from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere

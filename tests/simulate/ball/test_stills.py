@@ -16,8 +16,9 @@ from numpy.testing import assert_allclose
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.ball.pose import predict_targets
-from spheremouse.commands.calibrate import practice as shell
-from spheremouse.commands.calibrate.practice import axes_of, device_of, device_yaml, practice, sides
+from spheremouse.commands.calibrate.practice import practice
+from spheremouse.commands.calibrate.practice import write as shell
+from spheremouse.commands.calibrate.practice.write import axes_of, device_of, device_yaml, sides
 from spheremouse.errors import CalibrationError, ConfigurationError, SpheremouseError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.device import load_device

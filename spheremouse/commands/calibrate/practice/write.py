@@ -1,0 +1,97 @@
+"""The files of a practice set: photos, the truth, and what a person would know of the device and measure."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from spheremouse.errors import CalibrationError
+from spheremouse.files.dataset.ball import open_dataset
+from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.ball.stills import DeviceShape, Stills, photos, truth_of
+
+_TAPE = 0.001  # m, standard deviation of a tape measure held by hand
+# as in the reference sets: at half the resolution the colours of narrow rings mix
+_FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+
+
+def device_of(dataset: Path) -> DeviceShape:
+    """Ball, targets and discs of a dataset, the ball lying as in its first frame."""
+    recording = open_dataset(dataset)
+    rig, directions = recording.rig, recording.truth_directions
+    if directions is None:
+        raise CalibrationError(f"{dataset}: scene.json says nothing of the discs' places (truth_disc_directions)")
+    if len(rig.targets.ids) < 3:
+        raise CalibrationError(
+            f"{dataset}: {len(rig.targets.ids)} ring targets in scene.json; photos of a device need 3 or more"
+        )
+    attitude = np.eye(3) if recording.truth is None else recording.truth.attitude[0]
+    return DeviceShape(rig.ball.radius, rig.disc_radius, rig.targets, directions @ attitude.T)
+
+
+def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
+    """Write everything into a folder that is there and empty, giving each photo's path when it is done."""
+    (folder / "board").mkdir()
+    (folder / "device").mkdir()
+    for photo in photos(stills):
+        path = folder / f"{photo.name}.jpg"
+        if not cv2.imwrite(str(path), photo.image, [*_FULL_COLOUR, cv2.IMWRITE_JPEG_QUALITY, quality]):
+            raise CalibrationError(f"{path.name}: cannot be written; is the disk full?")
+        yield path
+    (folder / "truth.json").write_text(json.dumps(truth_of(stills), indent=1) + "\n", encoding="utf-8")
+    (folder / "device.yaml").write_text(device_yaml(stills), encoding="utf-8")
+
+
+# ---- device.yaml ----
+
+
+def device_yaml(stills: Stills) -> str:
+    """A device.yaml as a person knows the device and measures it with a tape, whose errors are drawn."""
+    scene, targets = stills.scene, stills.scene.targets
+    rng = np.random.default_rng([stills.seed, 5])
+    lines = ["# what a person knows of the device and measured with a tape", "targets:"]
+    lines += [f"  - {{id: {i}, code: {code}}}" for i, code in zip(targets.ids, targets.codes, strict=True)]
+    inner, middle, outer = targets.radii
+    lines.append(f"target_radii: [{inner:g}, {middle:g}, {outer:g}]  # m, inner disc, middle ring, outer ring")
+    lines.append(f"disc_radius: {scene.disc_radius:g}  # m, along the ball's surface")
+    origin, up, plane = (targets.ids[k] for k in axes_of(targets.position))
+    lines.append(
+        f"axes: {{origin: {origin}, up: {up}, plane: {plane}}}  # Y from target {origin} to target {up}; "
+        f"X in the plane with target {plane}; Z towards the camera; origin moved to the ball's centre"
+    )
+    lines.append("distances:")
+    for a, b in sides(targets.position):
+        true = float(np.linalg.norm(targets.position[a] - targets.position[b]))
+        lines.append(
+            f"  - {{from: {targets.ids[a]}, to: {targets.ids[b]}, metres: {true + rng.normal(0.0, _TAPE):.4f}, "
+            f"sigma: {_TAPE:g}}}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def axes_of(position: Array) -> tuple[int, int, int]:
+    """Targets, of those at (n, 3) m in obj, that give its axes best: origin, up, and one in the plane."""
+    best, chosen = np.inf, (0, 1, 2)
+    for a in range(len(position)):
+        for b in range(len(position)):
+            for c in range(len(position)):
+                if len({a, b, c}) == 3:
+                    y, x = position[b] - position[a], position[c] - position[a]
+                    z = np.cross(x, y)
+                    area = np.linalg.norm(z)
+                    if area > 1e-3 * np.linalg.norm(x) * np.linalg.norm(y):
+                        # off by the turn of Y, and by that of the plane, which may face either way
+                        off = 2.0 - y[1] / np.linalg.norm(y) - abs(z[2]) / area
+                        if off < best - 1e-9:
+                            best, chosen = float(off), (a, b, c)
+    return chosen
+
+
+def sides(position: Array) -> list[tuple[int, int]]:
+    """Pairs of neighbours going round the targets, (n, 3) m, as one would hold a tape."""
+    away = position - position.mean(axis=0)
+    order = [int(k) for k in np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+    pairs = zip(order, order[1:] + order[:1], strict=True)
+    return sorted((min(a, b), max(a, b)) for a, b in pairs)

@@ -1,0 +1,38 @@
+"""The picture that colours are picked in, and the one that shows what they select."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.errors import ConfigurationError
+from spheremouse.files.atomic import replace
+from spheremouse.files.bounded import FRAME_PIXELS, read_bytes
+from spheremouse.files.dataset.wand import open_wand, read_wand_frames
+from spheremouse.files.pictures import MOST_BYTES, decoded, read_header
+
+
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """A picture, (h, w, 3) BGR, or the first frame of a wand's dataset."""
+    if path.is_dir():
+        return next(read_wand_frames(open_wand(path))).image
+    if not path.exists():
+        raise ConfigurationError(f"{path}: no such file; name a picture with the ball in it")
+    try:
+        data = read_bytes(path, MOST_BYTES, "picture")
+        read_header(data, FRAME_PIXELS)
+        image = decoded(data, upright=True)
+    except OSError as e:
+        raise ConfigurationError(f"{path}: {e.strerror or e}") from None
+    if min(image.shape[:2]) < 32:
+        raise ConfigurationError(f"{path}: is {image.shape[1]}x{image.shape[0]} px; too small to show a ball")
+    return image
+
+
+def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
+    """Whole or not at all."""
+    try:
+        replace(path, cv2.imencode(".png", image)[1].tobytes())
+    except OSError as e:
+        raise ConfigurationError(f"{path}: cannot be written ({e.strerror}); name another with --show") from None
