@@ -25,7 +25,7 @@ from spheremouse.output.serial.messages import Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, example_port, find_board, foreign_text, nobody
 from spheremouse.output.sparing import Sparing
 
-BAUD, SLOWEST = 115200, 38400
+BAUD, SLOWEST, FASTEST = 115200, 38400, 4_000_000
 THIRD = ("none", "wheel", "pan")
 NOT_TAKEN = "the mouse's computer takes no moves: it is off or asleep, or the board is not plugged into it"
 TAKEN = "the mouse's computer takes moves again"
@@ -320,6 +320,13 @@ class Serial:
             self._say(TAKEN if self._ready else NOT_TAKEN)
 
 
+def check_speed(baud: int, name: str) -> int:
+    """The speed of a line, if lines have it; else an OutputError that begins with its `name`."""
+    if not SLOWEST <= baud <= FASTEST:
+        raise OutputError(f"{name}={baud}: must be from {SLOWEST} to {FASTEST}")
+    return baud
+
+
 def open(argument: str) -> Serial:
     """Connect to a board."""
     name, _, rest = argument.partition(",")
@@ -330,8 +337,7 @@ def open(argument: str) -> Serial:
         raise OutputError(f"{whole}: names no port; write serial:auto or serial:{example_port()}")
     if third not in THIRD:
         raise OutputError(f"serial: third={third}; write third= with one of {', '.join(THIRD)}")
-    if not SLOWEST <= baud <= 4_000_000:
-        raise OutputError(f"serial: baud={baud}: must be from {SLOWEST} to 4000000")
+    check_speed(baud, "serial: baud")
     if identifier is not None and name != "auto":
         raise OutputError(f"{whole}: id= goes with serial:auto; a named port needs none")
 
