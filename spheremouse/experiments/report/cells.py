@@ -67,18 +67,6 @@ def rate_axis(ax: Any, rates: Sequence[float]) -> None:
     ax.xaxis.minorticks_off()
 
 
-def label_lines(ax: Any, x: float, ends: Sequence[tuple[float, str, str]], apart: float = 0.075) -> None:
-    """Names beside where lines end at `x`: value, name, colour; moved apart where they would meet."""
-    to_axes = ax.transData + ax.transAxes.inverted()
-    placed = sorted((float(to_axes.transform((x, y))[1]), name, colour) for y, name, colour in ends)
-    heights: list[float] = []
-    for y, _, _ in placed:
-        heights.append(max(y, heights[-1] + apart) if heights else y)
-    over = max(0.0, heights[-1] - 1.0) if heights else 0.0
-    for (_, name, colour), y in zip(placed, heights, strict=True):
-        ax.text(1.03, y - over, name, transform=ax.transAxes, color=colour, fontsize=8.0, va="center", clip_on=False)
-
-
 def legend_below(canvas: Any, who: Sequence[str]) -> None:
     from matplotlib.lines import Line2D
 

@@ -15,7 +15,6 @@ from spheremouse.experiments.report.cells import (
     BESIDE,
     LOOK,
     banded,
-    label_lines,
     legend_below,
     plain,
     rate_axis,
@@ -26,6 +25,7 @@ from spheremouse.experiments.report.cells import (
 from spheremouse.experiments.report.frames import markdown, tidy
 from spheremouse.experiments.report.page import Page
 from spheremouse.experiments.report.plot import BOUND, Drawing
+from spheremouse.files.report.labels import End, label_ends, label_level
 
 _HIDDEN = ["discs", "ball", "sight", "cover", "filter", "hidden"]
 _WAITS = ["fps", "ball", "sight", "filter", "what", "ms", "frames"]
@@ -92,11 +92,11 @@ def _cover_figure(bare: pd.DataFrame) -> Drawing:
             colour, mark, dash = LOOK[who]
             right.plot(counts, over.loc[who]["median"], color=colour, marker=mark, linestyle=dash)
             right.plot(counts, over.loc[who]["min"], color=colour, linestyle=dash, linewidth=0.7)
-            labels.append((over.loc[who]["median"].iloc[-1], who, colour))
+            labels.append(End(who, over.loc[who]["median"].iloc[-1], colour, counts[-1]))
         right.set(xscale="log", xlabel="discs on the ball", title="median and worst cover", ylim=(0.0, 102.0))
         right.set_xticks(counts, [f"{n:g}" for n in counts])
         right.minorticks_off()
-        label_lines(right, counts[-1], labels)
+        label_ends(right, labels)
 
     return Drawing("limits-cover", draw, (7.2, 3.2))
 
@@ -156,13 +156,13 @@ def _again_figure(bare: pd.DataFrame) -> Drawing:
                 waits = spread(shown[(shown["what"] == what) & (shown["filter"] == who)].groupby("fps")["ms"])
                 if len(waits):
                     banded(ax, waits.index * BESIDE[who], waits, look)
-                    ends.append((waits["median"].iloc[-1], who, look[0]))
+                    ends.append(End(who, waits["median"].iloc[-1], look[0], rates[-1] * BESIDE[who]))
             ax.axhline(never, color="0.5", **BOUND)
-            ax.text(rates[0], 1.06 * never, f"never (in {AFTER:g} s)", color="0.5", fontsize=7.5, va="bottom")
+            label_level(ax, never, f"never (in {AFTER:g} s)")
             ax.set(yscale="log", ylim=(1.0, 2.2 * never), title=f"{what} right again")
             plain(ax.yaxis)
             rate_axis(ax, rates)
-            label_lines(ax, rates[-1], ends)
+            label_ends(ax, ends)
             if what == "attitude":
                 ax.set_ylabel("ms after the cover went")
 

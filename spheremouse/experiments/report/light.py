@@ -12,6 +12,7 @@ from spheremouse.experiments.light import SIGMAS, THESIS_24, WORST, decoded, key
 from spheremouse.experiments.report.frames import markdown, rms, tidy
 from spheremouse.experiments.report.page import Page
 from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing
+from spheremouse.files.report.labels import label_points
 
 LARGE = ("shown",)  # what the figures are drawn from
 _FILMS = {"s1": "S1, ours", "far26": "far26"}
@@ -150,7 +151,9 @@ def _figure_attitude(shown: Result) -> Drawing:
         for i, name in enumerate("ωφκ"):
             line = axes[0].plot(truth["t"], np.array(truth["angles"])[:, i], color=_AXES[i], linestyle="-")[0]
             k = int(np.argmax(np.abs(np.array(truth["angles"])[:, i])))
-            axes[0].annotate(name, (truth["t"][k], truth["angles"][k][i]), color=line.get_color(), va="bottom")
+            label_points(
+                axes[0], [(name, truth["t"][k], truth["angles"][k][i])], 0.0, color=line.get_color(), fontsize=9.0
+            )
         axes[0].set_ylabel("true angles, °")
         for ax, (name, s) in zip(axes[1:], series.items(), strict=True):
             if s["t"]:

@@ -24,7 +24,8 @@ from spheremouse.experiments.mistakes import (
 from spheremouse.experiments.report.cells import COLOURS
 from spheremouse.experiments.report.frames import by, markdown, tidy
 from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing, label_ends, plain_numbers
+from spheremouse.experiments.report.plot import BOUND, Drawing, plain_numbers
+from spheremouse.files.report.labels import End, label_ends
 
 _WHO = (*TRACKERS, FREE)
 _LABELS = {
@@ -203,7 +204,7 @@ def _figure(name: str, wrong: pd.DataFrame, quantities: Sequence[str], right: "p
                 ends = _panel(ax, KINDS[mistake], mistakes.get_group(mistake), quantity, right)
                 ax.tick_params(labelsize=7.5)
                 if ax is row[-1]:
-                    label_ends(ax, ends, gap=0.11)
+                    label_ends(ax, ends)
             row[0].set_ylabel(_LABELS[quantity])
             plain_numbers(row[0].yaxis)
         for ax, mistake in zip(grid[-1], names, strict=True):
@@ -219,7 +220,7 @@ def _figure_evening(wrong: pd.DataFrame, right: "pd.Series[float]") -> Drawing:
             ends = _panel(ax, KINDS["evening"], wrong, quantity, right, span=True)
             ax.set_ylabel(_LABELS[quantity])
             plain_numbers(ax.yaxis)
-            label_ends(ax, ends, gap=0.11)
+            label_ends(ax, ends)
         grid[1, 2].remove()
         for ax in (*grid[1, :2], grid[0, 2]):
             ax.set_xlabel("errors, evenings")
@@ -229,9 +230,9 @@ def _figure_evening(wrong: pd.DataFrame, right: "pd.Series[float]") -> Drawing:
 
 def _panel(
     ax: Any, kind: Kind, wrong: pd.DataFrame, quantity: str, right: "pd.Series[float]", span: bool = False
-) -> list[tuple[str, float, Any]]:
+) -> list[End]:
     """Draw the lines of a quantity; names, ends and colours."""
-    ends: list[tuple[str, float, Any]] = []
+    ends: list[End] = []
     columns = {name: (quantity, name) for name in ("median", "min", "max")}
     found = by(
         wrong.assign(size=PER_UNIT[kind.name] * wrong["size"]), ["filter", "size"], **columns, gone=("gone", "any")
@@ -244,11 +245,11 @@ def _panel(
             ax.plot(points["size"], points["median"], color=look["color"], linestyle="", **mark)
         if span and who == "so3":
             ax.fill_between(line["size"], line["min"], line["max"], color=look["color"], alpha=0.13, linewidth=0)
-        ends.append((str(who), line["median"].iloc[-1], look["color"]))
+        ends.append(End(str(who), line["median"].iloc[-1], look["color"], line["size"].iloc[-1]))
     name, level = ("bound", f"bound.{quantity}") if quantity in ("attitude", "rate") else ("right rig", quantity)
     if right[level] > 0.0:
         ax.axhline(right[level], color="0.5", **BOUND)
-        ends.append((name, right[level], "0.5"))
+        ends.append(End(name, right[level], "0.5"))
     ax.set_yscale("log")
     if kind.log:
         ax.set_xscale("log")

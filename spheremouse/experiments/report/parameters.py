@@ -15,6 +15,7 @@ from spheremouse.experiments.parameters import THESIS as TYPED
 from spheremouse.experiments.report.frames import by, markdown, tidy
 from spheremouse.experiments.report.page import MISSING, Page
 from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
+from spheremouse.files.report.labels import label_level
 from spheremouse.simulate.ball.film import SimulationOptions
 
 _FILMS = {"r1": "R1-like", "s1": "S1, ours", "far26": "far26"}
@@ -221,7 +222,7 @@ def _figures(cells: pd.DataFrame, beside: _Beside, films: Sequence[str]) -> list
     def draw_s1(canvas: Any) -> None:
         levels = beside[s1]
         for name, ax in _draw_errors(canvas, grids[s1, "usual"], levels, "ratio").items():
-            _level(ax, levels[f"so3_{name}"], "so3", _SO3, below=levels[f"so3_{name}"] <= levels[f"bound_{name}"])
+            _level(ax, levels[f"so3_{name}"], "so3", _SO3)
 
     def draw_exact(canvas: Any) -> None:
         _draw_errors(canvas, grids[last, "exact"], beside[last], "w")
@@ -241,8 +242,7 @@ def _draw_errors(canvas: Any, cells: pd.DataFrame, levels: Mapping[str, float], 
         _draw_cells(ax, cells, _THESIS, name, against)
         ax.set(yscale="log", ylabel=f"{name} RMSE, {unit}")
         plain_numbers(ax.yaxis)
-        least, so3 = levels[f"bound_{name}"], levels[f"so3_{name}"]
-        _level(ax, least, "Cramér-Rao bound", BOUND, side="right", below=against == "ratio" and least < so3)
+        _level(ax, levels[f"bound_{name}"], "Cramér-Rao bound", BOUND, side="right")
     _legend(canvas, axes["attitude"])
     return axes
 
@@ -256,16 +256,14 @@ def _draw_cells(ax: Any, ours: pd.DataFrame, thesis: pd.DataFrame, what: str, ag
     ax.set(xscale="log", xlabel=labels[against])
 
 
-def _level(ax: Any, y: float, name: str, how: Mapping[str, Any], side: str = "left", below: bool = False) -> None:
-    """A line all across, with its name."""
+def _level(ax: Any, y: float, name: str, how: Mapping[str, Any], side: str = "left") -> None:
+    """A line all across, with its name, and room for that under it."""
     if math.isnan(y):
         return
-    ax.axhline(y, **{"color": "0.5", **how})
-    place = (0.99 if side == "right" else 0.01, y)
-    va = "top" if below else "bottom"
-    ax.annotate(name, place, xycoords=("axes fraction", "data"), va=va, ha=side, fontsize=8)
-    if below:
-        ax.set_ylim(bottom=min(ax.get_ylim()[0], 0.6 * y))
+    look = {"color": "0.5", **how}
+    ax.axhline(y, **look)
+    label_level(ax, y, name, side, color=look["color"])
+    ax.set_ylim(bottom=min(ax.get_ylim()[0], 0.6 * y))
 
 
 def _legend(canvas: Any, ax: Any) -> None:

@@ -12,6 +12,7 @@ from spheremouse.experiments.places import DISCS, FAR, FOCAL, LENSES, NEAR_BEST,
 from spheremouse.experiments.report.frames import markdown, tidy
 from spheremouse.experiments.report.page import Page
 from spheremouse.experiments.report.plot import BOUND, Drawing
+from spheremouse.files.report.labels import label_points
 
 _POSED = 3  # targets that make a pose
 _SPAN = 1.5  # times the least error: the least that colours tell apart
@@ -161,18 +162,16 @@ def _figure_directions(around: pd.DataFrame, films: pd.DataFrame) -> Drawing:
             norm = LogNorm(low, high)
             shown = ax.pcolormesh(values.columns, values.index, values, norm=norm, shading="nearest", rasterized=False)
             _outline(ax, list(values.columns), list(values.index), usable)
-            for x, y, error in found[["azimuth", "elevation", f"true pose.{name}"]].to_numpy():
+            errors = found[["azimuth", "elevation", f"true pose.{name}"]].to_numpy()
+            for x, y, error in errors:
                 ax.scatter(x, y, s=60, c=[error], norm=norm, edgecolors="white", linewidths=1.2)
-                ax.annotate(
-                    f"{error:.{_DIGITS[_HEADS[name]]}f}",
-                    (x, y),
-                    (0.0, -13.0),
-                    textcoords="offset points",
-                    ha="center",
-                    fontsize=7.5,
-                    color="white",  # on the map, whatever the page is
-                    path_effects=[Stroke(linewidth=2.0, foreground="#222222"), Normal()],
-                )
+            label_points(
+                ax,
+                [(f"{error:.{_DIGITS[_HEADS[name]]}f}", x, y) for x, y, error in errors],
+                radius=4.0,
+                color="white",  # on the map, whatever the page is
+                path_effects=[Stroke(linewidth=2.0, foreground="#222222"), Normal()],
+            )
             ax.set(title=_HEADS[name], xlabel="azimuth, °")
             ax.grid(visible=False)
             bar = canvas.colorbar(shown, ax=ax, location="bottom", aspect=30)

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report.style import styled
 
@@ -52,34 +50,6 @@ def save(figure: Drawing, folder: Path) -> list[Path]:
         write_atomically(path, re.sub(r"[ \t]+$", "", text.getvalue(), flags=re.MULTILINE))
         written.append(path)
     return written
-
-
-def label_ends(ax: Any, ends: list[tuple[str, float, Any]], gap: float = 0.075) -> None:
-    """Names beside the ends of lines, right of the axes, as near as they can be without touching."""
-    low, high = np.log10(ax.get_ylim())
-    ax.set_ylim(10.0**low, 10.0**high)  # stays
-    ordered = sorted(ends, key=lambda end: end[1])
-    at = apart([float((np.log10(y) - low) / (high - low)) for _, y, _ in ordered], gap)
-    for (name, _, colour), y in zip(ordered, at, strict=True):
-        ax.annotate(
-            name,
-            (1.0, y),
-            xytext=(4, 0),
-            xycoords="axes fraction",
-            textcoords="offset points",
-            color=colour,
-            va="center",
-            fontsize=8.5,
-            annotation_clip=False,
-        )
-
-
-def apart(values: list[float], gap: float) -> list[float]:
-    """Ascending values moved as little as possible so that no two are nearer than `gap` (isotonic regression)."""
-    from scipy.optimize import isotonic_regression
-
-    steps = gap * np.arange(len(values))
-    return [] if not values else (isotonic_regression(np.array(values) - steps).x + steps).tolist()
 
 
 def plain_numbers(axis: Any) -> None:

@@ -25,10 +25,11 @@ from spheremouse.experiments.pointer import (
     TRACKED,
     latency,
 )
-from spheremouse.experiments.report.cells import banded, label_lines, plain, rate_axis, spread, trials
+from spheremouse.experiments.report.cells import banded, plain, rate_axis, spread, trials
 from spheremouse.experiments.report.frames import markdown, tidy
 from spheremouse.experiments.report.page import Page
 from spheremouse.experiments.report.plot import BOUND, Drawing
+from spheremouse.files.report.labels import End, label_ends, label_level
 from spheremouse.output.pointer import PointerSettings
 
 _LOOK: dict[str, tuple[str, str, Any]] = {
@@ -153,7 +154,7 @@ def _play_figure(plays: pd.DataFrame, whole: float) -> Drawing:
             ax.plot(best.index, best, color="C4", **BOUND)
             if metric == "rough":
                 ax.axhline(whole, color="0.5", **BOUND)
-                ax.text(rates[0], 0.97 * whole, "whole counts", color="0.5", fontsize=7.5, va="top")
+                label_level(ax, whole, "whole counts")
             if metric != "delay":
                 ax.set_yscale("log")
                 plain(ax.yaxis)
@@ -198,6 +199,7 @@ def _stop_figure(stops: pd.DataFrame, stopped: dict[float, Result]) -> Drawing:
                                color=_LOOK[DEFAULT][0], fontsize=8.0)  # fmt: skip
         rates = sorted(stopped)
         rate_axis(right, rates)
-        label_lines(right, rates[-1], [(spans["median"].iloc[-1], way, _LOOK[way][0]) for way, spans in found.items()])
+        ends = [End(way, spans["median"].iloc[-1], _LOOK[way][0], rates[-1]) for way, spans in found.items()]
+        label_ends(right, ends)
 
     return Drawing("pointer-stop", draw, (7.2, 3.2))

@@ -12,8 +12,9 @@ from spheremouse.experiments.kit.tour import AXES, FAR_OFF, FOLLOWED, KNOWN, NEA
 from spheremouse.experiments.report.cells import COLOURS, DASHES, MARKS
 from spheremouse.experiments.report.frames import by, markdown, tidy
 from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing, label_ends, plain_numbers
+from spheremouse.experiments.report.plot import BOUND, Drawing, plain_numbers
 from spheremouse.experiments.viewing import FASTEST, KINDS, Kind
+from spheremouse.files.report.labels import End, label_ends
 
 _UNITS = {"attitude": "°", "rate": "°/s"}
 
@@ -187,7 +188,7 @@ def _figure(medians: pd.DataFrame, kind: Kind) -> Drawing:
     return Drawing(f"viewing-{kind.name}", draw, (7.2, 3.2 if kind.name != "blur" else 3.5))
 
 
-def _line(ax: Any, line: pd.DataFrame, who: str, what: str) -> tuple[str, float, Any] | None:
+def _line(ax: Any, line: pd.DataFrame, who: str, what: str) -> End | None:
     """Draw one; its name, where it ends and its colour."""
     line, colour = line[line[what] > 0.0], COLOURS[who]
     if line.empty:
@@ -202,4 +203,4 @@ def _line(ax: Any, line: pd.DataFrame, who: str, what: str) -> tuple[str, float,
             ax.plot([row.x], [getattr(row, what)], color=colour, linestyle="", markerfacecolor=face, **look)
     if who == KNOWN:
         ax.fill_between(line["x"], line[f"{what} min"], line[f"{what} max"], color=colour, alpha=0.15, linewidth=0)
-    return who, line[what].iloc[-1], colour
+    return End(who, line[what].iloc[-1], colour, line["x"].iloc[-1])

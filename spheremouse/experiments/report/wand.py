@@ -15,6 +15,7 @@ from spheremouse.experiments.report.page import Page, fixed
 from spheremouse.experiments.report.plot import Drawing, plain_numbers
 from spheremouse.experiments.report.wand_rows import ENOUGH, SOME, Row, rows, verdicts
 from spheremouse.experiments.wand import SPEEDS
+from spheremouse.files.report.labels import label_points
 from spheremouse.geometry.rotation import log
 
 _SHOWN = "drive-01"  # the film whose errors are drawn frame by frame
@@ -167,9 +168,7 @@ def _draw_particles(canvas: Any, of_drive: dict[str, list[tuple[int, Row]]]) -> 
         for k, (method, pairs) in enumerate(of_drive.items()):
             points = [(n, scale * value(r.figures), r) for n, r in pairs if value(r.figures) is not None]
             ax.plot([p[0] for p in points], [p[1] for p in points], marker="o", color=f"C{k}", label=method)
-            for n, y, row in points:
-                said = f"{row.lost} of {row.runs} lost"
-                ax.annotate(said, (n, y), (0, 6), textcoords="offset points", ha="center", fontsize=7.5)
+            label_points(ax, [(f"{row.lost} of {row.runs} lost", n, y) for n, y, row in points], radius=2.0)
         ax.axhline(limit, color="0.5", linestyle=(0, (4, 3)), linewidth=0.9)
         ax.set(xscale="log", yscale="log", xlabel="particles", ylabel=label)
         ax.margins(x=0.16, y=0.16)
