@@ -193,6 +193,19 @@ def shorten(_app: Any, _what: str, _name: str, _obj: Any, _options: Any, signatu
     return short(signature), short(returns)
 
 
+def twins(_app: Any, doctree: Any) -> None:
+    """A picture NAME-light of a page in plain Markdown is joined by its twin NAME-dark, for dark screens."""
+    from docutils import nodes
+
+    for light in list(doctree.findall(nodes.image)):
+        if "-light." in light["uri"] and "only-light" not in (*light["classes"], *light.parent["classes"]):
+            dark = light.deepcopy()
+            dark["uri"] = light["uri"].replace("-light.", "-dark.")
+            light["classes"].append("only-light")
+            dark["classes"].append("only-dark")
+            light.parent.insert(light.parent.index(light) + 1, dark)
+
+
 def setup(app: Any) -> None:
     """Make the generated pages, then hook into autodoc."""
     os.environ.setdefault("MPLBACKEND", "Agg")
@@ -200,6 +213,7 @@ def setup(app: Any) -> None:
     page("configuration.md", settings_page())
     page("command-line.md", command_line_page())
     page("picture.md", picture_page())
+    app.connect("doctree-read", twins, priority=100)  # before pictures are collected
     app.connect("autodoc-process-docstring", document)
     app.connect("autodoc-process-signature", shorten)
     app.connect("autodoc-skip-member", skip)

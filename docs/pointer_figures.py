@@ -1,4 +1,4 @@
-"""The figure and the table of docs/pointer.md: python docs/pointer_figures.py [--write].
+"""The figure and the table of docs/pointer.md: python docs/pointer_figures.py [--write] [--figure].
 
 The figure is drawn for a ball whose counts and rates are exact; the table is of simulated films that the tracker
 tracked. `--write` replaces both; without it the table is printed. Takes about two minutes, and the extra `plot`.
@@ -8,13 +8,14 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
+from spheremouse.experiments.report.plot import Drawing, save
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.report.style import BLUE, MUTED, RED, styled
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Counter, MotionSettings
 from spheremouse.output.pointer import PointerSettings, Resampler, due, take
@@ -23,7 +24,7 @@ from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Status
 
 PAGE = Path(__file__).with_name("pointer.md")
-PICTURE = Path(__file__).parent / "images" / "pointer.svg"
+IMAGES = Path(__file__).parent / "images"
 MARKS = ("<!-- made by docs/pointer_figures.py --write -->", "<!-- end -->")
 LATENCY = {30.0: 0.05, 60.0: 0.03}  # s, from stamp to arrival: exposure, the wire, decoding, a step
 WAYS = {  # settings, and whether the rates tell an acceleration
@@ -151,27 +152,22 @@ REVERSAL = ((0.0, 0), (0.1, 0), (0.25, 1500), (0.5, 1500), (0.7, -1500), (1.0, -
 PANELS = {"a stop within 0.1 s, and on": STOP, "a reversal": REVERSAL}
 
 
-def draw() -> None:
+def draw(canvas: Any) -> None:
     """The figure."""
-    with styled():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-        axes = figure.subplots(1, 2)
-        for axis, (title, stretches) in zip(axes, PANELS.items(), strict=True):
-            told = exact(stretches)
-            axis.plot(told.clock, told.place[:, 0], color=MUTED, alpha=0.6, linewidth=4.0, label="the ball")
-            for label, colour, settings in (
-                ("horizon 0", RED, PointerSettings(horizon=0.0)),
-                ("the default", BLUE, PointerSettings()),
-            ):
-                times, places = pointer(told, LATENCY[30.0], settings)
-                shown = times < told.clock[-1]
-                axis.step(times[shown], places[shown, 0], where="post", color=colour, linewidth=1.2, label=label)
-            axis.set(title=title, xlabel="s", xlim=(0.0, 1.5))
-        axes[0].set_ylabel("counts")
-        axes[0].legend()
-        figure.savefig(PICTURE, metadata={"Date": None}, facecolor="white")
+    axes = canvas.subplots(1, 2)
+    for axis, (title, stretches) in zip(axes, PANELS.items(), strict=True):
+        told = exact(stretches)
+        axis.plot(told.clock, told.place[:, 0], color="0.5", alpha=0.6, linewidth=4.0, linestyle="-", label="the ball")
+        for label, colour, settings in (
+            ("horizon 0", "C1", PointerSettings(horizon=0.0)),
+            ("the default", "C0", PointerSettings()),
+        ):
+            times, places = pointer(told, LATENCY[30.0], settings)
+            shown = times < told.clock[-1]
+            axis.step(times[shown], places[shown, 0], where="post", color=colour, linestyle="-", label=label)
+        axis.set(title=title, xlabel="s", xlim=(0.0, 1.5))
+    axes[0].set_ylabel("counts")
+    canvas.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
 def main() -> None:
@@ -181,7 +177,7 @@ def main() -> None:
     parser.add_argument("--figure", action="store_true", help="draw the figure alone")
     given = parser.parse_args()
     if given.write or given.figure:
-        draw()
+        save(Drawing("pointer", draw, (7.2, 3.5)), IMAGES)
     if given.figure:
         return
     made = table()

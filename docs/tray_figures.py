@@ -7,9 +7,12 @@ needs, PyGObject included.
 """
 
 import contextlib
+import os
 import sys
 import tempfile
 from pathlib import Path
+
+from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "system"))
@@ -23,22 +26,35 @@ from spheremouse.session.control.status import STATES  # noqa: E402
 from spheremouse.session.settings.control import ControlSettings  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
+DARK, LIGHT = (46, 52, 54), (240, 240, 240)  # panels
 
 
 def main() -> None:
-    """All pictures anew."""
+    """All pictures anew: each icon on a dark panel and on a light one, and the menu."""
     if missing():
         sys.exit(f"tray_figures.py: {missing()}")
+    dark, light = pictures(DARK, menu=True), pictures(LIGHT)
+    for state, left in dark.items():
+        both = Image.new("RGB", (left.width + light[state].width, SIDE))
+        both.paste(left)
+        both.paste(light[state], (left.width, 0))
+        both.quantize(64).save(IMAGES / f"tray-{state}.png", optimize=True)
+    print(f"written: {IMAGES}/tray-*.png")
+
+
+def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, Image.Image]:
+    """The tray on a panel of this colour, by state; also of the menu, into a file, where that is asked for."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         path = gtk(folder)
         if path is None:
             sys.exit("tray_figures.py: needs PyGObject: python3-gi gir1.2-ayatanaappindicator3-0.1")
-        desk = Desk(stack, folder)
+        desk = Desk(stack, folder, ground)
         socket = folder / "control.sock"
         command = [sys.executable, "-m", "spheremouse", "tray", "--socket", str(socket)]
-        stack.enter_context(process(*command, env=desk.env | {"PYTHONPATH": str(path)}))
-        keep(desk, NO_DAEMON)
+        paths = os.pathsep.join(filter(None, (str(path), os.environ.get("PYTHONPATH"))))
+        stack.enter_context(process(*command, env=desk.env | {"PYTHONPATH": paths}))
+        found = {NO_DAEMON: seen(desk, NO_DAEMON)}
         state = "tracking"
 
         def handle(_: Request, reply: Reply) -> None:
@@ -46,23 +62,21 @@ def main() -> None:
 
         with ControlServer(socket, ControlSettings(), handle, lambda _: None):
             for state in STATES:  # `handle` reads it
-                keep(desk, state)
+                found[state] = seen(desk, state)
             state = "tracking"
             until(lambda: desk.state() == state)
-            desk.choose(1, folder / "menu.png")
-            from PIL import Image
+            if menu:
+                desk.choose(1, folder / "menu.png")
+                with Image.open(folder / "menu.png") as picture:
+                    picture.crop(picture.getbbox()).quantize(64).save(IMAGES / "tray-menu.png", optimize=True)
+    return found
 
-            with Image.open(folder / "menu.png") as picture:
-                picture.crop(picture.getbbox()).quantize(64).save(IMAGES / "tray-menu.png", optimize=True)
-    print(f"written: {IMAGES}/tray-*.png")
 
-
-def keep(desk: Desk, state: str) -> None:
+def seen(desk: Desk, state: str) -> Image.Image:
     """The tray once it shows the state."""
     if not until(lambda: desk.state() == state):
         sys.exit(f"tray_figures.py: the tray does not show {state}")
-    picture = desk.picture().crop((0, 0, SIDE + 2, SIDE))
-    picture.quantize(64).save(IMAGES / f"tray-{state}.png", optimize=True)
+    return desk.picture().crop((0, 0, SIDE + 2, SIDE))
 
 
 if __name__ == "__main__":

@@ -72,8 +72,8 @@ def process(*command: str, **options: object) -> Iterator[subprocess.Popen[str]]
 class Desk:
     """The desktop; `env` is for programs that are to run on it."""
 
-    def __init__(self, stack: contextlib.ExitStack, folder: Path) -> None:
-        self._stack, self._folder = stack, folder
+    def __init__(self, stack: contextlib.ExitStack, folder: Path, ground: tuple[int, int, int] = GROUND) -> None:
+        self._stack, self._folder, self._ground = stack, folder, ground
         read, write = os.pipe()
         quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         stack.enter_context(
@@ -110,7 +110,7 @@ class Desk:
     def start_panel(self) -> None:
         """The panel, at the top left; another one where there was one."""
         self.end_panel()
-        tint = "0x{:02x}{:02x}{:02x}".format(*GROUND)
+        tint = "0x{:02x}{:02x}{:02x}".format(*self._ground)
         command = ["trayer", "--edge", "top", "--align", "left", "--widthtype", "request", "--height", str(SIDE)]
         command += ["--transparent", "true", "--alpha", "0", "--tint", tint, "--SetDockType", "true"]
         self.panel = self._stack.enter_context(

@@ -14,9 +14,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image, ImageChops
 
 sys.path.insert(0, str(Path(__file__).parent))
-from desk import Desk, end, gtk, missing, process, until
+from desk import SIDE, Desk, end, gtk, missing, process, until
 
 from spheremouse.capture import open_source
 from spheremouse.errors import ControlError
@@ -215,4 +216,23 @@ def test_the_icon_follows_every_change(world, with_menu, backend):
                 for state in STATES:  # `handle` reads it
                     assert until(lambda: world.desk.state() == state), (state, world.said())  # noqa: B023  called at once
             assert until(lambda: world.desk.state() == "no-daemon"), world.said()
+        assert end(tray) == 0
+
+
+@pytest.mark.parametrize("ground", [(46, 52, 54), (240, 240, 240)], ids=["dark", "light"])
+@pytest.mark.parametrize("backend", ["appindicator", "xorg"])
+def test_around_the_icon_is_the_panel_whatever_its_colour(tmp_path, with_menu, backend, ground):
+    with contextlib.ExitStack() as stack:
+        desk = Desk(stack, tmp_path, ground)
+        tray = stack.enter_context(World(desk, tmp_path).tray(**with_menu, PYSTRAY_BACKEND=backend))
+        assert until(lambda: desk.state() == "no-daemon")
+        panel = Image.new("RGB", (SIDE - 8, SIDE), ground)  # what the tray is not as wide as
+        seen = (
+            ImageChops.difference(desk.picture().crop((0, 0, *panel.size)), panel)
+            .convert("L")
+            .point(lambda v: 255 * (v > 12))
+        )
+        x0, y0, x1, y1 = seen.getbbox()
+        assert x1 - x0 >= 20
+        assert seen.histogram()[255] < 0.85 * (x1 - x0) * (y1 - y0)  # a disc has 0.79 of its square
         assert end(tray) == 0

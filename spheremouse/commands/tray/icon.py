@@ -31,7 +31,7 @@ from spheremouse.errors import SpheremouseError
 
 _OLD = 10.0  # s after which a line in the menu is renewed where only its numbers have changed; that closes an open menu
 _FOR_A_HOST = 60.0  # s to wait for a desktop that is only just coming up
-_DARK = (46, 52, 54)  # behind an icon through which nothing shines
+_EDGE = (24, 26, 28)  # what an icon's soft edge goes over into where nothing shines through: the outline's own colour
 
 MENU_NEEDS = (
     "apt-get install python3-gi gir1.2-ayatanaappindicator3-0.1, and spheremouse in a virtual environment made with "
@@ -177,10 +177,11 @@ def _letters(items: tuple[tray.Item, ...]) -> list[Any]:
 def _mend_xorg(icon: Any) -> None:
     """Do what pystray 0.19.5 does not do on bare X11.
 
-    It asks for no clicks, docks again with every picture, which trays take for another icon, stretches pictures, and
-    ends where a title is not Latin-1.
+    It asks for no clicks, docks again with every picture, which trays take for another icon, stretches pictures, puts
+    them on a square of one colour, whatever the panel's, and ends where a title is not Latin-1.
     """
     from Xlib import X
+    from Xlib.ext import shape
 
     icon._window.change_attributes(event_mask=X.ExposureMask | X.StructureNotifyMask | X.ButtonPressMask)
     dock = icon._dock_window
@@ -191,7 +192,9 @@ def _mend_xorg(icon: Any) -> None:
 
     def fit(self: Any, width: int, height: int) -> None:
         if self._icon_data is None or self._icon_data.size != (width, height):
-            self._icon_data = _fitted(self.icon, width, height)
+            self._icon_data, outline = _fitted(self.icon, width, height)
+            if self._display.has_extension("SHAPE"):
+                self._window.shape_rectangles(shape.SO.Set, shape.SK.Bounding, X.YXSorted, 0, 0, outline)
 
     def title(self: Any) -> None:
         self._window.set_wm_name(self.title.encode("latin-1", "replace").decode("latin-1"))
@@ -248,14 +251,17 @@ def _leave_to_main_thread(icon: Any, changes: dict[str, Callable[[Any], None]]) 
     icon._message_handlers[X.ClientMessage] = awake
 
 
-def _fitted(picture: Image.Image, width: int, height: int) -> Any:
-    """A square picture in the middle of a rectangle that nothing shines through."""
+def _fitted(picture: Image.Image, width: int, height: int) -> tuple[Any, list[tuple[int, int, int, int]]]:
+    """A square picture in the middle of a rectangle, and what of it is seen: rows as x, y, width, height."""
     side = min(width, height)
     small = picture.resize((side, side), Image.Resampling.LANCZOS)
-    ground: Any = Image.new("RGB", (width, height), _DARK)
-    ground.paste(small, ((width - side) // 2, (height - side) // 2), small)
-    ground.tostring = ground.tobytes  # python-xlib's name for it
-    return ground
+    clear, ground = Image.new("RGBA", (width, height)), Image.new("RGBA", (width, height), _EDGE)
+    clear.paste(small, ((width - side) // 2, (height - side) // 2))
+    whole: Any = Image.alpha_composite(ground, clear).convert("RGB")
+    whole.tostring = whole.tobytes  # python-xlib's name for it
+    rows = (clear.getchannel("A").point(lambda a: 255 * (a > 127)).crop((0, y, width, y + 1)) for y in range(height))
+    boxes = [(y, row.getbbox()) for y, row in enumerate(rows)]
+    return whole, [(box[0], y, box[2] - box[0], 1) for y, box in boxes if box is not None]
 
 
 # ---- where it works ----

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from spheremouse.commands.tray import icon as tray_live
 from spheremouse.commands.tray import view as tray
@@ -318,16 +319,19 @@ def test_a_page_that_is_none_is_not_opened(world, monkeypatch):
 
 
 @pytest.mark.parametrize(("width", "height"), [(24, 30), (30, 24), (16, 16)])
-def test_in_a_window_that_is_not_square_the_icon_keeps_its_shape(width, height):
+@pytest.mark.parametrize("state", STATES)
+def test_in_a_window_the_icon_keeps_its_shape_and_nothing_around_it_is_seen(state, width, height):
     side = min(width, height)
-    seen = np.asarray(tray_live._fitted(tray.icon("tracking"), width, height), dtype=int)
-    ground = seen[0, 0]
-    ys, xs = np.nonzero(np.abs(seen - ground).sum(axis=2) > 30)
-    assert seen.shape == (height, width, 3)
-    assert abs((xs.max() - xs.min()) - (ys.max() - ys.min())) <= 1
-    assert xs.max() - xs.min() + 1 >= 0.85 * side
-    assert abs(xs.max() + xs.min() + 1 - width) <= 1
-    assert abs(ys.max() + ys.min() + 1 - height) <= 1
+    picture, outline = tray_live._fitted(tray.icon(state), width, height)
+    seen = np.zeros((height, width), dtype=bool)
+    for x, y, w, h in outline:
+        seen[y : y + h, x : x + w] = True
+    whole = np.zeros((height, width, 4), dtype=int)
+    top, left = (height - side) // 2, (width - side) // 2
+    whole[top : top + side, left : left + side] = np.asarray(tray.icon(state).resize((side, side), Image.LANCZOS))
+    assert np.array_equal(seen, whole[..., 3] > 127)  # no outline has a hollow
+    solid = whole[..., 3] == 255
+    assert np.abs(np.asarray(picture, dtype=int) - whole[..., :3])[solid].max() <= 1
 
 
 # ---- where it works ----
