@@ -97,7 +97,7 @@ class Words(Artist):
             found = [_box(*at, size.width, size.height) for at in word.places(*named, size.width, size.height)]
             cost = [_cost(box, self._ax.bbox, said, marks, lines, self.px(_CLEAR)) for box in found]
             box = found[int(np.argmin(cost))]
-            said.append(box)
+            said.append(box.padded(self.px(_CLEAR)))
             nearest = np.clip(named, box.min, box.max)
             if word.led and np.hypot(*(nearest - named)) > self.px(_FAR):
                 _lead(self._ax, renderer, named, nearest, word.text.get_color())
