@@ -29,7 +29,8 @@ def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseEr
     if kind in plugged:
         return _loaded(plugged[kind], what, error), argument
     known = (*package.KINDS, *sorted(plugged))
-    raise error(f"unknown {what} {spec!r}; {nearest(kind, known)} ({what}s are {', '.join(known)})")
+    form = "" if ":" in spec else f"{what}s are written KIND:ARGUMENT; "
+    raise error(f"unknown {what} {spec!r}; {form}{nearest(kind, known)}")
 
 
 def opened(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from seats import LOOKS
 
-from spheremouse.commands.axes import Dialogue
+from spheremouse.commands.axes.dialogue import Dialogue
 from spheremouse.errors import CalibrationError
 from spheremouse.files import config
 from spheremouse.session.settings import Configuration
@@ -56,7 +56,8 @@ def test_a_configuration_is_begun_with_what_the_command_line_said(tmp_path):
     assert (code, out.splitlines()[-1]) == (0, "nothing is saved"), err
     assert not config_file.exists()
     code, out, err = spheremouse("axes", *given)
-    assert (code, out.splitlines()[-1]) == (0, f"{config_file}: saved"), err
+    assert (code, out.splitlines()[-2]) == (0, f"{config_file}: saved"), err
+    assert out.splitlines()[-1].startswith("it names no camera yet: add a line such as `source: ")
     saved = config.load(config_file, Configuration)
     assert (saved.source, saved.motion.player, saved.motion.scale_y) == (None, "far-side", 2.0)  # a film is no camera
 
@@ -72,6 +73,12 @@ def test_a_film_without_gestures_is_refused_in_a_line():
     assert code == 2
     assert "0 of 3 gestures were seen; missing: 'roll the ball to the right" in err
     assert "Traceback" not in err
+
+
+def test_a_camera_that_is_not_there_is_told_and_not_waited_for(tmp_path):
+    code, out, err = spheremouse("axes", "--config", tmp_path / "config.yaml", "--source", "v4l2:/dev/video99")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "/dev/video99: no such device" in err
 
 
 # ---- the dialogue ----

@@ -44,7 +44,7 @@ def test_an_output_of_another_distribution_is_opened_by_its_name(installed):
     with open_output("lamp:red") as lamp:
         lamp.send(no_report(0.5))
     assert (lamp.argument, len(lamp.sent)) == ("red", 1)
-    with pytest.raises(OutputError, match=r"'lmap'; did you mean lamp\? \(outputs are auto, .*, uinput, lamp\)"):
+    with pytest.raises(OutputError, match=r"'lmap'; .*; did you mean lamp\?"):
         open_output("lmap")
 
 

@@ -45,11 +45,12 @@ def axes(
     goes right and up with your hand. With a recording, the gestures are looked for in it.
     """
     from spheremouse.capture.stopping import Stopping
+    from spheremouse.capture.usual import usual_camera
     from spheremouse.commands.axes.dialogue import Dialogue
     from spheremouse.commands.run import follow, serve
     from spheremouse.files.edit import check_place
     from spheremouse.session import trackers
-    from spheremouse.session.cameras import is_camera
+    from spheremouse.session.cameras import is_camera, opener
     from spheremouse.session.plan import Request, read_plan
     from spheremouse.session.process.standard_error import unhurried
 
@@ -66,6 +67,9 @@ def axes(
     with unhurried() if live else nullcontext(), Stopping() as stopping:
         setup = trackers.setup(plan)
         plan = setup.planned(request, plan)
+        if plan.source.startswith("v4l2:"):  # a service waits for its camera, a person is told that there is none
+            with opener(plan, setup.open)():
+                pass
         dialogue = Dialogue(plan.configuration, stopping, live)
         failure, _ = (serve if live else follow)(request, plan, setup, stopping, dialogue, None)
     if dialogue.found is None and failure is not None:
@@ -76,7 +80,10 @@ def axes(
     for key, value, before in values:
         print(f"{key}: {_shown(value)} ({'as it was' if value == before else f'was {_shown(before)}'})")
     kept = {} if config is None or there else _begun(plan, request, config.parent)
-    _keep(config, kept | {tuple(key.split(".")): value for key, value, _ in values}, dry)
+    kept |= {tuple(key.split(".")): value for key, value, _ in values}
+    _keep(config, kept, dry)
+    if config is not None and not (dry or there or ("source",) in kept):
+        print(f"it names no camera yet: add a line such as `source: {usual_camera()}`")
 
 
 def _shown(value: Any) -> str:
@@ -106,7 +113,7 @@ def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) ->
     if dry:
         print("nothing is saved")
     elif config is None:
-        print("write it into your configuration, or give that with --config and it is")
+        print("saved nowhere: name your configuration with --config FILE, or write it there yourself")
     else:
         save_settings(config, values, Configuration)
         print(f"{config}: saved")

@@ -119,14 +119,16 @@ class Dialogue:
         return [(f"{prefix}.{name}", value, getattr(before, name)) for name, value in wanted.items()]
 
     def _ask(self) -> None:
-        print(f"{len(self._made) + 1} of 3: {self._asked.gestures[len(self._made)]}, and let it rest", flush=True)
+        gesture = self._asked.gestures[len(self._made)]
+        asked = f"{gesture}, and let it rest" if self._live else f"in the recording: {gesture}"
+        print(f"{len(self._made) + 1} of 3: {asked}", flush=True)
 
     def _take(self, gesture: Any) -> None:
         if gesture is None or self.found is not None:
             return
         size = f"{np.degrees(gesture.size):.0f}°" if self._asked.unit == 1.0 else f"{100 * gesture.size:.0f} cm"
         if not gesture.straight:
-            print("   that went to and fro: once, one way, please", flush=True)
+            print(f"   that went to and fro{': once, one way, please' if self._live else ', and is none'}", flush=True)
             return
         self._made.append(gesture.way)
         print(f"   seen: {size}", flush=True)
