@@ -55,7 +55,12 @@ def held(plan: Plan) -> AbstractContextManager[None]:
 
 def node_of(plan: Plan) -> Path | None:
     """The device of a live source on Linux."""
-    kind, _, argument = plan.source.partition(":")
+    return node_of_source(plan.source)
+
+
+def node_of_source(source: str) -> Path | None:
+    """The device that a source names, where it is a camera's on Linux."""
+    kind, _, argument = source.partition(":")
     name = argument.partition(",")[0].strip()
     if kind not in ("v4l2", "opencv") or not sys.platform.startswith("linux"):
         return None

@@ -171,8 +171,28 @@ class V4L2Camera:
 
 def open(argument: str, realtime: bool) -> Stream:  # a live source is real time by itself
     """Frames in colour, the newest there is each time; for what does not need every one."""
-    camera = open_camera(argument, CameraSettings())
+    return stream(argument, CameraSettings())
+
+
+def stream(argument: str, settings: CameraSettings) -> Stream:
+    """`open`, with the camera set as `settings` ask."""
+    camera = open_camera(argument, settings)
     return Stream(_newest(camera), live=True, fps=camera.fps, close=camera.close)
+
+
+def full_size(argument: str, most: tuple[int, int]) -> tuple[int, int] | None:
+    """The largest size up to `most` at which a camera gives enough frames to play with; None where it is not told."""
+    if not sys.platform.startswith("linux"):
+        return None
+    from spheremouse.capture.v4l2.device import Device, find
+
+    device = Device(find(argument.partition(",")[0]))
+    try:
+        return device.largest(most)
+    except OSError as e:
+        raise device.failure(e) from None
+    finally:
+        device.close()
 
 
 def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
