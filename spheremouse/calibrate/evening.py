@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from spheremouse.calibrate.lengths import parse_board
+from spheremouse.calibrate.board_file import options_made_of, options_of
 from spheremouse.calibrate.outputs import sha256
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
-from spheremouse.capture.usual import usual_camera
+from spheremouse.capture.usual import in_size, usual_camera
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import UNTOUCHED, load_device, untouched
 from spheremouse.files.migrate import without_schema
@@ -24,11 +24,10 @@ from spheremouse.files.yaml import read_document, shown
 DEFAULT = Path("cabinet")
 # Photos, as in the printed recipe. Three views of a plane fix a lens (Zhang 2000); four tilts and near and far and four
 # corners of the picture want more. Of the device: front, both sides, above, below, and one between.
-BOARD_ENOUGH, BOARD_MOST = 15, 20
+BOARD_ENOUGH, BOARD_MOST = 10, 20  # as coverage.VIEWS
 DEVICE_ENOUGH, DEVICE_MOST = 6, 12
 _BOARD, _DEVICE, _CAMERA_FILE, _DEVICE_FILE, _RIG_FILE = "board", "device", "camera.yaml", "device.yaml", "rig.yaml"
 _CONFIG_FILE = "config.yaml"
-_USUAL_BOARD = "--board 11x8 --square 20mm"  # as `calibrate print` makes it on A4
 
 State = Literal["done", "not needed", "next", "later"]
 
@@ -72,7 +71,8 @@ class _Result:
     problem: tuple[str, ...] = ()  # why it cannot be used
     hashes: frozenset[str] = frozenset()  # of all it was made from
     photo_hashes: frozenset[str] = frozenset()
-    board: str = ""  # options of the camera command
+    board: tuple[str, ...] = ()  # options of the camera command
+    size: tuple[int, int] | None = None  # px, of a camera
     doubts: tuple[str, ...] = ()  # what the calibration itself warned of
 
     def precedes(self, path: Path, sha256: str) -> bool:
@@ -111,11 +111,15 @@ def checklist(folder: Path) -> list[Step]:
     )
 
 
-def camera_command(folder: Path, board: str = "", *, again: bool = False) -> str:
+def photos_command(folder: Path, what: Literal["camera", "device"], more: Sequence[str] = ()) -> str:
+    """Command that takes photos into the folder."""
+    return _command("photos", *_folder(folder), "--for", what, *more)
+
+
+def camera_command(folder: Path, board: Sequence[str] = (), *, again: bool = False) -> str:
     """Command that makes camera.yaml of the photos in the folder."""
-    return _command(
-        "camera", folder / _BOARD, *(board or _USUAL_BOARD).split(), "--out", folder / _CAMERA_FILE, again=again
-    )
+    given = board or options_of(folder)
+    return _command("camera", folder / _BOARD, *given, "--out", folder / _CAMERA_FILE, again=again)
 
 
 def device_command(folder: Path, *, again: bool = False) -> str:
@@ -126,7 +130,7 @@ def device_command(folder: Path, *, again: bool = False) -> str:
 
 def rolling_command(folder: Path, *, again: bool = False) -> str:
     """Command that makes rig.yaml without photos of the device."""
-    given: list[str | Path] = ["--source", usual_camera(), "--camera", folder / _CAMERA_FILE]
+    given: list[str | Path] = ["--source", _source(folder), "--camera", folder / _CAMERA_FILE]
     if (folder / _DEVICE_FILE).exists() and not untouched(folder / _DEVICE_FILE):  # its targets give the axes
         given += ["--device", folder / _DEVICE_FILE]
     return _command("rolling", *given, "--out", folder / _RIG_FILE, again=again)
@@ -139,7 +143,18 @@ def init_command(folder: Path) -> str:
 
 def next_command(folder: Path) -> str:
     """Command that tells what comes next."""
-    return _command("next", *([] if folder == default_folder() else [folder]))
+    return _command("next", *_folder(folder))
+
+
+def _folder(folder: Path) -> list[Path]:
+    """As a command needs it."""
+    return [] if folder == default_folder() else [folder]
+
+
+def _source(folder: Path) -> str:
+    """The camera in the mode that was calibrated."""
+    camera = _camera(folder / _CAMERA_FILE)
+    return in_size(usual_camera(), None if camera is None else camera.size)
 
 
 def _command(*words: str | Path, again: bool = False) -> str:
@@ -167,21 +182,23 @@ def _board_step(folder: Path, board: _Photos, overtaken: bool) -> Step:
     if n >= BOARD_ENOUGH or (n and overtaken):
         return Step(name, "done", board.found)
     todo = (
-        "Set the camera's mode, zoom and focus, and change none of them from now on. Fix the board to something flat "
-        "(to print one: `spheremouse calibrate print`).",
-        f"Take {BOARD_ENOUGH} to {BOARD_MOST} sharp photos, the whole board in each; put them into {board.folder}.",
-        "Tilt the board by 30 to 45 degrees to every side, come near and go far, and reach all corners of the picture.",
+        "Fix the board to something flat (to print one: `spheremouse calibrate print`) and stand before the camera. "
+        "Change neither its zoom nor its focus from now on.",
+        "Tilt the board by 30 to 45 degrees to every side, come near and go far, and reach all corners of the picture; "
+        "each photo is taken by itself, and you are told what is missing:",
     )
+    take = photos_command(folder, "camera")
+    own = ((f"Or put {BOARD_ENOUGH} to {BOARD_MOST} sharp photos of the whole board into {board.folder}.", ""),)
     if n < 3:
-        return Step(name, _open(overtaken), board.found, todo)
-    so_far = (f"{n} so far, of {BOARD_ENOUGH} to {BOARD_MOST} sharp ones with the whole board in each.", todo[2])
-    return Step(name, "next", board.found, so_far, otherwise=(("Or go on with these:", camera_command(folder)),))
+        return Step(name, _open(overtaken), board.found, todo, take, own)
+    so_far = (f"{n} so far, of {BOARD_ENOUGH} to {BOARD_MOST} sharp ones with the whole board in each. Go on:",)
+    return Step(name, "next", board.found, so_far, take, (("Or go on with these:", camera_command(folder)),))
 
 
 def _camera_step(folder: Path, camera: _Result | None, board: _Photos, overtaken: bool) -> Step:
     name = _CAMERA_FILE
     if camera is None:
-        todo = ("Say how many inner corners the board has (one less than squares, each way) and how long a square is:",)
+        todo = ("Is --square as measured on the print, and --board its inner corners, one less than squares each way?",)
         return Step(name, _open(overtaken), "not there yet", todo, camera_command(folder))
     again = camera_command(folder, camera.board, again=True)
     if camera.problem:
@@ -218,16 +235,16 @@ def _shots_step(folder: Path, shots: _Photos, overtaken: bool, otherwise: tuple[
     if n >= DEVICE_ENOUGH or (n and overtaken):
         return Step(name, "done", shots.found)
     todo = (
-        "Wedge the ball so that it cannot turn, and touch nothing until the last photo. Mode, zoom and focus as with "
-        "the board.",
-        f"Take {DEVICE_ENOUGH} to {DEVICE_MOST} sharp photos from the front, both sides, above and below; put them "
-        f"into {shots.folder}.",
-        "Three targets or more in each, and as much of the ball as possible.",
+        "Wedge the ball so that it cannot turn, and touch nothing until the last photo. Zoom, focus: as before.",
+        "Go round the device with the camera: front, both sides, above and below, three targets or more in view, and "
+        "as much of the ball as possible; each photo is taken by itself, and you are told what is missing:",
     )
+    take = photos_command(folder, "device")
     if n < 2:
-        return Step(name, _open(overtaken), shots.found, todo, otherwise=otherwise)
-    so_far = (f"{n} so far, of {DEVICE_ENOUGH} to {DEVICE_MOST}: from the front, both sides, above and below.", todo[2])
-    return Step(name, "next", shots.found, so_far, otherwise=(("Or go on with these:", device_command(folder)),))
+        own = f"Or put {DEVICE_ENOUGH} to {DEVICE_MOST} sharp photos into {shots.folder}."
+        return Step(name, _open(overtaken), shots.found, todo, take, ((own, ""), *otherwise))
+    so_far = (f"{n} so far, of {DEVICE_ENOUGH} to {DEVICE_MOST}: from the front, both sides, above and below. Go on:",)
+    return Step(name, "next", shots.found, so_far, take, (("Or go on with these:", device_command(folder)),))
 
 
 def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
@@ -249,7 +266,7 @@ def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
 def _axes_step(folder: Path) -> Step:
     path = folder / _CONFIG_FILE
     todo = ("Which way is right? Stand where the player stands, and show it; the answers are asked for one by one:",)
-    given = ["--rig", str(folder / _RIG_FILE), "--source", usual_camera()]
+    given = ["--rig", str(folder / _RIG_FILE), "--source", _source(folder)]
     command = shlex.join(["spheremouse", "axes", "--config", str(path), *([] if path.exists() else given)])
     if not path.exists():
         return Step("axes", "next", "not asked yet", todo, command)
@@ -314,7 +331,8 @@ def _camera(path: Path) -> _Result | None:
         return _Result(path, "cannot be used", tuple(str(e).splitlines()))
     made = _provenance(path)
     words = f"{camera.width}x{camera.height}, focal length {camera.fx:.1f} px"
-    return _Result(path, words, (), _hashes(made), _hashes(made.get("photos")), _board_options(made))
+    size = camera.width, camera.height
+    return _Result(path, words, (), _hashes(made), _hashes(made.get("photos")), options_made_of(made), size)
 
 
 def _rig(path: Path) -> _Result | None:
@@ -348,16 +366,6 @@ def _hashes(part: Any) -> frozenset[str]:
             yield from walk(inner)
 
     return frozenset(walk(part))
-
-
-def _board_options(made: dict[str, Any]) -> str:
-    """`--board 11x8 --square 0.086m` as they were at the last time, or nothing."""
-    board, square = made.get("board"), made.get("square")
-    try:
-        columns, rows = parse_board(board) if isinstance(board, str) else board  # type: ignore[misc]
-        return f"--board {int(columns)}x{int(rows)} --square {float(square):g}m"  # type: ignore[arg-type]
-    except (CalibrationError, TypeError, ValueError):
-        return ""
 
 
 def _changed(result: _Result, photos: Sequence[Photo]) -> str:

@@ -61,6 +61,14 @@ def read_photos(paths: Sequence[Path], note: Callable[[str], None] = note) -> li
     return photos
 
 
+def has_photos(folder: Path) -> bool:
+    """Whether anything in a folder looks like a photo that can be read."""
+    try:
+        return any(p.suffix.lower() in ENDINGS and not p.name.startswith(".") for p in folder.iterdir())
+    except OSError:
+        return False
+
+
 def image(photo: Photo) -> NDArray[np.uint8]:
     """Pixels of a photo, (h, w, 3) BGR, as the sensor read them; CalibrationError where the file has changed."""
     data = _bytes(photo.path)

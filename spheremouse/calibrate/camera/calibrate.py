@@ -75,7 +75,7 @@ def calibrate(
     _check_plausible(found, pattern)
     used = np.flatnonzero(found.used).tolist()
     covered = coverage(size, [views[k].uv for k in used], found.rotations[found.used])
-    skipped = {i: _why(s, pattern) for i, s in enumerate(seen) if i not in fine}
+    skipped = {i: why_not(s, pattern) for i, s in enumerate(seen) if i not in fine}
     return Calibrated(
         tuple(photos), pattern, tuple(index), tuple(views), found, held_out(views, found), covered, skipped
     )
@@ -85,7 +85,7 @@ def _view(pattern: Pattern, seen: Sighting) -> View:
     return View(pattern.corners()[seen.ids], seen.uv)
 
 
-def _why(seen: Sighting, pattern: Pattern) -> str:
+def why_not(seen: Sighting, pattern: Pattern) -> str:
     """The reason why a photo is no view."""
     if pattern.marker is not None:
         if seen.misplaced:
@@ -147,7 +147,7 @@ def _reasons(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pat
     because: dict[str, list[str]] = {}
     for photo, s in zip(photos, seen, strict=True):
         if not len(s.ids):
-            because.setdefault(_why(s, pattern), []).append(photo.path.name)
+            because.setdefault(why_not(s, pattern), []).append(photo.path.name)
     return "".join(f". {', '.join(names)}: {why}" for why, names in because.items())
 
 

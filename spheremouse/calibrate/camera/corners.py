@@ -15,13 +15,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.calibrate.board_file import BoardFile
+from spheremouse.calibrate.lengths import parse_board, parse_length
+from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation, project, unproject
 from spheremouse.geometry.rotation import Array
 
 DICTIONARIES = tuple(f"DICT_{n}X{n}_{m}" for n in (4, 5, 6, 7) for m in (50, 100, 250, 1000))
 MARKER_SHARE = 0.75  # of a square's side, the marker's of boards that this program prints
 
-_SEARCHED = 2.0e6  # px, to which larger images are reduced before the board is looked for
+SEARCHED = 2.0e6  # px, to which larger images are reduced before the board is looked for
 _WINDOW = 0.25  # of the way to the next corner: a window turned by 45° and shrunk by the view still holds no other edge
 _REACH = 1.0 / 3.0  # of a square, half a side of a window in the board's plane: blur of the next edge stays outside
 _SMOOTH = 1.0  # px, standard deviation: an edge then reaches over enough pixels to show its direction
@@ -49,6 +52,30 @@ class Pattern:
         return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * self.square
 
 
+def pattern_of(told: BoardFile) -> Pattern:
+    """The board that options or a board.yaml tell; CalibrationError where there can be no such board."""
+    columns, rows = parse_board(told.board)
+    side = parse_length(told.square)
+    if told.marker is None:
+        return Pattern(columns, rows, side)
+    inner = parse_length(told.marker)
+    if inner >= side:
+        raise CalibrationError(
+            f"--marker {told.marker}: must be smaller than the square around it, which is {told.square}"
+        )
+    name = told.dictionary.upper()
+    name = name if name.startswith("DICT_") else f"DICT_{name}"
+    if name not in DICTIONARIES:
+        raise CalibrationError(f"--dictionary {told.dictionary}: not known; one of {', '.join(DICTIONARIES)}")
+    pattern = Pattern(columns, rows, side, inner, name)
+    if markers_of(pattern) > markers_in(name):
+        raise CalibrationError(
+            f"--dictionary {name}: has {markers_in(name)} markers, and a board of {columns}x{rows} inner corners "
+            f"carries {markers_of(pattern)}; name the dictionary that is printed on the board"
+        )
+    return pattern
+
+
 @dataclass(frozen=True, slots=True)
 class Sighting:
     """The part of a board in an image. No `ids`: not enough of it, and `grid` says what was there in its place."""
@@ -61,10 +88,13 @@ class Sighting:
     misplaced: bool = False  # markers do not lie as on the board
 
 
-def find_board(image: NDArray[np.uint8], pattern: Pattern) -> Sighting:
-    """Corners of the board in an image, (h, w) grey or (h, w, 3) BGR; all of a chessboard, or none."""
+def find_board(image: NDArray[np.uint8], pattern: Pattern, searched: float = SEARCHED) -> Sighting:
+    """Corners of the board in an image, (h, w) grey or (h, w, 3) BGR; all of a chessboard, or none.
+
+    A chessboard is looked for in an image reduced to `searched` px, and measured in the image itself.
+    """
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) if image.ndim == 3 else image
-    return _find_chessboard(grey, pattern) if pattern.marker is None else _find_charuco(grey, pattern)
+    return _find_chessboard(grey, pattern, searched) if pattern.marker is None else _find_charuco(grey, pattern)
 
 
 def dictionary_seen(image: NDArray[np.uint8]) -> str | None:
@@ -80,9 +110,9 @@ def dictionary_seen(image: NDArray[np.uint8]) -> str | None:
 # ---- chessboards ----
 
 
-def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern) -> Sighting:
+def _find_chessboard(grey: NDArray[np.uint8], pattern: Pattern, searched: float) -> Sighting:
     wanted = pattern.rows, pattern.columns
-    scale = min(1.0, float(np.sqrt(_SEARCHED / grey.size)))
+    scale = min(1.0, float(np.sqrt(searched / grey.size)))
     small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     largest = _grid(small, (_LEAST, _LEAST), cv2.CALIB_CB_LARGER)
     shape = None if largest is None else largest.shape[:2]

@@ -76,9 +76,9 @@ def unleant(found: Coverage) -> list[str]:
 
 
 def missing(found: Coverage) -> list[str]:
-    """Views still wanted: phrases after "a view that ..."; empty when it is enough."""
-    words = [f"shows the board {place}" for place in bare(found)]
-    return words + [f"has the board facing {way} by {np.degrees(LEANT):.0f}° or more" for way in unleant(found)]
+    """Views still wanted, as what to do with the board; left and right as the camera sees them."""
+    words = [f"tilt the board by 20° to 45°, so that it faces {way}" for way in unleant(found)]
+    return words + [f"hold the board {place} of the picture" for place in bare(found)]
 
 
 def listed(words: Sequence[str]) -> str:

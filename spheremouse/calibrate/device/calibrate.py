@@ -32,7 +32,7 @@ from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.least_squares.sphere import FEWEST
 from spheremouse.geometry.rotation import Array, hat
 
-_TARGET_SIGMA = 0.05  # px, of a ring's centre (resect.PoseSettings)
+TARGET_SIGMA = 0.05  # px, of a ring's centre (resect.PoseSettings)
 _SPOT_SIGMA = 0.5  # px, of a dark spot's centroid: threshold, slope of the light, eccentricity
 _FACING = 0.5  # cosine at which any detector sees a disc
 
@@ -62,7 +62,7 @@ def calibrate_device(
         image = read()
         seen.append(detect_targets(image, device.target_radii, rings))
         grey.append(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
-    views = target_views(seen, device, camera, _TARGET_SIGMA)
+    views = target_views(seen, device, camera, TARGET_SIGMA)
     block, views = first_block(views, device, camera, named)
     progress("looking for the ball", 0.45)
     here = [(grey[k], seen[k]) for k in views.photos]
@@ -107,7 +107,7 @@ def _check_radius(found: Callable[[float], Bundled], device: Device) -> None:
         ) from None
 
 
-def _spots(grey: Image, seen: TargetDetections, share: float, settings: DiscSettings) -> Detections:
+def dark_spots(grey: Image, seen: TargetDetections, share: float, settings: DiscSettings) -> Detections:
     """Dark spots that may be discs: `share` of the targets' radius, nearer or further off, straight or aslant."""
     face = np.pi * (float(np.median(seen.radius)) * share) ** 2
     detector = BlobDetector(BlobSettings(masks=24, min_area=max(0.1 * face, 12.0), max_area=4.0 * face))
@@ -122,7 +122,7 @@ def _first_discs(
     tolerance: float,
 ) -> DiscViews:
     """Dark spots that lie on one ball, numbered. Raises CalibrationError where there is none."""
-    found = [_spots(grey, seen, device.disc_radius / device.target_radii[2], settings) for grey, seen in photos]
+    found = [dark_spots(grey, seen, device.disc_radius / device.target_radii[2], settings) for grey, seen in photos]
     spots = Spots(
         np.repeat(np.arange(len(found)), [len(f) for f in found]),
         np.concatenate([f.centre for f in found]),

@@ -22,7 +22,7 @@ _TRIES = 3000  # samples of two points: with six false points of seven, 60 of th
 _PROMISING = 60  # of those, the ones looked into
 _FOURS = 100  # samples of four among the points that go with one: half of these may still be false
 _MOST_POINTS = 1500  # tried; a ball with hundreds of discs has fewer, and time goes with their number
-_APART = np.radians(10.0)  # between rays: nearer than that the place is six times worse than the gap, and worse
+APART = np.radians(10.0)  # between rays: nearer than that the place is six times worse than the gap, and worse
 _LOOSE = 0.15  # of the radius: what a sphere guessed from the size of two dark spots is good for
 _ALIKE = 2.0  # factor by which a dark spot's area may differ from what the sphere says: threshold, shade, a cut
 _CAP = 0.6  # of the radius: least extent of the discs seen, a cap of 17 degrees; bolts in a plane are no large ball
@@ -212,7 +212,7 @@ def _meet(o: Array, u: Array, p: Array, v: Array, tolerance: float) -> Array:
     uv = u @ v.T
     sine2 = 1.0 - uv**2
     bu, bv = (u @ base)[:, None], (v @ base)[None]
-    crossing = sine2 > np.sin(_APART) ** 2  # rays nearly alike meet anywhere
+    crossing = sine2 > np.sin(APART) ** 2  # rays nearly alike meet anywhere
     safe = np.where(crossing, sine2, 1.0)
     s, t = (bu - uv * bv) / safe, (uv * bu - bv) / safe
     first = o + s[..., None] * u[:, None]
@@ -247,7 +247,7 @@ def from_several_sides(poses: Sequence[Pose], points: Array) -> bool:
     """Whether any two photos see the middle of the points from directions ten degrees apart."""
     away = np.array([p.position for p in poses]) - points.mean(axis=0)
     away /= np.linalg.norm(away, axis=1, keepdims=True)
-    return bool(np.min(away @ away.T) < np.cos(_APART))
+    return bool(np.min(away @ away.T) < np.cos(APART))
 
 
 def _by_areas(points: _Points, which: NDArray[np.intp]) -> tuple[Array, float]:

@@ -16,8 +16,8 @@ def recipe(board: Board, square: float, paper_name: str) -> str:
     from markdown_it import MarkdownIt
 
     text = resources.files("spheremouse.calibrate.prints").joinpath("recipe.md").read_text(encoding="utf-8")
-    here = f"--board {board.columns}x{board.rows} --square {mm(square)}mm"
-    title, text = text.replace("--board 11x8 --square 20mm", here).removeprefix("# ").split("\n", 1)
+    text = text.replace("--board 11x8", f"--board {board.columns}x{board.rows}")
+    title, text = text.replace("--square 20mm", f"--square {mm(square)}mm").removeprefix("# ").split("\n", 1)
     drawings = sketches()
     body = MarkdownIt("commonmark").render(text)
     body = re.sub(r"<!-- sketch: (\w+) -->", lambda m: f'<figure class="{m[1]}">{drawings[m[1]]}</figure>', body)

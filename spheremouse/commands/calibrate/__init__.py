@@ -2,7 +2,7 @@
 
 import typer
 
-from spheremouse.commands.calibrate import camera, device, init, next, practice, rolling
+from spheremouse.commands.calibrate import camera, device, init, next, photos, practice, rolling
 from spheremouse.commands.calibrate import print as prints
 
 app = typer.Typer(
@@ -14,6 +14,7 @@ app = typer.Typer(
 
 app.command("print", epilog=prints.EXAMPLE)(prints.print_)
 app.command(epilog=init.EXAMPLE)(init.init)
+app.command(epilog=photos.EXAMPLE)(photos.photos)
 app.command(epilog=camera.EXAMPLE)(camera.camera)
 app.command(epilog=device.EXAMPLE)(device.device)
 app.command("next", epilog=next.EXAMPLE)(next.next_)

@@ -37,6 +37,6 @@ def init(
     else:
         write_atomically(path, device_template())
         typer.echo(f"{path}: written; open it in an editor: it says what to measure")
-    typer.echo(f"{folder / 'board'}, {folder / 'device'}: put photos of the board and of the device here")
+    typer.echo(f"{folder / 'board'}, {folder / 'device'}: photos of the board and of the device go here")
     typer.echo("To print board, targets and discs: spheremouse calibrate print")
     typer.echo(f"What to do next, now and at any time: {next_command(folder)}")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from spheremouse.calibrate.board_file import NAME, BoardFile, text_of
 from spheremouse.calibrate.lengths import parse_board, parse_length
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
@@ -84,6 +85,7 @@ def print_(
     if Kind.BOARDS in kinds:
         for pattern in (chessboard(corners, side), charuco(corners, side)):
             made[f"{pattern.file}-{size}.pdf"] = pdf(board_pages(pattern, corners, size), pattern.name)
+        made[NAME] = text_of(BoardFile(f"{corners.columns}x{corners.rows}", f"{mm(side)}mm")).encode()
     if Kind.DISCS in kinds:
         radius = _millimetres("--disc-radius", disc_radius)
         made[f"discs-{discs}-{mm(radius)}mm-{size}.pdf"] = pdf(disc_pages(discs, radius, size), "Discs")
@@ -121,10 +123,10 @@ def _holds(path: Path, data: bytes) -> bool:
 
 
 def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
-    """All files or, where one is there that differs, none."""
+    """All files or, where one is there that differs, none; which board was printed last may change."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        differ = [n for n, data in made.items() if (folder / n).exists() and not _holds(folder / n, data)]
+        differ = [n for n, d in made.items() if n != NAME and (folder / n).exists() and not _holds(folder / n, d)]
         if differ and not force:
             other = f" (and {len(differ) - 1} more)" if len(differ) > 1 else ""
             raise CalibrationError(

@@ -1,4 +1,4 @@
-"""`spheremouse calibrate camera`: photos and live sessions in, camera.yaml and reports out; what bad input is told."""
+"""`spheremouse calibrate camera`: photos in, camera.yaml and reports out; what bad input is told."""
 
 import json
 import re
@@ -10,8 +10,7 @@ import pytest
 from boards import CAMERA, PATTERN, picture, places
 from typer.testing import CliRunner
 
-from spheremouse.calibrate.camera.corners import Pattern, find_board
-from spheremouse.calibrate.camera.live import Session
+from spheremouse.calibrate.camera.corners import Pattern
 from spheremouse.commands import app
 from spheremouse.errors import CalibrationError, SpheremouseError
 from spheremouse.files.report import page, style, svg
@@ -138,7 +137,6 @@ def test_nothing_there_is_overwritten(made, folder):
         (("--board", "9x6", "--square", "30mm", "--marker", "40mm"), "smaller than the square"),
         (("--board", "9x6", "--square", "30mm", "--marker", "20mm", "--dictionary", "X"), "DICT_4X4_50"),
         (("--board", "9x6", "--square", "30mm", "--distortion", "3"), "one of 0, 2, 4, 5"),
-        (("--board", "9x6", "--square", "30mm", "--source", "opencv:0"), "one of the two"),
     ],
 )
 def test_bad_input_is_told_what_to_do(folder, tmp_path, words, said):
@@ -150,7 +148,6 @@ def test_too_few_photos_are_named_with_the_reason(folder, tmp_path):
     said = refused(folder / "view_0.png", folder / "wall.png", *BOARD, "--out", tmp_path / "c.yaml")
     assert "in 1 of 2 photos" in said
     assert "wall.png: shows no chessboard" in said
-    assert "no photos" in refused(*BOARD)
 
 
 def test_a_photo_of_another_zoom_is_named_and_left_out(folder, poses, tmp_path):
@@ -192,92 +189,6 @@ def test_a_charuco_board_that_was_measured_wrongly(poses, tmp_path):
     assert "carries 180" in refused(
         tmp_path, "--board", "19x17", "--square", "30mm", "--marker", "20mm", "--out", tmp_path / "c.yaml"
     )
-
-
-# ---- live ----
-
-
-def film(path, poses, rng, still=2, between=1):
-    """A video that rests at each place for some frames, and moves for some between them."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, SIZE)
-    assert writer.isOpened()
-    for R, t in zip(*poses, strict=True):
-        rest = picture(R, t)
-        for k in range(still + between):
-            frame = np.roll(rest, 6, axis=1) if k >= still else rest
-            noisy = np.clip(np.rint(frame + rng.normal(0.0, 1.0, frame.shape)), 0, 255).astype(np.uint8)
-            writer.write(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
-    writer.release()
-
-
-def test_a_live_session_keeps_views_that_add_something_and_can_be_continued(tmp_path, poses):
-    """Two of the places are shown twice; a session that was left goes on where it was."""
-    rng = np.random.default_rng(3)
-    R, t = poses
-    order = [0, 0, 1, 1]
-    film(tmp_path / "first.mkv", (R[order], t[order]), rng)
-    keep = tmp_path / "views"
-    live = ("--keep", keep, *BOARD, "--out", tmp_path / "camera.yaml")
-    said = refused("--source", f"video:{tmp_path / 'first.mkv'}", *live)
-    assert "2 views in" in said
-    assert "run it again to go on" in said
-    assert sorted(p.name for p in keep.iterdir()) == ["view_000.png", "view_001.png"]
-    film(tmp_path / "second.mkv", (R[2:6], t[2:6]), rng)
-    result = run("--source", f"video:{tmp_path / 'second.mkv'}", *live)
-    assert result.exit_code == 0
-    assert "goes on with 2 views" in result.output
-    assert "stopped with" in result.output
-    assert load_camera(tmp_path / "camera.yaml").fx == pytest.approx(CAMERA.fx, rel=0.02)
-    assert len(list(keep.iterdir())) == 6
-
-
-def test_a_live_session_ends_when_it_is_enough(tmp_path, poses, monkeypatch):
-    """The source goes on; the session does not."""
-    from spheremouse.calibrate.camera import coverage, live
-
-    monkeypatch.setattr(live, "enough", lambda found: found.views >= 3)
-    R, t = poses
-    film(tmp_path / "all.mkv", (R[:5], t[:5]), np.random.default_rng(4))
-    live.take_views(f"video:{tmp_path / 'all.mkv'}", PATTERN, tmp_path / "views")
-    assert len(list((tmp_path / "views").iterdir())) == 3
-    assert not coverage.enough(coverage.coverage(SIZE, [], np.empty((0, 3, 3))))
-
-
-def test_a_moving_board_is_no_view(poses):
-    R, t = poses
-    session = Session(PATTERN, SIZE)
-    image = picture(R[0], t[0])
-    seen = find_board(image, PATTERN)
-    moved = find_board(np.roll(image, 3, axis=1), PATTERN)
-    assert not session.still(seen)  # nothing to compare with
-    assert not session.still(moved)
-    assert session.still(moved)
-
-
-def test_the_screen_shows_what_is_missing(poses):
-    from spheremouse.calibrate.camera.live import _screen
-
-    R, t = poses
-    session = Session(PATTERN, SIZE)
-    seen = find_board(picture(R[0], t[0]), PATTERN)
-    before = _screen(session, seen, "").plain
-    assert before.count("·") == 24
-    assert "wanted: a view that shows the board in the upper left corner" in before
-    assert session.gain(seen)
-    session.add(seen)
-    after = _screen(session, seen, "view_000.png").plain
-    assert after.count("·") < 24
-    assert "1 views" in after
-    assert "taken: view_000.png" in after
-
-
-def test_a_folder_of_another_mode_is_refused(tmp_path, poses):
-    R, t = poses
-    film(tmp_path / "one.mkv", (R[:1], t[:1]), np.random.default_rng(5))
-    (tmp_path / "views").mkdir()
-    cv2.imwrite(str(tmp_path / "views" / "a.png"), np.full((240, 320, 3), 90, np.uint8))
-    said = refused("--source", f"video:{tmp_path / 'one.mkv'}", "--keep", tmp_path / "views", *BOARD)
-    assert "holds views of 320x240, the camera gives 640x480" in said
 
 
 # ---- the page ----

@@ -64,8 +64,8 @@ def test_what_is_missing_is_named():
     flat = np.broadcast_to(np.eye(3), (len(all_but_one), 3, 3))
     found = coverage(SIZE, all_but_one, flat)
     assert bare(found) == ["in the upper right corner"]
-    assert missing(found)[0] == "shows the board in the upper right corner"
-    assert [f"facing {way}" in " ".join(missing(found)) for way in LEANS] == [True] * 4
+    assert missing(found)[-1] == "hold the board in the upper right corner of the picture"
+    assert [f"faces {way}" in " ".join(missing(found)) for way in LEANS] == [True] * 4
     assert not enough(found)
     middle = coverage(SIZE, [block(250.0, 150.0)], np.eye(3)[None])
     assert "in the middle" in bare(middle)  # the other regions there
@@ -108,7 +108,7 @@ def test_what_is_said_to_be_missing_makes_the_focal_length_better():
     for tilt in ((2.0, 8.0), (25.0, 45.0)):
         R, t = places(8, rng, tilt=tilt)
         given = views(R, t, rng, 0.1)
-        asked = [w for w in missing(coverage(size, [v.uv for v in given], R)) if "facing" in w]
+        asked = [w for w in missing(coverage(size, [v.uv for v in given], R)) if "faces" in w]
         sigma.append((len(asked), calibrate_board(given, size, 2).deviations[0]))
     assert sigma[0][0] == 4
     assert sigma[1][0] < 4

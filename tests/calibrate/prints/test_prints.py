@@ -504,6 +504,7 @@ def test_what_cannot_be_is_refused_in_one_line(tmp_path, words, message):
 def test_the_recipe_names_the_board_that_was_printed():
     page = recipe(Board(9, 6), 30.0, "letter")
     assert "--board 9x6 --square 30mm" in page
+    assert "--for camera --square 30mm" in page
     assert "11x8" not in page
     assert "size: Letter" in page
     assert page.count("<svg") == len(sketches())

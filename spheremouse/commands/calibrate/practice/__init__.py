@@ -1,6 +1,7 @@
 """`spheremouse calibrate practice`: a folder of simulated calibration photos with the truth, to try calibration on.
 
-The folder has board/*.jpg, device/*.jpg, device.yaml (what a person would know and measure) and truth.json.
+The folder has board/*.jpg, device/*.jpg, board.yaml and device.yaml (what a person would know and measure) and
+truth.json.
 """
 
 from collections.abc import Iterator
@@ -10,7 +11,6 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.outputs import copyable
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
@@ -19,7 +19,7 @@ from spheremouse.simulate.ball.options import StillsOptions
 
 EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"
 
-_PARTS = ("board", "device", "device.yaml", "truth.json")
+_PARTS = ("board", "board.yaml", "device", "device.yaml", "truth.json")
 
 
 @with_fields()
@@ -38,6 +38,7 @@ def practice(
 
     Six photos are from front, left, right, high, low and turned by 90 degrees; more stand between and beside them.
     """
+    from spheremouse.calibrate.evening import camera_command, device_command
     from spheremouse.commands.calibrate.practice.write import device_of, write_stills
     from spheremouse.simulate.ball.stills import prepare_stills
 
@@ -57,11 +58,8 @@ def practice(
     what = "a practice device" if like is None else f"the device of {like}"
     many = "photo" if options.photos == 1 else "photos"
     print(f"{folder}: {options.photos} {many} of {what}, {options.boards} of the board, device.yaml, truth.json")
-    lens, given = folder / "camera.yaml", folder / "device.yaml"
-    camera = ("camera", folder / "board", "--board", "11x8", "--square", "86mm", "--out", lens)
-    device = ("device", folder / "device", "--device", given, "--camera", lens, "--out", folder / "rig.yaml")
-    print(f"next: {copyable('spheremouse', 'calibrate', *camera)}")
-    print(f"then: {copyable('spheremouse', 'calibrate', *device)}")
+    print(f"next: {camera_command(folder)}")
+    print(f"then: {device_command(folder)}")
 
 
 # ---- the folder ----

@@ -1,0 +1,48 @@
+"""board.yaml: written by one command, read by another, and by a person in between."""
+
+import pytest
+
+from spheremouse.calibrate import board_file
+from spheremouse.calibrate.board_file import NAME, BoardFile, board_of, load_board, options_of, save_board
+from spheremouse.errors import ConfigurationError
+
+
+@pytest.mark.parametrize(
+    "board", [BoardFile(), BoardFile("9x6", "20.1mm"), BoardFile("9x6", "30mm", "22mm", "DICT_4X4_50")]
+)
+def test_what_is_written_is_read(tmp_path, board):
+    save_board(tmp_path / NAME, board)
+    assert load_board(tmp_path / NAME) == board
+    before = (tmp_path / NAME).stat().st_mtime_ns
+    save_board(tmp_path / NAME, board)
+    assert (tmp_path / NAME).stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("square: 20", "20 of what"),
+        ("square: 20mm\nboard: 11\n", "board.yaml:2: board"),
+        ("size: 3\n", "size: is not known here"),
+        ("- 1\n", "must be lines"),
+        ("square: [\n", "board.yaml:"),
+        ("marker: wide\n", "marker"),
+    ],
+)
+def test_slips_are_told_with_their_line(tmp_path, text, said):
+    (tmp_path / NAME).write_text(text)
+    with pytest.raises(ConfigurationError, match=NAME) as e:
+        load_board(tmp_path / NAME)
+    assert said in str(e.value)
+    assert options_of(tmp_path) == BoardFile().options
+
+
+def test_the_evening_s_own_board_comes_before_the_one_that_was_printed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert board_of(tmp_path / "cabinet") is None
+    board_file.PRINTED.mkdir(parents=True)
+    save_board(board_file.PRINTED / NAME, BoardFile(square="40mm"))
+    assert options_of(tmp_path / "cabinet") == ["--board", "11x8", "--square", "40mm"]
+    (tmp_path / "cabinet").mkdir()
+    save_board(tmp_path / "cabinet" / NAME, BoardFile(square="39.9mm", marker="30mm"))
+    assert options_of(tmp_path / "cabinet") == ["--board", "11x8", "--square", "39.9mm", "--marker", "30mm"]

@@ -1,0 +1,121 @@
+"""`spheremouse calibrate photos`: films of a board in, an evening's folder out, and what a person reads of it."""
+
+import shlex
+
+import cv2
+import numpy as np
+import pytest
+from boards import CAMERA, picture, places
+from typer.testing import CliRunner
+
+from spheremouse.calibrate.board_file import NAME, BoardFile, load_board
+from spheremouse.calibrate.camera import coverage
+from spheremouse.calibrate.photographing import board as judging
+from spheremouse.commands import app
+from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
+from spheremouse.files.device import device_template
+from spheremouse.files.rig import load_camera, save_camera
+
+SIZE = CAMERA.width, CAMERA.height
+BOARD = ("--board", "9x6", "--square", "30mm")
+
+
+@pytest.fixture(scope="module")
+def poses():
+    return places(6, np.random.default_rng(0))
+
+
+def run(*words, command="photos"):
+    result = CliRunner().invoke(app, ["calibrate", command, *map(str, words)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def film(path, poses, rest=2):
+    """A video that rests at each place, and moves between them."""
+    rng = np.random.default_rng(3)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, SIZE)
+    assert writer.isOpened()
+    for R, t in zip(*poses, strict=True):
+        image = picture(R, t)
+        for k in range(rest + 1):
+            frame = np.roll(image, 6, axis=1) if k == rest else image
+            noisy = np.clip(np.rint(frame + rng.normal(0.0, 1.0, frame.shape)), 0, 255).astype(np.uint8)
+            writer.write(cv2.cvtColor(noisy, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return f"video:{path}"
+
+
+def test_photos_are_taken_until_they_are_enough_and_the_next_command_works(tmp_path, poses, monkeypatch):
+    monkeypatch.setattr(judging, "enough", lambda found: found.views >= 4)
+    folder = tmp_path / "my cabinet"
+    result = run("--for", "camera", folder, *BOARD, "--source", film(tmp_path / "f.mkv", poses))
+    assert f"{folder / 'board'}: 4 photos, which is enough" in result.stdout
+    assert sorted(p.name for p in (folder / "board").iterdir()) == [f"view_{k:03d}.png" for k in range(4)]
+    assert load_board(folder / NAME) == BoardFile("9x6", "30mm")
+    words = shlex.split(result.stdout.splitlines()[-1].removeprefix("next: "))
+    assert words[1:3] == ["calibrate", "camera"]
+    run(*words[3:], command="camera")
+    assert load_camera(folder / "camera.yaml").fx == pytest.approx(CAMERA.fx, rel=0.02)
+
+
+def test_what_is_missing_is_said_and_the_same_command_goes_on(tmp_path, poses):
+    R, t = poses
+    source = film(tmp_path / "f.mkv", (R[:3], t[:3]))
+    result = run("--for", "camera", tmp_path, *BOARD, "--source", source)
+    assert "3 photos so far; tilt the board" in result.stdout
+    assert f"go on: spheremouse calibrate photos {tmp_path} --for camera --source {source}" in result.stdout
+    assert "or go on with these: spheremouse calibrate camera" in result.stdout
+    again = run("--for", "camera", tmp_path, "--source", source)  # the board is remembered
+    assert "goes on with 3 photos" in again.output
+    assert len(list((tmp_path / "board").iterdir())) == 3
+    assert not coverage.enough(coverage.coverage(SIZE, [], np.empty((0, 3, 3))))
+
+
+def test_a_film_that_breaks_off_keeps_its_photos_and_says_so(tmp_path, poses):
+    source = film(tmp_path / "f.mkv", poses, rest=4)
+    path = tmp_path / "f.mkv"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(SourceError, match=r"truncated or damaged there; \d photos? in .* kept, and the same command"):
+        run("--for", "camera", tmp_path, *BOARD, "--source", source)
+    assert list((tmp_path / "board").iterdir())
+
+
+def test_where_nothing_can_be_taken_the_reason_is_told(tmp_path, poses):
+    R, t = poses
+    source = film(tmp_path / "f.mkv", (R[:1], t[:1]))
+    with pytest.raises(CalibrationError, match="no photo in 3 frames: most often it shows 9x6 corners of a chessboard"):
+        run("--for", "camera", tmp_path, "--board", "7x5", "--square", "30mm", "--source", source)
+    assert not (tmp_path / NAME).exists()
+
+
+def test_what_comes_before_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CalibrationError, match="is a file"):
+        run("--for", "camera", tmp_path / "file")
+    folder = tmp_path / "cabinet"
+    folder.mkdir()
+    with pytest.raises(CalibrationError, match=r"device\.yaml: no such file; `spheremouse calibrate init"):
+        run("--for", "device", folder)
+    (folder / "device.yaml").write_text(device_template())
+    with pytest.raises(CalibrationError, match="photos of the board come first: spheremouse calibrate photos"):
+        run("--for", "device", folder)
+    (folder / "config.yaml").write_text("camera: {size: 3}\n")
+    with pytest.raises(ConfigurationError, match=r"config\.yaml"):
+        run("--for", "camera", folder)
+
+
+def test_a_device_is_photographed_in_the_mode_of_its_camera(tmp_path, poses):
+    from dataclasses import replace
+
+    (tmp_path / "device.yaml").write_text(device_template())
+    save_camera(tmp_path / "camera.yaml", replace(CAMERA, width=1280, height=960))
+    with pytest.raises(CalibrationError, match=r"is for the mode 1280x960, the camera gives 640x480"):
+        run("--for", "device", tmp_path, "--source", film(tmp_path / "f.mkv", poses))
+
+
+def test_sources_that_are_none_are_refused(tmp_path):
+    for source in ("video:none.mkv", "v4l2:/dev/nothing", "nothing:1"):
+        with pytest.raises(SourceError):
+            run("--for", "camera", tmp_path, *BOARD, "--source", source)
