@@ -1,8 +1,8 @@
-"""What tests and robust estimates have in common: quantiles of chi-square, a false alarm, a sigma from the median."""
+"""What tests and robust estimates have in common: quantiles of chi-square and F, a false alarm, a median's sigma."""
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 from spheremouse.geometry.rotation import Array
 
@@ -13,6 +13,14 @@ _MAD = 1.4826  # standard deviation over median of the absolute values, of norma
 def gate(p: float, dof: float) -> float:
     """Sum of `dof` squared normalised errors that is exceeded with a chance of 1 - `p` alone: chi-square's quantile."""
     return float(chi2.ppf(p, dof))
+
+
+def ratio_gate(p: float, dof: float, other: float) -> float:
+    """Ratio of two variances, estimated with `dof` and `other` degrees of freedom, that is exceeded with 1 - `p` alone.
+
+    The quantile of F, for two that are the same.
+    """
+    return float(f.ppf(p, dof, other))
 
 
 def mad_sigma(error: NDArray[np.floating]) -> Array:

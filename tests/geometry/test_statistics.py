@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from spheremouse.geometry.statistics import FALSE_ALARM, gate, mad_sigma
+from spheremouse.geometry.statistics import FALSE_ALARM, gate, mad_sigma, ratio_gate
 
 
 @pytest.mark.parametrize("dof", [1, 2, 6])
@@ -23,3 +23,10 @@ def test_the_sigma_is_that_of_the_errors_however_gross_some_are():
 
 def test_single_precision_does_not_come_back():
     assert mad_sigma(np.array([1.0, 2.0, 3.0], np.float32)) == 1.4826 * 2.0
+
+
+@pytest.mark.parametrize(("dof", "other"), [(3, 8), (20, 80)])
+def test_so_many_ratios_of_the_same_variance_stay_below_theirs(dof, other):
+    rng = np.random.default_rng(3)
+    a, b = (np.mean(rng.normal(size=(40000, n)) ** 2, axis=1) for n in (dof, other))
+    assert np.mean(a / b < ratio_gate(0.99, dof, other)) == pytest.approx(0.99, abs=0.002)

@@ -6,6 +6,7 @@ Gains come from the design matrix (what_if), not from rules of thumb; everything
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration, image_residuals
@@ -15,10 +16,12 @@ from spheremouse.calibrate.device.what_if import (
 )
 from spheremouse.geometry.least_squares.reliability import redundancy
 from spheremouse.geometry.rotation import Array
-from spheremouse.geometry.statistics import FALSE_ALARM, gate
+from spheremouse.geometry.statistics import FALSE_ALARM, gate, ratio_gate
 
 _RING = 0.03  # by which the size of rings may be off: print, blur, their colour's fringe
 _SCATTER = 4.0  # variance factor: twice the usual standard deviation
+_STANDS_OUT = 2.0  # times the RMS of the other photos: less is nothing to speak of
+_ASLANT = 3.0  # times the usual standard deviation: discs near the ball's edge
 _CHECKED = 8  # discs in three photos or more: four fix a sphere, as many check it
 _GROUPS = ("target", "disc")
 
@@ -47,6 +50,18 @@ def photo_scatter(calibration: DeviceCalibration) -> tuple[Array, Array]:
     freedom = np.bincount(image.photo, np.trace(cofactor, axis1=1, axis2=2), minlength=k)
     squares = np.bincount(image.photo, np.sum(residual**2, axis=1), minlength=k)
     return np.asarray(squares / np.maximum(freedom, 1e-9), float), np.asarray(freedom, float)
+
+
+def photo_px(calibration: DeviceCalibration) -> tuple[Array, Array]:
+    """Of each photo used: px RMS per axis of its image points, (k,), and what is expected of them, (k,)."""
+    image, m, k = calibration.problem.image, calibration.measured, len(calibration.poses)
+    _, cofactor = image_residuals(calibration.solution, len(image))
+
+    def rms(photo: NDArray[np.intp], squares: Array) -> Array:
+        return np.sqrt(np.bincount(photo, squares, minlength=k) / np.maximum(2 * np.bincount(photo, minlength=k), 1))
+
+    found = rms(m.photo[m.used], np.sum(m.residual[m.used] ** 2, axis=1))
+    return found, rms(image.photo, np.einsum("nij,nji->n", image.covariance, cofactor))
 
 
 def distance_redundancy(calibration: DeviceCalibration) -> Array:
@@ -166,17 +181,7 @@ def _scatter_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
                 "a camera file of another mode. The uncertainties have this in them."
             )
             yield Advice("warning", text)
-    ratio, freedom = photo_scatter(c)
-    total = float(np.sum(ratio * freedom))
-    for i, (r, f) in enumerate(zip(ratio, freedom, strict=True)):
-        others = (total - r * f) / max(float(np.sum(freedom)) - f, 1e-9)
-        times = np.sqrt(r / max(others, 1e-12))
-        if f > 1.0 and times > 2.0 and r > others * gate(1.0 - FALSE_ALARM, f) / f:
-            text = (
-                f"{names.used(i)} fits {times:.1f} times worse than the others: blurred, or something moved. Take it "
-                "again, or leave it out."
-            )
-            yield Advice("warning", text)
+    yield from _photo_findings(c, names)
     count = np.bincount(c.measured.photo, minlength=len(c.poses))
     false = np.bincount(c.measured.photo, ~c.measured.used, minlength=len(c.poses))
     for i in np.flatnonzero((false >= 3) & (false > 0.25 * count)):
@@ -185,6 +190,36 @@ def _scatter_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
             "not used: did the ball turn before it was taken?"
         )
         yield Advice("warning", text)
+
+
+def _photo_findings(c: DeviceCalibration, names: _Names) -> Iterator[Advice]:
+    """Photos that are farther off than the others, by an F test, and why: what is wrong, or points that may be."""
+    (ratio, freedom), (px, expected) = photo_scatter(c), photo_px(c)
+    sigma = np.sqrt(0.5 * np.trace(c.problem.image.covariance, axis1=1, axis2=2))
+    for i, f in enumerate(freedom):
+        rest = np.delete(freedom, i)
+        if f <= 1.0 or rest.sum() <= 1.0:
+            continue
+        bound = max(ratio_gate(1.0 - FALSE_ALARM, f, rest.sum()), _STANDS_OUT**2)
+        others, others_px = (np.sum(rest * np.delete(v, i)) / rest.sum() for v in (ratio, px**2))
+        mine = sigma[c.problem.image.photo == i]
+        aslant = mine[mine > _ASLANT * np.median(sigma)]
+        far_off = px[i] ** 2 > bound * others_px
+        if ratio[i] > bound * others or (far_off and not len(aslant)):
+            times = np.sqrt(ratio[i] / max(others, 1e-12))
+            text = (
+                f"{names.used(i)} fits {times:.1f} times worse than the others ({px[i]:.3f} px off, they "
+                f"{np.sqrt(others_px):.3f} px): blurred, or something moved. Take it again, or leave it out."
+            )
+            yield Advice("warning", text)
+        elif far_off:
+            text = (
+                f"{names.used(i)} is {px[i]:.3f} px off, the others {np.sqrt(others_px):.3f} px, as it may be "
+                f"({expected[i]:.3f} px are expected): {len(aslant)} of its {len(mine)} points are discs near the "
+                f"ball's edge, so aslant that their centres are uncertain by up to {aslant.max():.2f} px, and count "
+                "for little. Nothing need be done; a photo from farther round would show them better."
+            )
+            yield Advice("note", text)
 
 
 # ---- what to do ----

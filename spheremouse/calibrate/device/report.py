@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration
-from spheremouse.calibrate.device.advice import coverage
+from spheremouse.calibrate.device.advice import coverage, photo_px
 from spheremouse.calibrate.device.figures import certainty, magnification, overview, photo_picture, side_views
 from spheremouse.calibrate.device.plans import Advice
 from spheremouse.calibrate.device.results import (
@@ -156,20 +156,22 @@ def _distance_section(c: DeviceCalibration) -> str:
 def _photo_section(c: DeviceCalibration, photos: Sequence[Photo]) -> str:
     unit, f, _ = unit_of(c)
     rows, certain, pictures = [], [], []
+    expected = photo_px(c)[1]
     for i, (k, pose, (used, rejected, rms)) in enumerate(zip(c.photos, c.poses, per_photo(c), strict=True)):
         name, number = photos[k].path.name, str(k + 1)
         place = [f"{f * v:.0f}" for v in pose.position]
-        rows.append([number, name, *place, str(used), str(rejected or "-"), px(rms)])
+        rows.append([number, name, *place, str(used), str(rejected or "-"), px(rms), px(expected[i])])
         certain.append([number, *_pose_sigma(c, np.diag(pose.covariance))])
         count = f"{used} points" + (f", {rejected} not used" if rejected else "")
         pictures.append(page.picture(photo_picture(c, i, image(photos[k])), f"{number}: {name}; {count}, {px(rms)} px"))
     certain.append(["RMS", *_pose_sigma(c, np.mean([np.diag(pose.covariance) for pose in c.poses], axis=0))])
-    head = ["", "photo", *(f"{a} {unit}" for a in AXES), "points", "not used", "px RMS"]
+    head = ["", "photo", *(f"{a} {unit}" for a in AXES), "points", "not used", "px RMS", "expected"]
     spread = ["", *(f"sigma {a} {unit}" for a in AXES), *(f"about {a} °" for a in AXES)]
     times = magnification(c, photos[c.photos[0]].size[0])
     table = page.paragraph(
         "Where the camera stood in each photo, as seen from the ball's centre, how certain that is, and how certain "
-        "its attitude about the three axes is, in degrees. (Wittich 2017, tables 10 and 12.)"
+        "its attitude about the three axes is, in degrees. (Wittich 2017, tables 10 and 12.) The more discs a photo "
+        "shows aslant, near the ball's edge, the farther off its points are expected to be: they count for less."
     )
     drawn = page.paragraph(
         f"Green: targets; blue: discs; red crosses: seen, but contradicted by the other photos and not used. Arrows "
