@@ -4,6 +4,7 @@ The places are drawn by matplotlib in straight projections of our own, whose lin
 be left out (Wittich 2017, figures 32, 33); the photos by OpenCV, so that they are there without matplotlib, too.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.calibrate.device.adjust import DeviceCalibration
+from spheremouse.files.report.labels import label_points
 from spheremouse.files.report.style import BLUE, GOLD, GREEN, GRID, INK, MUTED, PAPER, RED, round_number, styled
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, tangent_basis
@@ -119,22 +121,22 @@ def _scene(ax: "Axes", c: DeviceCalibration, view: _View, *, lines: bool = False
     drawn_points = [_ball(ax, c, view)]
     for code, place in zip(c.device.codes, c.targets, strict=True):
         drawn_points.append(_target(ax, c, view, code, place))
-    if abs(view.forward[2]) > 0.3:  # else they hang one behind the other
-        for id_, place in zip(c.device.ids, c.targets, strict=True):
-            at = view(place + 1.4 * float(c.device.target_radii[2]) / c.unit * (view.up + view.right))
-            ax.annotate(str(id_), _pair(at), fontsize=7.5, color=INK, zorder=15, ha="left", va="bottom")
     for name, colour, axis in zip("XYZ", (RED, GREEN, BLUE), np.eye(3), strict=True):
         if abs(axis @ view.forward) > 0.95:
             continue
-        start, end = view(1.06 * R * axis), view(1.45 * R * axis)
-        ax.annotate(
-            "", _pair(end), _pair(start), arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.2}, zorder=25
-        )
+        centre, surface, end = view(0.0 * axis), view(R * axis), view(1.45 * R * axis)
+        ax.plot(*np.stack([centre, surface]).T, color=colour, lw=0.8, ls=(0, (4, 3)), zorder=25)  # within the ball
+        look = {"arrowstyle": "-|>", "color": colour, "lw": 1.2, "shrinkA": 0.0}
+        ax.annotate("", _pair(end), _pair(surface), arrowprops=look, zorder=25)
         ax.annotate(name, _pair(view(1.58 * R * axis)), color=colour, ha="center", va="center", fontsize=8.5, zorder=25)
         drawn_points.append(view(1.65 * R * axis)[None])
     size = 0.09 * float(np.median([np.linalg.norm(p.position) for p in c.poses]))
-    for number, pose in zip(c.photos, c.poses, strict=True):
-        drawn_points.append(_frustum(ax, c, view, pose, size, str(number + 1)))
+    for pose in c.poses:
+        drawn_points.append(_frustum(ax, c, view, pose, size))
+    if abs(view.forward[2]) > 0.3:  # else they hang one behind the other
+        label_points(ax, _named(c.device.ids, view(c.targets)), fontsize=7.5, color=INK)
+    at = view(np.stack([pose.position for pose in c.poses]))
+    label_points(ax, _named([k + 1 for k in c.photos], at), radius=1.0, color=BLUE)
     everything = np.concatenate(drawn_points)
     low, high = everything.min(axis=0), everything.max(axis=0)
     margin = 0.04 * float(np.max(high - low))
@@ -188,8 +190,8 @@ def _target(ax: "Axes", c: DeviceCalibration, view: _View, code: str, place: Arr
     return view(_circle(place, axis, 2.5 * float(c.device.target_radii[2]) / c.unit))
 
 
-def _frustum(ax: "Axes", c: DeviceCalibration, view: _View, pose: Pose, size: float, name: str) -> Array:
-    """A camera: the pyramid it sees, its top, a number."""
+def _frustum(ax: "Axes", c: DeviceCalibration, view: _View, pose: Pose, size: float) -> Array:
+    """A camera: the pyramid it sees, and its top."""
     camera = c.camera
     half = 0.5 * np.array([camera.width / camera.fx, camera.height / camera.fy])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
@@ -208,15 +210,11 @@ def _frustum(ax: "Axes", c: DeviceCalibration, view: _View, pose: Pose, size: fl
     ax.fill(*flat.T, facecolor=BLUE, alpha=0.10, lw=0.0, zorder=order)
     ax.plot(*np.concatenate([flat, flat[:1]]).T, color=BLUE, lw=1.0, zorder=order, solid_joinstyle="round")
     ax.fill(*view(top @ pose.rotation.T + pose.position).T, facecolor=BLUE, lw=0.0, zorder=order)
-    away = tip - flat.mean(axis=0)
-    far = float(np.linalg.norm(away))
-    step = away / far if far > 0.3 * size else np.array([0.0, 1.0])
-    label = tip + 0.32 * size * step
-    ax.annotate(
-        name, _pair(label), fontsize=8.0, color=INK, ha="center", va="center", zorder=40,
-        bbox={"boxstyle": "round,pad=0.15", "facecolor": PAPER, "edgecolor": "none", "alpha": 0.75},
-    )  # fmt: skip
-    return np.concatenate([flat, tip[None], label[None] + 0.12 * size, label[None] - 0.12 * size])
+    return np.concatenate([flat, tip + 0.3 * size * np.array([[-1.0, -1.0], [1.0, 1.0]])])  # with its number
+
+
+def _named(names: Sequence[int], places: Array) -> list[tuple[str, float, float]]:
+    return [(str(name), *_pair(at)) for name, at in zip(names, places, strict=True)]
 
 
 def _pair(point: Array) -> tuple[float, float]:

@@ -87,7 +87,8 @@ def _places(c: DeviceCalibration) -> str:
         above = page.figure(
             overview(c),
             "Cameras (blue, with the number of the photo), targets with their ids, discs, and the ball. Discs on the "
-            "far side are pale. The arrows are the axes from the ball's centre: X right, Y up, Z towards the camera.",
+            "far side are pale. The arrows are the axes from the ball's centre, dashed within the ball: X right, Y up, "
+            "Z towards the camera.",
         )
         below = page.figure(side_views(c), "The same, all at one scale. The more the cameras surround it, the better.")
         drawing, times = certainty(c)
