@@ -11,20 +11,18 @@ from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 from spheremouse.output import Output, desktop, serial, uinput
 from spheremouse.output.serial import ports as ports_module
-
-THIRD = ("none", "wheel")  # what all of them can
+from spheremouse.output.third_axis import NONE, checked
 
 
 def open(argument: str) -> Output:
     """The first that can be opened."""
-    third = str(options(argument, {"third": str}, f"auto:{argument}", OutputError).get("third", "none"))
-    if third not in THIRD:
-        raise OutputError(f"auto: third={third}; write third= with one of {', '.join(THIRD)}")
+    given = options(argument, {"third": str}, f"auto:{argument}", OutputError)
+    third = checked("auto", str(given.get("third", NONE)))
     ways: list[Callable[[str], tuple[str, Output]]] = [_uinput, _board, _desktop]
     failures: list[str] = []
     for way in ways:
         try:
-            spec, output = way(f"third={third}" if third != "none" else "")
+            spec, output = way(f"third={third}" if third != NONE else "")
         except OutputError as e:
             failures.append(str(e))
             continue

@@ -14,8 +14,8 @@ from typing import Any, Self
 from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 from spheremouse.output import Report
+from spheremouse.output.third_axis import NONE, checked
 
-THIRD = ("none", "wheel")
 NOTCH = 120  # counts, as of the other outputs' fine wheels
 _MOST = 10_000  # px: X11 takes positions of 16 bits, and no screen is wider than that
 
@@ -64,9 +64,8 @@ class Desktop:
 
 def open(argument: str) -> Desktop:
     """Find the desktop."""
-    third = str(options(argument, {"third": str}, f"desktop:{argument}", OutputError).get("third", "none"))
-    if third not in THIRD:
-        raise OutputError(f"desktop: third={third}; write third= with one of {', '.join(THIRD)}")
+    given = options(argument, {"third": str}, f"desktop:{argument}", OutputError)
+    third = checked("desktop", str(given.get("third", NONE)))
     return Desktop(_find(), third)
 
 

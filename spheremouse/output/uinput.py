@@ -16,10 +16,10 @@ from typing import Any, Self
 from spheremouse.errors import OutputError
 from spheremouse.files.registry import options
 from spheremouse.output import Report
+from spheremouse.output.third_axis import NONE, checked
 
 NAME = "spheremouse"
 BUS, VENDOR, PRODUCT, VERSION = 0x06, 0x5350, 0x4D31, 1
-THIRD = ("none", "wheel", "rz")
 NOTCH = 120  # REL_WHEEL_HI_RES units of one detent
 
 # Linux, input-event-codes.h
@@ -89,9 +89,8 @@ class UInput:
 
 def open(argument: str) -> UInput:
     """Create the mouse."""
-    third = str(options(argument, {"third": str}, f"uinput:{argument}", OutputError).get("third", "none"))
-    if third not in THIRD:
-        raise OutputError(f"uinput: third={third}; write third= with one of {', '.join(THIRD)}")
+    given = options(argument, {"third": str}, f"uinput:{argument}", OutputError)
+    third = checked("uinput", str(given.get("third", NONE)))
     return UInput(_create(third), third)
 
 

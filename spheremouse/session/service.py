@@ -18,6 +18,7 @@ from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.stopping import Stopping, on_hang_up
 from spheremouse.output.pointer import Counts, plus
 from spheremouse.output.sparing import Sparing
+from spheremouse.output.third_axis import left_out
 from spheremouse.session.answers import Answers
 from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.cameras import held
@@ -112,6 +113,7 @@ class Daemon:
                 self._crew.begin()
                 self._open_doors()  # who is refused there has opened no output, and emptied no file
                 self._outputs.begin()
+                self._tell_left_out(self._loader.plan)
                 if self._get_ready(stopping):
                     self._loop(stopping)
         finally:
@@ -236,6 +238,10 @@ class Daemon:
         self._arrivals.begin()
         return True
 
+    def _tell_left_out(self, plan: Plan) -> None:
+        if words := left_out(plan.output):
+            self._say(words)
+
     def _claim(self, thread: int | None) -> None:
         if self._realtime:
             realtime.claim(thread)
@@ -288,6 +294,7 @@ class Daemon:
         change = self.follower.prepare(plan, changed)
         if "output" in changed:
             self._outputs.exchange(change.outputs, plan.configuration.pointer)
+            self._tell_left_out(plan)
             self._claim(self._outputs.pointer.native_id)
         elif "axes" in changed:
             self._outputs.exchange_others(change.outputs[1:], plan.configuration.pointer)
@@ -325,7 +332,7 @@ class Daemon:
             "dropped": self._capture.dropped,
             "damaged": worker.damaged,
             "counts": list(self._counts),
-            "output": {"spec": plan.output, **output},
+            "output": {"spec": plan.output, "left_out": left_out(plan.output) or None, **output},
             "source": {"spec": plan.source, "description": self._capture.description},
             "unseen_s": how.unseen,
             "lost_count": worker.lost,

@@ -90,7 +90,7 @@ def test_the_status_is_a_short_table(ctl, daemon):
         "median 2.9 ms, 99 % 6.4 ms, longest 11.2 ms",
         "17 used, 19 seen, 26 known",
         "70 min old, within 3.3 mm (1 sigma)",
-        "uinput, 810344 reports, not sent: +0 -12 +0 counts",
+        "uinput:third=wheel, 810344 reports, not sent: +0 -12 +0 counts",
         "/dev/video0: MJPG 640x480, 60 frames/s",
         "31 s of 71 min, lost 2 times",
     ):

@@ -461,6 +461,17 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
     assert not said(world, "output: ")  # the second was opened when the first was closed, and not before
 
 
+def test_an_output_that_leaves_the_third_axis_out_says_so_when_it_is_taken(playing, monkeypatch):
+    monkeypatch.setattr(loader_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
+    world, words = playing, "the third axis (the ball's spin) is not sent: output uinput has no `third=`"
+    assert ask(world, "status")["output"]["left_out"] is None  # nobody knows of this world's outputs
+    for spec, told in (("uinput", 1), ("uinput:third=wheel", 1), ("uinput", 2)):
+        ask(world, "set", assignments=[f"output={spec}"])
+        left_out = ask(world, "status")["output"]["left_out"]
+        assert (left_out or "").startswith(words) is (spec == "uinput")
+        assert times(world, words) == told
+
+
 def test_what_was_set_lasts_until_the_next_reload(playing):
     world = playing
     assert ask(world, "set", assignments=["motion.scale_y=3"])["changed"] == ["motion"]

@@ -133,6 +133,8 @@ def _output(output: Any, reason: Any) -> Text:
         text.append(f", {output.get('reports', 0)} reports")
     if any(output.get("unsent") or ()):
         text.append(f", not sent: {' '.join(f'{n:+d}' for n in output['unsent'])} counts")
+    if output.get("left_out"):
+        text.append(f"\n{printable(output['left_out'])}", style="dim")
     return text
 
 

@@ -7,12 +7,24 @@ from pathlib import Path
 from spheremouse.commands.doctor.access import refusal
 from spheremouse.commands.doctor.finding import Finding, Verdict, ok, refused, unchecked, warning, wrong
 from spheremouse.errors import OutputError
+from spheremouse.output.third_axis import left_out, sent_as
 
 UINPUT = Path("/dev/uinput")
 
 
 def check(spec: str) -> list[Finding]:
-    """A line for the output in use; for `auto` one for each that it may take."""
+    """A line for the output in use, for `auto` one for each that it may take; then what becomes of the third axis."""
+    return [*_ways(spec), *_third(spec)]
+
+
+def _third(spec: str) -> list[Finding]:
+    missing, sent = left_out(spec), sent_as(spec)
+    if missing:
+        return [ok("third axis", *missing.split("; "))]
+    return [ok("third axis", f"the ball's spin is sent as {sent}")] if sent else []
+
+
+def _ways(spec: str) -> list[Finding]:
     kind, _, argument = spec.partition(":")
     if kind == "auto":
         return _auto()

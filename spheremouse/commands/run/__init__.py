@@ -225,6 +225,7 @@ def follow(
     request: "Request", plan: "Plan", setup: "Setup", stopping: "Stopping", view: "Counting", frames: int | None
 ) -> tuple[SpheremouseError | None, tuple[str, ...]]:
     """A recording: every frame, one after the other."""
+    from spheremouse.output.third_axis import left_out
     from spheremouse.session import offline
     from spheremouse.session.follower import here
 
@@ -236,6 +237,8 @@ def follow(
         stack.callback(follower.close)
         sinks = [stack.enter_context(open_it()) for open_it in follower.outputs]
         setup.make_ready(plan)
+        if words := left_out(plan.output):
+            view.say(words)
         try:
             tracked = islice(setup.begin(stopping.frames(iter(source)), follower), frames)
             offline.follow(stopping.frames(tracked), follower, sinks, view)

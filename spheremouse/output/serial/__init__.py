@@ -24,9 +24,9 @@ from spheremouse.output.serial.link import Link
 from spheremouse.output.serial.messages import Flags, Identity, Status
 from spheremouse.output.serial.ports import Port, PortGoneError, example_port, find_board, foreign_text, nobody
 from spheremouse.output.sparing import Sparing
+from spheremouse.output.third_axis import NONE, checked
 
 BAUD, SLOWEST, FASTEST = 115200, 38400, 4_000_000
-THIRD = ("none", "wheel", "pan")
 NOT_TAKEN = "the mouse's computer takes no moves: it is off or asleep, or the board is not plugged into it"
 TAKEN = "the mouse's computer takes moves again"
 FIRST_ANSWER = 3.0  # s; a board that has just been plugged in starts in one or two
@@ -332,11 +332,10 @@ def open(argument: str) -> Serial:
     name, _, rest = argument.partition(",")
     name, whole = "auto" if name.lower() == "auto" else name, f"serial:{argument}".removesuffix(":")
     given = options(rest, {"baud": int, "third": str, "id": str}, whole, OutputError)
-    baud, third, identifier = int(given.get("baud", BAUD)), str(given.get("third", "none")), given.get("id")
+    baud, third, identifier = int(given.get("baud", BAUD)), str(given.get("third", NONE)), given.get("id")
     if not name or "=" in name:
         raise OutputError(f"{whole}: names no port; write serial:auto or serial:{example_port()}")
-    if third not in THIRD:
-        raise OutputError(f"serial: third={third}; write third= with one of {', '.join(THIRD)}")
+    checked("serial", third)
     check_speed(baud, "serial: baud")
     if identifier is not None and name != "auto":
         raise OutputError(f"{whole}: id= goes with serial:auto; a named port needs none")

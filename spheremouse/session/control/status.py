@@ -52,6 +52,7 @@ class OutputStatus(_Part):
     """Where motion goes."""
 
     spec: str
+    left_out: str | None = None
     failed: str | None
     reports: int
     unsent: list[int] = Field(min_length=3, max_length=3)

@@ -572,13 +572,16 @@ def test_outputs_are_told_without_being_opened(tmp_path, monkeypatch):
     assert outputs.check(f"text:{tmp_path}/motions")[0].verdict is OK
     assert outputs.check(f"text:{tmp_path}")[0].verdict is WRONG
     monkeypatch.setattr(outputs, "uinput", lambda: ok("uinput", "may be written"))
-    taken, *others = outputs.check("auto")
+    taken, *others, third = outputs.check("auto")
+    assert (third.name, third.verdict) == ("third axis", OK)
+    assert "is not sent: output auto" in third.text
+    assert outputs.check("uinput:third=wheel")[-1].text == "the ball's spin is sent as the wheel (REL_WHEEL_HI_RES)"
     assert taken.text == "auto takes uinput"
     assert {f.verdict for f in others[1:]} == {UNCHECKED}
     monkeypatch.setattr(outputs, "uinput", lambda: wrong("uinput", "is not there"))
     monkeypatch.setattr(outputs, "desktop", lambda: wrong("desktop", "is not there"))
     monkeypatch.setattr(outputs, "_own_board", lambda: wrong("serial board", "is not there"))
-    assert [f.verdict for f in outputs.check("auto")] == [WRONG, WARNING, WARNING, WARNING]
+    assert [f.verdict for f in outputs.check("auto")] == [WRONG, WARNING, WARNING, WARNING, OK]
 
 
 def test_what_a_camera_does_by_itself_is_a_warning():

@@ -22,6 +22,7 @@ from spheremouse.output.serial import ports as ports_module
 from spheremouse.output.serial.firmware import load_protocol
 from spheremouse.output.serial.messages import STOP, Flags, encode
 from spheremouse.output.serial.ports import find_board
+from spheremouse.output.third_axis import left_out
 from spheremouse.tracker import no_motion
 
 pty = pytest.importorskip("pty", reason="no pseudo-terminals here")
@@ -82,6 +83,7 @@ def test_what_is_sent_is_what_the_mouse_does(board, capsys):
 
 @pytest.mark.parametrize(("third", "moved"), [("none", [1, 2, 0, 0]), ("wheel", [1, 2, 3, 0]), ("pan", [1, 2, 0, 3])])
 def test_the_third_axis(board, third, moved):
+    assert bool(left_out(f"serial:{board.port},third={third}")) is (moved[2:] == [0, 0])
     with open_output(f"serial:{board.port},third={third}") as output:
         output.send(report(1, 2, 3))
         until(lambda: output.settled)

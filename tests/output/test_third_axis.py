@@ -1,0 +1,50 @@
+"""The third axis: what is said of an output is what it does with a report of nothing but spin."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from spheremouse import output as outputs
+from spheremouse.output import open_output
+from spheremouse.output.desktop import Desktop
+from spheremouse.output.third_axis import WAYS, left_out, sent_as
+from spheremouse.output.uinput import UInput
+from tests.reporting import report
+
+SPIN = report(z=240)  # two notches
+
+
+def made(kind, way):
+    """What the output makes of it, without a device: their text twins."""
+    twin = {"uinput": UInput, "desktop": Desktop}[kind](SimpleNamespace(), way)
+    return twin.describe(SPIN)
+
+
+@pytest.mark.parametrize("kind", ["uinput", "desktop"])
+def test_it_is_left_out_where_the_output_makes_nothing_of_a_spin(kind):
+    for way in ("none", *WAYS[kind]):
+        spec = f"{kind}:third={way}"
+        assert bool(left_out(spec)) is (made(kind, way) == ""), spec
+        assert bool(sent_as(spec)) is not bool(left_out(spec)), spec
+    assert left_out(kind) == left_out(f"{kind}:third=none")
+
+
+def test_the_sentence_names_the_output_and_every_way_that_it_has():
+    assert left_out("uinput") == (
+        "the third axis (the ball's spin) is not sent: output uinput has no `third=`; "
+        "third=wheel or third=rz sends it (docs/third-axis.md)"
+    )
+    assert "output serial has no `third=`; third=wheel or third=pan" in left_out("serial:/dev/ttyACM0,baud=115200")
+    assert left_out("serial:auto, third = pan ,id=E661") == ""
+
+
+def test_of_a_text_of_nothing_and_of_others_outputs_nothing_is_said(tmp_path):
+    with open_output(f"text:{tmp_path}/log") as text:
+        assert text.describe(SPIN).split()[3] == "240"  # all three are in it
+    for spec in ("text:-", f"text:{tmp_path}/third=none", "null", "lamp:red", ""):
+        assert (left_out(spec), sent_as(spec)) == ("", ""), spec
+
+
+def test_every_output_with_a_third_axis_is_known_here():
+    """A kind of ours is either told of, or has no `third=`."""
+    assert set(WAYS) == {"auto", "desktop", "serial", "uinput"} == set(outputs.KINDS) - {"text", "null"}
