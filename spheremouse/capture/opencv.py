@@ -23,10 +23,7 @@ _PROPERTIES = {"width": cv2.CAP_PROP_FRAME_WIDTH, "height": cv2.CAP_PROP_FRAME_H
 
 def open(argument: str, realtime: bool) -> Stream:  # a live source is real time by itself
     """The frames of camera number INDEX."""
-    index, _, rest = argument.partition(",")
-    if not index.strip().isdecimal():
-        raise SourceError(f"opencv:{argument}: needs the number of a camera; write opencv:0 for the first")
-    wanted = options(rest, {"width": int, "height": int, "fps": float}, f"opencv:{argument}", SourceError)
+    index, wanted = check(argument)
     capture = open_capture(int(index))
     if capture is None:
         raise SourceError(
@@ -44,6 +41,14 @@ def open(argument: str, realtime: bool) -> Stream:  # a live source is real time
     rate = capture.get(cv2.CAP_PROP_FPS)
     fps = rate if math.isfinite(rate) and rate > 0 else None
     return Stream(read_frames(capture, index), live=True, fps=fps, close=capture.release)
+
+
+def check(argument: str) -> tuple[str, dict[str, int | float | str]]:
+    """INDEX, and what is asked of the camera; SourceError where the argument is of no use."""
+    index, _, rest = argument.partition(",")
+    if not index.strip().isdecimal():
+        raise SourceError(f"opencv:{argument}: needs the number of a camera; write opencv:0 for the first")
+    return index, options(rest, {"width": int, "height": int, "fps": float}, f"opencv:{argument}", SourceError)
 
 
 def read_frames(capture: cv2.VideoCapture, index: str) -> Iterator[Frame]:

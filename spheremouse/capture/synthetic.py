@@ -7,16 +7,12 @@ import re
 
 from spheremouse.capture import Stream, paced
 from spheremouse.files.config import override
-from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.simulate.ball.film import Simulation, SimulationOptions, prepare, simulate
 
 
 def open(argument: str, realtime: bool) -> Stream:
     """The frames of a simulation, and the rig that it films."""
-    options = SimulationOptions()
-    for item in re.split(r",(?![^\[]*\])", argument):
-        if item.strip():
-            options = override(options, item, label="synthetic: ")
-    simulation = prepare(options, named=lambda field: f"synthetic: {field}")
+    simulation = check(argument)
     frames = (made.frame for made in simulate(simulation))
     return Stream(
         paced(frames) if realtime else frames,
@@ -24,3 +20,12 @@ def open(argument: str, realtime: bool) -> Stream:
         fps=simulation.fps,
         count=simulation.frames,
     )
+
+
+def check(argument: str) -> Simulation:
+    """The simulation, nothing rendered yet; ConfigurationError where the argument is of no use."""
+    options = SimulationOptions()
+    for item in re.split(r",(?![^\[]*\])", argument):
+        if item.strip():
+            options = override(options, item, label="synthetic: ")
+    return prepare(options, named=lambda field: f"synthetic: {field}")

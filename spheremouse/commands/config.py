@@ -34,11 +34,24 @@ def show(
 
 @app.command()
 def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)]) -> None:
-    """Check a configuration file: 'FILE: ok', or every problem with its line and exit code 2."""
+    """Check a configuration file and what it names: 'FILE: ok', or every problem with its line and exit code 2.
+
+    Files are read, plug-ins found, slips in sources and outputs told, and the camera is asked for its sizes, which
+    disturbs no run. What may be missing only now, as a camera that is not plugged in, is a warning.
+    """
+    from spheremouse.files.yaml import Problem, read_document
+    from spheremouse.session.named import look
+
     try:
-        config.load(file, root())
+        document = read_document(file)
+        found = look(file, config.loads(document, root()))
     except SpheremouseError as e:
         _fail(e)
+    problems = [*found.wrong, *(Problem(p.key, f"warning: {p.text}") for p in found.now)]
+    for line in [*([str(document.error(problems))] if problems else []), *found.elsewhere]:
+        typer.echo(line, err=True)
+    if found.wrong or found.elsewhere:
+        raise typer.Exit(2)
     typer.echo(f"{file}: ok")
 
 

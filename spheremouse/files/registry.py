@@ -1,6 +1,7 @@
 """`KIND:ARGUMENT`, as the command line names a source or an output; a kind is a module of a package, or a plug-in.
 
-Adding one is a new file with a function `open`, and its name in the package's `KINDS`; or a module of another
+Adding one is a new file with a function `open`, one `check` where slips in an argument can be told without opening
+anything, and its name in the package's `KINDS`; or a module of another
 distribution, named by an entry point in the group `spheremouse.source` or `spheremouse.output`. Only the module asked
 for is imported.
 """
@@ -31,6 +32,13 @@ def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseEr
     known = (*package.KINDS, *sorted(plugged))
     form = "" if ":" in spec else f"{what}s are written KIND:ARGUMENT; "
     raise error(f"unknown {what} {spec!r}; {form}{nearest(kind, known)}")
+
+
+def check(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> None:
+    """Raise as `resolve` does, and where the module has a function `check` that refuses the argument; opens nothing."""
+    module, argument = resolve(package, what, spec, error)
+    if callable(look := getattr(module, "check", None)):
+        look(argument)
 
 
 def opened(

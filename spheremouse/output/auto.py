@@ -16,8 +16,7 @@ from spheremouse.output.third_axis import NONE, checked
 
 def open(argument: str) -> Output:
     """The first that can be opened."""
-    given = options(argument, {"third": str}, f"auto:{argument}", OutputError)
-    third = checked("auto", str(given.get("third", NONE)))
+    third = check(argument)
     ways: list[Callable[[str], tuple[str, Output]]] = [_uinput, _board, _desktop]
     failures: list[str] = []
     for way in ways:
@@ -29,6 +28,12 @@ def open(argument: str) -> Output:
         print(f"auto: takes {spec}" + (f" ({' | '.join(failures)})" if failures else ""), file=sys.stderr)
         return output
     raise OutputError(f"auto: no mouse to be had. {' | '.join(failures)}")
+
+
+def check(argument: str) -> str:
+    """The way of the third axis; OutputError where the argument is of no use."""
+    given = options(argument, {"third": str}, f"auto:{argument}", OutputError)
+    return checked("auto", str(given.get("third", NONE)))
 
 
 def _uinput(given: str) -> tuple[str, Output]:

@@ -64,9 +64,14 @@ class Desktop:
 
 def open(argument: str) -> Desktop:
     """Find the desktop."""
-    given = options(argument, {"third": str}, f"desktop:{argument}", OutputError)
-    third = checked("desktop", str(given.get("third", NONE)))
+    third = check(argument)
     return Desktop(_find(), third)
+
+
+def check(argument: str) -> str:
+    """The way of the third axis; OutputError where the argument is of no use."""
+    given = options(argument, {"third": str}, f"desktop:{argument}", OutputError)
+    return checked("desktop", str(given.get("third", NONE)))
 
 
 def _find() -> Any:

@@ -28,6 +28,11 @@ class Null:
 
 def open(argument: str) -> Null:
     """An output that goes nowhere."""
+    check(argument)
+    return Null()
+
+
+def check(argument: str) -> None:
+    """OutputError where there is an argument."""
     if argument:
         raise OutputError(f"null:{argument}: takes no argument; write null")
-    return Null()

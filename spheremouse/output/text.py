@@ -75,14 +75,21 @@ def open(argument: str) -> Text:
     return Text(*begin(argument, NAMES))
 
 
+def check(argument: str) -> None:
+    """OutputError where the file is there and is no such log."""
+    if argument in ("", "-"):
+        return
+    with contextlib.suppress(OSError, ValueError):  # told when it is opened
+        _refuse_something_else(Path(argument), NAMES)
+
+
 def begin(argument: str, names: str) -> tuple[TextIO, str]:
     """The file to write lines to, and what messages call it; one that is there must begin with `names`."""
     if argument in ("", "-"):
         return sys.stdout, "standard output"
     path = Path(argument)
     try:
-        if _is_something_else(path, names):
-            raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
+        _refuse_something_else(path, names)
         return TextIOWrapper(open_to_write(path), encoding="utf-8"), str(path)
     except (OSError, ValueError) as e:
         reason = (e.strerror if isinstance(e, OSError) else None) or e
@@ -94,6 +101,11 @@ def line(report: Report) -> str:
     motion = report.motion
     exact = [float(v) for v in (*motion.rotation, *motion.rate[:3])]
     return " ".join([repr(float(motion.stamp)), *(str(int(n)) for n in report.counts), *map(repr, exact)])
+
+
+def _refuse_something_else(path: Path, names: str) -> None:
+    if _is_something_else(path, names):
+        raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
 
 
 def _is_something_else(path: Path, names: str) -> bool:

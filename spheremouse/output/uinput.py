@@ -89,9 +89,14 @@ class UInput:
 
 def open(argument: str) -> UInput:
     """Create the mouse."""
-    given = options(argument, {"third": str}, f"uinput:{argument}", OutputError)
-    third = checked("uinput", str(given.get("third", NONE)))
+    third = check(argument)
     return UInput(_create(third), third)
+
+
+def check(argument: str) -> str:
+    """The way of the third axis; OutputError where the argument is of no use."""
+    given = options(argument, {"third": str}, f"uinput:{argument}", OutputError)
+    return checked("uinput", str(given.get("third", NONE)))
 
 
 def _create(third: str) -> Any:

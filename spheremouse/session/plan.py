@@ -14,7 +14,7 @@ from spheremouse.errors import ConfigurationError, OutputError, SourceError
 from spheremouse.files import config
 from spheremouse.files.dataset.format import MOST_BALLS
 from spheremouse.files.disc_map import map_path
-from spheremouse.files.registry import resolve
+from spheremouse.files.registry import check
 from spheremouse.files.rig import load_camera, load_rig, with_camera
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.session.balls import Balls, read_balls
@@ -101,16 +101,19 @@ def read_plan(request: Request) -> Plan:
 
 
 def check_kinds(plan: Plan, before: Plan | None = None) -> None:
-    """Refuse a source or output of no known kind, where it is another than `before`: a device that is missing may come,
-    a slip will not mend itself. Nor does a run change between a ball in its frame and one in a hand."""
+    """Refuse a source or output of no known kind, or with a slip in its argument, where it is another than `before`.
+
+    A device that is missing may come, a slip will not mend itself. Nor does a run change between a ball in its frame
+    and one in a hand.
+    """
     if before is not None and "wand" in {plan.configuration.tracker} ^ {before.configuration.tracker}:
         raise ConfigurationError(
             "tracker: a ball in its frame and one in a hand are runs of their own: stop this run and start again"
         )
     if before is None or plan.source != before.source:
-        resolve(sources, "source", plan.source, SourceError)
+        check(sources, "source", plan.source, SourceError)
     if before is None or plan.output != before.output:
-        resolve(outputs, "output", plan.output, OutputError)
+        check(outputs, "output", plan.output, OutputError)
 
 
 def without_map(plan: Plan) -> Plan:

@@ -463,12 +463,12 @@ def test_each_section_is_applied_between_two_frames(playing, monkeypatch):
 
 def test_an_output_that_leaves_the_third_axis_out_says_so_when_it_is_taken(playing, monkeypatch):
     monkeypatch.setattr(loader_module, "check_kinds", lambda *_: None)  # this world has kinds of its own
-    world, words = playing, "the third axis (the ball's spin) is not sent: output uinput has no `third=`"
+    world, words = playing, "the third axis (the ball's spin) is not sent: output "
     assert ask(world, "status")["output"]["left_out"] is None  # nobody knows of this world's outputs
-    for spec, told in (("uinput", 1), ("uinput:third=wheel", 1), ("uinput", 2)):
+    for spec, told in (("uinput", 1), ("uinput:third=wheel", 1), ("desktop", 2)):
         ask(world, "set", assignments=[f"output={spec}"])
         left_out = ask(world, "status")["output"]["left_out"]
-        assert (left_out or "").startswith(words) is (spec == "uinput")
+        assert (left_out or "").startswith(words + spec) is ("third=" not in spec)
         assert times(world, words) == told
 
 

@@ -227,6 +227,26 @@ def open_camera(argument: str, settings: CameraSettings) -> V4L2Camera:
         raise
 
 
+def check(argument: str) -> None:
+    """SourceError where the argument is of no use."""
+    parse(argument, CameraSettings())
+
+
+def size_to_come(argument: str, settings: CameraSettings) -> tuple[int, int]:
+    """Width and height, px, that `open_camera` would ask for; the camera is asked, and nothing of it is changed.
+
+    SourceError where it is not there, or has no such size.
+    """
+    from spheremouse.capture.v4l2.device import Device, find
+
+    name, settings = parse(argument, settings)
+    device = Device(find(name))
+    try:
+        return device.size_to_come(settings)
+    finally:
+        device.close()
+
+
 def parse(argument: str, settings: CameraSettings) -> tuple[str, CameraSettings]:
     """DEVICE, and the settings with what else the argument says."""
     name, _, rest = argument.partition(",")

@@ -149,6 +149,13 @@ class Device:
             found |= {s for s in fitting if self._at_most(code, s, _ENOUGH) > 0.8 * _ENOUGH}
         return max(found, key=lambda s: s[0] * s[1], default=None)
 
+    def size_to_come(self, settings: CameraSettings) -> tuple[int, int]:
+        """Width and height, px, that `negotiate` would ask for; nothing is changed."""
+        try:
+            return self._chosen(settings)[2]
+        except OSError as e:
+            raise self.failure(e) from None
+
     def modes(self) -> str:
         """Formats and sizes of the device that can be read here, in words."""
         formats = self._formats()

@@ -329,21 +329,27 @@ def check_speed(baud: int, name: str) -> int:
 
 def open(argument: str) -> Serial:
     """Connect to a board."""
+    name, identifier, baud, third = check(argument)
+
+    def find() -> str:
+        return name if name != "auto" else find_board(identifier)
+
+    return Serial(find, baud, third, lambda text: print(f"serial: {text}", file=sys.stderr))
+
+
+def check(argument: str) -> tuple[str, str | None, int, str]:
+    """Port or `auto`, serial number of the board, baud and way of the third axis; OutputError on a slip."""
     name, _, rest = argument.partition(",")
     name, whole = "auto" if name.lower() == "auto" else name, f"serial:{argument}".removesuffix(":")
     given = options(rest, {"baud": int, "third": str, "id": str}, whole, OutputError)
-    baud, third, identifier = int(given.get("baud", BAUD)), str(given.get("third", NONE)), given.get("id")
+    baud, identifier = int(given.get("baud", BAUD)), given.get("id")
+    third = checked("serial", str(given.get("third", NONE)))
     if not name or "=" in name:
         raise OutputError(f"{whole}: names no port; write serial:auto or serial:{example_port()}")
-    checked("serial", third)
     check_speed(baud, "serial: baud")
     if identifier is not None and name != "auto":
         raise OutputError(f"{whole}: id= goes with serial:auto; a named port needs none")
-
-    def find() -> str:
-        return name if name != "auto" else find_board(None if identifier is None else str(identifier))
-
-    return Serial(find, baud, third, lambda text: print(f"serial: {text}", file=sys.stderr))
+    return name, None if identifier is None else str(identifier), baud, third
 
 
 def _write_all(port: Port, data: bytes, until: float) -> None:
