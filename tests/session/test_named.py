@@ -1,4 +1,4 @@
-"""What a configuration names: each thing that is not so is told with the line of its key; what may come is a warning."""
+"""What a configuration names: what is not so is told with the line of its key; what may come is a warning."""
 
 import os
 import sys

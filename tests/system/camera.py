@@ -9,6 +9,7 @@ import subprocess
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +21,11 @@ from spheremouse.capture import open_source
 from spheremouse.capture.settings import CameraSettings
 from spheremouse.capture.v4l2 import open_camera
 from spheremouse.errors import DamagedFrameError, SourceError
+from spheremouse.files.rig import save_rig
+from spheremouse.files.yaml import dotted
+from spheremouse.session.named import look
+from spheremouse.session.settings import Configuration
+from spheremouse.simulate.ball.scene import default_scene
 
 linuxpy = pytest.importorskip("linuxpy.video.device")
 
@@ -148,6 +154,25 @@ def test_frames_of_every_format_arrive_as_they_were_written(loopback, name):
     assert np.all(np.diff(stamps) > 0)
     # the first buffer is handed out twice by v4l2loopback 0.12; from then on what it counts is what was written
     np.testing.assert_array_equal(np.diff(numbers)[2:] % 25, np.diff(sequences)[2:] % 25)
+
+
+@pytest.mark.parametrize(
+    ("size", "asked", "at"),
+    [((W, H), None, None), ((640, 480), None, "source"), ((640, 480), (640, 480), "camera.size")],
+)
+def test_config_check_compares_the_rig_with_the_camera_while_another_program_films(loopback, tmp_path, size, asked, at):
+    rig = default_scene().rig()
+    camera = replace(rig.camera, width=size[0], height=size[1], cx=size[0] / 2, cy=size[1] / 2)
+    save_rig(tmp_path / "rig.yaml", replace(rig, camera=camera))
+    wish = CameraSettings(size=asked)
+    configuration = Configuration(source=f"v4l2:{loopback}", rig="rig.yaml", camera=wish)
+    with writing("YUYV"), open_camera(loopback, CameraSettings()) as filming:
+        filming.next(WAIT).release()
+        found = look(tmp_path / "config.yaml", configuration)
+        filming.next(WAIT).release()  # it goes on
+    assert (found.now, found.elsewhere) == ([], [])
+    print([p.text for p in found.wrong])
+    assert [dotted(p.key) for p in found.wrong] == ([at] if at else [])
 
 
 @pytest.mark.parametrize("name", ["YUYV", "NV12"])

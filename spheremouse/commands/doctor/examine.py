@@ -165,7 +165,7 @@ def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]
     settings = plan.configuration
     seen: sights.Sight | None = None
     if rig is None:
-        yield unchecked("targets", "without a rig nobody knows what to look for", "give --rig FILE")
+        yield unchecked("targets", "without a rig nobody knows what to look for", "see rig, above")
     else:
         sized = files.size(rig, *footage.size)
         yield sized

@@ -14,10 +14,13 @@ from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.disc_map import age, check_fits, load_map, map_path
 from spheremouse.files.yaml import read_document
-from spheremouse.session.plan import Plan, Request, read_plan
+from spheremouse.session.plan import Plan, Request, beside, read_plan
 from spheremouse.session.settings import Configuration
 
 _DAY = 86400.0  # s
+_CALIBRATE = (
+    "calibrate (one evening): begin with `spheremouse calibrate print`, go on with `spheremouse calibrate next`"
+)
 
 
 def usual(request: Request, status: dict[str, Any] | None) -> Request:
@@ -73,12 +76,22 @@ def read(request: Request, camera: str | None) -> tuple[Plan | None, list[Findin
             plan = read_plan(_completed(attempt, camera))
             break
         except ConfigurationError as e:
-            findings += [f for f in refusals("configuration", e) if f.text not in said]
+            told = [_no_rig_yet(attempt, f) for f in refusals("configuration", e)]
+            findings += [f for f in told if f.text not in said]
             said |= {f.text for f in findings}
     if not findings:
         where = "none: built-in parameters" if request.file is None else str(request.file)
         findings.append(ok("configuration", where))
     return None if plan is None else _as_the_service(plan, request), findings
+
+
+def _no_rig_yet(request: Request, finding: Finding) -> Finding:
+    """What is said of a rig file that the configuration names and that is not there: it has to be made first."""
+    if request.rig is None and finding.text.endswith(": no such file"):
+        rig = beside(request.file, config.in_force(request.file, request.assignments, Configuration).rig)
+        if rig is not None and finding.text == f"{rig}: no such file":
+            return wrong("rig", f"no rig yet: {rig} is not there", f"{_CALIBRATE}; then copy rig.yaml to there")
+    return finding
 
 
 def _as_the_service(plan: Plan, request: Request) -> Plan:
@@ -105,8 +118,8 @@ def rig_file(path: Path | None, rig: Rig | None, given: Rig | None) -> Finding:
     if rig is None or path is None:
         return unchecked(
             "rig",
-            "none is named: what is seen cannot be measured",
-            "give --rig FILE, or `rig:` in the configuration; `spheremouse calibrate next` makes one",
+            "no rig yet: what is seen cannot be measured",
+            f"{_CALIBRATE}; where there is one: give --rig FILE, or `rig:` in the configuration",
         )
     made, how = _made(path)
     days = (datetime.now(UTC) - made).total_seconds() / _DAY
@@ -134,7 +147,10 @@ def size(rig: Rig, width: int, height: int) -> Finding:
 def map_of(path: Path | None, rig: Rig | None) -> Finding:
     """The map of the discs, which is made while the ball is used."""
     if path is None:
-        return ok("map", "none is kept for this source" if rig is not None else "none is kept without a rig file")
+        return ok(
+            "map",
+            "none is kept for this source" if rig is not None else "none yet: it is learnt once there is a rig file",
+        )
     if not path.exists():
         return ok("map", f"{path}: not there yet; it is made as the ball turns")
     try:

@@ -47,7 +47,13 @@ def present(found: list[Node], node: Path | None, live: bool) -> list[Finding]:
     if not found and not sys.platform.startswith("linux"):
         return [unchecked("cameras", "this system does not list them by name")]
     if not found:
-        return [wrong("cameras", "there is no camera", "plug it in; `dmesg` says what became of it")]
+        return [
+            wrong(
+                "cameras",
+                "there is no camera",
+                "plug a webcam in (docs/camera.md: which one); `dmesg` says what became of it",
+            )
+        ]
     listed = "; ".join(f"{n.path} ({n.name}){f' = {n.lasting}' if n.lasting else ''}" for n in found)
     findings = [ok("cameras", listed, cameras=[str(n.lasting or n.path) for n in found])]
     if node is None:

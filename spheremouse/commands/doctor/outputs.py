@@ -84,7 +84,7 @@ def desktop() -> Finding:
         with pointer.open(""):
             pass
     except OutputError as e:
-        return refused("desktop", e)
+        return refused("desktop", OutputError(str(e).removeprefix("desktop: ")))
     return ok("desktop", "its pointer can be moved; games that read the mouse itself see nothing of it")
 
 
@@ -93,7 +93,7 @@ def _auto() -> list[Finding]:
     tried = [uinput(), _own_board(), desktop()]
     taken = next((f for f in tried if f.verdict is Verdict.OK), None)
     if taken is None:
-        first = wrong("output", "auto finds none", "mend one of these")
+        first = wrong("output", "auto finds none", "mend one of these; uinput is the usual one")
         return [first, *(warning(f.name, f.text, f.advice) for f in tried)]
     others = [f if f is taken else unchecked(f.name, f"not needed: {f.text}") for f in tried]
     return [ok("output", f"auto takes {taken.name}"), *others]
@@ -110,7 +110,9 @@ def _own_board() -> Finding:
     except (TypeError, ValueError, OSError):  # a board that is just being unplugged
         ours = []
     if not ours:
-        return wrong("serial board", "none of ours is plugged in", "see `spheremouse firmware install`")
+        return wrong(
+            "serial board", "none of ours is plugged in", "for a game on another computer: docs/microcontroller.md"
+        )
     return serial("auto")
 
 

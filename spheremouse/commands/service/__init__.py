@@ -42,7 +42,9 @@ def install(
     this version reads where it is of an older one (the original stays as FILE.schemaN.bak).
     """
     place = _place(root, user)
-    program = service.executable(place)
+    program, trouble = service.executable(place)
+    if trouble and not dry_run:
+        raise ServiceError(trouble)
     actions = [*service.install(place, program, _systemd_version()), *_conversions(place)]
     if dry_run:
         _would(actions)
@@ -52,6 +54,8 @@ def install(
             typer.echo(line)
     if not actions:
         typer.echo("all files are in place")
+    if trouble:
+        raise ServiceError(f"it would be refused: {trouble}")
     if place.root != _ROOT:
         return
     commands = _activation(place, start)
@@ -113,10 +117,11 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
         "older": "of another version or installation",
         "edited": "edited by hand",
     }
-    program = service.executable(place)
+    program, trouble = service.executable(place)
     well = runs = True
     for name, path in place.files():
-        state = service.state_of(path, service.rendered(name, program, _systemd_version()))
+        # a program that cannot be the service's has placed none of these: another one has
+        state = service.state_of(path, None if trouble else service.rendered(name, program, _systemd_version()))
         well &= state in ("ok", "edited")
         typer.echo(f"{path}: {words[state]}")
     config = place.configuration / "config.yaml"
@@ -134,7 +139,7 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
         else:
             typer.echo("service: unknown, systemd does not run here")
     if not well:
-        typer.echo(f"to mend it: {_again(place, 'install')}")
+        typer.echo(f"to mend it: {trouble or _again(place, 'install')}")
     elif not runs:
         _next(place, starts=False)
     if not (well and runs):
@@ -177,7 +182,7 @@ def _conversions(place: Place) -> Iterator[service.FileAction]:
 
 def _again(place: Place, command: str) -> str:
     sudo = "" if place.user else "sudo "
-    return f"{sudo}{shutil.which('spheremouse') or service.executable(place)} service {command}" + (
+    return f"{sudo}{shutil.which('spheremouse') or service.executable(place)[0]} service {command}" + (
         " --user" if place.user else ""
     )
 

@@ -9,6 +9,7 @@ import hashlib
 import os
 import re
 import sys
+import sysconfig
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -120,25 +121,56 @@ class FileAction:
         return printable(f"{self.what} {self.path}{f' ({self.note})' if self.note else ''}")
 
 
-def executable(place: Place) -> str:
-    """The program that the unit is to start: this installation's, by the link `current` where it has versions."""
+def executable(place: Place) -> tuple[str, str]:
+    """The program that the unit is to start, and why it cannot be that one, with what to move where; empty: it can.
+
+    It is this installation's, by the link `current` where it has versions.
+    """
     prefix = Path(sys.prefix)
     current = prefix.parent / "current"
     if current.is_symlink() and current.resolve() == prefix.resolve():
         prefix = current
-    path = prefix / "bin" / "spheremouse"
+    scripts = [prefix / "bin", *(Path(sysconfig.get_path("scripts", scheme)) for scheme in _schemes())]
+    path = next((p for folder in scripts if (p := folder / "spheremouse").exists()), prefix / "bin" / "spheremouse")
     if not path.exists():
-        raise ServiceError(f"{path} is not there; install spheremouse into a virtual environment: service/install.sh")
+        return str(path), f"{path} is not there; install spheremouse into a virtual environment: service/install.sh"
     if place.root != Path("/") and path.is_relative_to(place.root):
         path = Path(place.inside(path))
     if re.search(r"[^\w./+~@:=-]", str(path)):
-        raise ServiceError(f"{path}: systemd needs a path without spaces and other signs; install elsewhere")
-    if not place.user and str(path).startswith(tuple(f"{p}/" for p in _UNREACHABLE)) and place.root == Path("/"):
-        raise ServiceError(
-            f"the system's service has a user of its own, who does not see {path}; install under /opt with "
-            "service/install.sh, or make it your own service: spheremouse service install --user"
+        return str(path), f"{path}: systemd needs a path without spaces and other signs; install elsewhere, as in /opt"
+    return str(path), "" if place.user or place.root != Path("/") else _unseen(path)
+
+
+def _schemes() -> Iterator[str]:
+    """Where pip puts programs outside of a virtual environment: for all, and for one account."""
+    if sys.prefix == sys.base_prefix:
+        yield sysconfig.get_default_scheme()
+        yield sysconfig.get_preferred_scheme("user")
+
+
+def _is_private(path: Path) -> bool:
+    """Is a folder above it closed to other users?"""
+    with contextlib.suppress(OSError):
+        return any(not folder.stat().st_mode & 0o001 for folder in path.resolve().parents)
+    return False
+
+
+def _unseen(path: Path) -> str:
+    """Why the service's user does not see a program or its Python; homes and temporary folders are hidden from it."""
+    hidden = tuple(f"{p}/" for p in _UNREACHABLE)
+    python = Path(sys.executable).resolve()
+    own = "or make it your own service: spheremouse service install --user"
+    if str(path).startswith(hidden) or str(path.resolve()).startswith(hidden) or _is_private(path):
+        how = "sudo bash service/install.sh, in the release's folder, which puts it into /opt/spheremouse"
+        if "pipx" in path.resolve().parts:
+            how = "sudo PIPX_HOME=/opt/pipx PIPX_BIN_DIR=/usr/local/bin pipx install, and the file or name as before"
+        return f"the system's service has a user of its own, who does not see {path}; install it for all: {how}; {own}"
+    if str(python).startswith(hidden):
+        return (
+            f"the system's service has a user of its own, who does not see the Python of {path.parent}, {python}; make "
+            f"that environment with the system's: /usr/bin/python3 -m venv; {own}"
         )
-    return str(path)
+    return ""
 
 
 # ---- what is to be done ----

@@ -306,26 +306,72 @@ def test_the_unit_starts_the_version_in_use_by_the_link_that_upgrades_move(tmp_p
     (tmp_path / "current").symlink_to("2.0")
     place = Place(tmp_path)
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "2.0"))
-    assert service.executable(place) == "/current/bin/spheremouse"
+    assert service.executable(place) == ("/current/bin/spheremouse", "")
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "1.0"))
-    assert service.executable(place) == "/1.0/bin/spheremouse"
+    assert service.executable(place) == ("/1.0/bin/spheremouse", "")
 
 
-@pytest.mark.parametrize("folder", ["/home/a/venv", "/root/venv", "/tmp/venv"])
-def test_a_program_that_the_service_cannot_reach_is_refused(folder, monkeypatch):
+@pytest.mark.parametrize(
+    ("folder", "how"),
+    [
+        ("/home/a/venv", "sudo bash service/install.sh"),
+        ("/root/venv", "sudo bash service/install.sh"),
+        ("/tmp/venv", "sudo bash service/install.sh"),
+        ("/home/a/.local/share/pipx/venvs/spheremouse", "PIPX_HOME=/opt/pipx"),
+    ],
+)
+def test_a_program_that_the_service_cannot_reach_is_told_and_how_to_install_it_for_all(folder, how, monkeypatch):
     monkeypatch.setattr(sys, "prefix", folder)
     monkeypatch.setattr(Path, "exists", lambda path: True)
-    with pytest.raises(ServiceError, match="user of its own"):
-        service.executable(Place())
-    assert service.executable(Place(user=True)) == f"{folder}/bin/spheremouse"
+    path, why = service.executable(Place())
+    assert path == f"{folder}/bin/spheremouse"
+    assert "user of its own" in why
+    assert how in why
+    assert why.endswith("make it your own service: spheremouse service install --user")
+    assert service.executable(Place(user=True)) == (f"{folder}/bin/spheremouse", "")
+
+
+def test_a_python_in_a_home_folder_is_told(monkeypatch):
+    """Of an environment in /opt that was made with pyenv's or uv's Python: systemd would say 203/EXEC."""
+    monkeypatch.setattr(sys, "prefix", "/opt/venv")
+    monkeypatch.setattr(sys, "executable", "/home/a/.pyenv/bin/python3.12")
+    monkeypatch.setattr(Path, "exists", lambda path: True)
+    assert "does not see the Python of /opt/venv/bin, /home/a/.pyenv/bin/python3.12" in service.executable(Place())[1]
+    monkeypatch.setattr(sys, "executable", "/usr/bin/python3.12")
+    assert service.executable(Place()) == ("/opt/venv/bin/spheremouse", "")
+
+
+def test_a_folder_closed_to_others_is_told(monkeypatch, tmp_path):
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "spheremouse").write_text("")
+    tmp_path.chmod(0o750)
+    monkeypatch.setattr(service, "_UNREACHABLE", ())  # which this folder may be in
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    assert "user of its own" in service.executable(Place())[1]
+    assert not service._is_private(Path("/usr/bin/env"))
+
+
+def test_status_and_dry_run_work_wherever_the_program_lies(root, monkeypatch):
+    """The files are judged by themselves, what would be done is listed, and then why it would be refused."""
+    call("install", root=root)
+    monkeypatch.setattr(service, "executable", lambda place: ("/home/a/bin/spheremouse", "not there; move it"))
+    assert f"{root / UNIT}: ok\n" in call("status", root=root)  # as another program of ours placed it
+    dry = CliRunner().invoke(app, ["install", "--dry-run", "--root", str(root)])
+    assert f"would update {root / UNIT}\n" in dry.output
+    assert str(dry.exception) == "it would be refused: not there; move it"
+    before = tree(root)
+    with pytest.raises(ServiceError, match=r"^not there; move it$"):
+        call("install", root=root)
+    assert tree(root) == before
+    (root / UNIT).unlink()
+    assert "to mend it: not there; move it\n" in CliRunner().invoke(app, ["status", "--root", str(root)]).output
 
 
 @pytest.mark.parametrize("folder", ["/opt/my venv", "/opt/100%", '/opt/a"b', "/opt/a\nb"])
 def test_a_path_that_systemd_would_read_otherwise_is_refused(folder, monkeypatch):
     monkeypatch.setattr(sys, "prefix", folder)
     monkeypatch.setattr(Path, "exists", lambda path: True)
-    with pytest.raises(ServiceError, match="without spaces"):
-        service.executable(Place())
+    assert "without spaces" in service.executable(Place())[1]
 
 
 # ---- what is in the files ----
