@@ -90,7 +90,7 @@ def _no_rig_yet(request: Request, finding: Finding) -> Finding:
     if request.rig is None and finding.text.endswith(": no such file"):
         rig = beside(request.file, config.in_force(request.file, request.assignments, Configuration).rig)
         if rig is not None and finding.text == f"{rig}: no such file":
-            return wrong("rig", f"no rig yet: {rig} is not there", f"{_CALIBRATE}; then copy rig.yaml to there")
+            return wrong(finding.name, f"no rig yet: {finding.text}", f"{_CALIBRATE}; then copy rig.yaml to there")
     return finding
 
 
