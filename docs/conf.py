@@ -1,4 +1,4 @@
-"""The documentation site, with the pages that are made from the code: modules, settings, command line, picture.
+"""The documentation site, with the pages that are made from the code: modules, command line, picture.
 
 They are written to _build/generated before Sphinx reads the pages that include them. What the package does not have
 yet is left out and the page says so; what it has must be right, for the build treats warnings as errors.
@@ -86,13 +86,6 @@ def modules_page() -> str:
     for name in core_modules():
         parts.append(f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n```\n")
     return "\n".join(parts)
-
-
-def settings_page() -> str:
-    """The configuration file with every default, as `spheremouse config init` writes it."""
-    config = importlib.import_module("spheremouse.files.config")
-    settings = importlib.import_module("spheremouse.session.settings")
-    return f"```yaml\n{config.dump_commented(settings.Configuration()).rstrip()}\n```\n"
 
 
 def command_line_page() -> str:
@@ -210,7 +203,6 @@ def setup(app: Any) -> None:
     """Make the generated pages, then hook into autodoc."""
     os.environ.setdefault("MPLBACKEND", "Agg")
     page("modules.md", modules_page())
-    page("configuration.md", settings_page())
     page("command-line.md", command_line_page())
     page("picture.md", picture_page())
     app.connect("doctree-read", twins, priority=100)  # before pictures are collected

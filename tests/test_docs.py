@@ -1,8 +1,13 @@
 """The pages of docs/ can be found: each once in the index, under one of four kinds; decisions by their numbers."""
 
+import importlib
 import re
 from collections import Counter
 from pathlib import Path
+
+from spheremouse.files.config import loads, parameters
+from spheremouse.files.yaml import parse_document
+from spheremouse.session.settings import Configuration
 
 DOCS = Path(__file__).parents[1] / "docs"
 NO_PAGES = {"index", "figures"}  # the index itself, and a part of accuracy
@@ -25,3 +30,17 @@ def test_decisions_are_numbered_without_a_gap_and_say_why():
         text = path.read_text(encoding="utf-8")
         assert text.startswith(f"# {number}. "), path.name
         assert "\n## Rationale\n" in text, path.name
+
+
+def test_the_configuration_page_is_of_the_settings_as_they_are(monkeypatch):
+    monkeypatch.syspath_prepend(str(DOCS))
+    made = importlib.import_module("configuration_page")
+    page = (DOCS / "configuration.md").read_text(encoding="utf-8")
+    assert page == made.written(page, made.tables()), "python docs/configuration_page.py --write"
+    known = [".".join(key) for key, _ in parameters(Configuration())]
+    assert sorted(re.findall(r"^\| `([a-z_0-9.]+)` \|", page, re.MULTILINE)) == sorted(known)
+
+
+def test_the_file_that_the_configuration_page_shows_is_one():
+    text = (DOCS / "configuration.md").read_text(encoding="utf-8").split("```yaml\n")[1].split("```")[0]
+    assert loads(parse_document(text, "page"), Configuration).motion.counts_per_mm == 2.0

@@ -14,7 +14,7 @@ from spheremouse.experiments.kit import tour as tour_module
 from spheremouse.experiments.kit.job import Request
 from spheremouse.experiments.kit.tour import thinned, tour
 from spheremouse.experiments.report.page import said
-from spheremouse.experiments.report.plot import apart, save
+from spheremouse.experiments.report.plot import save
 from spheremouse.experiments.report.viewing import page
 from spheremouse.experiments.viewing import KINDS, jobs
 from spheremouse.geometry.rotation import log
@@ -245,15 +245,6 @@ def test_a_figure_is_drawn_where_a_filter_or_the_bound_has_no_value(tmp_path):
     assert all(path.stat().st_size > 5000 for path in save(blur, tmp_path))
     table = rows(found.text, "**Motion blur: median of the combined RMSE**")
     assert table[4:8:3] == [["16", "`ekf1`", "lost", "lost", "1 of 1"], ["", "bound", "–", "–", ""]]
-
-
-def test_names_beside_lines_keep_apart_and_in_order():
-    assert apart([], 0.1) == []
-    assert apart([0.2, 0.5], 0.1) == pytest.approx([0.2, 0.5])
-    moved = apart([0.2, 0.2, 0.22, 0.8], 0.1)
-    assert np.all(np.diff(moved) > 0.0999)
-    assert np.mean(moved[:3]) == pytest.approx(np.mean([0.2, 0.2, 0.22]))
-    assert moved[3] == pytest.approx(0.8)
 
 
 def test_jobs_have_keys_of_their_own_and_quick_ones_are_few():

@@ -259,7 +259,7 @@ def _fitted(picture: Image.Image, width: int, height: int) -> tuple[Any, list[tu
     clear.paste(small, ((width - side) // 2, (height - side) // 2))
     whole: Any = Image.alpha_composite(ground, clear).convert("RGB")
     whole.tostring = whole.tobytes  # python-xlib's name for it
-    rows = (clear.getchannel("A").point(lambda a: 255 * (a > 127)).crop((0, y, width, y + 1)) for y in range(height))
+    rows = (clear.getchannel("A").point([0] * 128 + [255] * 128).crop((0, y, width, y + 1)) for y in range(height))
     boxes = [(y, row.getbbox()) for y, row in enumerate(rows)]
     return whole, [(box[0], y, box[2] - box[0], 1) for y, box in boxes if box is not None]
 

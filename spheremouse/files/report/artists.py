@@ -94,7 +94,8 @@ class Words(Artist):
         said = [text.get_window_extent(renderer) for text in self._ax.texts]
         for word in self._words:
             size, named = word.text.get_window_extent(renderer), self._ax.transData.transform(word.named)
-            found = [_box(*at, size.width, size.height) for at in word.places(*named, size.width, size.height)]
+            w, h = size.width, size.height
+            found = [_box(x, y, w, h) for x, y in word.places(named[0], named[1], w, h)]
             cost = [_cost(box, self._ax.bbox, said, marks, lines, self.px(_CLEAR)) for box in found]
             box = found[int(np.argmin(cost))]
             said.append(box.padded(self.px(_CLEAR)))
