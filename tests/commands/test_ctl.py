@@ -14,6 +14,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from spheremouse.commands import ctl as cli_ctl
+from spheremouse.commands.ctl import words as said_of
 from spheremouse.session.control import protocol
 from spheremouse.session.control import status as status_module
 from spheremouse.session.control.server import ControlServer
@@ -62,7 +63,7 @@ def ctl(path, monkeypatch):
 def shown(status, width=80):
     """A status as it stands on a terminal without colours."""
     console = Console(width=width, highlight=False, record=True, file=io.StringIO())
-    console.print(cli_ctl.status_table(status))
+    console.print(said_of.status_table(status))
     return console.export_text()
 
 
@@ -121,7 +122,7 @@ def test_the_status_as_json_is_the_plain_dict(ctl, daemon):
 
 @pytest.mark.parametrize("state", status_module.STATES)
 def test_every_state_has_a_colour(state):
-    assert cli_ctl._COLOURS[state]
+    assert said_of._COLOURS[state]
     assert f"● {state}" in shown({"state": state})
 
 
@@ -199,7 +200,7 @@ def test_what_the_daemon_quotes_does_not_steer_the_terminal():
     assert "\x1b" not in text
     assert "\x07" not in text
     assert text.count("[bold]x[/bold]") >= 4  # and is no markup
-    event = cli_ctl.event_line({"event": "log", "text": bad}, "12:00:00")
+    event = said_of.event_line({"event": "log", "text": bad}, "12:00:00")
     assert "\x1b" not in event.plain
 
 
@@ -216,7 +217,7 @@ def test_what_the_daemon_quotes_does_not_steer_the_terminal():
     ],
 )
 def test_times_are_said_as_people_say_them(seconds, words):
-    assert cli_ctl._span(seconds) == words
+    assert said_of._span(seconds) == words
 
 
 @pytest.mark.parametrize(
@@ -291,16 +292,16 @@ def test_no_daemon_is_exit_code_3_and_says_how_to_start_one(ctl, path):
 
 def test_an_event_is_a_line():
     status = {"event": "status", **Daemon().status}
-    line = cli_ctl.event_line(status, "12:00:00").plain
+    line = said_of.event_line(status, "12:00:00").plain
     assert (
         line
         == "12:00:00  ● tracking            59.9 frames/s  latency 2.9, 99 % 6.4 ms  17/26 discs  towards you 32 °/s"
     )
-    line = cli_ctl.event_line({**status, "state": "lost", "reason": "hands"}, "12:00:00").plain
+    line = said_of.event_line({**status, "state": "lost", "reason": "hands"}, "12:00:00").plain
     assert line.endswith("  hands")
-    line = cli_ctl.event_line({"event": "status", "state": "no-camera", "reason": "unplugged"}, "12:00:00").plain
+    line = said_of.event_line({"event": "status", "state": "no-camera", "reason": "unplugged"}, "12:00:00").plain
     assert line == "12:00:00  ● no-camera              - frames/s  no latency  -/- discs  unplugged"
-    assert cli_ctl.event_line({"event": "log", "text": "lost: hands"}, "12:00:00").plain == "12:00:00  lost: hands"
+    assert said_of.event_line({"event": "log", "text": "lost: hands"}, "12:00:00").plain == "12:00:00  lost: hands"
 
 
 @pytest.mark.parametrize("as_json", [False, True])

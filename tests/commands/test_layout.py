@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from spheremouse.calibrate.layout.guide import on_the_tape, places
 from spheremouse.calibrate.layout.search import Trials, in_order, judge
 from spheremouse.commands import app
-from spheremouse.commands import layout as cli_layout
-from spheremouse.commands.layout import advice, read_layout
+from spheremouse.commands.layout import check, compare, make
+from spheremouse.commands.layout.check import advice, read_layout
 from spheremouse.errors import ConfigurationError
 
 VIEW = np.radians(70.0)
@@ -22,8 +22,10 @@ VIEW = np.radians(70.0)
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr(cli_layout, "default_steps", lambda n: 3)
-    monkeypatch.setattr(cli_layout, "_TRIALS", 10)
+    for module in (make, compare):
+        monkeypatch.setattr(module, "default_steps", lambda n: 3)
+    for module in (make, compare, check):
+        monkeypatch.setattr(module, "TRIALS", 10)
 
 
 def run(*words):
@@ -159,4 +161,4 @@ def test_advice_names_what_is_wrong():
 def test_a_comparison_has_a_line_for_each_figure():
     result = run("--discs", 8, "--compare", 2)
     assert result.exit_code == 0
-    assert all(name in result.stdout for name, _ in cli_layout._COMPARED)
+    assert all(name in result.stdout for name, _ in compare.COMPARED)

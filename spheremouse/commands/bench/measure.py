@@ -26,6 +26,18 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
+from spheremouse.commands.bench.series import (
+    BLOBS,
+    BLOCK,
+    COMPARED,
+    DETECT,
+    FILTER,
+    MEMORY_FROM,
+    SIMPLE,
+    SIZES,
+    STEP,
+    WARM_UP,
+)
 from spheremouse.errors import DatasetError
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.rotation import Array
@@ -34,12 +46,6 @@ from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
 from spheremouse.tracker import Frame, Status
 
-WARM_UP = 10  # frames: caches, the allocator and the processor's clock settle; said wherever figures are
-BLOCK = 30  # frames that each works through before the next one does: a second of video, with its own caches
-STEP, DETECT, FILTER, BLOBS, SIMPLE = "step", "detect", "filter", "blobs", "SimpleBlobDetector"
-COMPARED = (STEP, DETECT, FILTER, BLOBS, SIMPLE)
-SIZES = ((640, 480), (1280, 720), (1920, 1080))  # px, the first is what the others are compared with
-MEMORY_FROM = 1000  # steps, until the allocator has what it needs
 _KEPT = 1 << 29  # bytes of frames that are played again and again; the others are left out
 _SIZE_FRAMES, _SIZE_STEPS = 80, 600
 _THESIS = 10.0  # s, the simulated motion: at rest at either end, so that it can be played back and forth

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from spheremouse.commands.bench import measure as benchmark
-from spheremouse.commands.bench import report, targets
+from spheremouse.commands.bench.figures import report, targets
 from spheremouse.commands.bench.measure import (
     BLOBS,
     DETECT,
