@@ -6,6 +6,11 @@ def printable(thing: object) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(thing))
 
 
+def one_line(text: str) -> str:
+    """Any text as one short line."""
+    return " ".join(text.split())[:120]
+
+
 class SpheremouseError(Exception):
     """Base of all errors that are the user's to mend."""
 

@@ -5,7 +5,6 @@ Must be settled before numba is imported. Everybody else keeps numba's own place
 
 import os
 import stat
-import tempfile
 from pathlib import Path
 
 
@@ -31,6 +30,8 @@ def _writable(folder: Path) -> bool:
 
 def _private() -> Path:
     """A folder of this account alone, the same one each time: nobody else may plant what is run from it."""
+    import tempfile  # dear, and seldom needed
+
     if not hasattr(os, "getuid"):
         return Path(tempfile.mkdtemp(prefix="spheremouse-"))
     folder = Path(tempfile.gettempdir()) / f"spheremouse-{os.getuid()}"

@@ -6,8 +6,6 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from spheremouse.errors import ConfigurationError, SpheremouseError
-from spheremouse.files import config
-from spheremouse.files.atomic import write_atomically
 
 app = typer.Typer(no_args_is_help=True, help="Show, check or write a configuration file.")
 
@@ -25,6 +23,8 @@ def show(
     assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
 ) -> None:
     """Print the configuration in force; what differs from the default is marked."""
+    from spheremouse.files import config
+
     try:
         settings = config.in_force(file, assignments or (), root())
     except SpheremouseError as e:
@@ -39,6 +39,7 @@ def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=Fals
     Files are read, plug-ins found, slips in sources and outputs told, and the camera is asked for its sizes, which
     disturbs no run. What may be missing only now, as a camera that is not plugged in, is a warning.
     """
+    from spheremouse.files import config
     from spheremouse.files.yaml import Problem, read_document
     from spheremouse.session.named import look
 
@@ -61,6 +62,9 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a configuration file with every parameter, its unit, default and reason."""
+    from spheremouse.files import config
+    from spheremouse.files.atomic import write_atomically
+
     try:
         if file.is_dir():
             raise ConfigurationError(f"{file}: is a directory; name a file in it")

@@ -12,8 +12,9 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from spheremouse.errors import one_line
 from spheremouse.files.migrate import without_schema
-from spheremouse.files.yaml import MAX_PROBLEMS, Document, Key, Problem, dotted, one_line, read_document, shown
+from spheremouse.files.yaml import MAX_PROBLEMS, Document, Key, Problem, dotted, read_document, shown
 
 M = TypeVar("M", bound=BaseModel)
 

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, DocumentStartEvent, NodeEvent
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
-from spheremouse.errors import ConfigurationError
+from spheremouse.errors import ConfigurationError, one_line
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.plain_json import MAX_DEPTH
 
@@ -137,11 +137,6 @@ def shown(value: Any) -> str:
         return f"a list of {len(value)}"
     text = repr(value) if isinstance(value, str) else str(value)
     return text if len(text) <= 40 else text[:37] + "..."
-
-
-def one_line(text: str) -> str:
-    """Any text as one short line."""
-    return " ".join(text.split())[:120]
 
 
 def _compose(text: str, name: str) -> Node | None:

@@ -25,7 +25,8 @@ from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.dataset.wand import is_wand
 from spheremouse.files.mouse_log import read_log
 from spheremouse.files.rig import load_camera
-from spheremouse.session.control import protocol
+from spheremouse.session.control.protocol import Request
+from spheremouse.session.control.status import misfit
 
 CLIP = Path(__file__).parents[1] / "data" / "far26_clip"
 LIMIT = 600_000_000  # bytes beyond what the program has when it has been imported; each of these files took 1.6 to 6 GB
@@ -310,7 +311,7 @@ def test_few_of_many_problems_are_looked_up_and_the_rest_counted(monkeypatch):
     text = "command: status\n" + "".join(f"key_{i}: 1\n" for i in range(3000))
     document = yaml_file.parse_document(text, "x.yaml")
     with pytest.raises(ConfigurationError) as e:
-        validate.validated(document, protocol.Request)
+        validate.validated(document, Request)
     lines = str(e.value).splitlines()
     assert len(looked_up) == yaml_file.MAX_PROBLEMS
     assert lines[0].startswith("x.yaml:2: key_0: unknown key; ")
@@ -350,11 +351,11 @@ def test_a_number_that_python_would_not_show_is_one_line(number):
     ],
 )
 def test_a_status_with_a_value_of_another_kind_is_told(change):
-    assert protocol.misfit(change) is not None
+    assert misfit(change) is not None
 
 
 @pytest.mark.parametrize(
     "change", [{}, {"fps": None}, {"since_s": None}, {"state": "of-tomorrow"}, {"config": "\udce9"}]
 )
 def test_a_status_of_another_version_is_no_misfit(change):
-    assert protocol.misfit(change) is None
+    assert misfit(change) is None

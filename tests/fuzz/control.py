@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from spheremouse.session.control.client import Client
 from spheremouse.session.control.limits import Limits
-from spheremouse.session.control.protocol import COMMANDS, BadRequestError, encode
+from spheremouse.session.control.line import encode
+from spheremouse.session.control.protocol import COMMANDS, BadRequestError
 from spheremouse.session.control.protocol import parse as parse_request
 from spheremouse.session.control.protocol import refused as refused_reply
 from spheremouse.session.control.server import ControlServer

@@ -14,7 +14,6 @@ import typer
 
 from spheremouse.commands import terminal
 from spheremouse.errors import ControlError, printable
-from spheremouse.session.control.client import Client, NoDaemonError
 
 app = typer.Typer(no_args_is_help=True, help="Ask the running daemon how it is, and tell it what to do.")
 
@@ -144,6 +143,7 @@ def watch(
     from rich.console import Console
 
     from spheremouse.commands.ctl.words import event_line
+    from spheremouse.session.control.client import Client
 
     console = Console(highlight=False)
     with _failing(), contextlib.suppress(KeyboardInterrupt), Client(socket) as client:
@@ -161,6 +161,8 @@ def stop(as_json: _Json = False, socket: _Socket = None) -> None:
 
 
 def _ask(socket: Path | None, command: str, **arguments: Any) -> dict[str, Any]:
+    from spheremouse.session.control.client import Client
+
     with _failing(), Client(socket) as client:
         return client.ask(command, **arguments)
 
@@ -175,6 +177,8 @@ def _failing() -> Iterator[None]:
 
 
 def _fail(error: ControlError) -> NoReturn:
+    from spheremouse.session.control.client import NoDaemonError
+
     terminal.error(str(error))
     raise typer.Exit(NO_DAEMON if isinstance(error, NoDaemonError) else REFUSED)
 

@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 from ruamel.yaml import YAML
-from scipy.linalg import block_diag
 
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.migrate import newest
 from spheremouse.files.rig.checks import camera_problems, rig_problems
-from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, Vector3, matrix, targets_covariance
+from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, Vector3, matrix, of_each, targets_covariance
 from spheremouse.files.validate import read_checked
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.geometry.rotation import Array
@@ -123,7 +122,7 @@ def _targets_lines(rig: Rig) -> list[str]:
     """Each target with a covariance of its own where that is all; else what they have in common after the last."""
     joint, n = rig.targets.covariance, len(rig.targets.ids)
     own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
-    correlated = bool(np.any(joint != block_diag(*own))) if n else False
+    correlated = bool(np.any(joint != of_each(own))) if n else False
     lines = ["targets:  # colours inside to outside" if n else "targets: []"]
     for id_, code, position, covariance in zip(
         rig.targets.ids, rig.targets.codes, rig.targets.position, own, strict=True

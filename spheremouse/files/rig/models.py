@@ -4,7 +4,6 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.linalg import block_diag
 
 from spheremouse.ball.rig import CODES, MOST_DISCS
 from spheremouse.geometry.camera import MAX_SIDE
@@ -103,9 +102,17 @@ def matrix(rows: Matrix | None, n: int, m: int | None = None) -> Array:
     return np.zeros((n, m or n)) if rows is None else np.array(rows, dtype=float)
 
 
+def of_each(covariance: Array) -> Array:
+    """Covariance of n places of which each has its own, (n, 3, 3), and that share nothing: (3n, 3n)."""
+    n = len(covariance)
+    joint = np.zeros((n, 3, n, 3))
+    joint[np.arange(n), :, np.arange(n)] = covariance
+    return joint.reshape(3 * n, 3 * n)
+
+
 def targets_covariance(file: RigFile) -> Array:
     """Covariance of the targets' coordinates, (3n, 3n) m²: of all, or of each by itself."""
     n = len(file.targets)
     if file.targets_covariance is not None or n == 0:
         return matrix(file.targets_covariance, 3 * n)
-    return np.asarray(block_diag(*(matrix(t.covariance, 3) for t in file.targets)))
+    return of_each(np.array([matrix(t.covariance, 3) for t in file.targets]))

@@ -13,7 +13,8 @@ from typing import Any, Self
 from spheremouse.errors import ControlError, printable
 from spheremouse.files import plain_json
 from spheremouse.session.control import places
-from spheremouse.session.control.protocol import MAX_LINE, misfit
+from spheremouse.session.control.line import MAX_LINE
+from spheremouse.session.control.status import misfit
 
 _START = "start one with `spheremouse run` or `systemctl start spheremouse`"
 _PATIENCE = {"status": 5.0, "watch": 5.0}  # s; other commands may take the daemon a while

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from spheremouse.session.control.limits import Limits, Pace
-from spheremouse.session.control.protocol import MAX_LINE, Id, encode, refused
+from spheremouse.session.control.line import MAX_LINE, encode
+from spheremouse.session.control.protocol import Id, refused
 from spheremouse.session.control.reply import Reply
 
 

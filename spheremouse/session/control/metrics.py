@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any, Self
 
-from spheremouse.errors import ControlError
-from spheremouse.files.yaml import one_line
+from spheremouse.errors import ControlError, one_line
 from spheremouse.session.control.status import STATES
 from spheremouse.session.process.threads import begin
 from spheremouse.session.settings.control import MetricsSettings

@@ -3,20 +3,16 @@
 docs/control.md is the description; its examples are the tests.
 """
 
-import json
-import math
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from spheremouse.errors import ConfigurationError, ControlError
+from spheremouse.errors import ConfigurationError, ControlError, one_line
 from spheremouse.files import plain_json
 from spheremouse.files.validate import nearest, validated
-from spheremouse.files.yaml import Document, one_line
-from spheremouse.session.control.status import StatusReport
+from spheremouse.files.yaml import Document
 
-MAX_LINE = 65536  # bytes, with its end of line; both ways
 MAX_MARKS = 4000  # brackets, braces and commas in a request: Python stands still while it reads JSON, 0.1 ms a thousand
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -164,52 +160,3 @@ def refused(error: str, id_: Id | None = None) -> dict[str, Any]:
 def internal_error(e: Exception) -> str:
     """What who asked is told of an error of ours."""
     return f"internal error ({type(e).__name__}: {' '.join(str(e).split())}); please report it"
-
-
-def encode(message: dict[str, Any]) -> bytes:
-    """The line of a message. A number that is not finite is null. ValueError where it is longer than a line may be."""
-    text = json.dumps(plain(message), ensure_ascii=False, allow_nan=False)
-    line = text.encode("utf-8", "backslashreplace") + b"\n"  # half a surrogate pair becomes JSON's own escape of it
-    if len(line) > MAX_LINE:
-        raise ValueError(f"a message of {len(line)} bytes")
-    return line
-
-
-def plain(value: Any) -> Any:
-    """Data as JSON can hold it: NumPy's scalars and arrays, tuples, paths and enumerations too."""
-    if value is None or isinstance(value, bool | str):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    return str(value)
-
-
-# ---- the status, as it is promised to clients ----
-
-
-def misfit(status: dict[str, Any]) -> str | None:
-    """What in a status no daemon says, in words: a value that is not of its kind. None where it may be shown.
-
-    What is missing, or null, an older version did not know; a state that is not known here is a later one's; the name
-    of a file need not be text.
-    """
-    try:
-        StatusReport.model_validate(status)
-    except ValidationError as e:
-        for error in e.errors(include_url=False):
-            place, value = error["loc"], error["input"]
-            unknown = error["type"] in ("missing", "string_unicode") or (
-                value is None and not isinstance(place[-1], int)
-            )
-            later = place == ("state",) and isinstance(value, str)
-            if not (unknown or later):
-                return f"{'.'.join(map(str, place))}: {one_line(error['msg'])}"
-    return None

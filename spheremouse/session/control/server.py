@@ -18,19 +18,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from spheremouse.errors import ControlError, SpheremouseError
-from spheremouse.files.yaml import one_line
+from spheremouse.errors import ControlError, SpheremouseError, one_line
 from spheremouse.output.sparing import Sparing
 from spheremouse.session.control import socket as control_socket
 from spheremouse.session.control.connection import Connection
 from spheremouse.session.control.limits import Limits, Pace
+from spheremouse.session.control.line import encode
 from spheremouse.session.control.protocol import (
     BadRequestError,
     Request,
     Set,
     Watch,
     done,
-    encode,
     parse,
     refused,
 )

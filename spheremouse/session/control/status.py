@@ -1,8 +1,10 @@
 """The parts of a status, checked where they are read."""
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from spheremouse.errors import one_line
 
 State = Literal["starting", "no-camera", "searching-targets", "tracking", "lost", "paused", "failed-output"]
 STATES: tuple[str, ...] = State.__args__  # pyright: ignore[reportAttributeAccessIssue]
@@ -114,3 +116,23 @@ class StatusReport(_Part):
     cpu_share: float | None
     scheduling: str
     paused: bool
+
+
+def misfit(status: dict[str, Any]) -> str | None:
+    """What in a status no daemon says, in words: a value that is not of its kind. None where it may be shown.
+
+    What is missing, or null, an older version did not know; a state that is not known here is a later one's; the name
+    of a file need not be text.
+    """
+    try:
+        StatusReport.model_validate(status)
+    except ValidationError as e:
+        for error in e.errors(include_url=False):
+            place, value = error["loc"], error["input"]
+            unknown = error["type"] in ("missing", "string_unicode") or (
+                value is None and not isinstance(place[-1], int)
+            )
+            later = place == ("state",) and isinstance(value, str)
+            if not (unknown or later):
+                return f"{'.'.join(map(str, place))}: {one_line(error['msg'])}"
+    return None

@@ -835,8 +835,8 @@ def test_the_simulator_ends_with_what_its_mouse_did(tmp_path):
 def test_measuring_refuses_before_it_measures(tmp_path):
     result = run("measure", "--seconds", "3000", "--json", tmp_path / "none" / "x.json")
     assert "there is no folder" in str(result.exception)
-    for words in (("measure",), ("simulate",), ("check", "--port", "x")):
-        assert refusal(*words, "--baud", "1200") == "--baud=1200: must be from 38400 to 4000000"
+    for command in (("measure",), ("simulate",), ("check", "--port", "x")):
+        assert refusal(*command, "--baud", "1200") == "--baud=1200: must be from 38400 to 4000000"
     assert "write a port's name, auto or none" in refusal("check", "--port", "")
 
 

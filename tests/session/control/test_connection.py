@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from spheremouse.session.control.connection import Connection
 from spheremouse.session.control.limits import Limits, Pace
-from spheremouse.session.control.protocol import MAX_LINE
+from spheremouse.session.control.line import MAX_LINE
 from spheremouse.session.control.reply import Reply
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "poll"), reason="no poll on this system")

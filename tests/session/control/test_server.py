@@ -29,7 +29,8 @@ from spheremouse.session.control import socket as control_socket
 from spheremouse.session.control import status as status_module
 from spheremouse.session.control.client import Client, NoDaemonError, RefusedError
 from spheremouse.session.control.limits import Limits
-from spheremouse.session.control.protocol import MAX_LINE, BadRequestError, Request, encode, parse
+from spheremouse.session.control.line import MAX_LINE, encode
+from spheremouse.session.control.protocol import BadRequestError, Request, parse
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.control.socket import Peer
 from spheremouse.session.control.status import StatusReport
