@@ -43,7 +43,7 @@ class Answers:
         elif isinstance(request, Record):
             self._record(request, asked)
         elif isinstance(request, Snapshot):
-            if self._worker.follower.subject is None or self._judgement.state is State.NO_CAMERA:
+            if self._judgement.state is State.NO_CAMERA and not self._pictures_come():
                 raise self._no_picture()
             self._archive.want_snapshot(request, self._loader.plan.configuration, asked)
         elif request.command == "reload":
@@ -79,6 +79,10 @@ class Answers:
         else:
             self._say(f"camera pose: {error}")
             asked(refused(error))
+
+    def _pictures_come(self) -> bool:
+        """Where there is `no camera`: do frames come that are of no use but to be looked at?"""
+        return self._worker.unfit and self._judgement.reason == self._worker.trouble
 
     def _no_picture(self) -> ControlError:
         return ControlError(f"there is no picture now: {self._judgement.state}: {self._judgement.reason}")

@@ -124,6 +124,13 @@ class Follower(Protocol):
         """
         ...
 
+    def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
+        """Draws, by another thread, a frame that was not tracked, with what is made out in it.
+
+        Nobody is recognised in it, unless `everything`.
+        """
+        ...
+
     def failure(self, unused: str) -> SpheremouseError | None:
         """Why it was of no use, at the end of all frames; None where something was tracked.
 

@@ -6,6 +6,7 @@ from typing import assert_never, cast
 import numpy as np
 
 from spheremouse.ball import events
+from spheremouse.ball.detect.refused import Bound, Refused
 from spheremouse.ball.events import BallLost, Why
 from spheremouse.tracker import Event
 
@@ -92,3 +93,56 @@ def _why(lost: BallLost) -> str:
             return "the camera was moved, and its pose is not found: uncover the targets, or initialise again"
         case _:
             assert_never(lost.why)
+
+
+def found(seen: Iterable[str], known: Iterable[str] | None) -> str:
+    """Which targets a picture shows, by their codes; beside those that the rig has, where there is one."""
+    seen, known = list(seen), None if known is None else list(known)
+    if known is None:
+        return f"{len(seen)} target{'' if len(seen) == 1 else 's'}{': ' if seen else ''}{' '.join(seen)}"
+    here, others = [c for c in known if c in seen], sorted(set(seen) - set(known))
+    text = f"{len(here)} of the rig's {len(known)} targets{': ' if here else ''}{' '.join(here)}"
+    return f"{text}; not in the rig: {' '.join(others)}" if others else text
+
+
+def refusal(refused: Refused) -> str:
+    """Why something is no target, short enough to stand beside it in a picture."""
+    inside, outside = refused.code[0], refused.code[-1]
+    match refused.bound:
+        case Bound.COLOURS:
+            return f"{inside} in {outside}, no third colour"
+        case Bound.EDGES:
+            return f"{refused.code}: edges not clear"
+        case Bound.SIZE:
+            return f"{refused.code}: too small"
+        case Bound.CENTRE:
+            return f"{refused.code}: not concentric"
+        case Bound.RATIO:
+            return f"{refused.code}: rings out of proportion"
+        case Bound.LIGHT:
+            return f"{refused.code}: too dark or too pale"
+        case Bound.HUE:
+            return f"{refused.code}: other hues"
+        case _:
+            assert_never(refused.bound)
+
+
+def remedy(bound: Bound) -> str:
+    """What may help there."""
+    match bound:
+        case Bound.COLOURS:
+            return "no target, or one that is covered in part"
+        case Bound.EDGES:
+            return "focus the lens, hold the camera still"
+        case Bound.SIZE:
+            return "go nearer, choose a larger picture, or print larger targets (rings.min_radius)"
+        case Bound.CENTRE:
+            return "turn it towards the camera, lay it flat (rings.concentric)"
+        case Bound.RATIO:
+            return "focus the lens; is it a print of other proportions? (rings.ratio)"
+        case Bound.LIGHT:
+            return "more light, or less glare (rings.saturation, rings.value)"
+        case Bound.HUE:
+            return "white light, white balance (rings.cyan, rings.magenta, rings.yellow)"
+        case _:
+            assert_never(bound)

@@ -156,7 +156,10 @@ class Daemon:
                         if self._judgement.state is not State.TRACKING:
                             self._judge(now)  # nothing moves before it is said that it may
                         self._pass_on(made, arrival.taken)
+                    elif self._worker.untracked is not None:
+                        self._archive.look(self._worker.untracked, self.follower)
                 finally:
+                    self._worker.forget()
                     arrival.raw.release()
             elif self._capture.finished:
                 if self._capture.failure is not None:

@@ -13,7 +13,7 @@ from spheremouse.capture.newest import Arrival
 from spheremouse.errors import DamagedFrameError, SourceError
 from spheremouse.session.follower import Follower, Tracked
 from spheremouse.session.timing import FrameTimes
-from spheremouse.tracker import Status
+from spheremouse.tracker import Frame, Status
 
 _FAULTS, _FAULTS_WITHIN = 5, 60.0  # errors of our own in so many s that end the process: it is begun anew from outside
 _DAMAGED = 1.0  # s of nothing but damaged frames that are told
@@ -27,6 +27,8 @@ class Worker:
         self.trouble = ""  # why no frame can be used
         self.times: defaultdict[str, FrameTimes] = defaultdict(FrameTimes)  # of each stage; the worker's alone
         self.stages: dict[str, tuple[float, float]] = {}  # s: median and 99 % of each at the last look
+        self.untracked: Frame | None = None  # the one at hand, where it was decoded and not tracked
+        self.unfit = False  # frames come, and are of another kind than can be used
         self.frames = 0  # tracked
         self.seen = 0  # worked on, whatever came of them
         self.damaged = 0
@@ -38,13 +40,14 @@ class Worker:
     def work(self, arrival: Arrival, colour: bool = False) -> Tracked | None:
         """Do what there is to be done with a raw frame; in `colour`, whatever tracking wants.
 
-        None where it was not tracked: damaged, of no use, or too early. The frame of what is given is good until the
-        raw one is released.
+        None where it was not tracked: damaged, of no use, or too early. The frame of what is given, and the one that is
+        `untracked`, are good until the raw one is released: `forget` it then.
         """
         raw, begun = arrival.raw, time.monotonic()
         self.seen += 1
+        self.unfit = False
         try:
-            frame = self._as_contiguous(raw.frame(colour or self.follower.wants_colour(raw.stamp)))
+            frame = self.untracked = self._as_contiguous(raw.frame(colour or self.follower.wants_colour(raw.stamp)))
             self.follower.check(frame)
             decoded = time.monotonic()
             self.trouble, self.good = "", decoded
@@ -55,15 +58,20 @@ class Worker:
             if begun - self.good > _DAMAGED:
                 self.trouble = f"nothing but damaged frames for {begun - self.good:.0f} s ({e})"
         except SourceError as e:
-            self.trouble = str(e)
+            self.trouble, self.unfit = str(e), True
         except Exception:
             if self._too_many_faults(begun):
                 raise
         else:
             if made is not None:
+                self.untracked = None
                 self._count(made, before, {"wait": begun - arrival.taken, "decode": decoded - begun})
             return made
         return None
+
+    def forget(self) -> None:
+        """The raw frame goes back."""
+        self.untracked = None
 
     def look(self) -> None:
         """Look what the stages of the last frames took."""

@@ -83,7 +83,7 @@ class TargetDetections:
 
 
 @dataclass(frozen=True, slots=True)
-class _Spots:
+class Spots:
     """What has one of the colours."""
 
     contours: tuple[Image, ...]  # (k, 2) px each
@@ -95,7 +95,7 @@ class _Spots:
 
 
 @dataclass(frozen=True, slots=True)
-class _Candidate:
+class Candidate:
     """Circles that lie as a target's do, still to be measured."""
 
     code: str
@@ -123,17 +123,8 @@ def detect_targets(image: Image, radii: Array, settings: RingSettings) -> Target
     proportion are ignored. Of more than `MOST` with one code the best are measured, and of what together is larger than
     two pictures the smallest; that there was more is said.
     """
-    spots = {c: _spots(m, settings) for c, m in zip(COLOURS, _masks(image, settings), strict=True)}
     proportion = np.asarray(radii, dtype=float) / radii[-1]
-    candidates: list[_Candidate] = []
-    crowded = False
-    for code in permutations(COLOURS):
-        nests, more = _nests((spots[code[0]], spots[code[1]], spots[code[2]]), proportion, settings)
-        outer, crowded = spots[code[2]], crowded or more
-        for k in nests:
-            candidate = _candidate("".join(code), outer.contours[k], outer.centre[k], image.shape)
-            if candidate is not None:
-                candidates.append(candidate)
+    candidates, crowded = candidates_of(spots_of(image, settings), proportion, settings, image.shape)
     areas = np.array([c.area for c in candidates])
     smaller = np.argsort(areas, kind="stable")
     room = np.cumsum(areas[smaller]) <= _PICTURES * image.shape[0] * image.shape[1]  # as many as possible
@@ -146,6 +137,27 @@ def detect_targets(image: Image, radii: Array, settings: RingSettings) -> Target
         tuple(c.outline for c, _, _ in seen),
         crowded or not room.all(),
     )
+
+
+def spots_of(image: Image, settings: RingSettings) -> dict[str, Spots]:
+    """What has each of the three colours in a BGR image, (h, w, 3)."""
+    return {c: _spots(m, settings) for c, m in zip(COLOURS, _masks(image, settings), strict=True)}
+
+
+def candidates_of(
+    spots: dict[str, Spots], proportion: Array, settings: RingSettings, shape: tuple[int, ...]
+) -> tuple[list[Candidate], bool]:
+    """Spots in one another, as a target's are, in a picture of that shape; and whether there were more than `MOST`."""
+    candidates: list[Candidate] = []
+    crowded = False
+    for code in permutations(COLOURS):
+        nests, more = _nests((spots[code[0]], spots[code[1]], spots[code[2]]), proportion, settings)
+        outer, crowded = spots[code[2]], crowded or more
+        for k in nests:
+            candidate = _candidate("".join(code), outer.contours[k], outer.centre[k], shape)
+            if candidate is not None:
+                candidates.append(candidate)
+    return candidates, crowded
 
 
 def _masks(image: Image, settings: RingSettings) -> list[Image]:
@@ -162,16 +174,16 @@ def _masks(image: Image, settings: RingSettings) -> list[Image]:
     return masks
 
 
-def _spots(mask: Image, settings: RingSettings) -> _Spots:
+def _spots(mask: Image, settings: RingSettings) -> Spots:
     """Outlines of the connected regions of a mask, filled: their moments are those of discs, not of rings."""
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     outlines = [c[:, 0] for c in contours if len(c) >= 4 * settings.min_radius]
     if not outlines:
-        return _Spots((), np.zeros((0, 2)), np.zeros(0))
+        return Spots((), np.zeros((0, 2)), np.zeros(0))
     area, centre = _filled(outlines)
     radius = np.sqrt(area / np.pi) + 0.5  # the contour runs through pixel centres: half a pixel is missing all round
     good = np.flatnonzero((radius >= settings.min_radius) & (area > 0))
-    return _Spots(tuple(outlines[k] for k in good), centre[good], radius[good])
+    return Spots(tuple(outlines[k] for k in good), centre[good], radius[good])
 
 
 def _filled(outlines: list[Image]) -> tuple[Array, Array]:
@@ -192,7 +204,7 @@ def _filled(outlines: list[Image]) -> tuple[Array, Array]:
 
 
 def _nests(
-    layers: tuple[_Spots, _Spots, _Spots], proportion: Array, settings: RingSettings
+    layers: tuple[Spots, Spots, Spots], proportion: Array, settings: RingSettings
 ) -> tuple[NDArray[np.intp], bool]:
     """Outer circles of the triples (inner, middle, outer) that lie in one another, concentric and in proportion.
 
@@ -201,11 +213,11 @@ def _nests(
     inner, middle, outer = layers
     least = settings.min_radius / proportion[0] / settings.ratio  # no smaller outer ring holds a large enough disc
     large = np.flatnonzero(outer.radius >= least)
-    around = _within(middle, outer, large, proportion[1], settings)
-    within = _within(inner, outer, np.unique(around[1]), proportion[0], settings)
-    if not len(within[0]):
-        return within[0], False
-    misfit = _misfits(inner.radius, within, middle.radius, around, outer.radius, proportion)
+    around = within(middle, outer, large, proportion[1], settings)
+    inmost = within(inner, outer, np.unique(around[1]), proportion[0], settings)
+    if not len(inmost[0]):
+        return inmost[0], False
+    misfit = _misfits(inner.radius, inmost, middle.radius, around, outer.radius, proportion)
     left = np.flatnonzero(np.isfinite(misfit))
     left = left[np.argsort(misfit[left], kind="stable")]
     best: list[np.intp] = []
@@ -216,7 +228,7 @@ def _nests(
     return np.array(best, dtype=np.intp), len(left) > 0
 
 
-def _within(inside: _Spots, outer: _Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
+def within(inside: Spots, outer: Spots, which: NDArray[np.intp], share: float, settings: RingSettings) -> _Pairs:
     """Spots `inside` those of `which` in `outer`, concentric and of about that `share` of the radius: both's indices.
 
     Place and size are sought as one box, with sizes stretched to its shape: how many outlines of about one size a place
@@ -239,10 +251,10 @@ def _within(inside: _Spots, outer: _Spots, which: NDArray[np.intp], share: float
     return one[good], other[good]
 
 
-def _misfits(inner: Array, within: _Pairs, middle: Array, around: _Pairs, outer: Array, proportion: Array) -> Array:
+def _misfits(inner: Array, inmost: _Pairs, middle: Array, around: _Pairs, outer: Array, proportion: Array) -> Array:
     """How far the radii of the best triple about each outer circle are from the proportions, (n,); inf without one.
 
-    That is the range of the three log ratios, for the best of the smaller circles `within` and `around` it: to an inner
+    That is the range of the three log ratios, for the best of the smaller circles `inmost` and `around` it: to an inner
     circle belongs the least middle one that reaches the range of the other two, or the next smaller.
     """
     misfit = np.full(len(outer), np.inf)
@@ -252,7 +264,7 @@ def _misfits(inner: Array, within: _Pairs, middle: Array, around: _Pairs, outer:
     order = np.argsort(span * around[1] + middle[around[0]], kind="stable")
     b, whose = middle[around[0]][order], around[1][order]
     key = span * whose + b
-    a, k = inner[within[0]], within[1]
+    a, k = inner[inmost[0]], inmost[1]
     larger = np.searchsorted(key, span * k + a, side="right")
     reaches = np.searchsorted(key, span * k + proportion[1] * np.minimum(a / proportion[0], outer[k]))
     for j in (np.maximum(larger, reaches), np.maximum(larger, reaches) - 1):
@@ -263,7 +275,7 @@ def _misfits(inner: Array, within: _Pairs, middle: Array, around: _Pairs, outer:
     return misfit
 
 
-def _candidate(code: str, outline: Image, middle: Array, shape: tuple[int, ...]) -> _Candidate | None:
+def _candidate(code: str, outline: Image, middle: Array, shape: tuple[int, ...]) -> Candidate | None:
     """What is to be measured of a nest in a picture of that shape; None where its outline is no ellipse's."""
     ellipse = cv2.fitEllipse(outline) if len(outline) >= 5 else None
     if ellipse is None or min(ellipse[1]) <= 0 or not np.all(np.isfinite((*ellipse[0], *ellipse[1]))):
@@ -273,10 +285,10 @@ def _candidate(code: str, outline: Image, middle: Array, shape: tuple[int, ...])
     x1, y1 = (min(int(np.ceil(c + margin)) + 1, end) for c, end in zip(middle, (shape[1], shape[0]), strict=True))
     turn = np.deg2rad(ellipse[2])
     axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    return _Candidate(code, outline, middle, np.array(ellipse[1]) / 2 + 0.5, axes, (x0, y0, x1, y1))
+    return Candidate(code, outline, middle, np.array(ellipse[1]) / 2 + 0.5, axes, (x0, y0, x1, y1))
 
 
-def _measure(image: Image, nest: _Candidate, proportion: Array) -> tuple[Array, float] | None:
+def _measure(image: Image, nest: Candidate, proportion: Array) -> tuple[Array, float] | None:
     """Sub-pixel centre (2,) px and radius of the outer circle.
 
     Each edge separates two flat colours A and B; a pixel near it is covered by (I - B)(A - B) / |A - B|^2 parts of the

@@ -126,11 +126,12 @@ def snapshot(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME.png]", help="Of the picture, below the daemon's recordings; no path.")
     ] = None,
+    everything: Annotated[bool, typer.Option("--everything", help="The whole picture, with whoever is in it.")] = False,
     as_json: _Json = False,
     socket: _Socket = None,
 ) -> None:
-    """Write the present picture to a file."""
-    _report(_ask(socket, "snapshot", file=name), as_json, "written", "file")
+    """Write the present picture to a file, with what is made of it; while targets are sought, why others are none."""
+    _report(_ask(socket, "snapshot", file=name, everything=everything or None), as_json, "written", "file")
 
 
 @app.command(epilog="Example: spheremouse ctl watch --interval 5")

@@ -29,7 +29,7 @@ from spheremouse.output.pointer import Counts
 from spheremouse.session import messages
 from spheremouse.session.ball.looking import FirstPose, Seeker
 from spheremouse.session.ball.map_keeper import MapKeeper
-from spheremouse.session.ball.subject import BallSubject, picture
+from spheremouse.session.ball.subject import BallSubject, picture, sought
 from spheremouse.session.directions import of_ball
 from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, Follower, News, Tracked, here
 from spheremouse.session.plan import Plan
@@ -202,6 +202,10 @@ class BallFollower:
         assert tracker is not None
         epoch = replace(epoch, frame=replace(epoch.frame, image=epoch.frame.image.copy()))
         return lambda: picture(epoch, tracker, counts, everything=everything)
+
+    def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
+        """What is seen of the targets in a frame, whose picture is copied; unless `everything`, the rest coarse."""
+        return partial(sought, frame.image.copy(), self.rig, self.settings, everything=everything)
 
     def failure(self, unused: str) -> SpheremouseError | None:
         """PoseError where the camera's pose was never found."""

@@ -9,8 +9,10 @@ from spheremouse.files.dataset.write import device_description
 from spheremouse.files.rig import rig_text
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.session.ball.privacy import kept, masked
+from spheremouse.session.messages import found
 from spheremouse.session.overlay.ball import Overlay, target_marks
-from spheremouse.session.overlay.pen import Image
+from spheremouse.session.overlay.pen import Image, in_blocks
+from spheremouse.session.overlay.sight import draw_sight, sight_of
 from spheremouse.session.settings import Configuration
 from spheremouse.session.settings.replay import configuration_text
 
@@ -65,3 +67,13 @@ def picture(
     )
     overlay.remember(shown.state)
     return overlay.draw(shown, counts)
+
+
+def sought(image: Image, rig: Rig, settings: Configuration, *, everything: bool = False) -> Image:
+    """A picture in which the rig's targets are looked for, with what is found, and what is not and why.
+
+    In coarse blocks but for that, unless `everything`. Takes some tenths of a second; the image must stay as it is.
+    """
+    sight = sight_of(image, rig.targets.radii, rig.targets.codes, settings.rings)
+    shown = image if everything else in_blocks(image, sight.kept(image.shape[:2]))
+    return draw_sight(shown, sight, ((found(sight.targets.codes, rig.targets.codes), 0.012),))

@@ -75,6 +75,7 @@ class Snapshot(Request):
     """Write the present picture, into the daemon's folder of recordings."""
 
     file: Annotated[Name, AfterValidator(_picture_name)] | None = Field(None, description="such as bug-1.png")
+    everything: bool = Field(False, description="false keeps the ball and the targets only")
 
 
 class Watch(Request):

@@ -14,6 +14,7 @@ Colour = tuple[int, int, int]  # blue, green, red
 WHITE, GREEN, RED, BLUE, OUTLINE = (255, 255, 255), (90, 220, 60), (40, 40, 255), (230, 150, 60), (200, 200, 120)  # BGR
 SHADOW = (40, 40, 40)
 _SHIFT = 4  # fractional bits of OpenCV's drawing coordinates: a sixteenth of a pixel
+_BLOCKS = 24  # across a picture: six across a head that fills a quarter of it
 EPOCHS = 15  # epochs that fade: half a second
 
 
@@ -32,6 +33,14 @@ def canvas_of(image: Image, scale: int) -> Image:
     if scale != 1:
         canvas = cv2.resize(canvas, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     return np.ascontiguousarray(canvas, dtype=np.uint8)
+
+
+def in_blocks(image: Image, keep: Image) -> Image:
+    """A copy of a frame in blocks so coarse that nobody is recognised; where `keep`, (h, w), is not 0 as it is."""
+    h, w = image.shape[:2]
+    blocks = cv2.resize(image, (_BLOCKS, max(1, round(_BLOCKS * h / w))), interpolation=cv2.INTER_AREA)
+    made = cv2.resize(blocks, (w, h), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(cv2.copyTo(image, keep, made), dtype=np.uint8)
 
 
 class Pen:

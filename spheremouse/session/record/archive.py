@@ -24,7 +24,9 @@ from spheremouse.session.record.places import made_folder, next_name, recordings
 from spheremouse.session.record.recorder import Recorder
 from spheremouse.session.record.snapshot import snapshot
 from spheremouse.session.settings import Configuration
+from spheremouse.session.settings.record import RecordSettings
 from spheremouse.session.subject import Subject
+from spheremouse.tracker import Frame
 
 RECORDING, SNAPSHOT = "recording", "snapshot"  # kinds of the crew's work
 _GONE = ControlError("given up: who asked has hung up")
@@ -45,7 +47,7 @@ class Archive:
         self._made: Recorder | None = None  # by the crew, and not taken over yet
         self._begun: tuple[Asked, dict[str, Any]] | None = None  # who is told what at the recording's first frame
         self._bare = False  # the recording has no frame in colour yet
-        self._wanted: tuple[Path, Asked, Configuration] | None = None  # the snapshot of the next frame
+        self._wanted: tuple[Path, Asked, RecordSettings] | None = None  # the snapshot of the next frame
 
     @property
     def wants_colour(self) -> bool:
@@ -58,10 +60,12 @@ class Archive:
         if self._recorder is not None and self._recorder.add(made.frame, follower.subject):
             self._bare &= made.frame.image.ndim != 3
             self._tell_first()
-        if self._wanted is not None:
-            path, asked, c = self._wanted
-            self._wanted = None
-            self._take_snapshot(follower.picture(made, counts, c.record.everything), path, asked, c)
+        self._take_snapshot(lambda everything: follower.picture(made, counts, everything))
+
+    def look(self, frame: Frame, follower: Follower) -> None:
+        """A frame that was not tracked; its image is copied."""
+        self._give_up()
+        self._take_snapshot(lambda everything: follower.sight(frame, everything))
 
     def interrupted(self, reason: str) -> None:
         """No frames come any more: who waits for one is told."""
@@ -200,14 +204,20 @@ class Archive:
         """Of the next frame, in colour."""
         places = recordings_folder(c.record)
         path = next_name(places, suffix=".png") if request.file is None else places / request.file
-        self._wanted = path, asked, c
+        self._wanted = path, asked, replace(c.record, everything=c.record.everything or request.everything)
 
-    def _take_snapshot(self, draw: Callable[[], Image], path: Path, asked: Asked, c: Configuration) -> None:
+    def _take_snapshot(self, picture: Callable[[bool], Callable[[], Image]]) -> None:
+        """The one that is wanted; `picture` gives what draws it, with everything in it or not."""
+        if self._wanted is None:
+            return
+        (path, asked, settings), self._wanted = self._wanted, None
+        draw = picture(settings.everything)
+
         def write() -> dict[str, Any]:
             if asked.gone:
                 raise _GONE
             made_folder(path.parent, OutputError)
-            refuse_full_disk(path, c.record)
+            refuse_full_disk(path, settings)
             snapshot(path, draw)
             self._say(f"snapshot: {path}")
             return {"file": str(path)}

@@ -15,7 +15,7 @@ from spheremouse.output.hand import HandMapping
 from spheremouse.output.pointer import Counts
 from spheremouse.session.directions import of_hand
 from spheremouse.session.follower import Change, Follower, News, Tracked
-from spheremouse.session.overlay.pen import Image
+from spheremouse.session.overlay.pen import Image, in_blocks
 from spheremouse.session.plan import Plan
 from spheremouse.session.wand.messages import Told
 from spheremouse.session.wand.offline import check_wand_frame
@@ -157,6 +157,11 @@ class WandFollower:
         assert isinstance(epoch, WandEpoch)
         image = epoch.frame.image.copy()
         return lambda: picture(epoch, image, tracker, self.points, counts, everything=everything)
+
+    def sight(self, frame: Frame, everything: bool) -> Callable[[], Image]:
+        """A frame that cannot be used, whose picture is copied; coarse unless `everything`."""
+        image = frame.image.copy()
+        return lambda: image if everything else in_blocks(image, np.zeros(image.shape[:2], np.uint8))
 
     def failure(self, unused: str) -> SpheremouseError | None:
         """SourceError where the ball that points was never seen."""

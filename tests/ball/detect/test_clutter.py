@@ -31,7 +31,7 @@ def spots(rng, n, size=100.0, places=8):
     """Spots about a few places, so that many lie in one another; some share centre and radius."""
     at = rng.uniform(0.0, size, (places, 2))[rng.integers(0, places, n)] + rng.normal(0.0, 1.0, (n, 2)).round(1)
     radius = rng.uniform(1.5, 30.0, n).round(rng.integers(0, 3))
-    return rings._Spots((np.zeros((4, 2), np.int32),) * n, at, radius)
+    return rings.Spots((np.zeros((4, 2), np.int32),) * n, at, radius)
 
 
 def every_pair(layers, s):

@@ -1,0 +1,113 @@
+"""What looks like a ring target and is none: image in, places out, each with the bound that it does not keep.
+
+For a picture that a person looks at, not for every frame: the image is looked through again with one bound after the
+other widened. What is then found, and was not, is refused by that bound.
+"""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import permutations
+
+import numpy as np
+
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.rings import (
+    MOST,
+    RingSettings,
+    Spots,
+    TargetDetections,
+    candidates_of,
+    detect_targets,
+    spots_of,
+    within,
+)
+from spheremouse.ball.rig import COLOURS
+from spheremouse.geometry.rotation import Array
+
+_SMALLEST = 0.5  # px, radius of an inner disc: less than a pixel is nothing
+_MIXED = 2.0  # px, radius of an inner disc below which few of its pixels have its colour alone
+_HUES = 12  # of OpenCV's 180: neighbours are 60 apart
+_PALE = 25  # saturation and value below which a colour is the noise of grey
+
+
+class Bound(StrEnum):
+    """Bounds of a target that something does not keep; of several the first."""
+
+    EDGES = "edges"  # the rings lie in one another, and their edges cannot be measured
+    SIZE = "size"  # rings.min_radius
+    CENTRE = "centre"  # rings.concentric
+    RATIO = "ratio"  # rings.ratio
+    LIGHT = "light"  # rings.saturation, rings.value
+    HUE = "hue"  # rings.cyan, rings.magenta, rings.yellow
+    COLOURS = "colours"  # two of the three lie in one another
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Something that is nearly a target."""
+
+    code: str  # its colours inside to outside: two or three
+    centre: Array  # (2,) px
+    radius: float  # px
+    bound: Bound
+
+
+def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: TargetDetections) -> tuple[Refused, ...]:
+    """What is nearly a target in a BGR image, (h, w, 3), in which `seen` are the targets; one thing once.
+
+    `radii` (3,) are the rig's circles, in any unit. Takes ten times as long as `detect_targets`.
+    """
+    proportion = np.asarray(radii, dtype=float) / radii[-1]
+    spots = spots_of(image, settings)
+    found = _Places(seen)
+    for nest in candidates_of(spots, proportion, settings, image.shape)[0]:
+        found.add(nest.code, nest.middle, float(np.sqrt(nest.half.prod())), Bound.EDGES)
+    for bound, wider in _widened(settings):
+        more = detect_targets(image, radii, wider)
+        for code, centre, radius in zip(more.codes, more.centre, more.radius, strict=True):
+            found.add(code, centre, float(radius), Bound.SIZE if radius * proportion[0] < _MIXED else bound)
+    for code, centre, radius in _pairs(spots, proportion, settings):
+        found.add(code, centre, radius, Bound.COLOURS)
+    return tuple(found.refused)
+
+
+class _Places:
+    """What was found, none of it within another."""
+
+    def __init__(self, seen: TargetDetections) -> None:
+        self.refused: list[Refused] = []
+        self._taken = list(zip(seen.centre, seen.radius, strict=True))
+
+    def add(self, code: str, centre: Array, radius: float, bound: Bound) -> None:
+        """One more, unless there is something there."""
+        if all(np.linalg.norm(centre - other) > max(radius, r) for other, r in self._taken):
+            self._taken.append((centre, radius))
+            self.refused.append(Refused(code, centre, radius, bound))
+
+
+def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
+    hues = {name: (max(low - _HUES, 0), min(high + _HUES, 180)) for name, (low, high) in _hues(s).items()}
+    pale = replace(s, saturation=(min(s.saturation[0], _PALE), 255), value=(min(s.value[0], _PALE), 255))
+    return (
+        (Bound.SIZE, replace(s, min_radius=min(s.min_radius, _SMALLEST))),
+        (Bound.CENTRE, replace(s, concentric=1.0)),
+        (Bound.RATIO, replace(s, ratio=max(s.ratio, 3.0))),
+        (Bound.LIGHT, pale),
+        (Bound.HUE, replace(s, **hues)),
+    )
+
+
+def _hues(s: RingSettings) -> dict[str, tuple[int, int]]:
+    return {"cyan": s.cyan, "magenta": s.magenta, "yellow": s.yellow}
+
+
+def _pairs(spots: dict[str, Spots], proportion: Array, settings: RingSettings) -> list[tuple[str, Array, float]]:
+    """Two colours in one another as two of a target's three are, the largest first: colours, centre and radius, px."""
+    found: list[tuple[str, Array, float]] = []
+    least = settings.min_radius / proportion[0]
+    for inner, outer in permutations(COLOURS, 2):
+        large = np.flatnonzero(spots[outer].radius >= least)
+        for share in (proportion[1], proportion[0] / proportion[1], proportion[0]):
+            _, around = within(spots[inner], spots[outer], large, float(share), settings)
+            found += [(inner + outer, spots[outer].centre[k], float(spots[outer].radius[k])) for k in np.unique(around)]
+    return sorted(found, key=lambda pair: -pair[2])[: 3 * MOST]

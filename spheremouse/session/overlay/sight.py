@@ -1,0 +1,82 @@
+"""What a picture shows while nobody knows where the camera stands, drawn on it: what is a target, what is nearly one.
+
+Targets of the rig green, those that the rig does not have yellow, what was refused orange with the bound that it does
+not keep; round dark spots, which may be discs, white where they are asked for; a strip with words below.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.refused import Bound, Refused, refused_targets
+from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
+from spheremouse.geometry.rotation import Array
+from spheremouse.session.messages import refusal
+from spheremouse.session.overlay.pen import WHITE, Colour, Mark, Pen, canvas_of
+
+_YELLOW: Colour = (30, 210, 255)
+_ORANGE: Colour = (30, 130, 255)
+_AROUND = 1.6  # radii: as far from the rings as those of `Pen.target`
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """Targets in a colour picture, and what is nearly one; none in a grey one."""
+
+    targets: TargetDetections
+    refused: tuple[Refused, ...]
+    codes: tuple[str, ...] | None  # that the rig has; None where there is no rig
+
+    @property
+    def strangers(self) -> tuple[str, ...]:
+        """Codes seen that the rig does not have."""
+        return tuple(sorted(set(self.targets.codes) - set(self.codes or self.targets.codes)))
+
+    def kept(self, shape: tuple[int, int]) -> Image:
+        """255 about what has a target's three colours, 0 elsewhere, (h, w) uint8."""
+        keep = np.zeros(shape, np.uint8)
+        places = list(zip(self.targets.centre, self.targets.radius, strict=True))
+        for (u, v), radius in places + [(r.centre, r.radius) for r in self.refused if r.bound is not Bound.COLOURS]:
+            cv2.circle(keep, (round(float(u)), round(float(v))), round(2.0 * float(radius)), 255, cv2.FILLED)
+        return keep
+
+
+_NONE = TargetDetections((), np.zeros((0, 2)), np.zeros(0), ())
+
+
+def sight_of(image: Image, radii: Array, codes: tuple[str, ...] | None, settings: RingSettings) -> Sight:
+    """What an image (h, w, 3) BGR or (h, w) shows of targets whose circles have these `radii`, (3,), in any unit."""
+    if image.ndim != 3:
+        return Sight(_NONE, (), codes)
+    seen = detect_targets(image, radii, settings)
+    return Sight(seen, refused_targets(image, radii, settings, seen), codes)
+
+
+def draw_sight(
+    image: Image,
+    sight: Sight,
+    words: tuple[tuple[str, float], ...],
+    spots: tuple[Array, Array] = (np.zeros((0, 2)), np.zeros(0)),
+) -> Image:
+    """The image with what is seen; `spots` are centres (n, 2) px and areas (n,) px²; `words` as `Pen.caption` has."""
+    scale = max(1, round(1280 / image.shape[1]))
+    canvas = canvas_of(image, scale)
+    pen = Pen(canvas, scale)
+    for centre, area in zip(*spots, strict=True):
+        pen.ellipse(centre, (area / np.pi) * np.eye(2), WHITE)
+    for refused in sight.refused:
+        _ring(pen, refused.centre, refused.radius, refusal(refused), _ORANGE)
+    for code, centre, radius in zip(sight.targets.codes, sight.targets.centre, sight.targets.radius, strict=True):
+        if code in sight.strangers:
+            _ring(pen, centre, radius, f"{code}: not in the rig", _YELLOW)
+        else:
+            pen.target(Mark(code, centre, radius**2 * np.eye(2)))
+    pen.caption(words)
+    return canvas
+
+
+def _ring(pen: Pen, centre: Array, radius: float, text: str, colour: Colour) -> None:
+    pen.ellipse(centre, _AROUND * radius**2 * np.eye(2), colour)
+    pen.label(text, centre + radius * np.array([1.5, -1.1]), colour)
