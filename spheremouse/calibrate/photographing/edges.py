@@ -78,7 +78,7 @@ def _widths(grey: Image, points: Array, normals: Array, reach: Array) -> Array:
     """Of edges with samples (n, m, 2) px, normals (n, 1 or m, 2), as far as (n,) px to both sides; (n,), nan: none."""
     reach = np.minimum(reach, _REACH)
     picture, n = grey.astype(np.float32), int(np.ceil(_REACH / _STEP))
-    off = _STEP * np.arange(-n, n + 1)
+    off = np.asarray(_STEP * np.arange(-n, n + 1), float)
     at = points[:, :, None] + off[:, None] * normals[:, :, None]  # (n, m, samples, 2)
     flat = at.reshape(len(at), -1, 2).astype(np.float32)
     profile = cv2.remap(picture, flat[..., 0], flat[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
