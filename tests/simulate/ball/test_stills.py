@@ -251,6 +251,7 @@ def little(path, **options):
 
 def test_the_folder_has_what_a_calibration_needs(folder, evening):
     assert sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()) == [
+        "board.yaml",
         "board/chess_00.jpg",
         "device.yaml",
         *(f"device/device_{k}.jpg" for k in range(2)),
