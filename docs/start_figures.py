@@ -1,0 +1,110 @@
+"""The table of docs/performance.md on how soon a command answers: python docs/start_figures.py [--write].
+
+Each command in turn, round after round, in a process of its own; of each the least time, as others on the machine only
+add to it. Takes a minute or two. Without --write the table is printed.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import typer.main
+
+from spheremouse.commands import app
+
+PAGE = Path(__file__).with_name("performance.md")
+MARKS = "<!-- table: docs/start_figures.py -->", "<!-- end of table -->"
+ROUNDS = 5
+PASS = "python -c pass"
+NEXT, STATUS = "spheremouse calibrate next FOLDER", "spheremouse ctl status"
+ASKED = {"help": "0.5 s, 80 MB", "next": "1 s", "status": "0.3 s"}
+
+Figures = tuple[float, float, float]  # s by the clock, s of the processor, MB
+
+
+def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Words of every command and of every group of them."""
+    yield words
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from commands(inner, (*words, name))
+
+
+def measured(words: list[str]) -> Figures:
+    """What a command takes, from its start to its end."""
+    begun = time.perf_counter()
+    child = subprocess.Popen(words, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        raise RuntimeError(f"{' '.join(words)}: exit code {child.returncode}")
+    return time.perf_counter() - begun, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3
+
+
+@contextmanager
+def daemon(folder: Path) -> Iterator[Path]:
+    """The socket of a daemon that tracks a simulated ball at a few frames a second."""
+    socket = folder / "control.sock"
+    words = ["run", "--source", "synthetic:fps=2,seconds=3600", "--realtime", "--output", "null"]
+    told = [sys.executable, "-m", "spheremouse", *words, "--set", f"control.socket={socket}"]
+    with subprocess.Popen(told, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            while not socket.exists():
+                time.sleep(0.1)
+            yield socket
+        finally:
+            process.terminate()
+
+
+def main() -> str:
+    """The table."""
+    ours = [sys.executable, "-m", "spheremouse"]
+    helps = {
+        " ".join(["spheremouse", *w, "--help"]): [*ours, *w, "--help"] for w in commands(typer.main.get_command(app))
+    }
+    with tempfile.TemporaryDirectory() as name, daemon(Path(name)) as socket:
+        folder = str(Path(name) / "cabinet")
+        subprocess.run([*ours, "calibrate", "practice", folder, "--photos", "6", "--boards", "15"], check=True)
+        asked = {PASS: [sys.executable, "-c", "pass"], **helps}
+        asked[NEXT] = [*ours, "calibrate", "next", folder]
+        asked[STATUS] = [*ours, "ctl", "status", "--socket", str(socket)]
+        least: dict[str, Figures] = {}
+        for _ in range(ROUNDS):
+            for what, words in asked.items():
+                now = measured(words)
+                least[what] = tuple(map(min, now, least.get(what, now)))  # pyright: ignore[reportArgumentType]
+    slowest = max(helps, key=lambda what: least[what][0])
+    largest = max(helps, key=lambda what: least[what][2])
+    rows = [
+        (PASS, f"`{PASS}`", None),
+        ("spheremouse --help", "`spheremouse --help`", "help"),
+        (slowest, f"the slowest of all {len(helps)} helps: `{slowest}`", "help"),
+        (largest, f"the largest: `{largest}`", "help"),
+        (NEXT, f"`{NEXT}`", "next"),
+        (STATUS, f"`{STATUS}`, of a daemon that runs", "status"),
+    ]
+    lines = [
+        "| | s | of the processor, s | times `python -c pass` | MB | asked for |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for what, words, wish in rows:
+        clock, processor, memory = least[what]
+        ratio = clock / least[PASS][0]
+        lines.append(
+            f"| {words} | {clock:.2f} | {processor:.2f} | {ratio:.0f} | {memory:.0f} | {ASKED.get(wish, '')} |"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    table = main()
+    if sys.argv[1:] == ["--write"]:
+        before, _, rest = PAGE.read_text(encoding="utf-8").partition(MARKS[0])
+        PAGE.write_text(f"{before}{MARKS[0]}\n\n{table}\n\n{MARKS[1]}{rest.partition(MARKS[1])[2]}", encoding="utf-8")
+    else:
+        print(table)
