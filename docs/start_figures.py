@@ -63,6 +63,7 @@ def daemon(folder: Path) -> Iterator[Path]:
 
 def main() -> str:
     """The table."""
+    before = os.getloadavg()[0]
     ours = [sys.executable, "-m", "spheremouse"]
     helps = {
         " ".join(["spheremouse", *w, "--help"]): [*ours, *w, "--help"] for w in commands(typer.main.get_command(app))
@@ -98,6 +99,8 @@ def main() -> str:
         lines.append(
             f"| {words} | {clock:.2f} | {processor:.2f} | {ratio:.0f} | {memory:.0f} | {ASKED.get(wish, '')} |"
         )
+    load = max(before, os.getloadavg()[0])
+    lines += ["", f"{os.cpu_count()} cores, on which {load:.1f} processes ran or waited (the load; ours is 1 to 2)."]
     return "\n".join(lines)
 
 

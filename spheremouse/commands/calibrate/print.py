@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.board_file import NAME, BoardFile, text_of
 from spheremouse.calibrate.lengths import parse_board, parse_length
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
@@ -58,6 +57,7 @@ def print_(
 
     Vector PDFs at true scale, with rulers to check the print; the recipe is HTML. The same options give the same bytes.
     """
+    from spheremouse.calibrate.board_file import NAME, BoardFile, text_of
     from spheremouse.calibrate.prints.page import pdf
     from spheremouse.calibrate.prints.recipe import recipe
     from spheremouse.calibrate.prints.sheets import (
@@ -124,6 +124,8 @@ def _holds(path: Path, data: bytes) -> bool:
 
 def _write(folder: Path, made: dict[str, bytes], force: bool) -> None:
     """All files or, where one is there that differs, none; which board was printed last may change."""
+    from spheremouse.calibrate.board_file import NAME
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
         differ = [n for n, d in made.items() if n != NAME and (folder / n).exists() and not _holds(folder / n, d)]

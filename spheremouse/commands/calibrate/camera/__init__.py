@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from spheremouse.calibrate.board_file import BoardFile
 from spheremouse.calibrate.outputs import check_outputs, copyable, note
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
@@ -44,6 +43,7 @@ def camera(
     10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
     reaching into all corners of the picture. `calibrate photos --for camera` takes them.
     """
+    from spheremouse.calibrate.board_file import BoardFile
     from spheremouse.calibrate.camera.calibrate import calibrate, provenance
     from spheremouse.calibrate.camera.corners import pattern_of
     from spheremouse.calibrate.camera.report import camera_json, write_camera_report
