@@ -16,7 +16,7 @@ SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/t
     tests/commands/doctor/test_doctor.py::test_a_source_that_gives_no_frame_is_an_error_that_says_so \
     tests/commands/test_run.py::test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones
 # Optional parts that a cabinet may have.
-CABINET := plot metrics tray desktop
+CABINET := metrics
 # What there are no wheels of.
 SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=
@@ -67,7 +67,7 @@ test-newest: OTHER := --python $(BIN)/python
 test-newest: RESOLUTION := highest
 test-oldest test-newest: $(STAMP)
 	$(BIN)/uv venv --quiet --clear --no-python-downloads $(OTHER) $(VENV)/$@
-	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[plot,metrics,tray,desktop,lab]'
+	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[metrics,lab]'
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
 	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 

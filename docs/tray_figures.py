@@ -7,7 +7,6 @@ needs, PyGObject included.
 """
 
 import contextlib
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -33,6 +32,8 @@ def main() -> None:
     """All pictures anew: each icon on a dark panel and on a light one, and the menu."""
     if missing():
         sys.exit(f"tray_figures.py: {missing()}")
+    if not gtk():
+        sys.exit("tray_figures.py: needs PyGObject: python3-gi gir1.2-ayatanaappindicator3-0.1")
     dark, light = pictures(DARK, menu=True), pictures(LIGHT)
     for state, left in dark.items():
         both = Image.new("RGB", (left.width + light[state].width, SIDE))
@@ -46,14 +47,10 @@ def pictures(ground: tuple[int, int, int], *, menu: bool = False) -> dict[str, I
     """The tray on a panel of this colour, by state; also of the menu, into a file, where that is asked for."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        path = gtk(folder)
-        if path is None:
-            sys.exit("tray_figures.py: needs PyGObject: python3-gi gir1.2-ayatanaappindicator3-0.1")
         desk = Desk(stack, folder, ground)
         socket = folder / "control.sock"
         command = [sys.executable, "-m", "spheremouse", "tray", "--socket", str(socket)]
-        paths = os.pathsep.join(filter(None, (str(path), os.environ.get("PYTHONPATH"))))
-        stack.enter_context(process(*command, env=desk.env | {"PYTHONPATH": paths}))
+        stack.enter_context(process(*command, env=desk.env))
         found = {NO_DAEMON: seen(desk, NO_DAEMON)}
         state = "tracking"
 

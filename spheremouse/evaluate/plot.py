@@ -37,7 +37,7 @@ def plot_run(
     `stamps` (n,) s; `attitude` and `truth_attitude` (n, 3, 3) R_obj_ball; `rate` and `truth_rate` (n, 3) rad/s in
     `obj`; `covariance` (n, 6, 6) of rotation error and rate. Attitudes are shown as rotation vectors from the first
     frame, errors as in `metrics`, with the band of three standard deviations that the filter claims. Raises
-    ConfigurationError without matplotlib or where the file cannot be written.
+    ConfigurationError where the file cannot be written.
     """
     t = np.asarray(stamps, dtype=float)
     gap = _gaps(t)[:, None]

@@ -5,7 +5,6 @@ stops at the screen's edges, and programs that read the mouse itself and not the
 no program move its pointer. With `third=wheel` the ball's spin scrolls, 120 counts to a notch.
 """
 
-import importlib.util
 import os
 import sys
 from types import TracebackType
@@ -75,8 +74,6 @@ def check(argument: str) -> str:
 
 
 def _find() -> Any:
-    if importlib.util.find_spec("pynput") is None:
-        raise OutputError("desktop: needs the Python package pynput: pip install 'spheremouse[desktop]'")
     if sys.platform not in ("win32", "darwin"):
         if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("XDG_SESSION_TYPE") == "wayland":
             raise OutputError(

@@ -21,7 +21,6 @@ from spheremouse.commands.tray.view import STATES, icon
 PROGRAMS = ("Xvfb", "trayer", "xdotool", "dbus-daemon", "dbus-monitor")
 SIDE = 32  # px, of the panel
 GROUND = (46, 52, 54)
-_SYSTEM = Path("/usr/lib/python3/dist-packages")  # where Debian has PyGObject
 
 
 def missing() -> str:
@@ -31,17 +30,10 @@ def missing() -> str:
     return f"needs {', '.join(names)}" if names else ""
 
 
-def gtk(folder: Path) -> Path | None:
-    """What to put on PYTHONPATH so that pystray finds PyGObject and its indicators; None where they are not there."""
-    if importlib.util.find_spec("gi") is None:
-        if not (_SYSTEM / "gi").is_dir():
-            return None
-        (folder / "gi").symlink_to(_SYSTEM / "gi")
+def gtk() -> bool:
+    """Whether the system has PyGObject and its indicators."""
     probe = "import gi; gi.require_version('Gtk', '3.0'); gi.require_version('AyatanaAppIndicator3', '0.1')"
-    found = subprocess.run(
-        [sys.executable, "-c", probe], env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, check=False
-    )
-    return folder if found.returncode == 0 else None
+    return subprocess.run(["/usr/bin/python3", "-c", probe], capture_output=True, check=False).returncode == 0
 
 
 def until(what: Callable[[], object], seconds: float = 30.0) -> bool:

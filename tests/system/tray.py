@@ -56,13 +56,9 @@ def desk(tmp_path):
         yield Desk(stack, tmp_path)
 
 
-@pytest.fixture
-def with_menu(tmp_path_factory):
-    """PYTHONPATH that has PyGObject."""
-    path = gtk(tmp_path_factory.mktemp("gtk"))
-    if path is None:
-        pytest.skip("needs PyGObject and its indicators: python3-gi gir1.2-ayatanaappindicator3-0.1")
-    return {"PYTHONPATH": str(path)}
+with_menu = pytest.mark.skipif(
+    not gtk(), reason="needs PyGObject and its indicators: python3-gi gir1.2-ayatanaappindicator3-0.1"
+)
 
 
 class World:
@@ -112,8 +108,9 @@ def world(desk, tmp_path):
     return World(desk, tmp_path)
 
 
-def test_the_menu_pauses_reinitialises_records_and_quits(world, with_menu, films, tmp_path):
-    with world.tray(**with_menu) as tray:
+@with_menu
+def test_the_menu_pauses_reinitialises_records_and_quits(world, films, tmp_path):
+    with world.tray() as tray:
         assert world.shows("no-daemon")
         with world.daemon(f"dataset:{films / 'long'}"):
             assert world.shows("tracking")
@@ -152,8 +149,9 @@ def test_the_menu_pauses_reinitialises_records_and_quits(world, with_menu, films
 
 
 @pytest.mark.parametrize("backend", ["appindicator", "xorg"])
-def test_every_trouble_has_its_icon(world, with_menu, films, backend):
-    with world.tray(**with_menu, PYSTRAY_BACKEND=backend) as tray:
+@with_menu
+def test_every_trouble_has_its_icon(world, films, backend):
+    with world.tray(PYSTRAY_BACKEND=backend) as tray:
         with world.daemon(f"dataset:{films / 'dark'}"):
             assert world.shows("searching-targets")
         with world.daemon(f"dataset:{films / 'lost'}"):
@@ -182,10 +180,11 @@ def test_without_a_menu_a_click_reinitialises(world, films):
 
 
 @pytest.mark.parametrize("backend", ["appindicator", "xorg"])
-def test_the_icon_comes_back_with_the_panel(world, with_menu, backend):
+@with_menu
+def test_the_icon_comes_back_with_the_panel(world, backend):
     """Also at login, where the panel is not there yet."""
     world.desk.end_panel()
-    with world.tray(**with_menu, PYSTRAY_BACKEND=backend) as tray:
+    with world.tray(PYSTRAY_BACKEND=backend) as tray:
         world.desk.start_panel()
         assert until(lambda: world.desk.state() == "no-daemon"), world.said()
         world.desk.end_panel()
@@ -195,22 +194,24 @@ def test_the_icon_comes_back_with_the_panel(world, with_menu, backend):
         assert end(tray) == 0
 
 
-def test_without_a_session_bus_it_still_shows(world, with_menu):
-    with world.tray(**with_menu, DBUS_SESSION_BUS_ADDRESS="unix:path=/does/not/exist") as tray:
+@with_menu
+def test_without_a_session_bus_it_still_shows(world):
+    with world.tray(DBUS_SESSION_BUS_ADDRESS="unix:path=/does/not/exist") as tray:
         assert until(lambda: world.desk.state() == "no-daemon"), world.said()
         assert "icon by xorg" in world.said()
         assert end(tray) == 0
 
 
 @pytest.mark.parametrize("backend", ["appindicator", "xorg"])
-def test_the_icon_follows_every_change(world, with_menu, backend):
+@with_menu
+def test_the_icon_follows_every_change(world, backend):
     """Also where a reason is long and not English; a window that is left behind would show an old state."""
     state = "tracking"
 
     def handle(_, reply):
         reply({"state": state, "reason": f"{state} → Жук " * 20})
 
-    with world.tray(**with_menu, PYSTRAY_BACKEND=backend) as tray:
+    with world.tray(PYSTRAY_BACKEND=backend) as tray:
         for _ in range(3):
             with ControlServer(world.socket, ControlSettings(), handle, lambda _: None):
                 for state in STATES:  # `handle` reads it

@@ -1,7 +1,7 @@
 """Pictures of a calibrated device: where cameras, targets, discs and ball are, and what was measured in each photo.
 
 The places are drawn by matplotlib in straight projections of our own, whose lines stay sharp and whose hidden sides can
-be left out (Wittich 2017, figures 32, 33); the photos by OpenCV, so that they are there without matplotlib, too.
+be left out (Wittich 2017, figures 32, 33); the photos by OpenCV.
 """
 
 from collections.abc import Sequence

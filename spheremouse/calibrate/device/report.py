@@ -25,7 +25,6 @@ from spheremouse.calibrate.device.results import (
     unit_of,
 )
 from spheremouse.calibrate.photos import Photo, image
-from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.report import page
 from spheremouse.geometry.rotation import Array
@@ -43,7 +42,7 @@ def write_device_report(
 ) -> None:
     """Write one HTML file that needs nothing beside it; `photos` are all that were given.
 
-    `provenance` as in rig files: date, made_by, files used. Where matplotlib is missing, the drawings are left out.
+    `provenance` as in rig files: date, made_by, files used.
     """
     c = calibration
     names = [p.path.name for p in photos]
@@ -83,22 +82,19 @@ def _headlines(c: DeviceCalibration) -> list[tuple[str, str, str]]:
 
 def _places(c: DeviceCalibration) -> str:
     heading = "Where everything is"
-    try:
-        above = page.figure(
-            overview(c),
-            "Cameras (blue, with the number of the photo), targets with their ids, discs, and the ball. Discs on the "
-            "far side are pale. The arrows are the axes from the ball's centre, dashed within the ball: X right, Y up, "
-            "Z towards the camera.",
-        )
-        below = page.figure(side_views(c), "The same, all at one scale. The more the cameras surround it, the better.")
-        drawing, times = certainty(c)
-        errors = page.figure(
-            drawing,
-            f"How certain the places of targets (gold) and discs (blue) are: ellipses of one standard deviation, drawn "
-            f"{times:g} times larger. Where all point away from the middle, it is the scale that is uncertain.",
-        )
-    except ConfigurationError as e:
-        return page.section(heading, page.paragraph(f"The drawings are missing: {e}."))
+    above = page.figure(
+        overview(c),
+        "Cameras (blue, with the number of the photo), targets with their ids, discs, and the ball. Discs on the "
+        "far side are pale. The arrows are the axes from the ball's centre, dashed within the ball: X right, Y up, "
+        "Z towards the camera.",
+    )
+    below = page.figure(side_views(c), "The same, all at one scale. The more the cameras surround it, the better.")
+    drawing, times = certainty(c)
+    errors = page.figure(
+        drawing,
+        f"How certain the places of targets (gold) and discs (blue) are: ellipses of one standard deviation, drawn "
+        f"{times:g} times larger. Where all point away from the middle, it is the scale that is uncertain.",
+    )
     return page.section(heading, above, below, errors)
 
 

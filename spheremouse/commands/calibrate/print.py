@@ -69,15 +69,12 @@ def print_(
         mm,
         target_pages,
     )
-    from spheremouse.files.report.style import require_matplotlib
 
     kinds, size = set(only or Kind), paper.value
     corners = parse_board(board)
     side = largest_square(corners, size) if square is None else _millimetres("--square", square)
     if side < _SMALLEST:
         raise CalibrationError(f"--board {board}: too many corners for one page of {size}; give a --square")
-    if kinds != {Kind.RECIPE}:
-        require_matplotlib()
     made: dict[str, bytes] = {}
     if Kind.TARGETS in kinds:
         radii = parse_radii(ring_radii)

@@ -19,7 +19,7 @@ from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.ball.truth import DiscTruth, Truth
 from spheremouse.capture.stopping import Stopping
-from spheremouse.errors import ConfigurationError, PoseError, SpheremouseError
+from spheremouse.errors import ConfigurationError, PoseError
 from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import Reference, Run, report
 from spheremouse.evaluate.plot import plot_run
@@ -68,7 +68,7 @@ def play(out: Path, seconds: float, seed: int) -> None:
     result = report(
         run, film.reference(), rig, dataset="demo", tracker="so3", frames=len(film.filmed), found=start.pose
     )
-    _draw_plot(run, truth, out / "plot.png", console)
+    _draw_plot(run, truth, out / "plot.png")
     print()
     Console(file=sys.stdout, highlight=False).print(_summary(result, seen, truth, tracker))
     for name in FILES:
@@ -164,23 +164,20 @@ def _fineness(epoch: Epoch) -> float:
     return 0.0 if epoch.state.status is not Status.TRACKING else len(epoch.used) * (0.3 + min(speed, 1.2))
 
 
-def _draw_plot(run: Run, truth: Truth, path: Path, console: Console) -> None:
+def _draw_plot(run: Run, truth: Truth, path: Path) -> None:
     kept = run.tracked
     if len(kept) == 0:
         return
     at = run.frame[kept]
-    try:
-        plot_run(
-            run.stamp[kept],
-            run.attitude[kept],
-            run.rate[kept],
-            truth.attitude[at],
-            truth.rate[at],
-            run.covariance[kept],
-            path,
-        )
-    except SpheremouseError as e:  # matplotlib is an extra
-        console.print(f"no plot: {e}", markup=False)
+    plot_run(
+        run.stamp[kept],
+        run.attitude[kept],
+        run.rate[kept],
+        truth.attitude[at],
+        truth.rate[at],
+        run.covariance[kept],
+        path,
+    )
 
 
 def _summary(result: dict[str, Any], seen: _Seen, truth: Truth, tracker: Tracker) -> Table:

@@ -8,7 +8,6 @@ import typer
 
 from spheremouse.commands.terminal import table_console
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.report.style import require_matplotlib
 
 
 def evaluate(
@@ -86,7 +85,5 @@ def _check(pose: str, noise: float, datasets: list[Path], json_file: Path | None
     for name, path in (("--json", json_file), ("--plot", plot_file)):
         if path is not None and not path.parent.is_dir():
             raise ConfigurationError(f"{name}: {path.parent}: no such folder")
-    if plot_file is not None:
-        if len(datasets) > 1:
-            raise ConfigurationError("--plot: draws one dataset; name one at a time")
-        require_matplotlib()
+    if plot_file is not None and len(datasets) > 1:
+        raise ConfigurationError("--plot: draws one dataset; name one at a time")

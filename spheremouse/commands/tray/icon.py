@@ -31,12 +31,10 @@ from spheremouse.errors import SpheremouseError
 
 _OLD = 10.0  # s after which a line in the menu is renewed where only its numbers have changed; that closes an open menu
 _FOR_A_HOST = 60.0  # s to wait for a desktop that is only just coming up
+_SYSTEMS_GI = Path("/usr/lib/python3/dist-packages/gi/__init__.py")  # Debian's PyGObject
 _EDGE = (24, 26, 28)  # what an icon's soft edge goes over into where nothing shines through: the outline's own colour
 
-MENU_NEEDS = (
-    "apt-get install python3-gi gir1.2-ayatanaappindicator3-0.1, and spheremouse in a virtual environment made with "
-    "--system-site-packages"
-)
+MENU_NEEDS = "apt-get install python3-gi gir1.2-ayatanaappindicator3-0.1"
 
 
 class TrayError(SpheremouseError):
@@ -269,10 +267,9 @@ def _fitted(picture: Image.Image, width: int, height: int) -> tuple[Any, list[tu
 
 def _library() -> tuple[Any, str]:
     """pystray, and which of its backends shows the icon; TrayError in words where none can."""
-    if importlib.util.find_spec("pystray") is None:
-        raise TrayError("the tray needs pystray: pip install 'spheremouse[tray]'")
     if _on_x() and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise TrayError("no display here; start it within the desktop's session, where it starts by itself at login")
+    _find_gi()
     if _on_x() and "PYSTRAY_BACKEND" not in os.environ and not _session_bus():
         os.environ["PYSTRAY_BACKEND"] = "xorg"  # the others cannot begin without one
     logger = logging.getLogger("pystray")  # it logs tracebacks where a tray is not there yet
@@ -284,6 +281,21 @@ def _library() -> tuple[Any, str]:
         why = " ".join(str(e).split())[:200] or type(e).__name__
         raise TrayError(f"no tray can be reached from here ({why}); on Wayland it takes {MENU_NEEDS}") from None
     return pystray, pystray.Icon.__module__.rpartition("._")[2]
+
+
+def _find_gi() -> None:
+    """The system's PyGObject, alone of its packages, for a virtual environment: pip would have to compile it."""
+    if importlib.util.find_spec("gi") is not None or not _SYSTEMS_GI.is_file():
+        return
+    spec = importlib.util.spec_from_file_location("gi", _SYSTEMS_GI)
+    assert spec is not None
+    assert spec.loader is not None
+    sys.modules["gi"] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(sys.modules["gi"])
+    except Exception:  # compiled for another Python than this
+        for name in [name for name in sys.modules if name.partition(".")[0] == "gi"]:
+            del sys.modules[name]
 
 
 def _on_x() -> bool:

@@ -1,6 +1,6 @@
 """How figures look: quiet axes, colours that colour-blind eyes tell apart, on light pages and on dark ones.
 
-Needs matplotlib, which is loaded when something is drawn. The style is that of `files/report`; the colours of curves
+matplotlib is loaded when something is drawn. The style is that of `files/report`; the colours of curves
 are those of Okabe and Ito (2008), and they differ in their dashes as well.
 """
 

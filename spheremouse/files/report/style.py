@@ -1,42 +1,23 @@
-"""How figures look: matplotlib, where it is installed, in the project's style (`light.mplstyle`, `dark.mplstyle`).
+"""How figures look: matplotlib in the project's style (`light.mplstyle`, `dark.mplstyle`).
 
 And the colours that figures name: a page in HTML has a variable for each, lighter where the screen is dark.
 """
 
-import importlib
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from spheremouse.errors import ConfigurationError
-
 INK, MUTED, GRID, PAPER = "#2b2b2b", "#8a8a8a", "#e6e6e6", "#fefefd"
 RED, GREEN, BLUE, GOLD = "#c8553d", "#3a7d5d", "#2f6690", "#b8860b"  # apart in grey and for most colour-blind eyes
-
-
-def has_matplotlib() -> bool:
-    """Whether it is there, and can be imported."""
-    try:
-        importlib.import_module("matplotlib")
-    except Exception:  # an installation may be broken in any way
-        return False
-    return True
-
-
-def require_matplotlib() -> None:
-    """Raise ConfigurationError where matplotlib is not installed."""
-    if not has_matplotlib():
-        raise ConfigurationError("plots need matplotlib: pip install 'spheremouse[plot]'")
 
 
 @contextmanager
 def styled(*over: str | Mapping[str, Any]) -> Iterator[None]:
     """The light style for figures that are made and saved in this block, with others ("dark") or rcParams over it.
 
-    Nothing of a user's matplotlibrc. Raises ConfigurationError without matplotlib.
+    Nothing of a user's matplotlibrc.
     """
-    require_matplotlib()
     from matplotlib import style
 
     sheets = [f"{__package__}.{s}" if isinstance(s, str) else s for s in ("light", *over)]

@@ -17,7 +17,6 @@ from spheremouse.calibrate.device.results import device_json
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.commands.calibrate.device.text import device_text
 from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
-from spheremouse.files.report import style
 from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}
@@ -154,16 +153,6 @@ def test_page_needs_nothing_beside_it_and_says_all(which, request, photos, tmp_p
     assert text.index('class="advice"') < text.index("<table")
     assert ("Distances" in words) is (which == "calibration")
     assert "nan" not in words
-
-
-def test_page_without_matplotlib_has_the_tables_and_says_what_to_install(calibration, photos, tmp_path, monkeypatch):
-    monkeypatch.setattr(style, "has_matplotlib", lambda: False)
-    elements = Elements(written(tmp_path / "r.html", calibration, photos))
-    tags = [tag for tag, _ in elements.seen]
-    assert tags.count("svg") == 0
-    assert tags.count("img") == 6
-    assert tags.count("table") >= 8
-    assert "pip install" in " ".join(elements.words)
 
 
 def test_photos_left_out_shift_nothing(calibration, photos, tmp_path):

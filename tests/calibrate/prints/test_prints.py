@@ -468,14 +468,6 @@ def test_files_that_differ_are_left_alone_without_force(tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_without_matplotlib_it_says_what_to_install_and_the_recipe_is_made_all_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr("spheremouse.files.report.style.has_matplotlib", lambda: False)
-    with pytest.raises(SpheremouseError, match=r"matplotlib: pip install 'spheremouse\[plot\]'"):
-        run("--out", tmp_path)
-    run("--out", tmp_path, "--only", "recipe")
-    assert [p.name for p in tmp_path.iterdir()] == ["recipe.html"]
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [

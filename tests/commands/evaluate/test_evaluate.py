@@ -41,7 +41,6 @@ from spheremouse.evaluate.metrics import (
 )
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.disc_map import save_map, saved_now
-from spheremouse.files.report import style
 from spheremouse.geometry.camera import InteriorOrientation, Pose
 from spheremouse.geometry.rotation import rotation_between, tangent_basis
 from spheremouse.output.counts import MotionSettings
@@ -647,10 +646,3 @@ def test_plot_breaks_its_curves_where_nothing_was_tracked_and_where_a_rotation_v
     angle = np.deg2rad([170.0, 179.0, 188.0, 197.0])[:, None] * [1.0, 0.0, 0.0]
     vectors = Rotation.from_rotvec(angle).as_rotvec()
     assert np.isnan(plot._unbroken(vectors)).any(axis=1).tolist() == [False, False, True, False]
-
-
-def test_without_matplotlib_it_says_what_to_install(run_command, filmed, monkeypatch):
-    monkeypatch.setattr(style, "has_matplotlib", lambda: False)
-    done = run_command(filmed, "--plot", "out.png")
-    assert done.exit_code == 2
-    assert "pip install 'spheremouse[plot]'" in done.stderr

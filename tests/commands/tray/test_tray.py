@@ -337,24 +337,34 @@ def test_in_a_window_the_icon_keeps_its_shape_and_nothing_around_it_is_seen(stat
 # ---- where it works ----
 
 
-def test_without_a_display_it_says_so_in_one_line():
+@pytest.mark.parametrize(("options", "code"), [((), 2), (("--at-login",), 0)])
+def test_without_a_display_it_says_so_in_one_line_and_at_login_that_is_no_error(options, code):
     env = {"PATH": "/usr/bin", "SPHEREMOUSE_SOCKET": "/nowhere"}
-    if importlib.util.find_spec("pystray") is None:
-        pytest.skip("the extra `tray` is not installed")
     done = subprocess.run(
-        [sys.executable, "-m", "spheremouse", "tray"], env=env, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "spheremouse", "tray", *options], env=env, capture_output=True, text=True, check=False
     )
-    assert done.returncode == 2
+    assert done.returncode == code
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
     assert "no display" in done.stderr
 
 
-def test_without_pystray_it_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pystray", None)
+def test_a_systems_pygobject_that_was_compiled_for_another_python_is_as_if_it_were_not_there(monkeypatch, tmp_path):
+    package = tmp_path / "gi"
+    package.mkdir()
+    (package / "__init__.py").write_text("from . import own\n")
+    (package / "own.py").write_text("from . import _gi\n")  # there is none for this Python
     monkeypatch.setattr(tray_live.importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(TrayError, match=r"pip install 'spheremouse\[tray\]'"):
-        tray_live._library()
+    monkeypatch.setattr(tray_live, "_SYSTEMS_GI", package / "__init__.py")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "gi"]:
+        monkeypatch.delitem(sys.modules, name)
+    tray_live._find_gi()
+    assert not [name for name in sys.modules if name.partition(".")[0] == "gi"]
+    (package / "_gi.py").touch()
+    tray_live._find_gi()
+    assert sys.modules["gi"].__path__ == [str(package)]
+    for name in ("gi", "gi.own", "gi._gi"):
+        monkeypatch.delitem(sys.modules, name)
 
 
 @pytest.mark.parametrize(
@@ -378,6 +388,7 @@ def test_the_autostart_entry_starts_this_command():
     entry = Path(__file__).parents[3] / "service" / "desktop" / "spheremouse-tray.desktop"
     lines = entry.read_text(encoding="utf-8").splitlines()
     assert lines[0] == "[Desktop Entry]"
-    assert "Exec=@EXECUTABLE@ tray" in lines
+    assert "Exec=@EXECUTABLE@ tray --at-login" in lines
+    assert "TryExec=@EXECUTABLE@" in lines  # a program that has gone is no error
     assert "Type=Application" in lines
     assert "Terminal=false" in lines

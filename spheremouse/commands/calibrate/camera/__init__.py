@@ -10,7 +10,6 @@ from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import write_json
-from spheremouse.files.report.style import has_matplotlib, require_matplotlib
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
@@ -57,7 +56,7 @@ def camera(
     pattern = pattern_of(BoardFile(board, square, marker, dictionary))
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
-    page = _page(report, out)
+    page = report or out.with_suffix(".html")
     check_outputs([out, page, json_file], photos, force)
     found = read_photos(photos, note)
     with progress_bar() as bar:
@@ -65,26 +64,15 @@ def camera(
         done = calibrate(found, pattern, distortion, lambda what: bar.update(task, description=what, advance=1))
     made_from = provenance(done)
     figures = camera_json(done)
-    if page is not None:
-        write_camera_report(page, done, made_from)
+    write_camera_report(page, done, made_from)
     save_camera(out, done.found.camera, made_from)
     if json_file is not None and write_json(json_file, figures):
         return
     camera_text(done)
-    typer.echo(f"{out}: the camera" + (f"; {page}: the report" if page else ""))
+    typer.echo(f"{out}: the camera; {page}: the report")
     folder = out.parent
     words = ("calibrate", "device", folder / "device", "--device", folder / "device.yaml", "--camera", out)
     follows = copyable("spheremouse", *words, "--out", folder / "rig.yaml")
     if (folder / "device.yaml").exists() and out.name == "camera.yaml" and not has_photos(folder / "device"):
         follows = photos_command(folder, "device")
     typer.echo(f"next: {follows}")
-
-
-def _page(report: Path | None, out: Path) -> Path | None:
-    if report is not None:
-        require_matplotlib()
-        return report
-    if not has_matplotlib():
-        note("no report with pictures without matplotlib: pip install 'spheremouse[plot]'")
-        return None
-    return out.with_suffix(".html")

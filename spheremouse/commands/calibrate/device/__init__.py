@@ -13,7 +13,6 @@ from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import write_json
-from spheremouse.files.report.style import has_matplotlib
 
 if TYPE_CHECKING:
     from spheremouse.ball.device import Device
@@ -70,8 +69,6 @@ def device(
     page, the_map = report or out.with_suffix(".html"), map_path(out)
     check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force)
     _check_inputs(device_file, camera_file)
-    if not has_matplotlib():
-        note("the report has no pictures without matplotlib: pip install 'spheremouse[plot]'")
     known, camera = load_device(device_file), load_camera(camera_file)
     chosen = in_force(config, settings or (), root())
     found = read_photos(photos, note=note)
