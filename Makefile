@@ -30,7 +30,7 @@ LOCK_ARGS ?= --upgrade
 OLDEST_PYTHON ?= python3.11
 
 .DEFAULT_GOAL := help
-.PHONY: help demo picture test test-oldest test-newest lock lint format docs experiments system-test soak fuzz clean
+.PHONY: help demo picture test test-oldest test-newest lock lint format reference docs dist experiments system-test soak fuzz clean
 
 help:
 	@echo "make demo         a simulated camera films the turning ball, the real pipeline tracks it"
@@ -40,6 +40,7 @@ help:
 	@echo "make lock         the lock files anew, with the newest of each package; LOCK_ARGS= keeps what is locked"
 	@echo "make lint         format, lint rules, types and which rooms import which"
 	@echo "make format       bring the code into the format that make lint asks for"
+	@echo "make reference    the pages, the man page and the completion of shells that are made from the code"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
 	@echo "make picture      the picture of the README, made anew from the demo"
 	@echo "make experiments  docs/experiments.md anew (an hour); EXPERIMENTS_ARGS='--datasets DIR' adds the recordings"
@@ -96,6 +97,9 @@ lint: $(STAMP)
 format: $(STAMP)
 	$(BIN)/ruff format
 	$(BIN)/ruff check --fix
+
+reference: $(STAMP)
+	$(BIN)/python docs/reference.py
 
 # -E reads every page anew: some are made from the code, and Sphinx looks only at the pages' own dates. Once will do.
 docs: $(STAMP)

@@ -1,24 +1,19 @@
-"""The documentation site, with the pages that are made from the code: modules, command line, picture.
-
-They are written to _build/generated before Sphinx reads the pages that include them. What the package does not have
-yet is left out and the page says so; what it has must be right, for the build treats warnings as errors.
-"""
+"""The documentation site: the pages as they are, and below the list of modules all that these have."""
 
 import dataclasses
-import importlib
 import importlib.metadata
-import importlib.util
 import inspect
 import os
-import pkgutil
 import re
+import sys
 import textwrap
-import tomllib
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-GENERATED = HERE / "_build" / "generated"
+sys.path.insert(0, str(HERE))
+
+import reference  # noqa: E402
 
 project = "spheremouse"
 release = importlib.metadata.version("spheremouse")
@@ -46,82 +41,16 @@ from scipy.spatial.transform import Rotation
 np.set_printoptions(precision=6, suppress=True)
 """
 
-# The rooms from the ground up, as import-linter holds them. Those named here are the shell, and not in the reference,
-# which is for those who call the core.
-SHELL = {"__main__", "commands", "experiments", "session", "capture", "files"}
 
-
-def core() -> list[str]:
-    """Names of the core's rooms."""
-    tools = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
-    layers = next(c["layers"] for c in tools["importlinter"]["contracts"] if c["id"] == "layers")
-    return [room for layer in reversed(layers) for room in re.findall(r"\w+", layer) if room not in SHELL]
-
-
-def page(name: str, text: str) -> None:
-    """Write a generated page, only if it differs: Sphinx goes by dates."""
-    path = GENERATED / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not path.exists() or path.read_text() != text:
-        path.write_text(text)
-
-
-def exists(module: str) -> bool:
-    """Whether the package has such a module; one that exists and fails to import is an error, not absent."""
-    return importlib.util.find_spec(module) is not None
-
-
-def core_modules() -> list[str]:
-    """Names of the core's modules."""
-    import spheremouse
-
-    names = [m.name for m in pkgutil.walk_packages(spheremouse.__path__, "spheremouse.")]
-    rooms = core()
-    return sorted((n for n in names if n.split(".")[1] in rooms), key=lambda n: (rooms.index(n.split(".")[1]), n))
-
-
-def modules_page() -> str:
-    """The reference: one section a module."""
-    parts = []
-    for name in core_modules():
-        parts.append(f"## {name}\n\n```{{eval-rst}}\n.. automodule:: {name}\n   :members:\n```\n")
-    return "\n".join(parts)
-
-
-def command_line_page() -> str:
-    """`--help` of every command."""
-    if not exists("spheremouse.commands"):
-        return "*Not in this version yet.*\n"
-    import typer.main
-    import typer.testing
-
-    cli = importlib.import_module("spheremouse.commands")
-    app = next(value for value in vars(cli).values() if isinstance(value, typer.Typer))
-    runner = typer.testing.CliRunner(env={"COLUMNS": "100", "TERMINAL_WIDTH": "100", "NO_COLOR": "1", "TERM": "dumb"})
-
-    def pages(command: Any, words: list[str]) -> list[str]:
-        result = runner.invoke(app, [*words, "--help"], prog_name="spheremouse")
-        if result.exit_code != 0:
-            raise RuntimeError(f"spheremouse {' '.join(words)} --help failed: {result.output}")
-        text = "\n".join(line.rstrip() for line in result.output.strip("\n").splitlines())
-        here = [f"## {' '.join(['spheremouse', *words])}\n\n```text\n{text}\n```\n"]
-        for name, sub in getattr(command, "commands", {}).items():
-            if not sub.hidden:
-                here += pages(sub, [*words, name])
-        return here
-
-    return "\n".join(pages(typer.main.get_command(app), []))
-
-
-def picture_page() -> str:
-    """The picture of the README where it was made."""
-    if (HERE / "images" / "overlay.jpg").exists():
-        return (
-            "```{figure} /images/overlay.jpg\n"
-            "A frame with the contours of the detected discs in white, the targets in green and the predicted discs in "
-            "red, the last epochs fading. Made by `make picture`.\n```\n"
-        )
-    return "*`make picture` makes the picture that belongs here.*\n"
+def modules_too(_app: Any, name: str, source: list[str]) -> None:
+    """The page that lists the modules, with links to each, followed by all of them."""
+    if name == "modules":
+        modules = reference.core_modules()
+        for module, path in modules.items():
+            place = f"](../{path.relative_to(reference.ROOT).as_posix()})"
+            source[0] = source[0].replace(place, f"](#{module.replace('.', '')})")
+        parts = (f"## {m}\n\n```{{eval-rst}}\n.. automodule:: {m}\n   :members:\n```\n" for m in modules)
+        source[0] += "\n" + "\n".join(parts)
 
 
 def plain_docstring(lines: list[str]) -> list[str]:
@@ -200,11 +129,9 @@ def twins(_app: Any, doctree: Any) -> None:
 
 
 def setup(app: Any) -> None:
-    """Make the generated pages, then hook into autodoc."""
+    """Hook into Sphinx."""
     os.environ.setdefault("MPLBACKEND", "Agg")
-    page("modules.md", modules_page())
-    page("command-line.md", command_line_page())
-    page("picture.md", picture_page())
+    app.connect("source-read", modules_too)
     app.connect("doctree-read", twins, priority=100)  # before pictures are collected
     app.connect("autodoc-process-docstring", document)
     app.connect("autodoc-process-signature", shorten)

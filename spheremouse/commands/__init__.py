@@ -85,10 +85,10 @@ def _command(name: str, module: str, attribute: str, epilog: str) -> Any:
     return typer.main.get_command(one)
 
 
-def _typer(**options: Any) -> typer.Typer:
+def _typer(completion: bool = False, **options: Any) -> typer.Typer:
     return typer.Typer(
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=completion,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
         context_settings=_SETTINGS,
@@ -96,7 +96,7 @@ def _typer(**options: Any) -> typer.Typer:
     )
 
 
-app = _typer(cls=_Group)
+app = _typer(completion=True, cls=_Group)
 
 _debug = False
 
@@ -110,7 +110,7 @@ def _version(asked: bool) -> None:
 @app.callback(epilog="Begin with: spheremouse demo")
 def spheremouse(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+        bool, typer.Option("-V", "--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an internal error.")] = False,
 ) -> None:

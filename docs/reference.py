@@ -1,0 +1,221 @@
+"""What is made from the program's own definitions and kept as files, so that it can be read and installed as it is.
+
+Pages of the reference, the man page, and completion for three shells: `make reference` writes them anew, and a test
+holds them to the code.
+"""
+
+import argparse
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "spheremouse"
+WIDTH = 100  # columns of `--help`
+_SHELLS = {
+    "bash": "bash-completion/completions/spheremouse",
+    "zsh": "zsh/site-functions/_spheremouse",
+    "fish": "fish/vendor_completions.d/spheremouse.fish",
+}
+# The shell of the program, in the sense of the tour, is not in the module reference: that is for those who call the core.
+_OUTER = {"__main__", "commands", "experiments", "session", "capture", "files"}
+_MADE = "<!-- Made by `make reference`. -->\n"
+
+
+def made() -> dict[Path, str]:
+    """Every file that is made here, with its text."""
+    share = ROOT / "service" / "share"
+    return {
+        ROOT / "docs" / "command-line.md": command_line_page(),
+        ROOT / "docs" / "modules.md": modules_page(),
+        ROOT / "docs" / "calibration-recipe.md": recipe_page(),
+        share / "man" / "man1" / "spheremouse.1": man_page(),
+        **{share / path: completion(shell) for shell, path in _SHELLS.items()},
+    }
+
+
+# ---- the command line ----
+
+
+def _commands() -> Iterator[tuple[Any, Any]]:
+    """Every command that is shown, with its context: a group before those that are in it."""
+    import typer.main
+
+    from spheremouse.commands import app
+
+    def below(command: Any, name: str, parent: Any) -> Iterator[tuple[Any, Any]]:
+        context = command.context_class(command, info_name=name, parent=parent, terminal_width=WIDTH, **_SETTINGS)
+        yield command, context
+        for sub, one in getattr(command, "commands", {}).items():
+            if not one.hidden:
+                yield from below(one, sub, context)
+
+    return below(typer.main.get_command(app), "spheremouse", None)
+
+
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": WIDTH}
+
+
+def command_line_page() -> str:
+    """`--help` of every command, and a list of them first."""
+    rows, parts = [], []
+    for command, context in _commands():
+        words = context.command_path
+        text = "\n".join(line.rstrip() for line in command.get_help(context).strip("\n").splitlines())
+        parts.append(f"## {words}\n\n```text\n{text}\n```\n")
+        if context.parent is not None and context.parent.parent is None:
+            rows.append(f"| [`{words}`](#{words.replace(' ', '-')}) | {_first_sentence(command.help)} |")
+    return "\n".join(
+        [
+            f"# Command line\n\n{_MADE}",
+            "What `--help` of every command says. Errors go to the standard error stream as one line, and the exit code "
+            "is then not 0: 2 where something is to be mended by whoever typed, 70 where it is a fault of the program, "
+            "128 and the signal's number where a signal ended it; `ctl` has [its own](control.md).\n",
+            "\n".join(["| command | |", "| --- | --- |", *rows]) + "\n",
+            "`spheremouse --install-completion` lets the shell complete commands and options with the Tab key (bash, "
+            "zsh, fish and PowerShell), from the next terminal on; `service/install.sh` has placed that for all users, "
+            "and `man spheremouse`, which says what is on this page.\n",
+            *parts,
+        ]
+    )
+
+
+def man_page() -> str:
+    """spheremouse(1), in the macros of man(7); all commands on one page, to be searched."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    out = [
+        f'.TH SPHEREMOUSE 1 "" "spheremouse {project["version"]}" "User Commands"',
+        f".SH NAME\nspheremouse \\- {_roff(project['description'])}",
+    ]
+    for command, context in _commands():
+        usage = " ".join(command.collect_usage_pieces(context))
+        synopsis = f".B {_roff(context.command_path)}\n{_roff(usage)}"
+        if context.parent is None:
+            out += [f".SH SYNOPSIS\n{synopsis}", f".SH DESCRIPTION\n{_paragraphs(command)}"]
+            out += [f".SH OPTIONS\n{_options(command, context)}", ".SH COMMANDS"]
+        else:
+            out += [f".SS {_roff(context.command_path)}\n{synopsis}\n.PP\n{_paragraphs(command)}"]
+            out += [_options(command, context)]
+    out += [_END]
+    return "\n".join(text for text in out if text) + "\n"
+
+
+_END = r"""
+.SH EXIT STATUS
+0: done. 2: something is to be mended by whoever typed. 70: a fault of the program. 128 and a signal's number: ended by it.
+.B spheremouse ctl
+also ends with 1: the daemon refuses, and 3: no daemon.
+.SH ENVIRONMENT
+.TP
+.B SPHEREMOUSE_SOCKET
+The daemon's socket.
+.TP
+.B NUMBA_CACHE_DIR
+Where compiled code is kept.
+.SH FILES
+.TP
+.I /etc/spheremouse/config.yaml, /etc/spheremouse/rig.yaml
+Configuration and calibrated device of the service.
+.TP
+.I /var/lib/spheremouse
+The service's map of discs, recordings and snapshots.
+""".strip()
+
+
+def _paragraphs(command: Any) -> str:
+    texts = [*re.split(r"\n\s*\n", (command.help or "").strip()), command.epilog or ""]
+    return "\n.PP\n".join(_roff(" ".join(text.split())) for text in texts if text.strip())
+
+
+def _options(command: Any, context: Any) -> str:
+    records = filter(None, (one.get_help_record(context) for one in command.get_params(context)))
+    return "\n".join(f".TP\n.B {_roff(name)}\n{_roff(' '.join(text.split()))}" for name, text in records)
+
+
+def _roff(text: str) -> str:
+    """Text as it stands: no mark of roff's is one here."""
+    text = text.replace("\\", "\\e").replace("-", "\\-").replace("`", "\\(ga").replace("^", "\\(ha").replace("~", "\\(ti")
+    text = re.sub(r"[^\x00-\x7f]", lambda m: f"\\[u{ord(m[0]):04X}]", text)
+    return re.sub(r"^([.'])", r"\\&\1", text, flags=re.MULTILINE)
+
+
+def completion(shell: str) -> str:
+    """What a shell reads to complete commands and options; it asks the program itself for the words."""
+    from typer.completion import get_completion_script
+
+    return get_completion_script(prog_name="spheremouse", complete_var="_SPHEREMOUSE_COMPLETE", shell=shell) + "\n"
+
+
+# ---- modules ----
+
+
+def core() -> list[str]:
+    """Names of the core's rooms, from the ground up, as import-linter holds them."""
+    tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    layers = next(c["layers"] for c in tools["importlinter"]["contracts"] if c["id"] == "layers")
+    return [room for layer in reversed(layers) for room in re.findall(r"\w+", layer) if room not in _OUTER]
+
+
+def core_modules() -> dict[str, Path]:
+    """Files of the core's modules by their names, in the rooms' order."""
+    found = {}
+    for room in core():
+        for path in sorted([*PACKAGE.glob(f"{room}.py"), *(PACKAGE / room).rglob("*.py")]):
+            name = path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".").removesuffix(".__init__")
+            if path.stat().st_size > 0:
+                found[name] = path
+    return found
+
+
+def modules_page() -> str:
+    """The core's modules, each with what it takes and gives; the site has all of each below (conf.py)."""
+    parts, last = [], ""
+    for name, path in core_modules().items():
+        room = name.split(".")[1]
+        if room != last:
+            parts.append(f"\n## {room}\n\n| module | |\n| --- | --- |")
+            last = room
+        said = _first_sentence(ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))))
+        inner = name.removeprefix("spheremouse.")
+        parts.append(f"| [`{inner}`](../{path.relative_to(ROOT).as_posix()}) | {said} |")
+    return (
+        f"# Module reference\n\n{_MADE}\n"
+        "The core: pure functions and frozen dataclasses over NumPy arrays, room by room from the ground up. For the way "
+        "through it see the [tour](tour.md); for frames and units the [conventions](conventions.md). `Array` is an "
+        "`ndarray` of `float64`. The site that `make docs` builds has every function and type of these modules on this "
+        "page; the same words stand in the files.\n" + "\n".join(parts) + "\n"
+    )
+
+
+def _first_sentence(text: str | None) -> str:
+    """For a cell of a table."""
+    first = re.split(r"\n\s*\n", (text or "").strip())[0]
+    return re.split(r"(?<=[.:;]) (?=[A-Z`])", " ".join(first.split()))[0].rstrip(".:").replace("|", "\\|")
+
+
+# ---- the recipe ----
+
+
+def recipe_page() -> str:
+    """The recipe that `calibrate print` prints, to be read here; its drawings are on the print."""
+    text = (PACKAGE / "calibrate" / "prints" / "recipe.md").read_text(encoding="utf-8")
+    title, _, rest = text.partition("\n")
+    return f"{title}\n\n{_MADE}\nTo print, with drawings: `spheremouse calibrate print`.\n{rest}"
+
+
+def main() -> None:
+    """Write what differs."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
+    for path, text in made().items():
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+            print(path.relative_to(ROOT), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

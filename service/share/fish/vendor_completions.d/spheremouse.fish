@@ -1,0 +1,1 @@
+complete --command spheremouse --no-files --arguments "(env _SPHEREMOUSE_COMPLETE=complete_fish _TYPER_COMPLETE_FISH_ACTION=get-args _TYPER_COMPLETE_ARGS=(commandline -cp) spheremouse)" --condition "env _SPHEREMOUSE_COMPLETE=complete_fish _TYPER_COMPLETE_FISH_ACTION=is-args _TYPER_COMPLETE_ARGS=(commandline -cp) spheremouse"
