@@ -173,6 +173,5 @@ $(STAMP): pyproject.toml tests/requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@$(BIN)/python -c 'import cv2' || \
 		{ echo "make: OpenCV does not load; on Debian: apt-get install libgl1 libglib2.0-0" >&2; exit 1; }
-	@echo "compiling for this machine, about a minute"
 	@$(BIN)/python -m spheremouse.ball.warm
 	@touch $@

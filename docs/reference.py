@@ -21,7 +21,7 @@ _SHELLS = {
     "zsh": "zsh/site-functions/_spheremouse",
     "fish": "fish/vendor_completions.d/spheremouse.fish",
 }
-# The shell of the program, in the sense of the tour, is not in the module reference: that is for those who call the core.
+# The program's shell is not in the module reference, which is for those who call the core.
 _OUTER = {"__main__", "commands", "experiments", "session", "capture", "files"}
 _MADE = "<!-- Made by `make reference`. -->\n"
 
@@ -72,8 +72,8 @@ def command_line_page() -> str:
     return "\n".join(
         [
             f"# Command line\n\n{_MADE}",
-            "What `--help` of every command says. Errors go to the standard error stream as one line, and the exit code "
-            "is then not 0: 2 where something is to be mended by whoever typed, 70 where it is a fault of the program, "
+            "What `--help` of every command says. Errors go to the standard error stream as one line, and the exit "
+            "code is then not 0: 2 where something is to be mended by whoever typed, 70 where it is a fault of the program, "
             "128 and the signal's number where a signal ended it; `ctl` has [its own](control.md).\n",
             "\n".join(["| command | |", "| --- | --- |", *rows]) + "\n",
             "`spheremouse --install-completion` lets the shell complete commands and options with the Tab key (bash, "
@@ -106,7 +106,8 @@ def man_page() -> str:
 
 _END = r"""
 .SH EXIT STATUS
-0: done. 2: something is to be mended by whoever typed. 70: a fault of the program. 128 and a signal's number: ended by it.
+0: done. 2: something is to be mended by whoever typed. 70: a fault of the program. 128 and a signal's number: ended by
+it.
 .B spheremouse ctl
 also ends with 1: the daemon refuses, and 3: no daemon.
 .SH ENVIRONMENT
@@ -138,7 +139,9 @@ def _options(command: Any, context: Any) -> str:
 
 def _roff(text: str) -> str:
     """Text as it stands: no mark of roff's is one here."""
-    text = text.replace("\\", "\\e").replace("-", "\\-").replace("`", "\\(ga").replace("^", "\\(ha").replace("~", "\\(ti")
+    text = (
+        text.replace("\\", "\\e").replace("-", "\\-").replace("`", "\\(ga").replace("^", "\\(ha").replace("~", "\\(ti")
+    )
     text = re.sub(r"[^\x00-\x7f]", lambda m: f"\\[u{ord(m[0]):04X}]", text)
     return re.sub(r"^([.'])", r"\\&\1", text, flags=re.MULTILINE)
 
@@ -184,8 +187,8 @@ def modules_page() -> str:
         parts.append(f"| [`{inner}`](../{path.relative_to(ROOT).as_posix()}) | {said} |")
     return (
         f"# Module reference\n\n{_MADE}\n"
-        "The core: pure functions and frozen dataclasses over NumPy arrays, room by room from the ground up. For the way "
-        "through it see the [tour](tour.md); for frames and units the [conventions](conventions.md). `Array` is an "
+        "The core: pure functions and frozen dataclasses over NumPy arrays, room by room from the ground up. For the "
+        "way through it see the [tour](tour.md); for frames and units the [conventions](conventions.md). `Array` is an "
         "`ndarray` of `float64`. The site that `make docs` builds has every function and type of these modules on this "
         "page; the same words stand in the files.\n" + "\n".join(parts) + "\n"
     )

@@ -39,7 +39,7 @@ usage: install.sh [options]
 END
 }
 say() { echo "install.sh: $*"; }
-printable() { LC_ALL=C.UTF-8 sed 's/[^[:print:]]/?/g'; } # what others than root wrote may steer a terminal
+printable() { LC_ALL=C.UTF-8 sed -u 's/[^[:print:]]/?/g'; } # what others than root wrote may steer a terminal
 fail() {
     echo "install.sh: $*" >&2
     exit 1
@@ -175,13 +175,12 @@ switch() { # switch NAME
 warm() {
     [ -n "$service" ] && id spheremouse >/dev/null 2>&1 && [ -d /var/cache/spheremouse ] || return 0
     command -v runuser >/dev/null || return 0
-    say "compiling for this machine, a minute or more"
     # what it finds in its cache is its own affair; without our terminal it cannot type there
     # and what it leaves behind can hold up neither us (a pipe, a clock) nor the next installation (the lock, 9)
     timeout -k 10 "$patience" setsid -w runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse \
-        "$prefix/$1/bin/python" -m spheremouse.ball.warm </dev/null >"$work/said" 2>&1 9>&- ||
-        say "compiling beforehand did not work; the first start will do it"
-    printable <"$work/said"
+        "$prefix/$1/bin/python" -m spheremouse.ball.warm </dev/null >"$work/said" 2>&1 9>&- &
+    tail -f -s 1 -n +1 --pid=$! "$work/said" | printable
+    wait $! || say "compiling beforehand did not work; the first start will do it"
 }
 
 back_to() { # back_to NAME

@@ -18,6 +18,7 @@ from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker, disc_map
 from spheremouse.ball.track import step
+from spheremouse.compiling import told
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.tracker import Frame
@@ -79,4 +80,5 @@ def _spread(n: int) -> Array:
 
 
 if __name__ == "__main__":
-    warm_up(Settings())
+    with told():
+        warm_up(Settings())

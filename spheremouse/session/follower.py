@@ -163,8 +163,8 @@ class Setup(Protocol):
         """A recording that a plan names, held to its stamps."""
         ...
 
-    def make_ready(self, plan: Plan) -> None:
-        """Compile what tracking by a plan calls, or read it from disk; whoever has to wait is told why."""
+    def make_ready(self, plan: Plan, tell: Callable[[str], None] | None = None) -> None:
+        """Compile what tracking by a plan calls, or read it from disk; `tell` as of `compiling.told`."""
         ...
 
     def follower(self, plan: Plan, say: Callable[[str], None], do: Do) -> Follower:

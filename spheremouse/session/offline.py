@@ -3,13 +3,10 @@
 The shell's part of the use phase: it takes frames as they come and measures times. Printing is its callers' matter.
 """
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
-from threading import Timer
 from typing import Protocol
 
 import numpy as np
@@ -24,13 +21,12 @@ from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch, Tracker, TrackState
 from spheremouse.ball.track import step
 from spheremouse.ball.warm import warm_up
+from spheremouse.compiling import told
 from spheremouse.errors import PoseError, SourceError
 from spheremouse.geometry.camera import Pose
 from spheremouse.output import Output
 from spheremouse.session.follower import Follower, Tracked
 from spheremouse.tracker import Frame, check_size
-
-_PATIENCE = 4.0  # s until whoever waits is told why
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +79,10 @@ def _colour(frame: Frame) -> NDArray[np.uint8]:
     return frame.image
 
 
-def make_ready(settings: Settings) -> None:
-    """Compile what tracking calls, or read it from disk; whoever has to wait is told why."""
-    with told_why():
+def make_ready(settings: Settings, tell: Callable[[str], None] | None = None) -> None:
+    """Compile what tracking calls, or read it from disk; whoever has to wait is told how long (`compiling.told`)."""
+    with told(tell):
         warm_up(settings)
-
-
-@contextmanager
-def told_why() -> Iterator[None]:
-    """Whoever has to wait for a compiler is told so."""
-    word = "spheremouse: compiling for this machine: once after an installation, about a minute"
-    timer = Timer(_PATIENCE, lambda: print(word, file=sys.stderr, flush=True))
-    timer.daemon = True
-    with suppress(RuntimeError):  # no thread to be had: then it goes without a word
-        timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 class View(Protocol):

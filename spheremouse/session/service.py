@@ -221,13 +221,14 @@ class Daemon:
     def _get_ready(self, stopping: Stopping) -> bool:
         """Whether it came to that: a compiler is not waited for by who is asked to stop."""
         plan = self._loader.plan
-        self._judgement.starting = "the program is made ready; after an installation it compiles for a minute or more"
+        self._judgement.starting = "the program is made ready"
         self._notifier.patience(_COMPILING)
         self._judge(time.monotonic())
         with held(plan):  # whoever comes second hears so now
-            ready = self._crew.make(READING, lambda: self._setup.make_ready(plan))
+            ready = self._crew.make(READING, lambda: self._setup.make_ready(plan, self._compiled))
             while not ready.wait(_TICK):
                 self._errands.do_all(self._answers.answer)
+                self._judge(time.monotonic())
                 if stopping.asked or self._over:
                     return False
         self._notifier.usual()
@@ -244,6 +245,9 @@ class Daemon:
     def _tell_left_out(self, plan: Plan) -> None:
         if words := left_out(plan.output):
             self._say(words)
+
+    def _compiled(self, how_far: str) -> None:
+        self._judgement.starting = f"the program is made ready: {how_far}"
 
     def _claim(self, thread: int | None) -> None:
         if self._realtime:

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.compiling import told
 from spheremouse.geometry.camera import InteriorOrientation, project
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.tracker import Frame
@@ -79,4 +80,5 @@ def _colours(ball: WandBall, directions: Array) -> NDArray[np.uint8]:
 
 
 if __name__ == "__main__":
-    warm_up()
+    with told():
+        warm_up()

@@ -1,6 +1,5 @@
 """The desktop's pointer: what is made of counts, what is said where there is none, and a real X server's pointer."""
 
-import importlib.util
 import os
 import shutil
 import subprocess

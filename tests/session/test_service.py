@@ -170,7 +170,7 @@ def test_a_compiler_is_not_waited_for(world, monkeypatch):
     """It may take minutes; who asks is told so, and a stop is one."""
     compiling, told = threading.Event(), threading.Event()
 
-    def compile_for_long(_):
+    def compile_for_long(*_):
         told.set()
         compiling.wait(PATIENCE)
 
@@ -190,7 +190,7 @@ def test_a_compiler_is_not_waited_for(world, monkeypatch):
 
 
 def test_an_error_while_it_is_made_ready_ends_it(world, monkeypatch):
-    def fail(_):
+    def fail(*_):
         raise ConfigurationError("as if")
 
     monkeypatch.setattr("spheremouse.session.ball.setup.make_ready", fail)

@@ -27,7 +27,7 @@ from spheremouse.geometry.rotation import rotation_between
 from spheremouse.output import open_output
 from spheremouse.output.counts import Counter
 from spheremouse.session import messages
-from spheremouse.session.offline import Start, initialise, track
+from spheremouse.session.offline import Start, initialise, make_ready, track
 from spheremouse.session.overlay.ball import Overlay, target_marks
 from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.pen import Image
@@ -54,6 +54,7 @@ def play(out: Path, seconds: float, seed: int) -> None:
         f"{len(simulation.scene.disc_directions)} discs,\nand bolts that look like discs. "
         "The tracker gets the pictures and the rig, nothing else."
     )
+    make_ready(_SETTINGS)
     with Stopping() as stopping:
         film = _Film(simulation)
         frames = stopping.frames(iter(film))

@@ -16,7 +16,9 @@ def tray(
     ] = None,
     at_login: Annotated[
         bool,
-        typer.Option("--at-login", help="As a desktop starts it: where no tray can be had, say so and end, exit code 0."),
+        typer.Option(
+            "--at-login", help="As a desktop starts it: where no tray can be had, say so and end, exit code 0."
+        ),
     ] = False,
 ) -> None:
     """Show the daemon's state in the desktop's tray, with a menu.

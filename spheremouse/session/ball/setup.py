@@ -36,9 +36,9 @@ class BallSetup:
         """A recording or the simulation, held to its stamps."""
         return open_source(plan.source, realtime=True)
 
-    def make_ready(self, plan: Plan) -> None:
+    def make_ready(self, plan: Plan, tell: Callable[[str], None] | None = None) -> None:
         """Compile the filter and the detector of the plan."""
-        make_ready(plan.configuration)
+        make_ready(plan.configuration, tell)
 
     def follower(self, plan: Plan, say: Callable[[str], None], do: Do) -> BallFollower:
         """Raises ConfigurationError without a rig, or with a map that cannot be kept; PoseError without targets."""

@@ -4,11 +4,11 @@ The shell's part of the wand's use phase, as `session` is for the ball in its fr
 """
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
+from spheremouse.compiling import told
 from spheremouse.errors import SourceError
 from spheremouse.geometry.rotation import Array
-from spheremouse.session.offline import told_why
 from spheremouse.tracker import Frame, check_size
 from spheremouse.wand.state import WandEpoch, WandState, WandTracker
 from spheremouse.wand.track import begin, step
@@ -19,9 +19,9 @@ _NO_HUE = ("dark", "light")  # colours that grey frames show as well
 Known = dict[int, tuple[Array, Array]]  # position and rotation of balls, by their index
 
 
-def make_wand_ready() -> None:
-    """Compile what tracking calls, or read it from disk; whoever has to wait is told why."""
-    with told_why():
+def make_wand_ready(tell: Callable[[str], None] | None = None) -> None:
+    """Compile what tracking calls, or read it from disk; whoever has to wait is told how long (`compiling.told`)."""
+    with told(tell):
         warm_up()
 
 

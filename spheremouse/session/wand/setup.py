@@ -37,9 +37,9 @@ class WandSetup:
         assert source is not None
         return source
 
-    def make_ready(self, plan: Plan) -> None:
+    def make_ready(self, plan: Plan, tell: Callable[[str], None] | None = None) -> None:
         """Compile the particle filter."""
-        make_wand_ready()
+        make_wand_ready(tell)
 
     def follower(self, plan: Plan, say: Callable[[str], None], do: Do) -> WandFollower:
         """Raises ConfigurationError without a camera, or where no ball points."""

@@ -1,6 +1,5 @@
 """The tray without a desktop: icons that differ without colour, the menu's laws, notices, the link to the daemon."""
 
-import importlib.util
 import subprocess
 import sys
 import time
@@ -16,7 +15,6 @@ from PIL import Image
 
 from spheremouse.commands.tray import icon as tray_live
 from spheremouse.commands.tray import view as tray
-from spheremouse.commands.tray.icon import TrayError
 from spheremouse.commands.tray.link import Link
 from spheremouse.commands.tray.view import NO_DAEMON, SEPARATOR, STATES, Notices, View
 from spheremouse.session.control.protocol import refused

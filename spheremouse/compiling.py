@@ -1,0 +1,84 @@
+"""How far Numba is: the kernels that it has not kept on disk yet are counted, and those that are done.
+
+What tracking calls is compiled before the first frame, once after an installation, and never in play: whoever waits for
+it is told how long.
+"""
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from numba.core import event
+from numba.core.dispatcher import Dispatcher
+
+_EVERY = 5.0  # s between two lines on standard error
+
+
+@contextmanager
+def told(tell: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Say in words how many of how many kernels are compiled, and the time left; nothing where all are on disk.
+
+    By default a line now and then on standard error. `tell` is called by the thread that compiles.
+    """
+    progress = _Progress(tell or _Lines())
+    event.register("numba:compile", progress)
+    try:
+        yield
+    finally:
+        event.unregister("numba:compile", progress)
+
+
+class _Progress(event.Listener):
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell, self._total, self._began = tell, 0, 0.0
+        self._waiting: set[Dispatcher] = set()
+
+    def on_start(self, event: event.Event) -> None:
+        """The first one: all that is to be done is counted."""
+        if self._total == 0 and _ours(event.data["dispatcher"]):
+            self._waiting = {kernel for kernel in _kernels() if not _on_disk(kernel)}
+            self._total, self._began = len(self._waiting), time.monotonic()
+            self._say("")
+
+    def on_end(self, event: event.Event) -> None:
+        """One is done; for types that it was compiled for before, it does not count again."""
+        if event.data["dispatcher"] in self._waiting:
+            self._waiting.remove(event.data["dispatcher"])
+            left = len(self._waiting) * (time.monotonic() - self._began) / (self._total - len(self._waiting))
+            self._say(f", about {left:.0f} s left" if left < 100.0 else f", about {left / 60.0:.0f} min left")
+
+    def _say(self, left: str) -> None:
+        done = self._total - len(self._waiting)
+        self._tell(f"compiling for this machine, once after an installation: {done} of {self._total}{left}")
+
+
+class _Lines:
+    """On standard error, the first, and not too many of the others."""
+
+    def __init__(self) -> None:
+        self._due = 0.0
+
+    def __call__(self, text: str) -> None:
+        if time.monotonic() >= self._due:
+            self._due = time.monotonic() + _EVERY
+            print(f"spheremouse: {text}", file=sys.stderr, flush=True)
+
+
+def _ours(kernel: Dispatcher) -> bool:
+    return kernel.py_func.__module__.startswith(f"{__package__}.")
+
+
+def _kernels() -> Iterator[Dispatcher]:
+    """All that have been imported, without those that only become part of others."""
+    for name, module in list(sys.modules.items()):
+        for one in list(vars(module).values()) if name.startswith(f"{__package__}.") else ():
+            if isinstance(one, Dispatcher) and _ours(one) and one.targetoptions.get("inline") != "always":
+                yield one
+
+
+def _on_disk(kernel: Dispatcher) -> bool:
+    """Whether Numba has kept it, for whichever types."""
+    file = getattr(kernel._cache, "_cache_file", None)  # None where it finds no place to keep anything
+    return file is not None and os.path.exists(file._index_path)
