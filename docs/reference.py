@@ -16,7 +16,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "spheremouse"
 WIDTH = 100  # columns of `--help`
-_SHELLS = {
+COMPLETIONS = {
     "bash": "bash-completion/completions/spheremouse",
     "zsh": "zsh/site-functions/_spheremouse",
     "fish": "fish/vendor_completions.d/spheremouse.fish",
@@ -34,7 +34,7 @@ def made() -> dict[Path, str]:
         ROOT / "docs" / "modules.md": modules_page(),
         ROOT / "docs" / "calibration-recipe.md": recipe_page(),
         share / "man" / "man1" / "spheremouse.1": man_page(),
-        **{share / path: completion(shell) for shell, path in _SHELLS.items()},
+        **{share / path: completion(shell) for shell, path in COMPLETIONS.items()},
     }
 
 
@@ -73,8 +73,8 @@ def command_line_page() -> str:
         [
             f"# Command line\n\n{_MADE}",
             "What `--help` of every command says. Errors go to the standard error stream as one line, and the exit "
-            "code is then not 0: 2 where something is to be mended by whoever typed, 70 where it is a fault of the program, "
-            "128 and the signal's number where a signal ended it; `ctl` has [its own](control.md).\n",
+            "code is then not 0: 2 where something is to be mended by whoever typed, 70 where it is a fault of the "
+            "program, 128 and the signal's number where a signal ended it; `ctl` has [its own](control.md).\n",
             "\n".join(["| command | |", "| --- | --- |", *rows]) + "\n",
             "`spheremouse --install-completion` lets the shell complete commands and options with the Tab key (bash, "
             "zsh, fish and PowerShell), from the next terminal on; `service/install.sh` has placed that for all users, "
@@ -148,9 +148,14 @@ def _roff(text: str) -> str:
 
 def completion(shell: str) -> str:
     """What a shell reads to complete commands and options; it asks the program itself for the words."""
-    from typer.completion import get_completion_script
+    from typer.testing import CliRunner
 
-    return get_completion_script(prog_name="spheremouse", complete_var="_SPHEREMOUSE_COMPLETE", shell=shell) + "\n"
+    from spheremouse.commands import app
+
+    made = CliRunner(env={"_SPHEREMOUSE_COMPLETE": f"source_{shell}"}).invoke(app, prog_name="spheremouse")
+    # The first Tab loads the file, and is to be answered, too.
+    first = '\n[[ $zsh_eval_context[-1] != loadautofunc ]] || _spheremouse_completion "$@"' if shell == "zsh" else ""
+    return f"{made.stdout.strip()}{first}\n"
 
 
 # ---- modules ----

@@ -37,15 +37,15 @@ class _Progress(event.Listener):
 
     def on_start(self, event: event.Event) -> None:
         """The first one: all that is to be done is counted."""
-        if self._total == 0 and _ours(event.data["dispatcher"]):
+        if self._total == 0 and _ours(_kernel(event)):
             self._waiting = {kernel for kernel in _kernels() if not _on_disk(kernel)}
             self._total, self._began = len(self._waiting), time.monotonic()
             self._say("")
 
     def on_end(self, event: event.Event) -> None:
         """One is done; for types that it was compiled for before, it does not count again."""
-        if event.data["dispatcher"] in self._waiting:
-            self._waiting.remove(event.data["dispatcher"])
+        if _kernel(event) in self._waiting:
+            self._waiting.remove(_kernel(event))
             left = len(self._waiting) * (time.monotonic() - self._began) / (self._total - len(self._waiting))
             self._say(f", about {left:.0f} s left" if left < 100.0 else f", about {left / 60.0:.0f} min left")
 
@@ -66,6 +66,11 @@ class _Lines:
             print(f"spheremouse: {text}", file=sys.stderr, flush=True)
 
 
+def _kernel(event: event.Event) -> Dispatcher:
+    assert event.data is not None
+    return event.data["dispatcher"]
+
+
 def _ours(kernel: Dispatcher) -> bool:
     return kernel.py_func.__module__.startswith(f"{__package__}.")
 
@@ -80,5 +85,5 @@ def _kernels() -> Iterator[Dispatcher]:
 
 def _on_disk(kernel: Dispatcher) -> bool:
     """Whether Numba has kept it, for whichever types."""
-    file = getattr(kernel._cache, "_cache_file", None)  # None where it finds no place to keep anything
+    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)  # None where it has no place to keep anything
     return file is not None and os.path.exists(file._index_path)
