@@ -16,7 +16,7 @@ SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/t
     tests/commands/doctor/test_doctor.py::test_a_source_that_gives_no_frame_is_an_error_that_says_so \
     tests/commands/test_run.py::test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones
 # Optional parts that a cabinet may have.
-CABINET := metrics
+CABINET := metrics lab
 # What there are no wheels of.
 SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=
@@ -28,6 +28,8 @@ FUZZ_ARGS ?=
 EXPERIMENTS_ARGS ?=
 LOCK_ARGS ?= --upgrade
 OLDEST_PYTHON ?= python3.11
+RELEASE = spheremouse-$(shell $(BIN)/hatchling version)
+WHEELHOUSE = $(RELEASE)-wheels-$(shell $(BIN)/python -c 'import sys, platform; print("py%d.%d-%s" % (*sys.version_info[:2], platform.machine()))')
 
 .DEFAULT_GOAL := help
 .PHONY: help demo picture test test-oldest test-newest lock lint format reference docs dist experiments system-test soak fuzz clean
@@ -43,6 +45,7 @@ help:
 	@echo "make reference    the pages, the man page and the completion of shells that are made from the code"
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
 	@echo "make picture      the picture of the README, made anew from the demo"
+	@echo "make dist         a release in dist: sdist, wheel, site, man page, and a folder of all wheels for a machine without network"
 	@echo "make experiments  docs/experiments.md anew (an hour); EXPERIMENTS_ARGS='--datasets DIR' adds the recordings"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
 	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
@@ -106,6 +109,17 @@ docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -E -q -b html -d docs/_build/doctrees docs docs/_build/html
 	$(BIN)/python -m sphinx -W --keep-going -q -b doctest -d docs/_build/doctrees docs docs/_build/doctest
 	@echo "docs: examples run, site in docs/_build/html/index.html"
+
+# The folder of wheels is for machines with this one's Python and processor, and says so (service/install.sh).
+dist: docs
+	rm -rf dist
+	$(BIN)/hatchling build -d dist
+	tar -C docs/_build --transform 's,^html,$(RELEASE)-site,' -czf dist/$(RELEASE)-site.tar.gz html
+	cp service/share/man/man1/spheremouse.1 dist/
+	PYTHON=$(abspath $(BIN)/python) bash service/install.sh --from dist/$(RELEASE)-py3-none-any.whl --build-wheelhouse dist/$(WHEELHOUSE)
+	tar -C dist --remove-files -cf dist/$(WHEELHOUSE).tar $(WHEELHOUSE)
+	cd dist && sha256sum -- * >SHA256SUMS
+	@cd dist && ls -sh
 
 experiments: $(STAMP)
 	$(BIN)/spheremouse experiments --out docs $(EXPERIMENTS_ARGS)

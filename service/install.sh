@@ -30,7 +30,7 @@ usage: install.sh [options]
   --from WHAT           another checkout or wheel
   --wheelhouse DIR      without network: all wheels are in DIR
   --build-wheelhouse DIR  fill DIR with all wheels and this script, for machines without network of the same kind
-  --extras A,B          optional parts: plot, metrics, tray, desktop
+  --extras A,B          optional parts: metrics (for Prometheus), lab (for experiments)
   --rollback            switch back to the version before
   --uninstall           stop and remove the service and all versions; --purge: configuration and calibration, too
   --prefix DIR          where versions go, in place of /opt/spheremouse
@@ -102,6 +102,19 @@ system_packages() {
         "${missing[@]}" >/dev/null || fail "apt-get could not install ${missing[*]}"
 }
 
+# The tray's menu, where there is a desktop: by the distribution, since pip would have to compile it.
+tray() {
+    local packages=(python3-gi gir1.2-ayatanaappindicator3-0.1)
+    [ -n "$service" ] && compgen -G '/usr/share/*sessions/*.desktop' >/dev/null || return 0
+    ! /usr/bin/python3 -c 'import gi; gi.require_version("AyatanaAppIndicator3", "0.1")' 2>/dev/null || return 0
+    if [ -z "$wheelhouse" ] && command -v apt-get >/dev/null; then
+        say "apt-get installs ${packages[*]}, for the tray's menu"
+        DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y --no-install-recommends \
+            "${packages[@]}" >/dev/null 2>&1 && return 0
+    fi
+    say "the tray has no menu before: apt-get install ${packages[*]}"
+}
+
 # roots_own FOLDER: whoever may write it, or a folder above it, decides in the end what root runs from there. It may not
 # be there yet. /usr/local is of the group staff on older systems, whose members are as good as root.
 roots_own() {
@@ -140,9 +153,18 @@ versions() {
 }
 # in_use NAME: the folder that the link NAME (current or previous) leads to, or nothing
 in_use() { if [ -L "$prefix/$1" ]; then basename "$(readlink "$prefix/$1")"; fi; }
+share=$(dirname "$bin")/share # where shells and man look for what belongs to the command
 point() { # point LINK TARGET: at any moment there is the old link or the new one
     ln -sfn "$2" "$1.new"
     mv -Tf "$1.new" "$1"
+}
+point_shared() {
+    local one
+    [ -d "$prefix/current/share" ] || return 0
+    (cd "$prefix/current/share" && find . -name '*spheremouse*' -type f -printf '%P\n') | while IFS= read -r one; do
+        mkdir -p "$(dirname "$share/$one")"
+        point "$share/$one" "$prefix/current/share/$one"
+    done
 }
 systemd_runs() { [ -n "$service" ] && [ -d /run/systemd/system ]; }
 program() { printf %s "$prefix/current/bin/spheremouse"; }
@@ -270,7 +292,7 @@ fetch() {
         "${pip[@]}" download --no-deps --require-hashes --only-binary :all: -d "$work/wheels" \
         -r "$work/requirements.lock"
     run "requirements.lock lacks what builds" \
-        "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" pip hatchling setuptools
+        "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" pip hatchling hatch-fancy-pypi-readme setuptools
     say "building what comes as source"
     pip+=(wheel --no-deps --no-build-isolation -w wheels)
     run "what $what/service/sources.lock names is not to be had" \
@@ -386,6 +408,8 @@ install() {
         fail "there is no version before it; see: journalctl -u spheremouse"
     fi
     point "$bin/spheremouse" "$(program)"
+    point_shared || say "no man page and no completion: $share may not be written"
+    tray
     if [ -n "$before" ]; then point "$prefix/previous" "$before"; fi
     if [ "$here" != "$(realpath "$prefix")" ]; then # for --rollback and --uninstall
         text_of "$here/install.sh" >"$prefix/.install.sh"
@@ -417,6 +441,7 @@ uninstall() {
     [ -d "$prefix" ] || fail "nothing in $prefix"
     [ -w "$prefix" ] || fail "$prefix may not be written; repeat with sudo"
     if [ -n "$service" ] && [ -x "$(program)" ]; then "$(program)" service uninstall $purge; fi
+    find "$share" -lname "$prefix/current/share/*" -delete 2>/dev/null || true
     if [ "$(readlink "$bin/spheremouse" || true)" = "$(program)" ]; then rm -f "$bin/spheremouse"; fi
     local one
     for one in $(versions); do rm -rf "${prefix:?}/$one"; done

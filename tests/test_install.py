@@ -39,6 +39,8 @@ def make_wheel(folder, version, code="print('stand-in {}'); ", name="spheremouse
         f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
         f"{info}/entry_points.txt": f"[console_scripts]\n{name} = {name}:main\n",
     }
+    if name == "spheremouse":
+        files[f"{name}-{version}.data/data/share/man/man1/spheremouse.1"] = f"stand-in {version}"
     files[f"{info}/RECORD"] = "".join(f"{name},,\n" for name in [*files, f"{info}/RECORD"])
     path = folder / f"{name}-{version}-py3-none-any.whl"
     with zipfile.ZipFile(path, "w") as wheel:
@@ -107,6 +109,7 @@ def test_versions_stand_beside_each_other_and_change_places(tmp_path, wheels):
     for expected in ("stand-in 1.9", "stand-in 1.10"):
         code, said = call(tmp_path, "--rollback", script=installed)
         assert (code, in_use(tmp_path)) == (0, expected), said
+        assert (tmp_path / "share/man/man1/spheremouse.1").read_text() == expected
 
     seal(wheels, make_wheel(wheels, "2.0", "raise SystemExit('broken')"))
     code, said = call(tmp_path, "--wheelhouse", wheels)
@@ -125,6 +128,7 @@ def test_versions_stand_beside_each_other_and_change_places(tmp_path, wheels):
     assert "something in it that is not ours" in said
     assert entries(tmp_path) == ["somebody's"]
     assert not (tmp_path / "bin" / "spheremouse").is_symlink()
+    assert not (tmp_path / "share/man/man1/spheremouse.1").is_symlink()
 
 
 def test_what_cannot_be_done_is_said_and_leaves_nothing(tmp_path, wheels):
@@ -238,7 +242,10 @@ def release(shared):
     (checkout / "spheremouse").mkdir()
     shutil.copy(SCRIPT, checkout / "service")
     shutil.copy(bundled(), index)
-    made = [make_wheel(index, "99", name=name, modules=()) for name in ("hatchling", "setuptools")]
+    made = [
+        make_wheel(index, "99", name=name, modules=())
+        for name in ("hatchling", "hatch_fancy_pypi_readme", "setuptools")
+    ]
     pip = next(index.glob("pip-*.whl"))
     lines = [(*path.name.split("-")[:2], path) for path in (*made, pip)]
     for lock, named in (("requirements", lines), ("sources", [("evdev", "1.0", index / "evdev-1.0.tar.gz")])):
@@ -308,7 +315,9 @@ def test_a_folder_of_wheels_holds_what_is_locked_and_what_was_built_without_root
     assert secret.read_text() == "root's\n"
     assert not ROOT or {path.lstat().st_uid for path in carried.iterdir()} == {65534}
     listed = (carried / "SHA256SUMS").read_text().split()[1::2]
-    assert {name.split("-")[0] for name in listed} == {"evdev", "hatchling", "pip", "setuptools", "spheremouse"}
+    assert {name.split("-")[0] for name in listed} == {
+        "evdev", "hatchling", "hatch_fancy_pypi_readme", "pip", "setuptools", "spheremouse",
+    }  # fmt: skip
 
     here.mkdir()
     for name in ("cv2", "scipy", "zipfile", "venv", "compileall", "random"):
