@@ -28,8 +28,9 @@ FUZZ_ARGS ?=
 EXPERIMENTS_ARGS ?=
 LOCK_ARGS ?= --upgrade
 OLDEST_PYTHON ?= python3.11
+DIST_PYTHON ?= /usr/bin/python3
 RELEASE = spheremouse-$(shell $(BIN)/hatchling version)
-WHEELHOUSE = $(RELEASE)-wheels-$(shell $(BIN)/python -c 'import sys, platform; print("py%d.%d-%s" % (*sys.version_info[:2], platform.machine()))')
+WHEELHOUSE = $(RELEASE)-wheels-$(shell $(DIST_PYTHON) -c 'import sys, platform; print("py%d.%d-%s" % (*sys.version_info[:2], platform.machine()))')
 
 .DEFAULT_GOAL := help
 .PHONY: help demo picture test test-oldest test-newest lock lint format reference docs dist experiments system-test soak fuzz clean
@@ -110,13 +111,13 @@ docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -q -b doctest -d docs/_build/doctrees docs docs/_build/doctest
 	@echo "docs: examples run, site in docs/_build/html/index.html"
 
-# The folder of wheels is for machines with this one's Python and processor, and says so (service/install.sh).
+# The folder of wheels is for machines with the distribution's Python of this one and its processor, and says so.
 dist: docs
 	rm -rf dist
 	$(BIN)/hatchling build -d dist
 	tar -C docs/_build --transform 's,^html,$(RELEASE)-site,' -czf dist/$(RELEASE)-site.tar.gz html
 	cp service/share/man/man1/spheremouse.1 dist/
-	PYTHON=$(abspath $(BIN)/python) bash service/install.sh --from dist/$(RELEASE)-py3-none-any.whl --build-wheelhouse dist/$(WHEELHOUSE)
+	PYTHON=$(DIST_PYTHON) bash service/install.sh --from dist/$(RELEASE)-py3-none-any.whl --build-wheelhouse dist/$(WHEELHOUSE)
 	tar -C dist --remove-files -cf dist/$(WHEELHOUSE).tar $(WHEELHOUSE)
 	cd dist && sha256sum -- * >SHA256SUMS
 	@cd dist && ls -sh
