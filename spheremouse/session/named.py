@@ -25,6 +25,7 @@ from spheremouse.session.settings import Configuration
 T = TypeVar("T")
 Size = tuple[int, int]  # width and height, px
 
+_NODES = Path("/sys/class/video4linux")
 _UINPUT = Path("/dev/uinput")
 _STATE = Path("/var/lib/spheremouse")  # systemd makes it at the service's first start
 
@@ -139,6 +140,8 @@ def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | 
 
     _, asked = v4l2.parse(argument, c.camera)
     key: Key = ("camera", "size") if c.camera.size is not None and asked.size == c.camera.size else ("source",)
+    if _is_software(argument.partition(",")[0]):
+        return asked.size, key
     try:
         return v4l2.size_to_come(argument, c.camera), key
     except SourceError as e:
@@ -146,6 +149,13 @@ def _camera_size(argument: str, c: Configuration, found: Found) -> tuple[Size | 
         there = _is_there(argument.partition(",")[0], plain)
         (found.wrong if there else found.now).append(Problem(key if there else ("source",), _said(e, there)))
     return asked.size, key
+
+
+def _is_software(name: str) -> bool:
+    """Is it a camera without hardware? v4l2loopback ends the stream of who films when somebody else closes the node."""
+    from spheremouse.capture.v4l2.device import find
+
+    return "/devices/virtual/" in os.path.realpath(_NODES / find(name).resolve().name)
 
 
 def _is_there(name: str, settings: Any) -> bool:
