@@ -36,7 +36,13 @@ def load(path: Path, root: type[S]) -> S:
 
 def loads(document: Document, root: type[S]) -> S:
     """Settings of a document already read."""
-    return _applied(without_schema(document, KIND), root())
+    document = without_schema(document, KIND)
+    names = [field.name for field in dataclasses.fields(root)]
+    strange = [key for key in document.data if key not in names]
+    if len(strange) > max(2, len(document.data) // 2):  # of so many none is a slip
+        what = f"is this a configuration? {', '.join(map(str, strange))} stand in none; a rig file is named in one, by `rig:`"
+        raise document.error([Problem((strange[0],), what)])
+    return _applied(document, root())
 
 
 def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:

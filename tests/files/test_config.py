@@ -320,6 +320,10 @@ def test_no_value_becomes_a_number_by_surprise(problems, value):
         ('schema: 1\n"a\\nb": 1\n', "2: 'a\\nb': unknown key"),
         ("schema: 1\n" + "k" * 500 + ": 1\n", f"2: {'k' * 57}...: unknown key"),
         ("schema: 1\na: " + "[" * 5000, "2: nested deeper than 20 levels"),
+        (
+            "schema: 1\nball: {}\nso3: {}\ndiscs: 3\ntargets: []\n",
+            "2: ball: is this a configuration? ball, discs, targets",
+        ),
     ],
 )
 def test_a_file_that_is_no_configuration_is_refused_with_its_line(problems, text, start):

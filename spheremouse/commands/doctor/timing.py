@@ -20,6 +20,8 @@ def rate(footage: Footage) -> Finding:
     span = float(footage.stamps[-1] - footage.stamps[0])
     if n < _ENOUGH:
         text = f"no more than {n} frame{'' if n == 1 else 's'} in {span:.1f} s"
+        if not footage.live:
+            return unchecked("rate", f"{text}: the recording is short, or slow", frames=n)
         return wrong("rate", text, "see cable, hub and power, and a fixed, shorter exposure", frames=n)
     produced = max(int(footage.sequence[-1] - footage.sequence[0]), n - 1)
     if span <= 0.0:

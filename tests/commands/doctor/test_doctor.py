@@ -104,6 +104,12 @@ def a_film(stamps, grid=None, sequence=None, **changes):
     return replace(made, **changes)
 
 
+def test_few_frames_are_the_camera_s_fault_and_no_recording_s():
+    few = a_film(np.arange(3) * 0.6)
+    assert timing.rate(few).verdict is WRONG
+    assert timing.rate(replace(few, live=False)).verdict is UNCHECKED
+
+
 # ---- all of it ----
 
 
