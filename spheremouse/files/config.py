@@ -40,8 +40,8 @@ def loads(document: Document, root: type[S]) -> S:
     names = [field.name for field in dataclasses.fields(root)]
     strange = [key for key in document.data if key not in names]
     if len(strange) > max(2, len(document.data) // 2):  # of so many none is a slip
-        what = f"is this a configuration? {', '.join(map(str, strange))} stand in none; a rig file is named in one, by `rig:`"
-        raise document.error([Problem((strange[0],), what)])
+        what = f"is this a configuration? {', '.join(map(str, strange))} stand in none"
+        raise document.error([Problem((strange[0],), f"{what}; a rig file is named in one, by `rig:`")])
     return _applied(document, root())
 
 
