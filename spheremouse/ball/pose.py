@@ -28,6 +28,7 @@ _CROWDED = (
     f"the picture shows more that looks like targets than is looked at ({MOST} of a kind): cover or move what is "
     "colourful, or narrow the hues (rings.cyan, rings.magenta, rings.yellow)"
 )
+_STRANGE = "{} seen, which the rig does not have: correct its codes, or give the rig of this device"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +76,17 @@ class Resection:
 def find_pose(views: list[TargetDetections], rig: Rig, image: Image, settings: PoseSettings) -> Resection:
     """Pose of the camera from what is seen of the targets in some views of a still scene; `image` is any of them.
 
-    Raises PoseError as `resect` does; where a view showed too much that looks like targets, that is said.
+    Raises PoseError as `resect` does; where views showed too much that looks like targets, or targets that the rig does
+    not have, that is said.
     """
+    sightings = gather(views, settings)
     try:
-        return resect(gather(views, settings), rig, image)
+        return resect(sightings, rig, image)
     except PoseError as e:
-        if any(view.crowded for view in views):
-            raise PoseError(f"{e}; {_CROWDED}") from None
-        raise
+        strangers = sorted({s.code for s in sightings} - set(rig.targets.codes))
+        more = [_STRANGE.format(", ".join(strangers))] if strangers else []
+        more += [_CROWDED] if any(view.crowded for view in views) else []
+        raise PoseError("; ".join((str(e), *more))) from None
 
 
 def gather(views: list[TargetDetections], settings: PoseSettings) -> list[Sighting]:

@@ -31,6 +31,7 @@ _COMMANDS = {
     "log-mouse": ("log_mouse", "log_mouse", "Example: spheremouse log-mouse --device Logitech --out trackball.csv"),
     "bench": ("bench", "bench", "Example: spheremouse bench --steps 100000 --json speed.json"),
     "layout": ("layout", "layout", "Example: spheremouse layout --discs 26 --out calibration/placement-26"),
+    "preview": ("preview", "preview", "Example: spheremouse preview v4l2:/dev/video0 --every 1"),
     "doctor": ("doctor", "doctor", "Example: spheremouse doctor --source dataset:demo/roll"),
     "tray": ("tray", "tray", "Example: spheremouse tray"),
     "ctl": ("ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),

@@ -192,6 +192,7 @@ class BallFollower:
             "discs_known": 0 if state is None else len(state.filter.discs),
             "motion": of_ball(self.settings.motion).figures(motion) if tracking and motion is not None else None,
             "pose": self._pose_figures(),
+            "targets": self._target_figures(),
             "balls": None,
         }
 
@@ -242,6 +243,16 @@ class BallFollower:
             "sigma_mm": (1e3 * sigma[:3]).tolist(),
             "sigma_deg": np.degrees(sigma[3:]).tolist(),
             "age_s": time.monotonic() - self.posed,
+        }
+
+    def _target_figures(self) -> dict[str, Any] | None:
+        if not self.waiting:
+            return None
+        seen, known = self._first_pose.seen, self.rig.targets.codes
+        return {
+            "seen": [c for c in known if c in seen],
+            "missing": [c for c in known if c not in seen],
+            "strangers": [c for c in seen if c not in known],
         }
 
     def _forget_views(self) -> None:

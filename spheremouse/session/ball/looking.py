@@ -12,7 +12,7 @@ from typing import TypeVar
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.phases.camera_moved import Moved
-from spheremouse.ball.pose import Resection, find_pose
+from spheremouse.ball.pose import Resection, find_pose, gather
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Tracker
@@ -39,6 +39,7 @@ class FirstPose:
         self._views: list[TargetDetections] = []
         self._first: Image | None = None
         self._looking: Future[Resection | None] | None = None
+        self.seen: tuple[str, ...] = ()  # codes in the last views that were enough
 
     def look(self, frame: Frame) -> Resection | None:
         """The pose, once there are views enough. PoseError where they tell none, and where the frame is grey."""
@@ -61,6 +62,7 @@ class FirstPose:
         if len(self._views) < self._settings.pose.frames:
             return None
         views, self._views, self._first = self._views, [], None
+        self.seen = tuple(sorted({s.code for s in gather(views, self._settings.pose)}))
         return find_pose(views, self._rig, first, self._settings.pose)
 
     def _come_of(self) -> Resection | None:

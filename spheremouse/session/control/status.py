@@ -31,6 +31,14 @@ class PoseStatus(_Part):
     age_s: float
 
 
+class TargetsStatus(_Part):
+    """Codes of targets while the camera's pose is sought: those of the rig, and those that it does not have."""
+
+    seen: list[str]
+    missing: list[str]
+    strangers: list[str]
+
+
 class MotionStatus(_Part):
     """How the ball that points moves: right, down or towards who stands there, third; and in words."""
 
@@ -96,6 +104,7 @@ class StatusReport(_Part):
     dropped: int
     damaged: int
     pose: PoseStatus | None
+    targets: TargetsStatus | None = None
     balls: list[BallStatus] | None = None
     motion: MotionStatus | None = None
     counts: list[int] | None = Field(None, min_length=3, max_length=3)

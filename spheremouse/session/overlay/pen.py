@@ -48,6 +48,7 @@ class Pen:
 
     def __init__(self, canvas: Image, scale: int) -> None:
         self._canvas, self._scale = canvas, scale
+        self._written: list[tuple[int, int, int]] = []  # where words are, px: beginning, baseline, length
         self.width = max(1, round(min(canvas.shape[:2]) / 480))  # of a thin line, px
 
     def outline(self, points: Array) -> None:
@@ -101,11 +102,14 @@ class Pen:
         self.label(mark.code, mark.centre + (1.5, -1.1) * across, GREEN)
 
     def label(self, text: str, at: Array, colour: Colour) -> None:
-        """Words that begin at a place, (2,) px, or as near to it as they are in the picture; with a shadow."""
+        """Words that begin at a place, (2,) px, or as near to it as they are in the picture and below others."""
         h, w = self._canvas.shape[:2]
         (long, high), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 11 * self.width / _LETTERS, 1)
         x, y = np.rint(np.nan_to_num(at) * self._scale).tolist()
         x, y = int(min(max(x, 0), w - long - 1)), int(min(max(y, high), h - 3 * high))
+        while any(abs(x - a) < max(long, n) and abs(y - b) < 1.3 * high for a, b, n in self._written) and y < h:
+            y += round(1.3 * high)
+        self._written.append((x, y, long))
         _text(self._canvas, text, (x + self.width, y + self.width), 11 * self.width, SHADOW)
         _text(self._canvas, text, (x, y), 11 * self.width, colour)
 

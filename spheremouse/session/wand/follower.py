@@ -143,7 +143,7 @@ class WandFollower:
 
     def figures(self, seeing: bool) -> dict[str, Any]:
         """Where each ball is, and how the one that points moves."""
-        none, poses = dict.fromkeys(("discs", "discs_seen", "discs_known", "pose", "motion")), self._poses
+        none, poses = dict.fromkeys(("discs", "discs_seen", "discs_known", "pose", "targets", "motion")), self._poses
         motion = self._motion
         if seeing and motion is not None and self.status is Status.TRACKING:
             none["motion"] = of_hand(self._plan.configuration.wand.pointing).figures(motion)
