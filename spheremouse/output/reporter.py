@@ -137,19 +137,26 @@ class OutputThread:
 
     def status(self) -> ReporterStatus:
         """Condition of the output, sums of counts and latency."""
-        failed, n = self.failed, min(self._frames, REMEMBERED)
-        past, sent, passage = self._past, self._sent, _passage(self._output)
-        latency = None
+        failed, arrived, unsent, ahead = self._sums()
+        n, latency = min(self._frames, REMEMBERED), None
         if n:
             p50, p99 = np.percentile(self._latency[:n], (50.0, 99.0)).tolist()
             latency = Latency(p50, p99, float(self._latency[:n].max()))
+        return ReporterStatus(failed, self._ended, self._reports, arrived, unsent, ahead, latency)
+
+    @property
+    def unsent(self) -> Counts:
+        """Counts that were given and will not be sent, as `status` has them."""
+        return self._sums()[2]
+
+    def _sums(self) -> tuple[str | None, Counts, Counts, Counts]:
+        """Why nothing can be sent; counts sent, unsent and ahead."""
+        failed, past, sent, passage = self.failed, self._past, self._sent, _passage(self._output)
         arrived = minus(plus(past, sent), plus(passage.waiting, passage.lost))
         if failed is not None:  # nothing is under way: what was given and has not arrived will not
-            unsent, ahead = minus(self._sum, arrived), _NONE
-        else:
-            unsent = plus(plus(self._unsent, self._overflow), passage.lost)
-            ahead = minus(minus(sent, self._resampler.truth), passage.waiting)
-        return ReporterStatus(failed, self._ended, self._reports, arrived, unsent, ahead, latency)
+            return failed, arrived, minus(self._sum, arrived), _NONE
+        unsent = plus(plus(self._unsent, self._overflow), passage.lost)
+        return None, arrived, unsent, minus(minus(sent, self._resampler.truth), passage.waiting)
 
     @property
     def failed(self) -> str | None:

@@ -1,15 +1,28 @@
 """What differs between the plan that is followed and another one, and what each was read from."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from spheremouse.ball.settings import Settings
+from spheremouse.errors import ControlError
+from spheremouse.files import config
+from spheremouse.files.yaml import dotted
 from spheremouse.session.plan import Plan, Request
 from spheremouse.wand.settings import WandSettings
 
 AT_START = ("control", "metrics", "realtime")  # what is read at the start only
+_OF_BALL = {"motion", *Settings.__dataclass_fields__} - {"tracker"}
+_UNREAD = {  # sections and keys that a tracker in use does not read
+    "so3": {"wand", "euler"},
+    "ekf1": {"wand", "so3"},
+    "ekf2": {"wand", "so3"},
+    "wand": _OF_BALL,
+}
+
+Values = dict[str, tuple[Any, Any]]  # by key: what was in force, and what is
 
 
 def stamps_of(request: Request, plan: Plan) -> dict[Path, int]:
@@ -33,6 +46,62 @@ def latest(assignments: tuple[str, ...]) -> tuple[str, ...]:
     """The last assignment to each key, in their order: however often something is set, no more is kept."""
     last = {a.partition("=")[0].strip(): k for k, a in enumerate(assignments)}
     return tuple(a for k, a in enumerate(assignments) if last[a.partition("=")[0].strip()] == k)
+
+
+def key_of(assignment: str) -> str:
+    """The key of KEY=VALUE."""
+    return assignment.partition("=")[0].strip()
+
+
+def given(request: Request) -> tuple[str, ...]:
+    """Keys that the command line has said: no file changes them."""
+    options = {
+        "source": request.source,
+        "output": request.output,
+        "rig": request.rig,
+        "camera_file": request.camera,
+        "map": request.map or request.no_map,
+        "wand.balls": request.balls,
+    }
+    return (*(key for key, said in options.items() if said), *map(key_of, request.assignments))
+
+
+def check_settable(request: Request, assignments: tuple[str, ...]) -> None:
+    """ControlError where an assignment could not take effect while a request is followed, and why."""
+    keys = [key_of(a) for a in assignments]
+    late = sorted({key for key in (k.partition(".")[0] for k in keys) if key in AT_START})
+    if late:
+        raise ControlError(
+            f"{', '.join(late)}: read at the start only; write it into the configuration file and start again"
+        )
+    said = sorted(set(keys) & set(given(replace(request, assignments=()))))
+    if said:
+        raise ControlError(
+            f"{', '.join(said)}: said on the command line, which comes before what is set; start again without it"
+        )
+
+
+def check_read(plan: Plan, assignments: tuple[str, ...]) -> None:
+    """ControlError where nothing reads what was assigned, with the tracker of a plan."""
+    tracker = plan.configuration.tracker
+    unread = [k for k in map(key_of, assignments) if k.partition(".")[0] in _UNREAD[tracker]]
+    if unread:
+        raise ControlError(f"{', '.join(unread)}: the tracker in use, {tracker}, does not read it; set what it reads")
+
+
+def values(before: Plan, now: Plan, assignments: tuple[str, ...]) -> Values:
+    """Of each parameter that is another one now, or was assigned, what was in force and what is."""
+    a, b = ({dotted(key): value for key, value in config.parameters(plan.configuration)} for plan in (before, now))
+    asked = set(map(key_of, assignments))
+    return {key: (a[key], b[key]) for key in b if a[key] != b[key] or key in asked}
+
+
+def told(values: Values) -> str:
+    """The same in words."""
+    return ", ".join(
+        f"{key} {config.to_yaml(old)} → {config.to_yaml(new)}" if old != new else f"{key} {config.to_yaml(new)} already"
+        for key, (old, new) in values.items()
+    )
 
 
 def differences(before: Plan, now: Plan) -> list[str]:

@@ -72,6 +72,11 @@ class Follower(Protocol):
         ...
 
     @property
+    def untracked(self) -> int:
+        """Number of frames that came before anything could be tracked."""
+        ...
+
+    @property
     def outputs(self) -> tuple[Callable[[], Output], ...]:
         """What opens each output; the pointer's first."""
         ...

@@ -8,8 +8,18 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from spheremouse.errors import ControlError, SpheremouseError
-from spheremouse.session.changes import AT_START, differences, latest, stages_of, stamps_of
+from spheremouse.errors import SpheremouseError
+from spheremouse.session.changes import (
+    AT_START,
+    check_read,
+    check_settable,
+    differences,
+    latest,
+    stages_of,
+    stamps_of,
+    told,
+    values,
+)
 from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.protocol import internal_error, refused
 from spheremouse.session.follower import Setup
@@ -48,20 +58,16 @@ class Loader:
         return self._files != stamps_of(self.request, self.plan)
 
     def set(self, assignments: tuple[str, ...], asked: Asked) -> None:
-        """Change parameters, KEY=VALUE. ControlError for those that are read at the start only."""
-        sections = {a.partition("=")[0].partition(".")[0].strip() for a in assignments}
-        if not sections.isdisjoint(AT_START):
-            raise ControlError(
-                f"{', '.join(sorted(sections & set(AT_START)))}: read at the start only; write it into the "
-                "configuration file and start again"
-            )
-        self._load(replace(self.request, changes=latest((*self.request.changes, *assignments))), asked)
+        """Change parameters, KEY=VALUE. ControlError for those that could not take effect."""
+        check_settable(self.request, assignments)
+        wanted = replace(self.request, changes=latest((*self.request.changes, *assignments)))
+        self._load(wanted, asked, assignments)
 
     def reload(self, asked: Asked) -> None:
         """Read all anew; what was set is void."""
         self._load(replace(self.request, changes=()), asked)
 
-    def _load(self, wanted: Request, asked: Asked) -> None:
+    def _load(self, wanted: Request, asked: Asked, assigned: tuple[str, ...] = ()) -> None:
         before = self.plan
 
         def read() -> None:
@@ -69,6 +75,7 @@ class Loader:
             try:
                 plan = self._setup.planned(wanted, read_plan(wanted))
                 check_kinds(plan, before)
+                check_read(plan, assigned)
                 if stages_of(plan) != stages_of(before):
                     self._setup.make_ready(plan)  # no frame is to wait for a compiler
             except SpheremouseError as e:
@@ -76,7 +83,7 @@ class Loader:
             except Exception as e:
                 error = internal_error(e)
             else:
-                self._ask(lambda: asked.attempt(lambda: self._apply(wanted, plan, files, asked)))
+                self._ask(lambda: asked.attempt(lambda: self._apply(wanted, plan, files, asked, assigned)))
                 return
             self._ask(lambda: asked.attempt(lambda: self._not_applied(error, files, asked)))
 
@@ -87,12 +94,14 @@ class Loader:
         self._say(f"configuration not applied: {error}")
         asked(refused(error))
 
-    def _apply(self, wanted: Request, plan: Plan, files: dict[Path, int], asked: Asked) -> None:
+    def _apply(
+        self, wanted: Request, plan: Plan, files: dict[Path, int], asked: Asked, assigned: tuple[str, ...]
+    ) -> None:
         """Another plan from here on; what cannot be changed under way is said."""
         if asked.gone:
             asked(refused("given up: who asked has hung up"))
             return
-        changed = differences(self.plan, plan)
+        changed, exact = differences(self.plan, plan), values(self.plan, plan, assigned)
         try:
             go_over = self._prepare(plan, changed)
         except SpheremouseError as e:
@@ -105,10 +114,11 @@ class Loader:
                 self._files[path] = stamp  # when it was read: what was written since is news
         ended = go_over()
         text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
+        text += f": {told(exact)}" if exact else ""
         later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"
         text += "; the recording has ended, for it is of one configuration" if ended else ""
         if changed or not asked.quiet:
             self._say(text)
-        asked({"changed": changed, "message": text})
+        asked({"changed": changed, "values": exact, "message": text})

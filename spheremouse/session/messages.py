@@ -8,6 +8,8 @@ import numpy as np
 from spheremouse.ball import events
 from spheremouse.ball.detect.refused import Bound, Refused
 from spheremouse.ball.events import BallLost, Why
+from spheremouse.ball.pose import Resection
+from spheremouse.ball.rig import Rig
 from spheremouse.tracker import Event
 
 _Ball = (
@@ -93,6 +95,20 @@ def _why(lost: BallLost) -> str:
             return "the camera was moved, and its pose is not found: uncover the targets, or initialise again"
         case _:
             assert_never(lost.why)
+
+
+def standing(resection: Resection, rig: Rig) -> str:
+    """Where the camera stands, how certain that is, and of what it is known."""
+    pose = resection.pose
+    size, unit, digits = (1.0 / rig.ball.radius, "radii", 3) if rig.scale_free else (1e3, "mm", 0)
+    sigma = np.sqrt(np.maximum(np.diag(pose.covariance), 0.0))
+    x, y, z = (f"{round(size * float(v), digits) + 0.0:.{digits}f}" for v in pose.position)
+    away, turned = (", ".join(f"{v:.2g}" for v in s) for s in (size * sigma[:3], np.degrees(sigma[3:])))
+    fit = float(np.sqrt(np.mean(resection.residual**2)))
+    return (
+        f"camera pose: x {x}, y {y}, z {z} {unit} from the ball's centre (right, up, towards the camera); one standard "
+        f"deviation {away} {unit} and {turned}°; targets {', '.join(resection.codes)} fit to {fit:.3f} px"
+    )
 
 
 def found(seen: Iterable[str], known: Iterable[str] | None) -> str:

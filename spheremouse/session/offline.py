@@ -36,6 +36,7 @@ class Start:
     pose: Pose
     resection: Resection | None  # None where the pose was known beforehand
     frames: Iterator[Frame]
+    passed: int = 0  # frames before those
 
 
 def initialise(
@@ -56,6 +57,7 @@ def initialise(
     if len(rig.targets.codes) < 3:
         raise PoseError("the rig has fewer than three targets and no camera pose: calibrate the device first")
     said: str | None = None
+    passed = 0
     while True:
         views = list(islice(frames, settings.pose.frames))
         if not views:
@@ -69,8 +71,9 @@ def initialise(
             if str(e) != said:
                 said = str(e)
                 report(said)
+            passed += len(views)
             continue
-        return Start(resection.pose, resection, frames if live else chain(views, frames))
+        return Start(resection.pose, resection, frames if live else chain(views, frames), passed)
 
 
 def _colour(frame: Frame) -> NDArray[np.uint8]:

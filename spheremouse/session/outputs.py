@@ -93,6 +93,11 @@ class Outputs:
         return any(thread.ended for thread in self._all)
 
     @property
+    def unsent(self) -> Counts:
+        """Of the run, counts that were given to the pointer's output and will not be sent."""
+        return plus(self.past[1], self.pointer.unsent)
+
+    @property
     def troubles(self) -> str | None:
         """Why nothing can be sent, of each that fails; None: all work."""
         return "; ".join(filter(None, (thread.failed for thread in self._all))) or None

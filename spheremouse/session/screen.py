@@ -20,7 +20,7 @@ from rich.text import Text
 
 from spheremouse.ball.state import Epoch
 from spheremouse.geometry.rotation import Array, to_euler
-from spheremouse.output.pointer import Counts, plus
+from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.session.timing import FrameTimes
 from spheremouse.tracker import Status
 
@@ -38,24 +38,35 @@ class Tally:
 
     def __init__(self) -> None:
         self.frames = 0
-        self.counts = (0, 0, 0)
+        self._counts: Counts = (0, 0, 0)  # of all frames
+        self.unsent: Callable[[], Counts] = lambda: (0, 0, 0)  # of these, what the output did not get
+        self.left_out: dict[str, int] = {}  # frames of which nothing came, by what became of them
         self.times = FrameTimes()
         self.words = ""  # what else there is to be said of it
 
     def add(self, counts: Counts, seconds: float) -> None:
         """One more frame: its counts, and how long it took."""
         self.frames += 1
-        self.counts = plus(self.counts, counts)
+        self._counts = plus(self._counts, counts)
         self.times.add(seconds, time.perf_counter())
 
+    @property
+    def counts(self) -> Counts:
+        """Their sum, as it was sent."""
+        return minus(self._counts, self.unsent())
+
     def __str__(self) -> str:
+        left_out = ", ".join(f"{n} {why}" for why, n in self.left_out.items() if n)
+        left_out = f"frames left out: {left_out}" if left_out else ""
         if not self.frames:
-            return "no frame tracked"
+            return "; ".join(filter(None, ("no frame tracked", left_out)))
         x, y, z = self.counts
         median, slow = (1e3 * self.times.quantile(q) for q in (0.5, 0.99))
         frames = f"{self.frames} frame{'s' if self.frames != 1 else ''}"
         text = f"{frames}; counts x {x:+d}, y {y:+d}, third {z:+d}; {median:.1f} ms per frame (99 %: {slow:.1f} ms)"
-        return f"{text}; {self.words}" if self.words else text
+        if any(unsent := self.unsent()):
+            text += "; not sent: x {:+d}, y {:+d}, third {:+d}".format(*unsent)
+        return "; ".join(filter(None, (text, self.words, left_out)))
 
 
 class Screen:

@@ -16,12 +16,13 @@ from spheremouse.capture import Camera
 from spheremouse.capture.fetch import Capture
 from spheremouse.capture.newest import LatestFrame
 from spheremouse.capture.stopping import Stopping, on_hang_up
-from spheremouse.output.pointer import Counts, plus
+from spheremouse.output.pointer import Counts, minus, plus
 from spheremouse.output.sparing import Sparing
 from spheremouse.output.third_axis import left_out
 from spheremouse.session.answers import Answers
 from spheremouse.session.arrivals import Arrivals
 from spheremouse.session.cameras import held
+from spheremouse.session.changes import given
 from spheremouse.session.control.desk import Asked
 from spheremouse.session.control.doors import Doors
 from spheremouse.session.control.protocol import Request, refused
@@ -136,6 +137,21 @@ class Daemon:
         return self._worker.trouble
 
     @property
+    def unsent(self) -> Counts:
+        """Of all frames, the counts that will not be sent."""
+        return self._outputs.unsent
+
+    @property
+    def left_out(self) -> dict[str, int]:
+        """Frames of which nothing came, by what became of them."""
+        return {
+            "skipped": self._ring.skipped,
+            "dropped": self._capture.dropped,
+            "damaged": self._worker.damaged,
+            "before anything could be tracked": self.follower.untracked,
+        }
+
+    @property
     def latency(self) -> tuple[float, float] | None:
         """s from a frame's stamp until its motion was sent: median, 99 %; None without frames."""
         _, latency = self._outputs.status()
@@ -175,7 +191,7 @@ class Daemon:
         # where the output has come back since this was judged, the next frame is the first one for it
         self._outputs.give(made.report, taken, self._judgement.state is not State.FAILED_OUTPUT)
         self._counts = plus(self._counts, made.report.counts)
-        self._archive.keep(made, self.follower, self._counts)
+        self._archive.keep(made, self.follower, lambda: minus(self._counts, self.unsent))
         self._show(made, self.follower)
         if self._limit is not None and self._worker.frames >= self._limit:
             self._over = True
@@ -349,6 +365,7 @@ class Daemon:
             "pid": os.getpid(),
             "config": _whole(self._loader.request.file),
             "changes": list(self._loader.request.changes),
+            "given": list(given(self._loader.request)),
             "rig": _whole(plan.rig_path),
             "map": _whole(plan.map_path),
             "recording": self._archive.status(),

@@ -65,33 +65,68 @@ def reload(as_json: _Json = False, socket: _Socket = None) -> None:
     _report(_ask(socket, "reload"), as_json, "reloaded")
 
 
-@app.command("set", epilog="Example: spheremouse ctl set motion.scale_x=2")
+@app.command("set", epilog="Example: spheremouse ctl set motion.scale_x=2 --save")
 def set_(
     assignments: Annotated[list[str], typer.Argument(metavar="KEY=VALUE...", show_default=False)],
+    keep: Annotated[
+        bool, typer.Option("--save", help="Write it into the configuration file, too, as `save` does.")
+    ] = False,
     as_json: _Json = False,
     socket: _Socket = None,
 ) -> None:
-    """Change parameters until the next start or reload: all of them or, where one is wrong, none. `save` keeps them."""
-    _report(_ask(socket, "set", assignments=assignments), as_json, "set")
+    """Change parameters until the next start or reload: all of them or, where one is wrong, none. `save` keeps them.
+
+    Says what was in force and what is. What could not take effect is refused.
+    """
+    if keep:
+        _file_of(_ask(socket, "status"), [a.partition("=")[0].strip() for a in assignments])
+    reply = _ask(socket, "set", assignments=assignments)
+    if not as_json:
+        _report(reply, False, "set")
+    if keep:
+        saved = _save(socket)
+        reply |= saved
+        if not as_json:
+            _report(saved, False, _saved_words(saved), "file")
+    if as_json:
+        _print_json(reply)
 
 
 @app.command()
 def save(as_json: _Json = False, socket: _Socket = None) -> None:
     """Write what was set into the daemon's configuration file; comments stay, and it holds at the next start."""
+    saved = _save(socket)
+    _report(saved, as_json, _saved_words(saved), "file")
+
+
+def _save(socket: Path | None) -> dict[str, Any]:
+    """The file, and what was written into it; ends with the reason where that cannot be."""
     from spheremouse.files import config
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
 
     status = _ask(socket, "status")
-    file, changes = status.get("config"), status.get("changes") or []
+    changes = status.get("changes") or []
+    file = _file_of(status, [c.partition("=")[0].strip() for c in changes])
+    if changes:
+        save_settings(file, config.assigned(config.in_force(file, changes, Configuration), changes), Configuration)
+    return {"file": str(file), "saved": changes}
+
+
+def _file_of(status: dict[str, Any], keys: list[str]) -> Path:
+    """The configuration file of a daemon; ends with the reason where keys that stand there would not hold."""
+    file, given = status.get("config"), status.get("given") or ()
     if file is None or not Path(file).is_file():
         _fail(ControlError("the daemon has no configuration file; start it with --config FILE to have one"))
-    if changes:
-        save_settings(
-            Path(file), config.assigned(config.in_force(Path(file), changes, Configuration), changes), Configuration
-        )
-    told = f"saved: {', '.join(changes)}" if changes else "nothing was set that is not in it"
-    _report({"file": file, "saved": changes}, as_json, told, "file")
+    said = [key for key in keys if key in given]
+    if said:
+        words = f"{', '.join(said)}: said on the daemon's command line, which comes before the file; leave it out there"
+        _fail(ControlError(words))
+    return Path(file)
+
+
+def _saved_words(saved: dict[str, Any]) -> str:
+    return f"saved: {', '.join(saved['saved'])}" if saved["saved"] else "nothing was set that is not in it"
 
 
 @app.command(epilog="Example: spheremouse ctl record --seconds 60")

@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.table import Table
 
 from spheremouse.ball.build import build
-from spheremouse.ball.pose import describe
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.ball.truth import DiscTruth, Truth
@@ -140,7 +139,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
         StatusTable("spheremouse demo", True, seen.tally, console) as screen,
     ):
         if start.resection is not None:
-            screen.say(f"camera pose: {describe(start.resection, tracker.rig)}")
+            screen.say(messages.standing(start.resection, tracker.rig))
         video.begin(tracker, marks)
         for epoch in track(start.frames, tracker):
             report = counter.report(epoch.motion)
@@ -149,7 +148,7 @@ def _watch(start: Start, tracker: Tracker, out: Path, fps: float, console: Conso
             if epoch.events:
                 screen.say(f"{epoch.frame.stamp:9.3f} s  {messages.line(epoch.events)}")
             screen.show(epoch)
-            video.add(epoch, seen.tally.counts)
+            video.add(epoch, lambda: seen.tally.counts)
             large.remember(epoch.state)
             fine = _fineness(epoch)
             if fine > best[0]:

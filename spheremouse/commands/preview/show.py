@@ -71,9 +71,9 @@ class Seen:
     def picture(self) -> Image:
         """The frame with all of it."""
         words = messages.found(self.sight.targets.codes, self.sight.codes)
-        brief = f"{self.sharpness}, {'too dark' if self.light.advice else 'bright enough'}"
+        brief = f"{self.sharpness}; brightest {self.light.values['grey']:.0f} of 255"
         return draw_sight(
-            self.frame.image, self.sight, ((words, 0.012), (brief, 0.72)), (self.spots.centre, self.spots.area)
+            self.frame.image, self.sight, ((words, 0.012), (brief, 0.68)), (self.spots.centre, self.spots.area)
         )
 
     def data(self) -> dict[str, Any]:
@@ -109,14 +109,14 @@ class Seen:
         if colour:
             yield f"targets     {messages.found(self.sight.targets.codes, self.sight.codes)}"
         for (said, bound), n in Counter((messages.refusal(r), r.bound) for r in self.sight.refused).items():
-            yield f"none        {said}{f' ({n} times)' if n > 1 else ''}: {messages.remedy(bound)}"
+            yield f"refused     {said}{f' ({n} times)' if n > 1 else ''}; {messages.remedy(bound)}"
         across = 2.0 * float(np.sqrt(np.median(self.spots.area) / np.pi)) if len(self.spots.area) else 0.0
         yield f"dark spots  {len(self.spots.area)}" + (f", usually {across:.0f} px across" if across else "")
-        focus = "" if self.blur < _SHARP else ": focus the lens; more light lets a camera expose shorter"
+        focus = "" if self.blur < _SHARP else "; focus the lens; more light lets a camera expose shorter"
         yield f"sharpness   {self.sharpness}" + (
             "" if np.isnan(self.blur) else f", edges {self.blur:.1f} px wide{focus}"
         )
-        yield f"brightness  {self.light.text}" + (f": {self.light.advice}" if self.light.advice else "")
+        yield f"brightness  {self.light.text}" + (f"; {self.light.advice}" if self.light.advice else "")
 
 
 def pictures(wanted: Wanted, every: float | None) -> None:

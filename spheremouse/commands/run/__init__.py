@@ -87,6 +87,9 @@ def run(
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option(metavar="N", min=1, help="Stop after N tracked frames.")] = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Also say how the errors of the camera's pose are correlated.")
+    ] = False,
     balls: Annotated[
         list[Path] | None,
         typer.Option(
@@ -132,7 +135,7 @@ def run(
     for name, value in (("--ball", balls), ("--axes", axes)):
         if value and plan.configuration.tracker != "wand":
             raise ConfigurationError(f"{name}: goes with --tracker wand; add that, or leave it out")
-    _run(request, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames)
+    _run(request, plan, realtime, _has_terminal(plan) if table is None else table, overlay, frames, verbose)
 
 
 def _has_terminal(plan: "Plan") -> bool:
@@ -144,7 +147,13 @@ def _has_terminal(plan: "Plan") -> bool:
 
 
 def _run(
-    request: "Request", plan: "Plan", realtime: bool, table: bool, overlay: Path | None, frames: int | None
+    request: "Request",
+    plan: "Plan",
+    realtime: bool,
+    table: bool,
+    overlay: Path | None,
+    frames: int | None,
+    verbose: bool,
 ) -> None:
     """From the first frame to the last words; what ended the run is raised when all is said."""
     from spheremouse.capture.stopping import Stopping
@@ -161,7 +170,7 @@ def _run(
             stopping = stack.enter_context(Stopping())
             setup = trackers.setup(plan, realtime)
             plan = setup.planned(request, plan)
-            shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack)
+            shown = view(plan, table, overlay, None if setup.source is None else setup.source.fps, stack, verbose)
             try:
                 failure, words = (serve if live else follow)(request, plan, setup, stopping, shown, frames)
             except SpheremouseError as e:  # before there was anything to follow
@@ -208,11 +217,13 @@ def serve(
         show=view.show,
         frames=frames,
     )
+    view.tally.unsent = lambda: daemon.unsent
     failure: SpheremouseError | None = None
     try:
         daemon.run(stopping)
     except SpheremouseError as e:
         failure = e
+    view.tally.left_out = daemon.left_out
     if daemon.latency is not None:
         median, slow = (1e3 * seconds for seconds in daemon.latency)
         view.tally.words = f"from stamp to output {median:.1f} ms (99 %: {slow:.1f} ms)"
@@ -247,4 +258,5 @@ def follow(
             failure = None if stopping.asked else e  # asked to stop: no frame came any more
         except SpheremouseError as e:
             failure = e
+    view.tally.left_out = {"before anything could be tracked": follower.untracked}
     return failure, follower.last_words(failed=failure is not None)

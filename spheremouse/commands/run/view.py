@@ -4,6 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Protocol
 
+from spheremouse.ball.pose import describe
 from spheremouse.session import offline
 from spheremouse.session.ball.follower import BallFollower
 from spheremouse.session.follower import Follower, Tracked
@@ -32,9 +33,11 @@ class View(Counting, Protocol):
 class BallView:
     """The ball in its frame."""
 
-    def __init__(self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack) -> None:
-        """`wanted`: a table; it is left with the `stack`."""
-        self.tally = Tally()
+    def __init__(
+        self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
+    ) -> None:
+        """`wanted`: a table; it is left with the `stack`. `verbose`: all that is known of the pose is said."""
+        self.tally, self._verbose = Tally(), verbose
         self._screen = stack.enter_context(StatusTable(plan.source, wanted, self.tally))
         self.overlay = overlay
 
@@ -45,6 +48,8 @@ class BallView:
     def show(self, made: Tracked, follower: Follower) -> None:
         """Table and overlay."""
         self.tally.add(made.report.counts, sum(made.seconds.values()))
+        if self._verbose and self.tally.frames == 1 and isinstance(follower, BallFollower) and follower.resection:
+            self.say(describe(follower.resection, follower.rig))
         self._screen.show(made.epoch)
         if self.overlay is not None:
             assert isinstance(follower, BallFollower)
@@ -52,13 +57,15 @@ class BallView:
             assert tracker is not None
             if self.tally.frames == 1:
                 self.overlay.begin(tracker, target_marks(tracker.rig, tracker.pose, follower.resection))
-            self.overlay.add(made.epoch, self.tally.counts)
+            self.overlay.add(made.epoch, lambda: self.tally.counts)
 
 
 class WandView:
     """Balls in a hand."""
 
-    def __init__(self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack) -> None:
+    def __init__(
+        self, plan: Plan, wanted: bool, overlay: OverlayFile | None, stack: ExitStack, verbose: bool = False
+    ) -> None:
         """`wanted`: lines; they are left with the `stack`."""
         self.tally = Tally()
         self._screen = stack.enter_context(WandStatusTable(wanted, self.tally))
@@ -78,13 +85,13 @@ class WandView:
             tracker = follower.tracker
             if self._pen is None or self._pen[0] is not tracker:
                 self._pen = tracker, WandOverlay(tracker, follower.points, self.overlay.scale(tracker.camera.width))
-            (_, pen), counts = self._pen, self.tally.counts
+            _, pen = self._pen
             pen.remember(made.epoch)
-            self.overlay.show(lambda: pen.draw(made.epoch, counts))
+            self.overlay.show(lambda: pen.draw(made.epoch, self.tally.counts))
 
 
-def view(plan: Plan, wanted: bool, overlay: Path | None, fps: float | None, stack: ExitStack) -> View:
+def view(plan: Plan, wanted: bool, overlay: Path | None, fps: float | None, stack: ExitStack, verbose: bool) -> View:
     """What shows a run of this plan; `fps` is what a video plays at."""
     file = None if overlay is None else stack.enter_context(OverlayFile(overlay, fps))
     kind = WandView if plan.configuration.tracker == "wand" else BallView
-    return kind(plan, wanted, file, stack)
+    return kind(plan, wanted, file, stack, verbose)

@@ -16,7 +16,7 @@ from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.events import CameraMoved
-from spheremouse.ball.pose import Resection, describe, find_pose
+from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import Epoch, Tracker, TrackState, current
@@ -63,7 +63,7 @@ class BallFollower:
         self.state: TrackState | None = None
         self.waiting = "the ring targets are looked for"
         self.reason = ""
-        self._looked = False  # at a frame
+        self.untracked = 0  # frames that came before the pose was known
         self._tracker: Tracker | None = None
         self._subject: BallSubject | None = None
         self._counter = Counter(settings.motion.matrix(rig.radius_m))
@@ -210,7 +210,7 @@ class BallFollower:
 
     def failure(self, unused: str) -> SpheremouseError | None:
         """PoseError where the camera's pose was never found."""
-        why = self.waiting if self._looked else unused or "the source gave no frame"
+        why = self.waiting if self.untracked else unused or "the source gave no frame"
         return PoseError(why) if self.waiting else None
 
     def last_words(self, failed: bool) -> tuple[str, ...]:
@@ -262,11 +262,11 @@ class BallFollower:
 
     def _look_for_targets(self, frame: Frame) -> None:
         """One view more; the pose once there are enough, or why not."""
-        self._looked = True
+        self.untracked += 1
         try:
             found = self._first_pose.look(frame)
             if found is not None:
-                self.stands(found.pose, f"camera pose: {_in_a_line(found, self.rig)}", found)
+                self.stands(found.pose, messages.standing(found, self.rig), found)
         except PoseError as e:
             self.waiting = str(e)
 
@@ -302,7 +302,7 @@ class BallFollower:
         except Exception:
             anew.give_up("internal error; the ball is looked for anew")
             raise
-        anew.answer(None, f"camera pose: {_in_a_line(found, self.rig)}")
+        anew.answer(None, messages.standing(found, self.rig))
         asked = tuple(replace(e, asked=True) if isinstance(e, CameraMoved) else e for e in made.events)
         return made._replace(events=asked)
 
@@ -326,11 +326,6 @@ def outputs_of(plan: Plan) -> tuple[Callable[[], Output], ...]:
 
 def _unsaid(_: str) -> None:
     """What is tried only is not told."""
-
-
-def _in_a_line(found: Resection, rig: Rig) -> str:
-    """What a log has room for: the targets and how well they fit."""
-    return describe(found, rig).splitlines()[0]
 
 
 class _Reinitialisation:

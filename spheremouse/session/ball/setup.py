@@ -4,9 +4,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
-from spheremouse.ball.pose import describe
 from spheremouse.ball.rig import Rig
 from spheremouse.capture import Source, open_source
+from spheremouse.session import messages
 from spheremouse.session.ball.follower import BallFollower, outputs_of
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.cameras import is_camera
@@ -52,10 +52,11 @@ class BallSetup:
         """The camera's pose from the first views that show enough targets; PoseError where none do."""
         device, settings, said = follower.rig, follower.settings, list[str]()
         start = initialise(frames, device, settings, report=said.append)
+        follower.untracked = start.passed
         for passed_over in said:
             follower.say(f"views passed over: {passed_over}")
         if start.resection is not None:
-            follower.stands(start.pose, f"camera pose: {describe(start.resection, device)}", start.resection)
+            follower.stands(start.pose, messages.standing(start.resection, device), start.resection)
         if device.scale_free:
             scale = settings.motion.scale(None)
             follower.say(f"the rig's scale is free: {scale:g} counts per radian (motion.counts_per_radian)")

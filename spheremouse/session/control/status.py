@@ -118,6 +118,7 @@ class StatusReport(_Part):
     pid: int
     config: str | None
     changes: list[str] = []
+    given: list[str] = []
     rig: str | None
     map: str | None
     recording: RecordingStatus | None

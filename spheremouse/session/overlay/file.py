@@ -12,6 +12,7 @@ from spheremouse.ball.state import Epoch, Tracker
 from spheremouse.errors import OutputError
 from spheremouse.files.atomic import replace
 from spheremouse.files.folders import NewFolder
+from spheremouse.output.pointer import Counts
 from spheremouse.session.overlay.ball import Overlay
 from spheremouse.session.overlay.pen import Image, Mark
 
@@ -46,12 +47,12 @@ class OverlayFile:
         """What will be drawn: known only once the camera's pose is."""
         self._overlay = Overlay(tracker, targets, self.scale(tracker.rig.camera.width))
 
-    def add(self, epoch: Epoch, counts: tuple[int, int, int]) -> None:
-        """One more epoch."""
+    def add(self, epoch: Epoch, counts: Callable[[], Counts]) -> None:
+        """One more epoch; `counts` gives their sum when it is drawn."""
         overlay = self._overlay
         assert overlay is not None
         overlay.remember(epoch.state)
-        self.show(lambda: overlay.draw(epoch, counts))
+        self.show(lambda: overlay.draw(epoch, counts()))
 
     def scale(self, width: int) -> int:
         """By how much frames of a width, px, are to be enlarged: pictures more, they are looked at on their own."""

@@ -54,13 +54,13 @@ class Archive:
         """Is the next frame needed in colour? A snapshot is; and what tracks a recording needs the targets' colours."""
         return self._bare or self._wanted is not None
 
-    def keep(self, made: Tracked, follower: Follower, counts: Counts) -> None:
-        """A tracked frame, for all that want it, and the sum of counts with it; its image is copied."""
+    def keep(self, made: Tracked, follower: Follower, counts: Callable[[], Counts]) -> None:
+        """A tracked frame, for all that want it, and the counts sent with it; its image is copied."""
         self._give_up()
         if self._recorder is not None and self._recorder.add(made.frame, follower.subject):
             self._bare &= made.frame.image.ndim != 3
             self._tell_first()
-        self._take_snapshot(lambda everything: follower.picture(made, counts, everything))
+        self._take_snapshot(lambda everything: follower.picture(made, counts(), everything))
 
     def look(self, frame: Frame, follower: Follower) -> None:
         """A frame that was not tracked; its image is copied."""

@@ -44,6 +44,7 @@ class WandFollower:
         self._change, self._more = "", list[str]()
         self.waiting = ""
         self.status = Status.SEARCHING
+        self.untracked = 0  # each is
         self._take_on(plan, make(plan), axes_of(plan) if axes is None else axes)
         self._told = Told(self.points, self.tracker.balls[self.points].name)
 
