@@ -129,10 +129,10 @@ def refusal(refused: Refused) -> str:
             return f"{inside} in {outside}, no third colour"
         case Bound.EDGES:
             return f"{refused.code}: edges not clear"
-        case Bound.SIZE:
-            return f"{refused.code}: too small"
         case Bound.CENTRE:
             return f"{refused.code}: not concentric"
+        case Bound.SIZE:
+            return f"{refused.code}: too small"
         case Bound.RATIO:
             return f"{refused.code}: rings out of proportion"
         case Bound.LIGHT:
@@ -149,13 +149,13 @@ def remedy(bound: Bound) -> str:
         case Bound.COLOURS:
             return "no target, or one that is covered in part"
         case Bound.EDGES:
-            return "focus the lens, hold the camera still"
+            return "focus the lens, hold the camera still, uncover all of it"
+        case Bound.CENTRE:
+            return "uncover all of it; is it a print of ours? (rings.concentric)"
         case Bound.SIZE:
             return "go nearer, choose a larger picture, or print larger targets (rings.min_radius)"
-        case Bound.CENTRE:
-            return "turn it towards the camera, lay it flat (rings.concentric)"
         case Bound.RATIO:
-            return "focus the lens; is it a print of other proportions? (rings.ratio)"
+            return "focus the lens; is it a print of ours? (rings.ratio)"
         case Bound.LIGHT:
             return "more light, or less glare (rings.saturation, rings.value)"
         case Bound.HUE:

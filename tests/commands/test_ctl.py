@@ -229,7 +229,7 @@ def test_times_are_said_as_people_say_them(seconds, words):
         (
             ["set", "motion.scale_x=2", "motion.scale_y=2"],
             {"command": "set", "assignments": ("motion.scale_x=2", "motion.scale_y=2")},
-            "configuration applied: motion",
+            "configuration applied: motion: motion.scale_x 1.0 → 2.0, motion.scale_y 1.0 → 2.0",
         ),
         (
             ["record", "bug-1", "--seconds", "60"],

@@ -5,6 +5,7 @@ was sent, was counted as unsent, or is still withheld; every frame was looked at
 """
 
 import contextlib
+import dataclasses
 import fcntl
 import json
 import os
@@ -20,10 +21,12 @@ import threading
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from daemon_world import DT, Film, World
 
+from spheremouse.ball.detect.rings import RingSettings, detect_targets
 from spheremouse.capture import fetch as capture_module
 from spheremouse.errors import ConfigurationError, ControlError
 from spheremouse.files.rig import rig_text
@@ -561,7 +564,7 @@ def test_the_pose_is_estimated_anew_while_the_ball_turns_and_nothing_jumps(playi
     world.moves = 47
     age = ask(world, "status")["pose"]["age_s"]
     text = ask(world, "reinit")["message"]
-    assert text.startswith("camera pose: targets")
+    assert text.startswith("camera pose: x ")
     world.until(lambda: world.moves == 0)
     world.settle()
     near(world)
@@ -647,6 +650,51 @@ def test_a_snapshot(playing):
     assert path.read_bytes().startswith(b"\x89PNG")
     assert ask(playing, "snapshot", file="a.png")["file"].endswith("a.png")
     assert "there already" in refused(playing, "snapshot", file="a.png")
+
+
+def test_a_snapshot_while_targets_are_sought(world):
+    """Targets as they are, the rest in blocks that nobody is recognised in; all of it only where that is asked for."""
+    rig = world.film.rig
+    assert rig.targets.codes == ("MCY", "CYM", "YMC", "CMY")
+    others = dataclasses.replace(rig, targets=dataclasses.replace(rig.targets, codes=("YCM", "CYM", "MYC", "CMY")))
+    (world.folder / "rig.yaml").write_text(rig_text(others))
+    world.start()
+    world.until(lambda: "which the rig does not have" in ask(world, "status")["reason"])
+    status = ask(world, "status")
+    assert status["state"] == "searching-targets"
+    assert status["targets"] == {"seen": ["CYM", "CMY"], "missing": ["YCM", "MYC"], "strangers": ["MCY", "YMC"]}
+    coarse, whole = (cv2.imread(ask(world, "snapshot", everything=e)["file"])[::2, ::2] for e in (False, True))
+    ball = slice(150, 330), slice(170, 430)  # without a target; nothing is written there
+    assert np.abs(whole[ball].astype(int) - world.film.colour[0][ball]).max() < 40  # enlarged and reduced
+    assert len(np.unique(coarse[ball].reshape(-1, 3), axis=0)) <= 9 * 12  # blocks of 27 px, begun ones too
+    x, y = (int(v) for v in detect_targets(world.film.colour[0], rig.targets.radii, RingSettings()).centre[0])
+    for picture in coarse, whole:
+        near = picture[y - 5 : y + 6, x + 4 : x + 9].reshape(-1, 3)  # between the arms of a cross, or on plain rings
+        assert len(np.unique(near, axis=0)) > 5
+
+
+def test_a_snapshot_of_pictures_of_another_size(playing):
+    playing.fault = "size"
+    playing.reach("no-camera")
+    assert cv2.imread(ask(playing, "snapshot")["file"]).shape == (960, 1280, 3)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "why"),
+    [
+        ("wand.particles=300", "the tracker in use, so3, does not read it"),
+        ("control.clients=3", "read at the start only"),
+    ],
+)
+def test_what_could_not_take_effect_is_refused(world, assignment, why):
+    world.start(assignments=("loss.lost_after=0.5",))
+    world.reach("tracking")
+    assert why in refused(world, "set", assignments=[assignment, "motion.scale_x=5"])
+    assert ask(world, "status")["changes"] == []
+    assert ask(world, "status")["given"] == ["loss.lost_after"]
+    done = ask(world, "set", assignments=["motion.scale_x=5", "motion.scale_y=1"])
+    assert done["values"] == {"motion.scale_x": [1.0, 5.0], "motion.scale_y": [1.0, 1.0]}
+    assert "motion.scale_x 1.0 → 5.0, motion.scale_y 1.0 already" in done["message"]
 
 
 def test_a_snapshot_is_for_owner_and_group_and_leaves_room_on_the_disk(playing):

@@ -78,7 +78,7 @@ def test_targets_first_in_colour_then_the_ball_in_grey(film):
     assert play.asked == [True]
     assert play() is None  # the second view
     assert play.follower.waiting == ""
-    assert play.said[0].startswith("camera pose: targets")
+    assert play.said[0].startswith("camera pose: x ")
     made = [play(k) for k in range(24)]
     assert all(m is not None for m in made)
     assert play.asked == [False]
@@ -214,6 +214,6 @@ def test_a_pose_asked_for_is_answered_once_whatever_happens(film):
         assert time.monotonic() < end
         play()
     assert answers[3][0] is None
-    assert answers[3][1].startswith("camera pose: targets")
+    assert answers[3][1].startswith("camera pose: x ")
     play()
     assert play.follower.pose is not pose

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import permutations
 
+import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
@@ -26,6 +27,7 @@ from spheremouse.geometry.rotation import Array
 
 _SMALLEST = 0.5  # px, radius of an inner disc: less than a pixel is nothing
 _MIXED = 2.0  # px, radius of an inner disc below which few of its pixels have its colour alone
+_RATIO = 3.0  # by which proportions may be wrong: a ring would be as wide as all of the target
 _HUES = 12  # of OpenCV's 180: neighbours are 60 apart
 _PALE = 25  # saturation and value below which a colour is the noise of grey
 
@@ -60,8 +62,15 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
     proportion = np.asarray(radii, dtype=float) / radii[-1]
     spots = spots_of(image, settings)
     found = _Places(seen)
-    for nest in candidates_of(spots, proportion, settings, image.shape)[0]:
-        found.add(nest.code, nest.middle, float(np.sqrt(nest.half.prod())), Bound.EDGES)
+    for bound, wider in (
+        (Bound.EDGES, settings),
+        (Bound.CENTRE, replace(settings, concentric=1.0)),
+        (Bound.RATIO, replace(settings, ratio=max(settings.ratio, _RATIO))),
+    ):
+        nests = candidates_of(spots, proportion, wider, image.shape)[0]
+        for nest in sorted(nests, key=lambda nest: -nest.area):  # rings within one are not another
+            if cv2.contourArea(nest.outline, oriented=True) < 0.0:  # no hole in a ring
+                found.add(nest.code, nest.middle, float(np.sqrt(nest.half.prod())), bound)
     for bound, wider in _widened(settings):
         more = detect_targets(image, radii, wider)
         for code, centre, radius in zip(more.codes, more.centre, more.radius, strict=True):
@@ -90,8 +99,6 @@ def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
     pale = replace(s, saturation=(min(s.saturation[0], _PALE), 255), value=(min(s.value[0], _PALE), 255))
     return (
         (Bound.SIZE, replace(s, min_radius=min(s.min_radius, _SMALLEST))),
-        (Bound.CENTRE, replace(s, concentric=1.0)),
-        (Bound.RATIO, replace(s, ratio=max(s.ratio, 3.0))),
         (Bound.LIGHT, pale),
         (Bound.HUE, replace(s, **hues)),
     )

@@ -34,7 +34,7 @@ from spheremouse.tracker import Frame
 _SETTLING = 1.0  # s that a camera takes for its exposure
 _FILM = 5.0  # pictures a second: each takes tenths of one
 _USUAL = np.array([1.0, 2.0, 3.0])  # proportions of the targets that `calibrate print` makes
-_SHARP, _SOFT = 0.9, 1.5  # px of blur: a lens in focus has 0.3 to 0.7; rings of 4 px begin to go from 1.5 on
+_SHARP, _SOFT = 1.0, 1.5  # px of blur: a lens in focus has 0.3 to 0.7; rings of 4 px begin to go from 1.5 on
 
 
 @dataclass(frozen=True, slots=True)

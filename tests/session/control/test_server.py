@@ -134,7 +134,13 @@ class Daemon:
         match request:
             case protocol.Set(assignments=what):
                 names = sorted({a.partition(".")[0] for a in what})
-                reply({"changed": names, "message": f"configuration applied: {', '.join(names)}"})
+                if "source" in names:
+                    words = "source: said on the command line, which comes before what is set; start again without it"
+                    raise ControlError(words)
+                values = {k: [1.0, float(v)] for k, _, v in (a.partition("=") for a in what)}
+                told = ", ".join(f"{k} {old} → {new}" for k, (old, new) in values.items())
+                words = f"configuration applied: {', '.join(names)}: {told}"
+                reply({"changed": names, "values": values, "message": words})
             case protocol.Record(stop=True):
                 words = f"{folder}bug-1: 512 frames in 8.5 s, 3.1 MB; ended as asked"
                 reply({"folder": folder + "bug-1", "frames": 512, "message": words})
