@@ -113,8 +113,8 @@ class Loader:
             if path in self._files:
                 self._files[path] = stamp  # when it was read: what was written since is news
         ended = go_over()
-        text = f"configuration applied: {', '.join(changed) if changed else 'nothing has changed'}"
-        text += f": {told(exact)}" if exact else ""
+        read = [name for name in changed if name in ("rig", "map", "balls") and name not in exact]  # from their files
+        text = f"configuration applied: {', '.join(filter(None, (told(exact), *read))) or 'nothing has changed'}"
         later = [name for name in changed if name in AT_START]
         if later:
             text += f" ({', '.join(later)}: from the next start on)"

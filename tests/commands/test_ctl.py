@@ -229,7 +229,7 @@ def test_times_are_said_as_people_say_them(seconds, words):
         (
             ["set", "motion.scale_x=2", "motion.scale_y=2"],
             {"command": "set", "assignments": ("motion.scale_x=2", "motion.scale_y=2")},
-            "configuration applied: motion: motion.scale_x 1.0 → 2.0, motion.scale_y 1.0 → 2.0",
+            "configuration applied: motion.scale_x 1.0 → 2.0, motion.scale_y 1.0 → 2.0",
         ),
         (
             ["record", "bug-1", "--seconds", "60"],
@@ -376,3 +376,21 @@ def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
     code, out, err = ctl("save")
     assert (code, out) == (1, "")
     assert err == "spheremouse: the daemon has no configuration file; start it with --config FILE to have one\n"
+
+
+def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it_is_set(ctl, daemon, tmp_path):
+    file = tmp_path / "config.yaml"
+    file.write_text("schema: 2\n# of the hall\n")
+    daemon.status = {**daemon.status, "config": str(file), "changes": ["motion.scale_x=2"], "given": ["motion.scale_y"]}
+    code, out, err = ctl("set", "motion.scale_x=2", "--save")
+    assert (code, err) == (0, "")
+    applied = "configuration applied: motion.scale_x 1.0 → 2.0"
+    assert out == f"{applied}\n{file}: saved: motion.scale_x=2\n"
+    assert file.read_text() == "schema: 2\n# of the hall\nmotion:\n  scale_x: 2.0\n"
+    code, out, _ = ctl("set", "motion.scale_x=2", "--save", "--json")
+    assert json.loads(out)["saved"] == ["motion.scale_x=2"]
+    daemon.asked.clear()
+    code, out, err = ctl("set", "motion.scale_y=2", "--save")
+    assert (code, out) == (1, "")
+    assert err.startswith("spheremouse: motion.scale_y: said on the daemon's command line, which comes before the file")
+    assert [request.command for request in daemon.asked] == ["status"]

@@ -60,7 +60,7 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
     `radii` (3,) are the rig's circles, in any unit. Takes ten times as long as `detect_targets`.
     """
     proportion = np.asarray(radii, dtype=float) / radii[-1]
-    spots = spots_of(image, settings)
+    spots = {colour: _without_holes(s) for colour, s in spots_of(image, settings).items()}
     found = _Places(seen)
     for bound, wider in (
         (Bound.EDGES, settings),
@@ -69,8 +69,7 @@ def refused_targets(image: Image, radii: Array, settings: RingSettings, seen: Ta
     ):
         nests = candidates_of(spots, proportion, wider, image.shape)[0]
         for nest in sorted(nests, key=lambda nest: -nest.area):  # rings within one are not another
-            if cv2.contourArea(nest.outline, oriented=True) < 0.0:  # no hole in a ring
-                found.add(nest.code, nest.middle, float(np.sqrt(nest.half.prod())), bound)
+            found.add(nest.code, nest.middle, float(np.sqrt(nest.half.prod())), bound)
     for bound, wider in _widened(settings):
         more = detect_targets(image, radii, wider)
         for code, centre, radius in zip(more.codes, more.centre, more.radius, strict=True):
@@ -106,6 +105,12 @@ def _widened(s: RingSettings) -> tuple[tuple[Bound, RingSettings], ...]:
 
 def _hues(s: RingSettings) -> dict[str, tuple[int, int]]:
     return {"cyan": s.cyan, "magenta": s.magenta, "yellow": s.yellow}
+
+
+def _without_holes(spots: Spots) -> Spots:
+    """Without the outlines of holes in rings: of a target whose proportions are wrong, one may pass for its ring."""
+    keep = [k for k, c in enumerate(spots.contours) if cv2.contourArea(c, oriented=True) < 0.0]
+    return Spots(tuple(spots.contours[k] for k in keep), spots.centre[keep], spots.radius[keep])
 
 
 def _pairs(spots: dict[str, Spots], proportion: Array, settings: RingSettings) -> list[tuple[str, Array, float]]:

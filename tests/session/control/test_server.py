@@ -139,7 +139,7 @@ class Daemon:
                     raise ControlError(words)
                 values = {k: [1.0, float(v)] for k, _, v in (a.partition("=") for a in what)}
                 told = ", ".join(f"{k} {old} → {new}" for k, (old, new) in values.items())
-                words = f"configuration applied: {', '.join(names)}: {told}"
+                words = f"configuration applied: {told}"
                 reply({"changed": names, "values": values, "message": words})
             case protocol.Record(stop=True):
                 words = f"{folder}bug-1: 512 frames in 8.5 s, 3.1 MB; ended as asked"

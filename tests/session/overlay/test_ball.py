@@ -140,7 +140,7 @@ def test_a_file_has_its_name_only_when_it_is_complete(tmp_path):
         for k, (tracker, epoch) in enumerate(epochs(640, 480, frames=3)):
             if k == 0:
                 file.begin(tracker, ())
-            file.add(epoch, (0, 0, 0))
+            file.add(epoch, lambda: (0, 0, 0))
             assert not path.exists()
             assert len(list(tmp_path.iterdir())) == 1
     assert list(tmp_path.iterdir()) == [path]
