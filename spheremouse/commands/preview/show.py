@@ -182,9 +182,7 @@ def _looked_at(wanted: Wanted, realtime: bool) -> Iterator[tuple[Iterator[Frame]
         node = node_of_source(wanted.source)
         stack.enter_context(nullcontext() if node is None else claimed(node))
         opened = (
-            v4l2.stream(argument, settings.camera)
-            if kind == "v4l2"
-            else open_source(wanted.source, realtime=realtime)
+            v4l2.stream(argument, settings.camera) if kind == "v4l2" else open_source(wanted.source, realtime=realtime)
         )
         source: Source = stack.enter_context(opened)
         rig = rig or source.rig
