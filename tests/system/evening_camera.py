@@ -26,9 +26,13 @@ def main() -> None:
     device.set_format(BufferType.VIDEO_OUTPUT, width, height, "YUYV")
     pipe = os.open(fifo, os.O_RDWR)  # it never ends, as it has a writer
     pictures, hold, began, line = film(first, width, height), 1.0, time.monotonic(), ""
+    told = False
     while line != "end":
         k = min(int((time.monotonic() - began) / hold), len(pictures) - 1)
         os.write(device.fileno(), pictures[k].tobytes())
+        if not told:
+            told = True
+            print("writing", flush=True)
         if select.select([pipe], [], [], min(INTERVAL, hold))[0]:
             line = os.read(pipe, 4096).decode().strip()
             if line != "end":
