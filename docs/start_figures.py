@@ -1,9 +1,10 @@
 """The table of docs/performance.md on how soon a command answers: python docs/start_figures.py [--write].
 
 Each command in turn, round after round, in a process of its own; of each the least time, as others on the machine only
-add to it. Takes a minute or two. Without --write the table is printed.
+add to it. Takes some minutes, and wants a machine that does nothing else. Without --write the table is printed.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -12,11 +13,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import typer.main
-
-from spheremouse.commands import app
 
 PAGE = Path(__file__).with_name("performance.md")
 MARKS = "<!-- table: docs/start_figures.py -->", "<!-- end of table -->"
@@ -25,14 +21,25 @@ PASS = "python -c pass"
 NEXT, STATUS = "spheremouse calibrate next FOLDER", "spheremouse ctl status"
 ASKED = {"help": "0.5 s, 80 MB", "next": "1 s", "status": "0.3 s"}
 
+# in a process of its own: what a child is said to take at most is no less than its parent had when it began
+_WALK = """
+import json, typer.main
+from spheremouse.commands import app
+
+def walk(command, words):
+    yield words
+    for name, inner in getattr(command, "commands", {}).items():
+        yield from walk(inner, [*words, name])
+
+print(json.dumps(list(walk(typer.main.get_command(app), []))))
+"""
+
 Figures = tuple[float, float, float]  # s by the clock, s of the processor, MB
 
 
-def commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+def commands() -> list[list[str]]:
     """Words of every command and of every group of them."""
-    yield words
-    for name, inner in getattr(command, "commands", {}).items():
-        yield from commands(inner, (*words, name))
+    return json.loads(subprocess.run([sys.executable, "-c", _WALK], check=True, stdout=subprocess.PIPE).stdout)
 
 
 def measured(words: list[str]) -> Figures:
@@ -65,12 +72,14 @@ def main() -> str:
     """The table."""
     before = os.getloadavg()[0]
     ours = [sys.executable, "-m", "spheremouse"]
-    helps = {
-        " ".join(["spheremouse", *w, "--help"]): [*ours, *w, "--help"] for w in commands(typer.main.get_command(app))
-    }
+    helps = {" ".join(["spheremouse", *w, "--help"]): [*ours, *w, "--help"] for w in commands()}
     with tempfile.TemporaryDirectory() as name, daemon(Path(name)) as socket:
         folder = str(Path(name) / "cabinet")
-        subprocess.run([*ours, "calibrate", "practice", folder, "--photos", "6", "--boards", "15"], check=True)
+        subprocess.run(
+            [*ours, "calibrate", "practice", folder, "--photos", "6", "--boards", "15"],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
         asked = {PASS: [sys.executable, "-c", "pass"], **helps}
         asked[NEXT] = [*ours, "calibrate", "next", folder]
         asked[STATUS] = [*ours, "ctl", "status", "--socket", str(socket)]

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,7 @@ def test_an_account_without_a_place_gets_the_services_or_a_private_one(monkeypat
     cache = tmp_path / "cache"
     cache.mkdir()
     monkeypatch.setenv("CACHE_DIRECTORY", str(cache))
-    monkeypatch.setattr(compiled.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(compiled, "_writable", lambda folder: given and folder == cache)
     compiled.keep_somewhere()
     kept = Path(os.environ["NUMBA_CACHE_DIR"])
@@ -40,7 +41,7 @@ def test_a_folder_that_others_may_write_is_not_trusted(monkeypatch, tmp_path):
     planted = tmp_path / f"spheremouse-{os.getuid()}"
     planted.mkdir(mode=0o777)
     planted.chmod(0o777)
-    monkeypatch.setattr(compiled.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
     assert compiled._private() != planted
 
 
