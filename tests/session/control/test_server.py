@@ -134,7 +134,7 @@ class Daemon:
         match request:
             case protocol.Set(assignments=what):
                 names = sorted({a.partition(".")[0] for a in what})
-                if "source" in names:
+                if any(a.startswith("source=") for a in what):
                     words = "source: said on the command line, which comes before what is set; start again without it"
                     raise ControlError(words)
                 values = {k: [1.0, float(v)] for k, _, v in (a.partition("=") for a in what)}
