@@ -141,7 +141,8 @@ def test_a_run_gives_counts_that_sum_to_the_motion_and_says_what_happened(sphere
     assert f"60 frames; counts x {x:+d}, y {y:+d}, third {z:+d}; " in err
     lines = err.splitlines()
     assert sum("camera pose" in line for line in lines) == 1
-    assert sum("sigma" in line for line in lines) == 1
+    assert sum("one standard deviation" in line for line in lines) == 1
+    assert not any("rot X" in line for line in lines)  # correlations: --verbose
     assert sum("tracking: " in line for line in lines) == 1
     assert sum("the ball turns" in line for line in lines) == 1
     assert cv2.imread(str(picture)).shape == (960, 1280, 3)
