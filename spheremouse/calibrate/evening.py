@@ -136,6 +136,15 @@ def rolling_command(folder: Path, *, again: bool = False) -> str:
     return _command("rolling", *given, "--out", folder / _RIG_FILE, again=again)
 
 
+def axes_command(rig: Path, source: str | None = None) -> str:
+    """Command that asks which way is right, and keeps it beside a rig; by default with the usual camera."""
+    folder = rig.parent
+    config = folder / _CONFIG_FILE
+    given = ["--rig", str(rig), "--source", source or _source(folder)]
+    known = config.exists() and rig.name == _RIG_FILE
+    return shlex.join(["spheremouse", "axes", "--config", str(config), *([] if known else given)])
+
+
 def init_command(folder: Path) -> str:
     """Command that makes the folder."""
     return _command("init", folder)
@@ -266,8 +275,7 @@ def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
 def _axes_step(folder: Path) -> Step:
     path = folder / _CONFIG_FILE
     todo = ("Which way is right? Stand where the player stands, and show it; the answers are asked for one by one:",)
-    given = ["--rig", str(folder / _RIG_FILE), "--source", _source(folder)]
-    command = shlex.join(["spheremouse", "axes", "--config", str(path), *([] if path.exists() else given)])
+    command = axes_command(folder / _RIG_FILE)
     if not path.exists():
         return Step("axes", "next", "not asked yet", todo, command)
     try:

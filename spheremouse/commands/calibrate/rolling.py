@@ -248,10 +248,12 @@ def _footage(given: _Given, live: bool, ask: bool) -> Any:
 
 def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
     """Rig, map and figures into their files, and what was found to the reader."""
+    from spheremouse.calibrate.evening import axes_command
     from spheremouse.calibrate.rolling.advice import advise
     from spheremouse.calibrate.rolling.report import figures, text
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import save_rig
+    from spheremouse.session.cameras import is_camera
 
     result = figures(solution, made.axes, made.source, made.rig)
     if given.out is not None:
@@ -275,4 +277,5 @@ def _write(given: _Given, solution: "Solution", made: "Calibrated") -> None:
         typer.echo("nothing written: keep it with --out rig.yaml", err=printed)
     else:
         typer.echo(f"{given.out}: written, and the map of the discs beside it: {map_path(given.out)}", err=printed)
-        typer.echo(f"Next: spheremouse axes --rig {given.out} --source {given.source}", err=printed)
+        follows = axes_command(given.out, given.source if is_camera(given.source) else None)
+        typer.echo(f"next: {follows}", err=printed)

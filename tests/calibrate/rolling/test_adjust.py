@@ -518,6 +518,9 @@ def test_far26_without_photos(far26, tmp_path):
     out, figures = tmp_path / "rig.yaml", tmp_path / "rolled.json"
     result = run("--source", f"dataset:{far26}", "--seconds", "6", "--out", out, "--json", figures)
     assert result.exit_code == 0, result.output
+    follows = result.output.splitlines()[-1]
+    assert follows.startswith(f"next: spheremouse axes --config {tmp_path / 'config.yaml'} --rig {out} --source ")
+    assert "dataset:" not in follows  # gestures are shown to the camera
     told = json.loads(figures.read_text())
     pose = open_dataset(far26).pose
     true = pose.to_cam(np.zeros(3))

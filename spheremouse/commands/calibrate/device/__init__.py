@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse import __version__
-from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
+from spheremouse.calibrate.outputs import check_outputs, note, sha256
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
@@ -57,8 +57,8 @@ def device(
     from spheremouse.calibrate.device.advice import advise
     from spheremouse.calibrate.device.report import write_device_report
     from spheremouse.calibrate.device.results import device_json
+    from spheremouse.calibrate.evening import axes_command
     from spheremouse.calibrate.photos import check_size, read_photos
-    from spheremouse.capture.usual import usual_camera
     from spheremouse.commands.calibrate.device.text import device_text
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
@@ -93,10 +93,8 @@ def device(
         return
     device_text(calibration, names, advice)
     typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
-    typer.echo(f"next: {copyable('spheremouse', 'axes', '--rig', out, '--source', usual_camera())}")
-    typer.echo(
-        "      with --camera FILE where the camera runs in another mode than the photos'; --output uinput is the mouse"
-    )
+    typer.echo(f"next: {axes_command(out)}")
+    typer.echo("      with --camera FILE where the camera runs in another mode than the photos'")
 
 
 def _check_inputs(device_file: Path, camera_file: Path) -> None:
