@@ -62,7 +62,7 @@ def device(
     from spheremouse.commands.calibrate.device.text import device_text
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
-    from spheremouse.files.device import load_device, untouched
+    from spheremouse.files.device import UNTOUCHED, load_device, untouched
     from spheremouse.files.disc_map import map_path, save_map, saved_now
     from spheremouse.files.rig import load_camera, save_rig
 
@@ -70,11 +70,14 @@ def device(
     check_outputs([out, the_map, page, json_file], [*photos, device_file, camera_file, config], force)
     _check_inputs(device_file, camera_file)
     known, camera = load_device(device_file), load_camera(camera_file)
+    if untouched(device_file):
+        raise CalibrationError(
+            f"{device_file}: not filled in yet; enter your targets and distances, then delete its first line "
+            f"({UNTOUCHED.partition(':')[0]} ...); if it is all true of your device already, delete that line alone"
+        )
     chosen = in_force(config, settings or (), root())
     found = read_photos(photos, note=note)
     check_size(found, camera, camera_file)
-    if untouched(device_file):
-        note(f"{device_file}: still as `calibrate init` wrote it; check every line, then delete its first")
     calibration = _calibrated(found, known, camera, device_file, chosen)
     names = [p.path.name for p in found]
     advice = advise(calibration, names)
