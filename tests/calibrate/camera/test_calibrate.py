@@ -1,6 +1,7 @@
 """`spheremouse calibrate camera`: photos in, camera.yaml and reports out; what bad input is told."""
 
 import json
+import shlex
 import re
 from html.parser import HTMLParser
 
@@ -142,6 +143,20 @@ def test_nothing_there_is_overwritten(made, folder):
 def test_bad_input_is_told_what_to_do(folder, tmp_path, words, said):
     assert said in refused(folder, *words, "--out", tmp_path / "camera.yaml")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_photos_it_asks_for_them_first():
+    assert "which photos, of which board? example: spheremouse calibrate camera board/ --board" in refused()
+
+
+def test_what_comes_next_is_there(made, folder):
+    """Not a file that nobody has made; and more photos need --force."""
+    path, _ = made
+    said = run(folder, *BOARD, "--out", path / "camera.yaml", "--force").output.splitlines()
+    assert f"next: spheremouse calibrate init {path}" in said
+    words = shlex.split(next(line for line in said if line.startswith("with more photos")).partition(": ")[2])
+    again = ["camera", str(folder), *BOARD, "--out", str(path / "camera.yaml"), "--force"]
+    assert words == ["spheremouse", "calibrate", *again]
 
 
 def test_too_few_photos_are_named_with_the_reason(folder, tmp_path):

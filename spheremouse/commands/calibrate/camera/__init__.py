@@ -13,10 +13,13 @@ from spheremouse.files.atomic import write_json
 
 EXAMPLE = "Example: spheremouse calibrate camera board/ --board 11x8 --square 86mm --out camera.yaml"
 _TERMS = (0, 2, 4, 5)
+_ALL_TERMS = 5
 
 
 def camera(
-    photos: Annotated[list[Path], typer.Argument(metavar="PHOTOS...", help="Photos of the board, or their folder.")],
+    photos: Annotated[
+        list[Path] | None, typer.Argument(metavar="PHOTOS...", help="Photos of the board, or their folder.")
+    ] = None,
     board: Annotated[
         str, typer.Option(metavar="CxR", help="Inner corners along and down: one less than squares.")
     ] = "11x8",
@@ -31,7 +34,7 @@ def camera(
     ] = "DICT_5X5_100",
     distortion: Annotated[
         int, typer.Option(metavar="0|2|4|5", help="Terms of the lens: k1 k2, also p1 p2, also k3.")
-    ] = 5,
+    ] = _ALL_TERMS,
     out: Annotated[Path, typer.Option(metavar="FILE", help="The camera file to write.")] = Path("camera.yaml"),
     report: Report = None,
     json_file: Json = None,
@@ -43,17 +46,23 @@ def camera(
     reaching into all corners of the picture. `calibrate photos --for camera` takes them.
     """
     from spheremouse.calibrate.board_file import BoardFile
+    from spheremouse.calibrate.camera.advice import advise
     from spheremouse.calibrate.camera.calibrate import calibrate, provenance
     from spheremouse.calibrate.camera.corners import pattern_of
     from spheremouse.calibrate.camera.report import camera_json, write_camera_report
-    from spheremouse.calibrate.evening import photos_command
-    from spheremouse.calibrate.photos import has_photos, read_photos
+    from spheremouse.calibrate.photos import read_photos
     from spheremouse.commands.calibrate.camera.text import camera_text
     from spheremouse.files.rig import save_camera
 
+    if not photos:
+        raise CalibrationError(f"which photos, of which board? {EXAMPLE[0].lower()}{EXAMPLE[1:]}")
     if square is None:
-        raise CalibrationError("--square: measure the side of a square on the print, and give it, as in --square 86mm")
-    pattern = pattern_of(BoardFile(board, square, marker, dictionary))
+        raise CalibrationError(
+            "--square: measure the side of a square on the print, and give it with the board's inner corners, as in "
+            "--board 11x8 --square 86mm"
+        )
+    told = BoardFile(board, square, marker, dictionary)
+    pattern = pattern_of(told)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
     page = report or out.with_suffix(".html")
@@ -70,9 +79,22 @@ def camera(
         return
     camera_text(done)
     typer.echo(f"{out}: the camera; {page}: the report")
+    if any(kind != "good" for kind, _ in advise(done)):
+        given = [*told.options, *([] if distortion == _ALL_TERMS else ["--distortion", str(distortion)])]
+        again = copyable("spheremouse", "calibrate", "camera", *photos, *given, "--out", out, "--force")
+        typer.echo(f"with more photos, again: {again}")
+    typer.echo(f"next: {_follows(out)}")
+
+
+def _follows(out: Path) -> str:
+    """The command after this one, by what is in the folder of the camera file."""
+    from spheremouse.calibrate.evening import init_command, photos_command
+    from spheremouse.calibrate.photos import has_photos
+
     folder = out.parent
+    if not (folder / "device.yaml").exists():
+        return init_command(folder)
+    if not has_photos(folder / "device") and out.name == "camera.yaml":
+        return photos_command(folder, "device")
     words = ("calibrate", "device", folder / "device", "--device", folder / "device.yaml", "--camera", out)
-    follows = copyable("spheremouse", *words, "--out", folder / "rig.yaml")
-    if (folder / "device.yaml").exists() and out.name == "camera.yaml" and not has_photos(folder / "device"):
-        follows = photos_command(folder, "device")
-    typer.echo(f"next: {follows}")
+    return copyable("spheremouse", *words, "--out", folder / "rig.yaml")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from spheremouse import __version__
-from spheremouse.calibrate.outputs import check_outputs, note, sha256
+from spheremouse.calibrate.outputs import check_outputs, copyable, note, sha256
 from spheremouse.commands.calibrate.options import Force, Json, Report
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
@@ -96,6 +96,11 @@ def device(
         return
     device_text(calibration, names, advice)
     typer.echo(f"{out}: the rig; {the_map}: where its discs are; {page}: the report")
+    if any(a.kind != "good" for a in advice):
+        files = ["--device", device_file, "--camera", camera_file, *([] if config is None else ["--config", config])]
+        files += [word for one in settings or () for word in ("--set", one)]
+        again = copyable("spheremouse", "calibrate", "device", *photos, *files, "--out", out, "--force")
+        typer.echo(f"with more photos, again: {again}")
     typer.echo(f"next: {axes_command(out)}")
     typer.echo("      with --camera FILE where the camera runs in another mode than the photos'")
 
