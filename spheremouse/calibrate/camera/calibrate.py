@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypeGuard
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from spheremouse.geometry.rotation import Array
 
 _NEAR, _FAR = 0.02, 30.0  # m: no webcam is sharp nearer, and no board that a person holds is of use farther away
 _RATIO = 0.1  # part by which a marker may seem to differ from what was said: blur makes small ones smaller
+_SURE = 12  # corners: grids of 3x3 are found in photos of a device, where there is no board
 _LOOSE = 0.1  # of the focal length: a standard deviation from which on it is not determined
 
 
@@ -91,12 +92,17 @@ def why_not(seen: Sighting, pattern: Pattern) -> str:
         if seen.misplaced:
             return "its markers do not lie as on this board"
         return f"shows {seen.markers} markers, too few" if seen.markers else "shows no marker of this board"
-    if seen.grid is None:
-        return "shows no chessboard"
     wanted = max(pattern.columns, pattern.rows), min(pattern.columns, pattern.rows)
     if seen.grid == wanted:
         return "the board cannot be made out sharply"
+    if not _is_board(seen.grid):
+        return "shows no chessboard"
     return f"shows {seen.grid[0]}x{seen.grid[1]} corners of a chessboard, not {_words(pattern)}"
+
+
+def _is_board(grid: tuple[int, int] | None) -> TypeGuard[tuple[int, int]]:
+    """Whether a grid of corners is a chessboard, rather than a few edges that happen to cross."""
+    return grid is not None and grid[0] * grid[1] >= _SURE
 
 
 def _words(pattern: Pattern) -> str:
@@ -107,13 +113,13 @@ def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pat
     """The reason why there are hardly any views, as far as the photos tell."""
     n = sum(1 for s in seen if len(s.ids))
     if pattern.marker is None:
-        grids = Counter(s.grid for s in seen if s.grid is not None and not len(s.ids))
+        grids = Counter(s.grid for s in seen if _is_board(s.grid) and not len(s.ids))
         wanted = max(pattern.columns, pattern.rows), min(pattern.columns, pattern.rows)
         grids.pop(wanted, None)
         if grids:
             (grid, times), *_ = grids.most_common()
             name = next(p.path.name for p, s in zip(photos, seen, strict=True) if s.grid == grid and not len(s.ids))
-            if times >= 2 and times > n and times >= 0.5 * grids.total():
+            if times >= 2 and times > n and times >= 0.5 * len(photos):
                 return CalibrationError(
                     f"the board in {name} has {grid[0]}x{grid[1]} inner corners, not {_words(pattern)}"
                     f" ({times} of {len(photos)} photos agree); give --board {grid[0]}x{grid[1]}, or photos of the "
@@ -131,10 +137,15 @@ def _too_few(photos: "Sequence[Photo]", seen: "Sequence[Sighting]", pattern: Pat
         )
     if pattern.marker is not None and name is None:
         grid = next((g for picture in blind if (g := find_board(picture, replace(pattern, marker=None)).grid)), None)
-        if grid is not None:
+        if _is_board(grid):
             return CalibrationError(
                 f"no marker found, but a chessboard with {grid[0]}x{grid[1]} inner corners; leave --marker out"
             )
+    if n == 0 and name is None and all(s.markers == 0 and not _is_board(s.grid) for s in seen):
+        return CalibrationError(
+            f"no board found in {len(photos)} photo{'' if len(photos) == 1 else 's'} ({photos[0].path} ...): are they "
+            f"photos of the board? It must be sharp, and {'whole in each' if pattern.marker is None else 'near'}"
+        )
     whole = "the whole board" if pattern.marker is None else "the board"
     return CalibrationError(
         f"{whole} ({_words(pattern)} inner corners) is seen in {n} of {len(photos)} photos, and 3 are the least; take "

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 import pytest
+from conftest import datasets_dir
 from boards import CAMERA, PATTERN, picture, places
 from typer.testing import CliRunner
 
@@ -143,6 +144,14 @@ def test_nothing_there_is_overwritten(made, folder):
 def test_bad_input_is_told_what_to_do(folder, tmp_path, words, said):
     assert said in refused(folder, *words, "--out", tmp_path / "camera.yaml")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_photos_of_the_device_are_not_taken_for_a_board_of_another_size(tmp_path):
+    """A grid of 3x3 is found in two of them; a board in none."""
+    said = refused(datasets_dir() / "stills" / "device", *BOARD, "--out", tmp_path / "c.yaml")
+    assert "no board found in" in said
+    assert "are they photos of the board?" in said
+    assert "3x3" not in said
 
 
 def test_without_photos_it_asks_for_them_first():
