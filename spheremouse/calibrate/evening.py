@@ -29,7 +29,7 @@ DEVICE_ENOUGH, DEVICE_MOST = 6, 12
 _BOARD, _DEVICE, _CAMERA_FILE, _DEVICE_FILE, _RIG_FILE = "board", "device", "camera.yaml", "device.yaml", "rig.yaml"
 _CONFIG_FILE = "config.yaml"
 
-State = Literal["done", "not needed", "next", "later"]
+State = Literal["done", "too few", "not needed", "next", "later"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +71,7 @@ class _Result:
     problem: tuple[str, ...] = ()  # why it cannot be used
     hashes: frozenset[str] = frozenset()  # of all it was made from
     photo_hashes: frozenset[str] = frozenset()
+    left_out: frozenset[str] = frozenset()  # hashes of photos
     board: tuple[str, ...] = ()  # options of the camera command
     size: tuple[int, int] | None = None  # px, of a camera
     doubts: tuple[str, ...] = ()  # what the calibration itself warned of
@@ -100,7 +101,7 @@ def checklist(folder: Path) -> list[Step]:
     return _in_turn(
         [
             _folder_step(folder, have_rig),
-            _board_step(folder, board, have_camera or have_rig),
+            _board_step(folder, board, have_camera or have_rig, camera.left_out if camera else frozenset()),
             _camera_step(folder, camera, board, have_rig),
             _device_file_step(folder, have_rig, rolling),
             _shots_step(folder, shots, have_rig, rolling),
@@ -184,11 +185,18 @@ def _folder_step(folder: Path, overtaken: bool) -> Step:
     return Step(name, _open(overtaken), f"{folder}, without {_DEVICE_FILE}", todo, init_command(folder))
 
 
-def _board_step(folder: Path, board: _Photos, overtaken: bool) -> Step:
+def _board_step(folder: Path, board: _Photos, overtaken: bool, left_out: frozenset[str]) -> Step:
+    """`left_out`: hashes of photos in which the calibration found no board, or one that does not fit."""
     name, n = "photos of the board", len(board.photos)
     if board.problem:
         return Step(name, _open(overtaken), board.found, board.problem)
-    if n >= BOARD_ENOUGH or (n and overtaken):
+    if n and overtaken:
+        good = sum(p.sha256 not in left_out for p in board.photos)
+        if good < BOARD_ENOUGH:
+            few = "" if good == n else f", {good} of use"
+            wanted = f"; {BOARD_ENOUGH} to {BOARD_MOST} make a lens reliable: {photos_command(folder, 'camera')}"
+            return Step(name, "too few", board.found + few + wanted)
+    if n >= BOARD_ENOUGH:
         return Step(name, "done", board.found)
     todo = (
         "Fix the board to something flat (to print one: `spheremouse calibrate print`) and stand before the camera. "
@@ -340,7 +348,8 @@ def _camera(path: Path) -> _Result | None:
     made = _provenance(path)
     words = f"{camera.width}x{camera.height}, focal length {camera.fx:.1f} px"
     size = camera.width, camera.height
-    return _Result(path, words, (), _hashes(made), _hashes(made.get("photos")), options_made_of(made), size)
+    used, left_out = _hashes(made.get("photos")), _hashes(made.get("left_out"))
+    return _Result(path, words, (), _hashes(made), used, left_out, options_made_of(made), size)
 
 
 def _rig(path: Path) -> _Result | None:

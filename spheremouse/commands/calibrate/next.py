@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "Example: spheremouse calibrate next cabinet"
 
-_STYLES = {"done": "green", "not needed": "dim", "next": "bold yellow", "later": "dim"}
+_STYLES = {"done": "green", "too few": "yellow", "not needed": "dim", "next": "bold yellow", "later": "dim"}
 
 
 def next_(

@@ -75,9 +75,9 @@ def next_of(folder):
     assert [s.name for s in steps] == NAMES
     states = [s.state for s in steps]
     k = states.index("next")
-    assert set(states[:k]) <= {"done", "not needed"}
+    assert set(states[:k]) <= {"done", "too few", "not needed"}
     assert states.count("next") == 1
-    assert all(not s.todo and not s.command for s in steps if s.state in {"done", "not needed"})
+    assert all(not s.todo and not s.command for s in steps if s.state in {"done", "too few", "not needed"})
     return steps[k]
 
 
@@ -170,7 +170,20 @@ def test_some_photos_are_counted_and_may_do(evening):
     assert "calibrate photos" in step.command
     assert "calibrate camera" in step.otherwise[0][1]
     make_camera(evening)
-    assert next_of(evening).name == "device.yaml"  # whoever went on is not asked again
+    assert next_of(evening).name == "device.yaml"  # whoever went on may go on
+    board = checklist(evening)[1]
+    assert board.state == "too few"
+    assert board.found.startswith(f"5 photos of 64x48 in {evening / 'board'}; 10 to 20 ")
+
+
+def test_photos_that_the_camera_did_not_use_do_not_count(evening):
+    photograph(evening / "board", BOARD_ENOUGH + 1)
+    every = provenance(evening / "board")["photos"]
+    for left, state in ((1, "done"), (2, "too few")):
+        save_camera(evening / "camera.yaml", CAMERA, {"photos": every[left:], "left_out": every[:left]})
+        tick(evening / "camera.yaml", 1)
+        assert checklist(evening)[1].state == state
+    assert f"{BOARD_ENOUGH - 1} of use" in checklist(evening)[1].found
 
 
 def test_photos_that_came_later_ask_for_another_run(finished):
