@@ -1,15 +1,15 @@
 """`spheremouse calibrate camera`: photos in, camera.yaml and reports out; what bad input is told."""
 
 import json
-import shlex
 import re
+import shlex
 from html.parser import HTMLParser
 
 import cv2
 import numpy as np
 import pytest
-from conftest import datasets_dir
 from boards import CAMERA, PATTERN, picture, places
+from conftest import datasets_dir
 from typer.testing import CliRunner
 
 from spheremouse.calibrate.camera.corners import Pattern
