@@ -23,7 +23,7 @@ from spheremouse import commands as cli
 from spheremouse.ball.compare_maps import compare
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.capture.stopping import Stopping
-from spheremouse.commands import demo
+from spheremouse.commands.demo import play as demo
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map, save_map, saved_now
 from spheremouse.files.rig import save_camera, save_rig
