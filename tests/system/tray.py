@@ -222,10 +222,11 @@ def test_the_icon_follows_every_change(world, backend):
 
 @pytest.mark.parametrize("ground", [(46, 52, 54), (240, 240, 240)], ids=["dark", "light"])
 @pytest.mark.parametrize("backend", ["appindicator", "xorg"])
-def test_around_the_icon_is_the_panel_whatever_its_colour(tmp_path, with_menu, backend, ground):
+@with_menu
+def test_around_the_icon_is_the_panel_whatever_its_colour(tmp_path, backend, ground):
     with contextlib.ExitStack() as stack:
         desk = Desk(stack, tmp_path, ground)
-        tray = stack.enter_context(World(desk, tmp_path).tray(**with_menu, PYSTRAY_BACKEND=backend))
+        tray = stack.enter_context(World(desk, tmp_path).tray(PYSTRAY_BACKEND=backend))
         assert until(lambda: desk.state() == "no-daemon")
         panel = Image.new("RGB", (SIDE - 8, SIDE), ground)  # what the tray is not as wide as
         seen = (
