@@ -162,7 +162,7 @@ def test_counts_are_the_integral_of_the_motion(playing):
     assert status["state"] == "tracking"
     assert (status["damaged"], status["unseen_s"], status["lost_count"]) == (0, 0.0, 0)
     assert status["output"] == {"spec": "sink:quiet", "failed": None, "reports": status["output"]["reports"],
-                                "unsent": [0, 0, 0], "ahead": [0, 0, 0]}  # fmt: skip
+                                "unsent": [0, 0, 0], "ahead": [0, 0, 0], "left_out": None}  # fmt: skip
     world.until(lambda: set(ask(world, "status")["stages_ms"]) == {"wait", "decode", "detect", "filter"})
     assert status["discs"] >= 4
     assert status["pose"]["position_m"][2] == pytest.approx(2.35, abs=0.01)
