@@ -473,6 +473,8 @@ def test_an_output_that_leaves_the_third_axis_out_says_so_when_it_is_taken(playi
         left_out = ask(world, "status")["output"]["left_out"]
         assert (left_out or "").startswith(words + spec) is ("third=" not in spec)
         assert times(world, words) == told
+    sent = sum(any(m.counts) for m in world.sent)
+    world.until(lambda: ask(world, "status")["output"]["reports"] == sent)  # those before are closed, and counted
 
 
 def test_what_was_set_lasts_until_the_next_reload(playing):
