@@ -476,7 +476,7 @@ def test_other_balls_are_looked_for_and_a_changed_file_is_heard_of(playing, monk
     ball = playing.film.scene.balls[0].ball
     (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="mine")))
     playing.config.write_text(playing.config.read_text().replace("axes: null", "balls: [mine.yaml]"))
-    playing.heard("configuration applied: balls")
+    playing.heard("configuration applied: wand.balls [] → ['mine.yaml'], balls")
     playing.heard("tracking: mine is followed")
     (playing.folder / "mine.yaml").write_text(wand_text(replace(ball, name="hers")))
     playing.heard("tracking: hers is followed")
@@ -522,8 +522,9 @@ def test_without_another_thread_no_output_is_changed(playing, monkeypatch):
     near(*playing.turn(20))
 
 
-def test_what_another_tracker_reads_changes_nothing(playing):
-    assert playing.client.ask("set", assignments=["motion.scale_x=3"])["changed"] == []
+def test_what_another_tracker_reads_is_refused(playing):
+    with pytest.raises(ControlError, match=r"motion\.scale_x: the tracker in use, wand, does not read it"):
+        playing.client.ask("set", assignments=["motion.scale_x=3"])
 
 
 def test_a_complaint_is_said_with_the_frame_that_finds_the_ball(world, monkeypatch):
