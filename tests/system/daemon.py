@@ -217,7 +217,7 @@ class Program:
 
     @property
     def out(self):
-        return Path(f"{self._name}.out").read_text()
+        return Path(f"{self._name}.out").read_text() if Path(f"{self._name}.out").exists() else ""
 
     @property
     def said(self):
@@ -494,7 +494,7 @@ def test_while_paused_nothing_moves_and_nothing_is_saved_up(cabinet):
     at_rest(cabinet.mouse.counts, before)
 
 
-@pytest.mark.parametrize("player", reversed(LOOKS))  # the far side last, where the other tests stand
+@pytest.mark.parametrize("player", list(reversed(LOOKS)))  # the far side last, where the other tests stand
 def test_the_kernels_pointer_follows_the_hand_on_the_top_of_the_ball(cabinet, player):
     """REL_X is right and REL_Y is down, as the player looks at the ball, whose film turns as it is known to."""
     if cabinet.told("set", assignments=[f"motion.player={player}"])["changed"]:
