@@ -639,7 +639,7 @@ def test_axes_asks_for_three_gestures_and_writes_down_where_the_player_stands(ca
             cabinet.writer.play(range(len(film)), AXES_INTERVAL)
     assert asked.wait() == 0, asked.said
     print(asked.out)
-    assert config.read_text() == seated.replace("left", "far-side")
+    assert config.read_text() == seated.replace("left", "'far-side'")
 
 
 def test_a_camera_without_ball_and_with_stamps_ahead_of_the_clock(cabinet):
