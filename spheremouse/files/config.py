@@ -37,7 +37,7 @@ def load(path: Path, root: type[S]) -> S:
 def loads(document: Document, root: type[S]) -> S:
     """Settings of a document already read."""
     document = without_schema(document, KIND)
-    names = [field.name for field in dataclasses.fields(root)]  # type: ignore[arg-type]
+    names = [field.name for field in dataclasses.fields(typing.cast(Any, root))]
     strange = [key for key in document.data if key not in names]
     if len(strange) > max(2, len(document.data) // 2):  # of so many none is a slip
         what = f"is this a configuration? {', '.join(map(str, strange))} stand in none"

@@ -1,13 +1,14 @@
 """From `KIND:ARGUMENT` to what the capture thread opens, again and again."""
 
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 from spheremouse.capture import Camera, Source, open_source
 from spheremouse.capture.fetch import Streamed
 from spheremouse.capture.lock import Claimed, claimed
+from spheremouse.capture.settings import CameraSettings
 from spheremouse.session.plan import Plan
 
 
@@ -39,6 +40,25 @@ def opener(plan: Plan, open_recording: Callable[[Plan], Source], first: Source |
         return open_it() if node is None else Claimed(node, open_it)
 
     return open_held
+
+
+@contextmanager
+def looked_through(source: str, settings: CameraSettings, realtime: bool = False) -> Iterator[Source]:
+    """The frames of a source for who takes pictures, not motion; a camera is set as `settings` ask, its node held.
+
+    SourceError where another daemon has it.
+    """
+    kind, _, argument = source.partition(":")
+    node = node_of_source(source)
+    with nullcontext() if node is None else claimed(node):
+        if kind == "v4l2":
+            from spheremouse.capture import v4l2
+
+            opened = v4l2.stream(argument, settings)
+        else:
+            opened = open_source(source, realtime=realtime)
+        with opened as stream:
+            yield stream
 
 
 def refuse_if_taken(plan: Plan) -> None:

@@ -19,6 +19,7 @@ from spheremouse.files.rig import load_camera, load_rig
 from spheremouse.files.wand import load_wand
 from spheremouse.files.yaml import Key, Problem
 from spheremouse.geometry.camera import InteriorOrientation
+from spheremouse.session.cameras import node_of_source
 from spheremouse.session.plan import beside
 from spheremouse.session.settings import Configuration
 
@@ -126,10 +127,9 @@ def _size_to_come(c: Configuration, found: Found) -> tuple[Size | None, Key]:
         seen = "" if Path(argument).is_absolute() else ", seen from this folder"
         report = found.wrong if Path(argument).is_absolute() else found.now
         report.append(Problem(("source",), f"{argument}: not there{seen}; check the path"))
-    if kind == "opencv" and os.path.isdir("/sys/class/video4linux"):
-        node = Path(f"/dev/video{argument.partition(',')[0].strip()}")
-        if not node.exists():
-            found.now.append(Problem(("source",), f"{node} is not there now; plug the camera in"))
+    node = node_of_source(c.source or "") if kind == "opencv" and _NODES.is_dir() else None
+    if node is not None and not node.exists():
+        found.now.append(Problem(("source",), f"{node} is not there now; plug the camera in"))
     if kind != "v4l2":
         return None, ("source",)
     return _camera_size(argument, c, found)

@@ -189,8 +189,6 @@ def full_size(argument: str, most: tuple[int, int]) -> tuple[int, int] | None:
     device = Device(find(argument.partition(",")[0]))
     try:
         return device.largest(most)
-    except OSError as e:
-        raise device.failure(e) from None
     finally:
         device.close()
 

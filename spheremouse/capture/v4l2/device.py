@@ -142,11 +142,14 @@ class Device:
     def largest(self, most: tuple[int, int]) -> tuple[int, int] | None:
         """The largest size up to `most` at which enough frames come; None where the driver does not say."""
         found: set[tuple[int, int]] = set()
-        for code in self._formats().values():
-            sizes = self._sizes(code)
-            some = (*sizes.some, *([most] if sizes.told and sizes.hold(most) else []))
-            fitting = {s for s in some if s[0] <= most[0] and s[1] <= most[1]}
-            found |= {s for s in fitting if self._at_most(code, s, _ENOUGH) > 0.8 * _ENOUGH}
+        try:
+            for code in self._formats().values():
+                sizes = self._sizes(code)
+                some = (*sizes.some, *([most] if sizes.told and sizes.hold(most) else []))
+                fitting = {s for s in some if s[0] <= most[0] and s[1] <= most[1]}
+                found |= {s for s in fitting if self._at_most(code, s, _ENOUGH) > 0.8 * _ENOUGH}
+        except OSError as e:
+            raise self.failure(e) from None
         return max(found, key=lambda s: s[0] * s[1], default=None)
 
     def size_to_come(self, settings: CameraSettings) -> tuple[int, int]:

@@ -142,33 +142,20 @@ def _opened(
     source: str | None, configured: "Configuration", folder: Path, place: Path, screen: "Screen"
 ) -> Iterator["Source"]:
     """The camera, in the mode of the photos there are."""
-    from contextlib import ExitStack
-    from dataclasses import replace
-
-    from spheremouse.capture import open_source
+    from spheremouse.capture import v4l2
     from spheremouse.capture.usual import in_size, usual_camera
-    from spheremouse.session.cameras import node_of_source
+    from spheremouse.session.cameras import looked_through, node_of_source
 
     spec = source or configured.source or usual_camera()
     kind, _, argument = spec.partition(":")
     size = _size_there(place, folder / "camera.yaml") or configured.camera.size
-    with ExitStack() as held:
-        node = node_of_source(spec)
-        if node is not None:
-            from spheremouse.capture.lock import claimed
-
-            held.enter_context(claimed(node))
+    if kind == "v4l2" and size is None and "width=" not in spec:
+        size = v4l2.full_size(argument, _MOST)
+    spec = in_size(spec, size)
+    with looked_through(spec, configured.camera) as stream:
         if kind == "v4l2":
-            from spheremouse.capture import v4l2
-
-            size = size or (None if "width=" in spec else v4l2.full_size(argument, _MOST))
-            wanted = replace(configured.camera, size=size)
-            stream = held.enter_context(v4l2.stream(argument, wanted))
-            _say_focus(node, screen)
-        else:
-            spec = in_size(spec, size)
-            stream = held.enter_context(open_source(spec))
-        screen.say(f"{in_size(spec, size)}: photos go to {place}")
+            _say_focus(node_of_source(spec), screen)
+        screen.say(f"{spec}: photos go to {place}")
         yield stream
 
 

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,6 @@ import numpy as np
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.sharpness import blur_of
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
-from spheremouse.capture import Source, open_source, v4l2
-from spheremouse.capture.lock import claimed
 from spheremouse.capture.stopping import Stopping
 from spheremouse.commands.doctor.finding import Finding
 from spheremouse.commands.doctor.light import brightness
@@ -25,7 +23,7 @@ from spheremouse.files.rig import load_rig
 from spheremouse.geometry.rotation import Array
 from spheremouse.geometry.statistics import mad_sigma
 from spheremouse.session import messages
-from spheremouse.session.cameras import node_of_source
+from spheremouse.session.cameras import looked_through
 from spheremouse.session.overlay.file import OverlayFile, write_picture
 from spheremouse.session.overlay.sight import Sight, draw_sight, sight_of
 from spheremouse.session.settings import Configuration
@@ -175,21 +173,15 @@ def _looked_at(wanted: Wanted, realtime: bool) -> Iterator[tuple[Iterator[Frame]
     """The frames that are wanted, until somebody stops it, and what looks at one."""
     settings = config.in_force(wanted.config, wanted.assignments, Configuration)
     rig = None if wanted.rig is None else load_rig(wanted.rig)
-    kind, _, argument = wanted.source.partition(":")
+    argument = wanted.source.partition(":")[2]
     if argument and wanted.out.resolve() == Path(argument).resolve():
         raise ConfigurationError(f"--out: {wanted.out} is what is looked at; name another file")
-    with ExitStack() as stack:
-        node = node_of_source(wanted.source)
-        stack.enter_context(nullcontext() if node is None else claimed(node))
-        opened = (
-            v4l2.stream(argument, settings.camera) if kind == "v4l2" else open_source(wanted.source, realtime=realtime)
-        )
-        source: Source = stack.enter_context(opened)
+    with looked_through(wanted.source, settings.camera, realtime) as source, Stopping() as stopping:
         rig = rig or source.rig
         radii, codes = (_USUAL, None) if rig is None else (rig.targets.radii, rig.targets.codes)
         at = wanted.at if wanted.at is not None else _SETTLING if source.live else 0.0
-        frames = stack.enter_context(Stopping()).frames(iter(source))
-        yield _from(frames, at), lambda frame: _look(frame, radii, codes, settings)
+        frames = _from(stopping.frames(iter(source)), at)
+        yield frames, lambda frame: _look(frame, radii, codes, settings)
 
 
 def _from(frames: Iterator[Frame], at: float) -> Iterator[Frame]:

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from boards import CAMERA, PATTERN, picture, places
+from photographed import looked, resumed
 
 from spheremouse.calibrate.camera.coverage import VIEWS
 from spheremouse.calibrate.photographing.board import BoardJudge
@@ -18,17 +19,7 @@ def poses():
 
 
 def judge_of(*pictures):
-    judge = BoardJudge(PATTERN, SIZE)
-    for image in pictures:
-        assert judge.resume(lambda image=image: image)
-    return judge
-
-
-def looked(judge, image, times=2):
-    """A picture that rests for some frames."""
-    for _ in range(times):
-        look = judge.look(image)
-    return look
+    return resumed(BoardJudge(PATTERN, SIZE), *pictures)
 
 
 def before_the_camera(tilt, axis=(0.0, 1.0, 0.0), distance=0.45):

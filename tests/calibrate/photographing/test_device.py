@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from photographed import looked, resumed
 
 from spheremouse.ball.device import Axes, Device
 from spheremouse.calibrate.device.plans import ENOUGH
@@ -30,16 +31,7 @@ def judge_of(stills, *pictures, **changes):
     targets, scene = stills.scene.targets, stills.scene
     device = Device(targets.ids, targets.codes, targets.radii, scene.disc_radius, Axes(*targets.ids[:3]))
     camera = replace(scene.camera, covariance=1e-2 * np.eye(9) * np.array([1, 1, 1, 1, *[1e-6] * 5]))
-    judge = DeviceJudge(replace(device, **changes), camera, None, None)
-    for image in pictures:
-        assert judge.resume(lambda image=image: image)
-    return judge
-
-
-def looked(judge, image, times=2):
-    for _ in range(times):
-        look = judge.look(image)
-    return look
+    return resumed(DeviceJudge(replace(device, **changes), camera, None, None), *pictures)
 
 
 def photographed(stills, pose):
