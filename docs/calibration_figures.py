@@ -136,7 +136,7 @@ def covariances(runs: int) -> list[Row]:
 def tracked(far26: Path, work: Path) -> list[Row]:
     """What far26's tracking loses by a rig from simulated photos, or from rolling."""
     evening, rig_file, roll_file = work / "evening", work / "far26.yaml", work / "roll.yaml"
-    spheremouse("calibrate", "practice", evening, "--like", far26)
+    spheremouse("calibrate", "practice", evening, "--like", far26, "--no-film")
     camera_file = work / "evening-camera.yaml"
     board = ("calibrate", "camera", evening / "board", "--board", "11x8", "--square", "86mm", "--out", camera_file)
     figures(*board, file=work / "evening-camera.json")

@@ -76,7 +76,7 @@ def main() -> str:
     with tempfile.TemporaryDirectory() as name, daemon(Path(name)) as socket:
         folder = str(Path(name) / "cabinet")
         subprocess.run(
-            [*ours, "calibrate", "practice", folder, "--photos", "6", "--boards", "15"],
+            [*ours, "calibrate", "practice", folder, "--photos", "6", "--boards", "15", "--no-film"],
             check=True,
             stdout=subprocess.DEVNULL,
         )

@@ -28,6 +28,7 @@ BOARD_ENOUGH, BOARD_MOST = 10, 20  # as coverage.VIEWS
 DEVICE_ENOUGH, DEVICE_MOST = 6, 12
 _BOARD, _DEVICE, _CAMERA_FILE, _DEVICE_FILE, _RIG_FILE = "board", "device", "camera.yaml", "device.yaml", "rig.yaml"
 _CONFIG_FILE = "config.yaml"
+FILM = "film"  # in a practice set: a dataset of three gestures
 
 State = Literal["done", "too few", "not needed", "next", "later"]
 
@@ -141,8 +142,8 @@ def axes_command(rig: Path, source: str | None = None) -> str:
     """Command that asks which way is right, and keeps it beside a rig; by default with the usual camera."""
     folder = rig.parent
     config = folder / _CONFIG_FILE
-    given = ["--rig", str(rig), "--source", source or _source(folder)]
-    known = config.exists() and rig.name == _RIG_FILE
+    given = ["--rig", str(rig), "--source", source or _film(folder) or _source(folder)]
+    known = config.exists() and rig.name == _RIG_FILE and _film(folder) is None
     return shlex.join(["spheremouse", "axes", "--config", str(config), *([] if known else given)])
 
 
@@ -165,6 +166,12 @@ def _source(folder: Path) -> str:
     """The camera in the mode that was calibrated."""
     camera = _camera(folder / _CAMERA_FILE)
     return in_size(usual_camera(), None if camera is None else camera.size)
+
+
+def _film(folder: Path) -> str | None:
+    """The film of a practice set as a source."""
+    film = folder / FILM
+    return f"dataset:{film}" if (film / "scene.json").is_file() else None
 
 
 def _command(*words: str | Path, again: bool = False) -> str:
@@ -282,7 +289,10 @@ def _rig_step(folder: Path, rig: _Result | None, shots: _Photos) -> Step:
 
 def _axes_step(folder: Path) -> Step:
     path = folder / _CONFIG_FILE
-    todo = ("Which way is right? Stand where the player stands, and show it; the answers are asked for one by one:",)
+    show = (
+        "The film shows it:" if _film(folder) else "Stand where the player stands, and show it, asked for one by one:"
+    )
+    todo = (f"Which way is right? {show}",)
     command = axes_command(folder / _RIG_FILE)
     if not path.exists():
         return Step("axes", "next", "not asked yet", todo, command)
@@ -299,10 +309,14 @@ def _axes_step(folder: Path) -> Step:
 
 
 def _run_step(folder: Path) -> Step:
+    command = ["spheremouse", "run", "--config", str(folder / _CONFIG_FILE)]
+    watch = ["--output", "null", "--table"]
+    if film := _film(folder):
+        todo = ("All is calibrated. Watch what the ball of the practice set does:",)
+        return Step("run", "next", "", todo, shlex.join([*command, "--source", film, "--realtime", *watch]))
     todo = ("All is calibrated. Play; `spheremouse ctl watch` in another terminal says what the ball does:",)
-    command = ["spheremouse", "run", "--config", str(folder / _CONFIG_FILE), "--output", "auto"]
-    told = (("Or only watch what the ball does:", shlex.join([*command, "--table"]).replace("auto", "null")),)
-    return Step("run", "next", "", todo, shlex.join(command), told)
+    told = (("Or only watch what the ball does:", shlex.join([*command, *watch])),)
+    return Step("run", "next", "", todo, shlex.join([*command, "--output", "auto"]), told)
 
 
 def _open(overtaken: bool) -> State:

@@ -2,8 +2,9 @@
 
     python evening_camera.py NODE WxH FIRST PIPE
 
-FIRST and what comes through PIPE, a line each: a file of YUYV pictures and the seconds that each is shown. Pictures
-are written five times a second, since a camera whose scene stands still goes on filming.
+FIRST, and what comes through PIPE, a line each: a file of YUYV pictures and the seconds that each is shown; or without
+seconds, and `next` shows its next picture, after the last the first. Pictures are written five times a second, since a
+camera whose scene stands still goes on filming.
 """
 
 import os
@@ -15,6 +16,7 @@ import numpy as np
 from linuxpy.video.device import BufferType, Device
 
 INTERVAL = 0.2  # s
+FOREVER = 1e9  # s
 
 
 def main() -> None:
@@ -25,19 +27,22 @@ def main() -> None:
     device.open()
     device.set_format(BufferType.VIDEO_OUTPUT, width, height, "YUYV")
     pipe = os.open(fifo, os.O_RDWR)  # it never ends, as it has a writer
-    pictures, hold, began, line = film(first, width, height), 1.0, time.monotonic(), ""
     told = False
+    pictures, hold, began, ahead, line = film(first, width, height), FOREVER, time.monotonic(), 0, ""
     while line != "end":
-        k = min(int((time.monotonic() - began) / hold), len(pictures) - 1)
+        k = ahead % len(pictures) if hold == FOREVER else min(int((time.monotonic() - began) / hold), len(pictures) - 1)
         os.write(device.fileno(), pictures[k].tobytes())
         if not told:
             told = True
             print("writing", flush=True)
         if select.select([pipe], [], [], min(INTERVAL, hold))[0]:
             line = os.read(pipe, 4096).decode().strip()
-            if line != "end":
-                path, seconds = line.split()
-                pictures, hold, began = film(path, width, height), float(seconds), time.monotonic()
+            if line == "next":
+                ahead += 1
+            elif line != "end":
+                path, *seconds = line.split()
+                pictures, began, ahead = film(path, width, height), time.monotonic(), 0
+                hold = float(seconds[0]) if seconds else FOREVER
     device.close()
 
 

@@ -30,7 +30,9 @@ def main() -> None:
         (out / f"{motion}_film" / "YUYV").rename(out / motion)
     camera = json.loads((out / "axes_dataset" / "scene.json").read_text())["camera"]
     lens = ("--focal", camera["fx"], "--dist", ",".join(map(str, camera["dist"])))
-    spheremouse("calibrate", "practice", out / "practice", "--like", out / "axes_dataset", "--photos", 8, *lens)
+    spheremouse(
+        "calibrate", "practice", out / "practice", "--like", out / "axes_dataset", "--photos", 8, "--no-film", *lens
+    )
     for part in ("board", "device"):
         with (out / part).open("wb") as film:
             for path in sorted((out / "practice" / part).glob("*.jpg")):

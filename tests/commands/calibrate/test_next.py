@@ -160,6 +160,20 @@ def test_an_evening_from_nothing_to_the_mouse(tmp_path):
     assert shlex.split(step.command)[:4] == ["spheremouse", "run", "--config", config]
 
 
+def test_a_practice_set_ends_with_its_film(finished):
+    (finished / "film").mkdir()
+    (finished / "film" / "scene.json").touch()
+    source = ["--source", f"dataset:{finished / 'film'}"]
+    config = finished / "config.yaml"
+    words = shlex.split(next_of(finished).command)
+    watched = [*source, "--realtime", "--output", "null", "--table"]
+    assert words == ["spheremouse", "run", "--config", str(config), *watched]
+    config.unlink()
+    words = shlex.split(next_of(finished).command)
+    rig = str(finished / "rig.yaml")
+    assert words == ["spheremouse", "axes", "--config", str(config), "--rig", rig, *source]
+
+
 def test_some_photos_are_counted_and_may_do(evening):
     photograph(evening / "board", 2)
     assert "calibrate camera" not in str(next_of(evening).otherwise)  # two views of a plane are too few

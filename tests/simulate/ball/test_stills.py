@@ -6,6 +6,7 @@ discs against the detectors of this project, which other tests check against pic
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ from spheremouse.errors import CalibrationError, ConfigurationError, Spheremouse
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, project
-from spheremouse.geometry.rotation import exp
+from spheremouse.geometry.rotation import exp, log
 from spheremouse.simulate.ball.board import Board, board_coverage
 from spheremouse.simulate.ball.stations import board_stations, device_stations, looking, seen_targets
 from spheremouse.simulate.ball.stills import Photo, StillsOptions, photos, prepare_stills, truth_of
@@ -255,6 +256,7 @@ def test_the_folder_has_what_a_calibration_needs(folder, evening):
         "board/chess_00.jpg",
         "device.yaml",
         *(f"device/device_{k}.jpg" for k in range(2)),
+        *(f"film/{name}" for name in ("discs.csv", "scene.json", "truth.csv", "video.mkv")),
         "truth.json",
     ]
     truth = json.loads((folder / "truth.json").read_text())
@@ -266,6 +268,19 @@ def test_the_folder_has_what_a_calibration_needs(folder, evening):
     assert device.codes == tuple(t["code"] for t in truth["targets"])
     assert len(device.distances) == 4
     assert list(folder.parent.iterdir()) == [folder]  # nothing half-made is left behind
+
+
+def test_the_film_shows_the_gestures_of_axes_from_the_first_place(folder, evening):
+    film = open_dataset(folder / "film")
+    assert_allclose(film.pose.matrix(), evening.device_poses[0].matrix(), atol=1e-12)
+    assert (film.rig.camera.width, film.rig.camera.height) == SMALL
+    turns = [log(b @ a.T) for a, b in pairwise(film.truth.attitude)]
+    assert_allclose(np.sum(turns, axis=0), np.full(3, np.pi / 3.0), atol=1e-6)
+
+
+def test_without_a_film_there_is_none(tmp_path):
+    practice(tmp_path / "set", photos=1, boards=0, size="1280x720", filmed=False)
+    assert not (tmp_path / "set" / "film").exists()
 
 
 def test_it_says_what_it_wrote_and_what_is_next(tmp_path, capsys):

@@ -1,7 +1,7 @@
 """`spheremouse calibrate practice`: a folder of simulated calibration photos with the truth, to try calibration on.
 
-The folder has board/*.jpg, device/*.jpg, board.yaml and device.yaml (what a person would know and measure) and
-truth.json.
+The folder has board/*.jpg, device/*.jpg, board.yaml and device.yaml (what a person would know and measure),
+truth.json, and the dataset film: what `spheremouse axes` asks for.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from spheremouse.simulate.ball.options import StillsOptions
 
 EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"
 
-_PARTS = ("board", "board.yaml", "device", "device.yaml", "truth.json")
+_PARTS = ("board", "board.yaml", "device", "device.yaml", "film", "truth.json")
 
 
 @with_fields()
@@ -32,15 +32,18 @@ def practice(
     ] = None,
     options: StillsOptions,
     jpeg: Annotated[int, typer.Option(metavar="Q", min=50, max=100, help="Quality of the JPEG files.")] = 95,
+    filmed: Annotated[bool, typer.Option("--film/--no-film", help="With the film.")] = True,
     force: Annotated[bool, typer.Option("--force", help="Replace a practice set that is there.")] = False,
 ) -> None:
     """Photograph a simulated device and board, with the truth: to try calibration before the real evening.
 
-    Six photos are from front, left, right, high, low and turned by 90 degrees; more stand between and beside them.
+    Six photos are from front, left, right, high, low and turned by 90 degrees; more stand between and beside them. From
+    the first a film is taken of three gestures, for `spheremouse axes` and `spheremouse run`.
     """
-    from spheremouse.calibrate.evening import camera_command, device_command
-    from spheremouse.commands.calibrate.practice.write import device_of, write_stills
+    from spheremouse.calibrate.evening import FILM, camera_command, device_command, next_command
+    from spheremouse.commands.calibrate.practice.write import device_of, film_of, write_stills
     from spheremouse.simulate.ball.stills import prepare_stills
+    from spheremouse.simulate.to_dataset import write_simulation
 
     if like is not None and options.discs is not None:
         raise CalibrationError(
@@ -51,15 +54,24 @@ def practice(
     if options.focal is not None and not 10.0 <= options.focal <= 100_000.0:
         raise CalibrationError(f"--focal {options.focal:g}: must be from 10 to 100000 px")
     stills = prepare_stills(options, None if like is None else device_of(like))
+    film = film_of(stills) if options.photos and filmed else None
     with _new_folder(folder, force) as made, progress_bar() as bar:
         task = bar.add_task(f"photographing into {folder}", total=options.photos + options.boards)
         for _ in write_stills(made, stills, jpeg):
             bar.advance(task)
+        if film is not None:
+            task = bar.add_task(f"filming into {folder}", total=film.frames)
+            for _ in write_simulation(made / FILM, film):
+                bar.advance(task)
     what = "a practice device" if like is None else f"the device of {like}"
     many = "photo" if options.photos == 1 else "photos"
-    print(f"{folder}: {options.photos} {many} of {what}, {options.boards} of the board, device.yaml, truth.json")
+    print(
+        f"{folder}: {options.photos} {many} of {what}, {options.boards} of the board, device.yaml, truth.json"
+        + ("" if film is None else f", a {FILM} of three gestures")
+    )
     print(f"next: {camera_command(folder)}")
     print(f"then: {device_command(folder)}")
+    print(f"what to do next, at any time: {next_command(folder)}")
 
 
 # ---- the folder ----

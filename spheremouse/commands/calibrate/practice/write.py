@@ -1,4 +1,4 @@
-"""The files of a practice set: photos, the truth, and what a person would know of the device and measure."""
+"""The files of a practice set: photos, a film, the truth, and what a person would know of the device and measure."""
 
 import json
 from collections.abc import Iterator
@@ -11,8 +11,12 @@ from spheremouse.calibrate.board_file import NAME, BoardFile, save_board
 from spheremouse.errors import CalibrationError
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.geometry.rotation import Array
+from spheremouse.simulate.ball.film import Simulation
+from spheremouse.simulate.ball.profile import shown_to_axes
+from spheremouse.simulate.ball.render import RenderOptions
 from spheremouse.simulate.ball.stills import DeviceShape, Stills, photos, truth_of
 
+_FPS = 10.0  # Hz: enough for gestures; and without noise, which no codec makes smaller
 _TAPE = 0.001  # m, standard deviation of a tape measure held by hand
 # as in the reference sets: at half the resolution the colours of narrow rings mix
 _FULL_COLOUR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
@@ -45,6 +49,12 @@ def write_stills(folder: Path, stills: Stills, quality: int) -> Iterator[Path]:
     board = stills.board
     save_board(folder / NAME, BoardFile(f"{board.columns}x{board.rows}", f"{1e3 * board.square:g}mm"))
     (folder / "device.yaml").write_text(device_yaml(stills), encoding="utf-8")
+
+
+def film_of(stills: Stills) -> Simulation:
+    """What `spheremouse axes` asks for, seen from where the first photo was taken."""
+    profile = shown_to_axes()
+    return Simulation(stills.scene, profile, RenderOptions(), profile.seconds, _FPS, stills.seed)
 
 
 # ---- device.yaml ----
