@@ -31,7 +31,17 @@ def main() -> None:
     camera = json.loads((out / "axes_dataset" / "scene.json").read_text())["camera"]
     lens = ("--focal", camera["fx"], "--dist", ",".join(map(str, camera["dist"])))
     spheremouse(
-        "calibrate", "practice", out / "practice", "--like", out / "axes_dataset", "--photos", 8, "--no-film", *lens
+        "calibrate",
+        "practice",
+        out / "practice",
+        "--like",
+        out / "axes_dataset",
+        "--photos",
+        14,
+        "--boards",
+        30,
+        "--no-film",
+        *lens,
     )
     for part in ("board", "device"):
         with (out / part).open("wb") as film:

@@ -77,7 +77,8 @@ def unleant(found: Coverage) -> list[str]:
 
 def missing(found: Coverage) -> list[str]:
     """Views still wanted, as what to do with the board; left and right as the camera sees them."""
-    words = [f"tilt the board by 20° to 45°, so that it faces {way}" for way in unleant(found)]
+    again = {way: ", once more" if n else "" for way, n in zip(LEANS, found.leans, strict=True)}
+    words = [f"tilt the board by 20° to 45°, so that it faces {way}{again[way]}" for way in unleant(found)]
     return words + [f"hold the board {place} of the picture" for place in bare(found)]
 
 
