@@ -16,7 +16,7 @@ import numpy as np
 from film import convert
 
 SIZE, SEED = "1280x720", 3
-FPS = {"axes": 8, "play": 30}  # of films shown more slowly: a guest takes up to a third of a second for a picture
+FPS = {"axes": 8, "play": 30}  # shown more slowly: a guest takes up to a third of a second for a picture
 
 
 def main() -> None:
@@ -25,7 +25,9 @@ def main() -> None:
     out.mkdir()
     for motion in ("axes", "play"):
         seconds = () if motion == "axes" else ("--seconds", 5)
-        spheremouse("simulate", out / f"{motion}_dataset", "--motion", motion, *seconds, "--fps", FPS[motion], "--noise", 2)
+        spheremouse(
+            "simulate", out / f"{motion}_dataset", "--motion", motion, *seconds, "--fps", FPS[motion], "--noise", 2
+        )
         convert(out / f"{motion}_dataset", out / f"{motion}_film")
         (out / f"{motion}_film" / "YUYV").rename(out / motion)
     camera = json.loads((out / "axes_dataset" / "scene.json").read_text())["camera"]
