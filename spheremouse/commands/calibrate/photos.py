@@ -142,7 +142,6 @@ def _opened(
     source: str | None, configured: "Configuration", folder: Path, place: Path, screen: "Screen"
 ) -> Iterator["Source"]:
     """The camera, in the mode of the photos there are."""
-    from spheremouse.capture import v4l2
     from spheremouse.capture.usual import in_size, usual_camera
     from spheremouse.session.cameras import looked_through, node_of_source
 
@@ -150,6 +149,8 @@ def _opened(
     kind, _, argument = spec.partition(":")
     size = _size_there(place, folder / "camera.yaml") or configured.camera.size
     if kind == "v4l2" and size is None and "width=" not in spec:
+        from spheremouse.capture import v4l2
+
         size = v4l2.full_size(argument, _MOST)
     spec = in_size(spec, size)
     with looked_through(spec, configured.camera) as stream:
