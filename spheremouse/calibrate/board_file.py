@@ -82,6 +82,15 @@ def board_of(folder: Path) -> BoardFile | None:
     return None if path is None else load_board(path)
 
 
+def board_told(
+    folder: Path, board: str | None, square: str | None, marker: str | None, dictionary: str | None
+) -> BoardFile:
+    """The board as a command line tells it; where that is silent as `board_of`, or as usually printed."""
+    told = {"board": board, "square": square, "marker": marker, "dictionary": dictionary}
+    known = (BoardFile() if board and square else board_of(folder)) or BoardFile()
+    return replace(known, **{key: value for key, value in told.items() if value is not None})
+
+
 def options_of(folder: Path) -> list[str]:
     """Options of `calibrate camera` for a folder's board; a file that is damaged is told by who needs it."""
     try:

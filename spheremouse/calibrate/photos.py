@@ -26,6 +26,11 @@ _HEIF = (b"heic", b"heix", b"heif", b"hevc", b"mif1", b"msf1", b"avif", b"avis")
 _MARKER = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]")  # ITU-T T.81, B.1.1: what ends entropy-coded data
 _MOST_NAMED = 6
 
+# As in the printed recipe. Three views of a plane fix a lens (Zhang 2000); four tilts and near and far and four corners
+# of the picture want more. Of the device: front, both sides, above, below, and one between.
+BOARD_ENOUGH, BOARD_MOST = 10, 20  # as coverage.VIEWS
+DEVICE_ENOUGH, DEVICE_MOST = 6, 12
+
 
 @dataclass(frozen=True, slots=True)
 class Photo:

@@ -19,9 +19,9 @@ from spheremouse.calibrate.device.calibrate import TARGET_SIGMA, calibrate_devic
 from spheremouse.calibrate.device.correspond import APART
 from spheremouse.calibrate.device.plans import ENOUGH, work_of
 from spheremouse.calibrate.device.start import first_block, target_views
-from spheremouse.calibrate.evening import DEVICE_ENOUGH, DEVICE_MOST
 from spheremouse.calibrate.photographing.edges import blur_of_spots, not_sharp
 from spheremouse.calibrate.photographing.look import STILL, Look, Motion, is_dark, moving
+from spheremouse.calibrate.photos import DEVICE_ENOUGH, DEVICE_MOST
 from spheremouse.errors import CalibrationError
 from spheremouse.geometry.camera import InteriorOrientation
 

@@ -79,7 +79,7 @@ def axes(
         raise KeyboardInterrupt
     for key, value, before in values:
         print(f"{key}: {_shown(value)} ({'as it was' if value == before else f'was {_shown(before)}'})")
-    kept = {} if config is None or there else _begun(plan, request, config.parent)
+    kept = {} if config is None else _told(plan, request, config)
     kept |= {tuple(key.split(".")): value for key, value, _ in values}
     _keep(config, kept, dry)
     if config is not None and not (dry or there or ("source",) in kept):
@@ -90,11 +90,13 @@ def _shown(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _begun(plan: "Plan", request: "Request", beside: Path) -> dict[tuple[str, ...], Any]:
-    """What the first lines of a configuration say: what this run was told on its command line."""
+def _told(plan: "Plan", request: "Request", config: Path) -> dict[tuple[str, ...], Any]:
+    """What the command line told of which the configuration says nothing: `run --config` needs nothing else."""
     from spheremouse.files.config import assigned
+    from spheremouse.files.yaml import read_document
     from spheremouse.session.cameras import is_camera
 
+    beside = config.parent
     said: dict[tuple[str, ...], Any] = {("source",): plan.source} if is_camera(plan.source) else {}
     said |= assigned(plan.configuration, request.assignments)
     for key, path in (("rig", request.rig), ("camera_file", request.camera)):
@@ -102,7 +104,17 @@ def _begun(plan: "Plan", request: "Request", beside: Path) -> dict[tuple[str, ..
             said[key,] = os.path.relpath(path, beside)
     if request.balls:
         said["wand", "balls"] = tuple(os.path.relpath(path, beside) for path in request.balls)
-    return said
+    there = read_document(config).data or {} if config.exists() else {}
+    return {key: value for key, value in said.items() if not _says(there, key)}
+
+
+def _says(data: Any, key: tuple[str, ...]) -> bool:
+    """Whether a document has a key, in whatever section."""
+    for name in key:
+        if not isinstance(data, dict) or name not in data:
+            return False
+        data = data[name]
+    return True
 
 
 def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:

@@ -1,6 +1,6 @@
 """`spheremouse calibrate photos`: the photos of an evening, taken by the camera that will watch the ball."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -60,8 +60,8 @@ def photos(
     It says what is missing, ends when there are enough, and goes on where it was left. Photos go to FOLDER/board or
     FOLDER/device, where `calibrate next` looks for them.
     """
-    from spheremouse.calibrate.board_file import NAME, save_board
-    from spheremouse.calibrate.evening import camera_command, default_folder, device_command, photos_command
+    from spheremouse.calibrate.board_file import NAME, board_told, save_board
+    from spheremouse.calibrate.evening.proposed import camera_command, default_folder, device_command, photos_command
     from spheremouse.calibrate.photographing.screen import ENOUGH, Screen
     from spheremouse.calibrate.photographing.session import take_photos
     from spheremouse.capture.stopping import Stopping
@@ -71,7 +71,7 @@ def photos(
     folder = default_folder() if folder is None else folder
     if folder.exists() and not folder.is_dir():
         raise CalibrationError(f"{folder}: is a file; name the folder that `spheremouse calibrate init` made")
-    known = _board(folder, board, square, marker, dictionary)
+    known = board_told(folder, board, square, marker, dictionary)
     usual = folder / "config.yaml"
     configured = in_force(config or (usual if usual.exists() else None), settings or (), root())
     place = folder / ("board" if what == "camera" else "device")
@@ -81,6 +81,8 @@ def photos(
             outcome = take_photos(stopping.frames(iter(stream)), begin, place, stream.live, screen)
         if what == "camera" and outcome.judge is not None and outcome.judge.count:
             save_board(folder / NAME, known)
+        if config is None and outcome.judge is not None and outcome.judge.count:
+            _keep(usual, source, configured, settings or ())
         if outcome.judge is not None and outcome.judge.enough:
             screen.ring(ENOUGH)
     again = photos_command(folder, what, () if source is None else ("--source", source))
@@ -88,15 +90,18 @@ def photos(
     _conclude(outcome, place, follows, again, _LEAST[what], stopping.asked)
 
 
-def _board(folder: Path, board: str | None, square: str | None, marker: str | None, name: str | None) -> "BoardFile":
-    """The board as told, where nothing is told as it was printed or told before."""
-    from dataclasses import replace
+def _keep(config: Path, source: str | None, configured: "Configuration", settings: Sequence[str]) -> None:
+    """Write the camera and its controls, as told, into the evening's configuration: all that follows takes the same."""
+    from spheremouse.files.config import assigned
+    from spheremouse.files.edit import save_settings
+    from spheremouse.session.cameras import is_camera
+    from spheremouse.session.settings import Configuration
 
-    from spheremouse.calibrate.board_file import BoardFile, board_of
-
-    told = {"board": board, "square": square, "marker": marker, "dictionary": name}
-    known = (BoardFile() if board and square else board_of(folder)) or BoardFile()
-    return replace(known, **{key: value for key, value in told.items() if value is not None})
+    told = assigned(configured, settings)
+    if source is not None and is_camera(source):
+        told["source",] = source
+    if told:
+        save_settings(config, told, Configuration)
 
 
 def _board_judge(known: "BoardFile") -> "Callable[[Size], Judge]":
@@ -108,7 +113,7 @@ def _board_judge(known: "BoardFile") -> "Callable[[Size], Judge]":
 
 
 def _device_judge(folder: Path, configured: "Configuration") -> "Callable[[Size], Judge]":
-    from spheremouse.calibrate.evening import init_command, photos_command
+    from spheremouse.calibrate.evening.proposed import init_command, photos_command
     from spheremouse.calibrate.outputs import note
     from spheremouse.calibrate.photographing.device import DeviceJudge
     from spheremouse.files.device import load_device, untouched

@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from spheremouse.ball.rig import Ball, Rig, Targets
-from spheremouse.calibrate.evening import BOARD_ENOUGH, DEVICE_ENOUGH, checklist
-from spheremouse.calibrate.photos import read_photos
+from spheremouse.calibrate.evening.checklist import checklist
+from spheremouse.calibrate.photos import BOARD_ENOUGH, DEVICE_ENOUGH, read_photos
 from spheremouse.commands import app
 from spheremouse.errors import CalibrationError, ConfigurationError
 from spheremouse.files.device import UNTOUCHED, device_template, load_device
@@ -149,7 +149,11 @@ def test_an_evening_from_nothing_to_the_mouse(tmp_path):
     configuration.write_text("schema: 2\n# rig: other.yaml\n")
     step = next_of(folder)
     assert (step.name, step.found) == ("axes", "config.yaml does not say where the player stands")
-    assert shlex.split(step.command) == ["spheremouse", "axes", "--config", config]
+    assert shlex.split(step.command)[:6] == ["spheremouse", "axes", "--config", config, "--rig", rig]
+    configuration.write_text("schema: 2\nsource: v4l2:/dev/video7\n")  # as `photos` leaves it
+    assert shlex.split(next_of(folder).command) == ["spheremouse", "axes", "--config", config, "--rig", rig]
+    configuration.write_text("schema: 2\nsource: v4l2:/dev/video7\nrig: rig.yaml\n")
+    assert shlex.split(next_of(folder).command) == ["spheremouse", "axes", "--config", config]
     for wrong in ("schema: 2\nmotion: 3\n", "schema: [\n"):
         configuration.write_text(wrong)
         assert next_of(folder).found == "config.yaml cannot be used"

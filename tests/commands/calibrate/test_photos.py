@@ -13,8 +13,10 @@ from spheremouse.calibrate.camera import coverage
 from spheremouse.calibrate.photographing import board as judging
 from spheremouse.commands import app
 from spheremouse.errors import CalibrationError, ConfigurationError, SourceError
+from spheremouse.files.config import load
 from spheremouse.files.device import device_template
 from spheremouse.files.rig import load_camera, save_camera
+from spheremouse.session.settings import Configuration
 
 SIZE = CAMERA.width, CAMERA.height
 BOARD = ("--board", "9x6", "--square", "30mm")
@@ -57,7 +59,20 @@ def test_photos_are_taken_until_they_are_enough_and_the_next_command_works(tmp_p
     words = shlex.split(result.stdout.splitlines()[-1].removeprefix("next: "))
     assert words[1:3] == ["calibrate", "camera"]
     run(*words[3:], command="camera")
-    assert load_camera(folder / "camera.yaml").fx == pytest.approx(CAMERA.fx, rel=0.02)
+    camera = load_camera(folder / "camera.yaml")
+    assert camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
+    result = run(folder / "board", "--out", folder / "again.yaml", command="camera")  # the board is remembered here too
+    assert "as its board.yaml says: --board 9x6 --square 30mm" in result.stderr
+    assert load_camera(folder / "again.yaml").fx == camera.fx
+    assert not (folder / "config.yaml").exists()  # a film is no camera to come back to
+
+
+def test_controls_with_which_photos_were_taken_are_kept(tmp_path, poses):
+    R, t = poses
+    source = film(tmp_path / "f.mkv", (R[:1], t[:1]))
+    run("--for", "camera", tmp_path, *BOARD, "--source", source, "--set", "camera.focus=30")
+    kept = load(tmp_path / "config.yaml", Configuration)
+    assert (kept.camera.focus, kept.source) == (30, None)
 
 
 def test_what_is_missing_is_said_and_the_same_command_goes_on(tmp_path, poses):

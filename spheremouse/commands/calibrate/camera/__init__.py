@@ -21,17 +21,23 @@ def camera(
         list[Path] | None, typer.Argument(metavar="PHOTOS...", help="Photos of the board, or their folder.")
     ] = None,
     board: Annotated[
-        str, typer.Option(metavar="CxR", help="Inner corners along and down: one less than squares.")
-    ] = "11x8",
+        str | None,
+        typer.Option(
+            metavar="CxR", help="Inner corners along and down: one less than squares.  [default: as board.yaml says]"
+        ),
+    ] = None,
     square: Annotated[
-        str | None, typer.Option(metavar="LENGTH", help="Side of a square, measured on the print, as in 86mm.")
+        str | None,
+        typer.Option(
+            metavar="LENGTH", help="Side of a square, measured on the print, as in 86mm.  [default: as board.yaml says]"
+        ),
     ] = None,
     marker: Annotated[
         str | None, typer.Option(metavar="LENGTH", help="Side of a marker, as in 60mm: it is a ChArUco board.")
     ] = None,
     dictionary: Annotated[
-        str, typer.Option(metavar="NAME", help="ChArUco markers, as printed on the board.")
-    ] = "DICT_5X5_100",
+        str | None, typer.Option(metavar="NAME", help="ChArUco markers, as printed on the board.")
+    ] = None,
     distortion: Annotated[
         int, typer.Option(metavar="0|2|4|5", help="Terms of the lens: k1 k2, also p1 p2, also k3.")
     ] = _ALL_TERMS,
@@ -43,9 +49,10 @@ def camera(
     """Find focal lengths, principal point and lens distortion from photos of a chessboard or ChArUco board.
 
     10 to 20 photos in the mode (size, zoom, focus) that will be used, the whole board in each, tilted to all sides,
-    reaching into all corners of the picture. `calibrate photos --for camera` takes them.
+    reaching into all corners of the picture. `calibrate photos --for camera` takes them, and keeps in board.yaml beside
+    them which board it was.
     """
-    from spheremouse.calibrate.board_file import BoardFile
+    from spheremouse.calibrate.board_file import NAME, board_told
     from spheremouse.calibrate.camera.advice import advise
     from spheremouse.calibrate.camera.calibrate import calibrate, provenance
     from spheremouse.calibrate.camera.corners import pattern_of
@@ -56,17 +63,20 @@ def camera(
 
     if not photos:
         raise CalibrationError(f"which photos, of which board? {EXAMPLE[0].lower()}{EXAMPLE[1:]}")
-    if square is None:
+    folder = photos[0] if photos[0].is_dir() else photos[0].parent
+    if square is None and not (folder.parent / NAME).is_file():
         raise CalibrationError(
             "--square: measure the side of a square on the print, and give it with the board's inner corners, as in "
             "--board 11x8 --square 86mm"
         )
-    told = BoardFile(board, square, marker, dictionary)
+    told = board_told(folder.parent, board, square, marker, dictionary)
     pattern = pattern_of(told)
     if distortion not in _TERMS:
         raise CalibrationError(f"--distortion {distortion}: must be one of {', '.join(map(str, _TERMS))}")
     page = report or out.with_suffix(".html")
     check_outputs([out, page, json_file], photos, force)
+    if square is None:
+        note(f"the board as its board.yaml says: {' '.join(told.options)}")
     found = read_photos(photos, note)
     with progress_bar() as bar:
         task = bar.add_task("", total=2 * len(found))
@@ -88,7 +98,7 @@ def camera(
 
 def _follows(out: Path) -> str:
     """The command after this one, by what is in the folder of the camera file."""
-    from spheremouse.calibrate.evening import init_command, photos_command
+    from spheremouse.calibrate.evening.proposed import init_command, photos_command
     from spheremouse.calibrate.photos import has_photos
 
     folder = out.parent
