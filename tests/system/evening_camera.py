@@ -11,6 +11,8 @@ import os
 import select
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 
 import numpy as np
 from linuxpy.video.device import BufferType, Device
@@ -27,9 +29,13 @@ def main() -> None:
     device.open()
     device.set_format(BufferType.VIDEO_OUTPUT, width, height, "YUYV")
     pipe = os.open(fifo, os.O_RDWR)  # it never ends, as it has a writer
-    told = False
+    told, seconds = False, []
+    reader, coming = ThreadPoolExecutor(1), None  # the old scene is shown until the new one has been read
     pictures, hold, began, ahead, line = film(first, width, height), FOREVER, time.monotonic(), 0, ""
     while line != "end":
+        if coming is not None and coming.done():
+            pictures, coming, began, ahead = coming.result(), None, time.monotonic(), 0
+            hold = float(seconds[0]) if seconds else FOREVER
         if hold < FOREVER:  # none is left out, however slow the guest is
             ahead = min(ahead + (time.monotonic() - began > hold * (ahead + 1)), len(pictures) - 1)
         k = ahead % len(pictures)
@@ -43,11 +49,11 @@ def main() -> None:
                 ahead += 1
             elif line != "end":
                 path, *seconds = line.split()
-                pictures, began, ahead = film(path, width, height), time.monotonic(), 0
-                hold = float(seconds[0]) if seconds else FOREVER
+                coming = reader.submit(film, path, width, height)
     device.close()
 
 
+@lru_cache(1)
 def film(path: str, width: int, height: int) -> np.ndarray:
     """(n, bytes of a picture): read beforehand, since a guest reads slowly."""
     return np.fromfile(path, np.uint8).reshape(-1, 2 * width * height)

@@ -63,7 +63,7 @@ class Screen:
 
     def taken(self, path: Path, judge: Judge, look: Look) -> None:
         """A photo."""
-        self.say(f"{path.name}: {look.gain} ({judge.count} photos)")
+        self.say(f"{path.name}: {look.gain} ({judge.count} photo{'' if judge.count == 1 else 's'})")
         self.ring(TAKEN)
 
     def ring(self, tones: Sequence[float]) -> None:
