@@ -13,6 +13,7 @@ from typing import Literal
 import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
@@ -27,8 +28,9 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.settings import AREA, PART, SHARE, SIGMA_PX, param
 
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
+_SHOWN = 4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
 _LEARN_EVERY = 16  # frames: noise, and the size of the discs
-_FINE = 14.0  # px, diameter of a disc that the fit needs no finer: larger pictures are reduced to about that
+_FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +89,9 @@ class DiscDetector:
     settings: DiscSettings
     rig: Rig
     pose: Pose
-    window: tuple[slice, slice]  # rows and columns of the ball's bounding box, whole pixels of the reduced picture
+    window: tuple[slice, slice]  # rows and columns of the ball's bounding box, whole pixels of the coarse picture
     diameter: float  # px, of the largest disc
+    coarse: Image  # 255 on the ball, of the window of the coarse picture
     lattice: Lattice
     view: View
 
@@ -130,11 +133,11 @@ class DiscDetector:
         colours = _with_channels(image)
         places = places_to_look_at(colours, self.view.mask, self.lattice, state, known, fit, radius, noise)
         if len(places) == 0:
-            return no_detections(), went(state, places, fit.reduction)
+            return no_detections(), went(state, places, self.lattice.reduction)
         directions, index = directions_at(places, self.rig, self.pose)
         found, _ = look_at(colours, directions, self.view, noise, places[index])
         near = np.linalg.norm(places[:, None] - found.centre[None], axis=2) < radius
-        return found, went(state, places[~near.any(axis=1)], fit.reduction)
+        return found, went(state, places[~near.any(axis=1)], self.lattice.reduction)
 
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""
@@ -142,11 +145,11 @@ class DiscDetector:
         return noise_of(_with_channels(image), rows.start, rows.stop, columns.start, columns.stop)
 
     def _grey(self, image: Image) -> Image:
-        """Smoothed grey of the window, reduced, dark discs."""
+        """Smoothed grey of the window, coarse, dark discs."""
         grey = image[self.window]
         if grey.ndim == 3:
             grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)
-        f = self.view.fit.reduction
+        f = self.lattice.reduction
         if f > 1:
             grey = cv2.resize(grey, (grey.shape[1] // f, grey.shape[0] // f), interpolation=cv2.INTER_AREA)
         if self.settings.polarity == "light":
@@ -158,12 +161,12 @@ class DiscDetector:
 
         Looked for at three levels: the low one finds slivers at the limb, the high one parts a disc from a shadow.
         """
-        f = self.view.fit.reduction
+        f = self.lattice.reduction
         diameter, least = self.diameter / f, 0.3 * self.settings.min_area / f**2
         width = 2 * int(np.ceil(0.75 * diameter)) + 1
         background = cv2.morphologyEx(grey, cv2.MORPH_CLOSE, np.ones((width, width), np.uint8))
         deep = cv2.inRange(cv2.subtract(background, grey), np.array(4.0 * noise / f + 1.0), np.array(255.0))
-        deep = cv2.bitwise_and(deep, self.view.mask[self.window][f // 2 :: f, f // 2 :: f])
+        deep = cv2.bitwise_and(deep, self.coarse)
         places, sizes = [], []
         for share in (0.6, 1.2, 2.4):
             level = cv2.convertScaleAbs(background, alpha=max(1.0 - share * self.settings.contrast, 0.0))
@@ -190,7 +193,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
     diameter = largest_disc(rig, pose)
     f = max(int(np.rint(diameter / _FINE)), 1)
     # pixels on the outline mix with the room
-    mask = cv2.erode(ball_mask(rig, pose), np.ones((2 * f + 1, 2 * f + 1), np.uint8))
+    mask = cv2.erode(ball_mask(rig, pose), np.ones((3, 3), np.uint8))
     for box in settings.masks:
         left, top, right, bottom = (max(round(side), 0) for side in box)
         mask[top : bottom + 1, left : right + 1] = 0
@@ -203,18 +206,30 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
         slice(int(columns[0]) // f * f, min((int(columns[-1]) // f + 1) * f, width // f * f)),
     )
     fit = FitSettings(
-        f,
         settings.polarity == "light",
         smoothing_kernel(settings.smoothing),
         # rims are blurred by pixels, lens and our own smoothing
-        float(np.sqrt(settings.smoothing**2 + 1.0 / 12.0 + (_LENS_BLUR / f) ** 2)),
+        float(np.sqrt(settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2)),
         settings.contrast,
         settings.size_tolerance,
         settings.rim,
         settings.sigma,
     )
     view = view_of(rig, pose, mask, fit, settings.min_area, 0.3 * diameter)
-    return DiscDetector(settings, rig, pose, window, diameter, lattice(mask, diameter, f), view)
+    coarse = cv2.erode(mask, np.ones((2 * f - 1, 2 * f - 1), np.uint8))[window][f // 2 :: f, f // 2 :: f]
+    samples = lattice(mask, _thin(rig, pose, diameter, f), diameter, f)
+    return DiscDetector(settings, rig, pose, window, diameter, coarse, samples, view)
+
+
+def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.bool_]:
+    """Pixels, (h, w), at which a disc is so aslant that a coarse picture does not show it."""
+    mask = ball_mask(rig, pose)
+    if reduction == 1:
+        return np.zeros(mask.shape, dtype=np.bool_)
+    radius = 0.5 * diameter / np.sin(rig.disc_radius / rig.ball.radius)  # px, of the ball
+    cosine = min(_SHOWN * reduction / diameter, 1.0)
+    depth = radius * (1.0 - np.sqrt(1.0 - cosine**2))  # px from the limb
+    return cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_5) < depth
 
 
 def _with_channels(image: Image) -> Image:

@@ -59,16 +59,15 @@ class Fits:
 
 @dataclass(frozen=True, slots=True)
 class FitSettings:
-    """What the fit needs to know of discs and camera, in pixels of the picture reduced `reduction` times."""
+    """What the fit needs to know of discs and camera."""
 
-    reduction: int  # so many pixels squared are averaged to one before all else
     light: bool  # discs lighter than the ball
     kernel: NDArray[np.float32]  # (2 EDGE + 1,), the smoothing
     blur: float  # px, standard deviation of a rim's blur: pixels, lens and smoothing
     contrast: float  # least contrast over the background
     size_tolerance: float
     rim: float  # least part of the rim that fits
-    sigma: float  # px of the whole picture, floor of a centre's standard deviation
+    sigma: float  # px, floor of a centre's standard deviation
 
 
 def measure(
@@ -88,7 +87,6 @@ def measure(
     is open.
     """
     n = len(place)
-    f = settings.reduction
     ok, centroid, covariance, rim = np.zeros(n, dtype=np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)), np.zeros(n)
     cut = np.zeros(n)
     if n:
@@ -97,9 +95,8 @@ def measure(
             mask,
             place,
             np.ascontiguousarray(shape),
-            np.zeros((n, 2)) if smear is None else smear / f,
-            np.float32(noise / f),
-            f,
+            np.zeros((n, 2)) if smear is None else smear,
+            np.float32(noise),
             settings.light,
             settings.kernel,
             settings.blur,
@@ -119,7 +116,7 @@ def measure(
 
 @njit(cache=True, error_model="numpy")
 def measure_into(
-    image, mask, place, shape, smear, noise, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
+    image, mask, place, shape, smear, noise, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
     size_known, ok, centroid, covariance, rim, cut,
 ):  # fmt: skip
     """`measure` into ok, centroid, covariance, rim and cut; returns the size all discs share, 0 where too few tell.
@@ -130,7 +127,7 @@ def measure_into(
     widest = 0.0
     for k in range(n):
         half_way = 0.5 * np.hypot(smear[k, 0], smear[k, 1])
-        widest = max(widest, np.sqrt(max(shape[k, 0, 0], shape[k, 1, 1])) / f + half_way)
+        widest = max(widest, np.sqrt(max(shape[k, 0, 0], shape[k, 1, 1])) + half_way)
     reach = int(np.ceil(widest + _SURROUND)) + 1
     side = 2 * reach + 1
     most = side * side
@@ -150,7 +147,7 @@ def measure_into(
     sizes, tell = np.zeros(n), 0
     b = np.float32(blur)
     for k in range(n):
-        sxx, sxy, syy = shape[k, 0, 0] / f**2, shape[k, 0, 1] / f**2, shape[k, 1, 1] / f**2
+        sxx, sxy, syy = shape[k, 0, 0], shape[k, 0, 1], shape[k, 1, 1]
         det = sxx * syy - sxy * sxy
         if not (det > 1e-3 and np.isfinite(place[k, 0] + place[k, 1])):
             continue
@@ -164,23 +161,21 @@ def measure_into(
         gxx, gxy, gyy = glo + slope * (sxx - lo), slope * sxy, glo + slope * (syy - lo)
         gdet = gxx * gyy - gxy * gxy
         half_w, half_h = int(np.ceil(np.sqrt(gxx))), int(np.ceil(np.sqrt(gyy)))
-        u0, v0 = (place[k, 0] - 0.5 * (f - 1)) / f, (place[k, 1] - 0.5 * (f - 1)) / f  # px of the reduced picture
+        u0, v0 = place[k, 0], place[k, 1]
         left, top = int(np.rint(u0)) - half_w, int(np.rint(v0)) - half_h
         h, w = 2 * half_h + 1, 2 * half_w + 1
         if h > side or w > side:
             continue
-        cut_patch(image, light, f, top, left, h, w, kernel, raw, across, patch)
+        cut_patch(image, light, top, left, h, w, kernel, raw, across, patch)
         m = 0
         for i in range(h):
             y = top + i
-            v = y * f + f // 2
-            if v < 0 or v >= mask.shape[0] or y * f + f > image.shape[0] or y < 0:
+            if y < 0 or y >= mask.shape[0]:
                 continue
             dy = np.float32(y - v0)
             for j in range(w):
                 z = left + j
-                u = z * f + f // 2
-                if u < 0 or u >= mask.shape[1] or z * f + f > image.shape[1] or z < 0 or mask[v, u] == 0:
+                if z < 0 or z >= mask.shape[1] or mask[y, z] == 0:
                     continue
                 dx = np.float32(z - u0)
                 if gyy * dx * dx - 2.0 * gxy * dx * dy + gxx * dy * dy < gdet:
@@ -292,11 +287,11 @@ def measure_into(
         cut[k] = lost / whole
         # the far rim of a sliver drowns in the limb; half of it, with the known size, still fixes the centre
         least = min(0.45, rim_least) if minor[k] < _SLIVER else rim_least
-        area = np.pi * f**-2.0 * np.sqrt(shape[k, 0, 0] * shape[k, 1, 1] - shape[k, 0, 1] ** 2) * size**2
+        area = np.pi * np.sqrt(shape[k, 0, 0] * shape[k, 1, 1] - shape[k, 0, 1] ** 2) * size**2
         ok[k] = _deep(x[k], contrast, noise) and rim[k] > least and inside > 0.4 * area and moved < 0.1
-        centroid[k, 0], centroid[k, 1] = place[k, 0] + f * x[k, 6], place[k, 1] + f * x[k, 7]
+        centroid[k, 0], centroid[k, 1] = place[k, 0] + x[k, 6], place[k, 1] + x[k, 7]
         # of the pixels' noise the smoothing leaves about a half in a centre
-        variance = max(squares / max(freedom, 1.0), 0.5 * noise**2) * f**2
+        variance = max(squares / max(freedom, 1.0), 0.5 * noise**2)
         for j in range(2):
             g[:] = 0.0
             g[6 + j] = 1.0
@@ -304,7 +299,7 @@ def measure_into(
             covariance[k, j, 0] = variance * g[6]
             covariance[k, j, 1] = variance * g[7]
             # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
-            covariance[k, j, j] += sigma**2 + ((_SLIVER_BIAS / minor[k] ** 2) ** 2 + _CUT * cut[k]) * f**2
+            covariance[k, j, j] += sigma**2 + (_SLIVER_BIAS / minor[k] ** 2) ** 2 + _CUT * cut[k]
     return told
 
 

@@ -45,18 +45,18 @@ def noise_of(image, top, bottom, left, right):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def cut_patch(image, light, f, top, left, h, w, kernel, raw, across, out):
-    """Smoothed grey of a window of h x w px from row `top` and column `left` of the reduced picture: into `out`.
+def cut_patch(image, light, top, left, h, w, kernel, raw, across, out):
+    """Smoothed grey of a window of h x w px from row `top` and column `left`: into `out`.
 
     Beyond the picture's edge its last row and column are repeated.
     """
     height, width, channels = image.shape
     rows, columns = h + 2 * EDGE, w + 2 * EDGE
-    y0, x0 = (top - EDGE) * f, (left - EDGE) * f
-    scale, base = np.float32(1.0 / (f * f)), np.float32(0.0)
+    y0, x0 = top - EDGE, left - EDGE
+    scale, base = np.float32(1.0), np.float32(0.0)
     if light:
         scale, base = -scale, np.float32(255.0)
-    if f == 1 and channels == 3 and y0 >= 0 and x0 >= 0 and y0 + rows <= height and x0 + columns <= width:
+    if channels == 3 and y0 >= 0 and x0 >= 0 and y0 + rows <= height and x0 + columns <= width:
         for i in range(rows):
             line, to = image[np.uint64(y0 + i)], raw[i]
             for j in range(columns):
@@ -69,20 +69,16 @@ def cut_patch(image, light, f, top, left, h, w, kernel, raw, across, out):
                 to[np.uint64(j)] = base + scale * value
     else:
         for i in range(rows):
+            y = min(max(y0 + i, 0), height - 1)
             for j in range(columns):
-                value = np.float32(0.0)
-                for di in range(f):
-                    y = min(max(y0 + i * f + di, 0), height - 1)
-                    for dj in range(f):
-                        x = min(max(x0 + j * f + dj, 0), width - 1)
-                        if channels == 3:
-                            value += (
-                                np.float32(0.114) * np.float32(image[y, x, 0])
-                                + np.float32(0.587) * np.float32(image[y, x, 1])
-                                + np.float32(0.299) * np.float32(image[y, x, 2])
-                            )
-                        else:
-                            value += np.float32(image[y, x, 0])
+                x = min(max(x0 + j, 0), width - 1)
+                value = np.float32(image[y, x, 0])
+                if channels == 3:
+                    value = (
+                        np.float32(0.114) * value
+                        + np.float32(0.587) * np.float32(image[y, x, 1])
+                        + np.float32(0.299) * np.float32(image[y, x, 2])
+                    )
                 raw[i, j] = base + scale * value
     k0, k1, k2, k3 = kernel[3], kernel[4], kernel[5], kernel[6]
     for i in range(rows):

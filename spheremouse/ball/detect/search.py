@@ -15,11 +15,11 @@ from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.fit import FitSettings
 from spheremouse.geometry.rotation import Array
 
-_STRIDE = (2, 8)  # columns and rows of the reduced picture between samples of one frame: few rows are few cache misses
+_STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
 _SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame: together every other row
 _MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
 _MOST = 4  # candidates in one frame: more come in the next
-_REJECTED = 2.5  # px of the reduced picture, around a place that turned out to be no disc
+_REJECTED = 2.5  # px of the coarse picture, around a place that turned out to be no disc
 _WAIT = (32, 512)  # frames for which such a place is left out, at first and at most: doubled each time
 _REMEMBERED = 256  # places remembered
 
@@ -31,6 +31,7 @@ class Lattice:
     places: tuple[NDArray[np.int32], ...]  # of each shift (n, 2): column and row, px, on the ball
     sides: tuple[NDArray[np.uint8], ...]  # of each shift (n,): bits of the neighbours that lie on the ball
     offsets: NDArray[np.int32]  # (8, 2) px to the neighbours, opposite ones follow each other
+    reduction: int  # a large picture is looked at so much more coarsely
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,19 +48,23 @@ class SearchState:
     )  # (k,) for how long the last time
 
 
-def lattice(mask: Image, diameter: float, reduction: int) -> Lattice:
-    """Samples on the ball's `mask`, (h, w), for discs of up to `diameter` px."""
+def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: int) -> Lattice:
+    """Samples on the ball's `mask`, (h, w), for discs of up to `diameter` px; where discs are `thin`, (h, w), no fewer.
+
+    Coarse samples would miss a sliver near the limb: it is long, and a pixel or two across.
+    """
     h, w = mask.shape
     d = 0.5 * diameter + _MARGIN * reduction
     angles = np.pi / 4 * np.array([0, 4, 2, 6, 1, 5, 3, 7])
     offsets = np.rint(d * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.int32)
     places, sides = [], []
     for dx, dy in _SHIFTS:
-        rows = np.arange(dy * reduction, h, _STRIDE[1] * reduction)
-        columns = np.arange(dx * reduction, w, _STRIDE[0] * reduction)
-        y, x = np.meshgrid(rows, columns, indexing="ij")
-        on = mask[y, x] > 0
-        at = np.stack([x[on], y[on]], axis=1).astype(np.int32)
+        parts = []
+        for step, part in ((reduction, ~thin), (1, thin)):
+            y, x = np.mgrid[dy * step : h : _STRIDE[1] * step, dx * step : w : _STRIDE[0] * step]
+            on = (mask[y, x] > 0) & part[y, x]
+            parts.append(np.stack([x[on], y[on]], axis=1).astype(np.int32))
+        at = np.concatenate(parts)
         bits = np.zeros(len(at), dtype=np.uint8)
         for k, (ox, oy) in enumerate(offsets):
             u, v = at[:, 0] + ox, at[:, 1] + oy
@@ -68,7 +73,7 @@ def lattice(mask: Image, diameter: float, reduction: int) -> Lattice:
             bits |= (inside.astype(np.uint8) << k).astype(np.uint8)
         places.append(at)
         sides.append(bits)
-    return Lattice(tuple(places), tuple(sides), offsets)
+    return Lattice(tuple(places), tuple(sides), offsets, reduction)
 
 
 def places_to_look_at(
@@ -96,14 +101,14 @@ def places_to_look_at(
         where.offsets,
         state.turn,
         known,
-        radius + 2.0 * fit.reduction,
+        radius + 2.0 * where.reduction,
         state.rejected[state.until > state.turn],
-        _REJECTED * fit.reduction,
+        _REJECTED * where.reduction,
         0.5 * fit.contrast,
         2.5 * noise,
         fit.light,
         radius,
-        fit.reduction,
+        where.reduction,
         found,
     )
     return found[:n]

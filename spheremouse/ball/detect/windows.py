@@ -82,7 +82,7 @@ def look_at(
     centre, covariance, area, told = _look_at(
         image, view.mask, np.ascontiguousarray(directions), np.ascontiguousarray(places), rate, readout, view.exposure,
         view.centre, view.radius, view.alpha, view.rotation, view.position, view.intrinsic, view.distortion, noise,
-        view.least, view.apart, fit.reduction, fit.light, fit.kernel, fit.blur, share * fit.contrast,
+        view.least, view.apart, fit.light, fit.kernel, fit.blur, share * fit.contrast,
         fit.size_tolerance, fit.rim, fit.sigma, size,
     )  # fmt: skip
     return Detections(centre, covariance, area), told
@@ -91,7 +91,7 @@ def look_at(
 @njit(cache=True, error_model="numpy")
 def _look_at(
     image, mask, directions, places, rate, readout, exposure, K, radius, alpha, rotation, P, intrinsic, distortion,
-    noise, least, apart, f, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size,
+    noise, least, apart, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size,
 ):  # fmt: skip
     n = len(directions)
     height, width = mask.shape
@@ -131,7 +131,7 @@ def _look_at(
         x, y = centroid[i, 0], centroid[i, 1]
         if x - dx > -0.5 and x + dx < width - 0.5 and y - dy > -0.5 and y + dy < height - 0.5:
             if exposure > 0.0 and np.isfinite(uv[i, 0] + uv[i, 1]):
-                smear[i] = 2.0 / f * (uv[i] - centre[i])
+                smear[i] = 2.0 * (uv[i] - centre[i])
             index[k] = i
             k += 1
     index = index[:k]
@@ -139,7 +139,7 @@ def _look_at(
     ok, found, covariance = np.zeros(k, dtype=np.bool_), np.empty((k, 2)), np.empty((k, 2, 2))
     rim, cut = np.zeros(k), np.zeros(k)
     told = measure_into(
-        image, mask, start, shape[index], smear[index], np.float32(noise / f), f, light, kernel, blur, contrast,
+        image, mask, start, shape[index], smear[index], np.float32(noise), light, kernel, blur, contrast,
         size_tolerance, rim_least, sigma, size, ok, found, covariance, rim, cut,
     )  # fmt: skip
     kept = np.empty(k, dtype=np.int64)

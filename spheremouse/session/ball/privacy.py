@@ -53,7 +53,7 @@ def masked(image: Image, keep: Image | None) -> Image:
 
 def _around_ball(detector: DiscDetector, clipped: bool) -> Image:
     """The ball with the reach of what finds and measures discs; `clipped`: nothing beyond its box is looked at."""
-    f = detector.view.fit.reduction
+    f = detector.lattice.reduction
     rows, columns = detector.window
     closing = 2 * int(np.ceil(0.75 * detector.diameter / f))
     smoothing = int(np.ceil(3.0 * detector.settings.smoothing)) + 1

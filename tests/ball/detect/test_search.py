@@ -96,7 +96,7 @@ def distances(places, to):
 def test_four_lattices_cover_the_mask(scale):
     """No pixel of the ball is further from a sample than half a diagonal of 2 px of the reduced picture."""
     detector = FORM[scale]
-    f = detector.view.fit.reduction
+    f = detector.lattice.reduction
     assert f == scale
     free = np.full(detector.view.mask.shape, 255, np.uint8)
     for places in detector.lattice.places:
