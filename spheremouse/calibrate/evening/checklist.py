@@ -54,7 +54,9 @@ def checklist(folder: Path) -> list[Step]:
     have_camera = camera is not None and not camera.problem
     board = photos_in(folder / BOARD)
     shots = photos_in(folder / DEVICE, folder / CAMERA_FILE if have_camera else None)
-    rolling = (("Without photos of the device, roll the ball for a minute:", proposed.rolling_command(folder)),)
+    rolling: tuple[tuple[str, str], ...] = ()
+    if not have_rig:
+        rolling = (("Without photos of the device, roll the ball for a minute:", proposed.rolling_command(folder)),)
     return _in_turn(
         [
             _folder_step(folder, have_rig),
