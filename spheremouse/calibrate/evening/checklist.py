@@ -203,7 +203,7 @@ def _run_step(folder: Path) -> Step:
     watch = ["--output", "null", "--table"]
     if film := film_in(folder):
         todo = ("All is calibrated. Watch what the ball of the practice set does:",)
-        return Step("run", "next", "", todo, proposed.run_command(folder, "--source", film, "--realtime", *watch))
+        return Step("run", "next", "", todo, proposed.run_command(folder, "--source", film, *watch))
     todo = ("All is calibrated. Play; `spheremouse ctl watch` in another terminal says what the ball does:",)
     told = (("Or only watch what the ball does:", proposed.run_command(folder, *watch)),)
     return Step("run", "next", "", todo, proposed.run_command(folder, "--output", "auto"), told)

@@ -170,7 +170,7 @@ def test_a_practice_set_ends_with_its_film(finished):
     source = ["--source", f"dataset:{finished / 'film'}"]
     config = finished / "config.yaml"
     words = shlex.split(next_of(finished).command)
-    watched = [*source, "--realtime", "--output", "null", "--table"]
+    watched = [*source, "--output", "null", "--table"]
     assert words == ["spheremouse", "run", "--config", str(config), *watched]
     config.unlink()
     words = shlex.split(next_of(finished).command)
