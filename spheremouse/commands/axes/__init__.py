@@ -104,17 +104,8 @@ def _told(plan: "Plan", request: "Request", config: Path) -> dict[tuple[str, ...
             said[key,] = os.path.relpath(path, beside)
     if request.balls:
         said["wand", "balls"] = tuple(os.path.relpath(path, beside) for path in request.balls)
-    there = read_document(config).data or {} if config.exists() else {}
-    return {key: value for key, value in said.items() if not _says(there, key)}
-
-
-def _says(data: Any, key: tuple[str, ...]) -> bool:
-    """Whether a document has a key, in whatever section."""
-    for name in key:
-        if not isinstance(data, dict) or name not in data:
-            return False
-        data = data[name]
-    return True
+    there = read_document(config).lines if config.exists() else {}
+    return {key: value for key, value in said.items() if key not in there}
 
 
 def _keep(config: Path | None, values: dict[tuple[str, ...], Any], dry: bool) -> None:
