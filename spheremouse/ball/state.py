@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
@@ -11,6 +12,7 @@ from spheremouse.ball.detect.lookalikes import Lookalikes
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter, FilterState
+from spheremouse.ball.filters.so3_mixture import Hypothesis
 from spheremouse.ball.filters.so3_state import So3State, to_map
 from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.rig import Rig
@@ -19,6 +21,7 @@ from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Event, Frame, Motion, Status
 
+_NO_TRACK = np.zeros(0, dtype=np.intp)
 _SURE = 10  # sightings from which a disc is worth keeping
 
 Events = tuple[Event, ...]
@@ -51,12 +54,18 @@ class Tracker(Generic[K]):
 
 
 class View(NamedTuple):
-    """What one frame showed, and the attitude it was taken for."""
+    """What one frame showed, and the state that was predicted for it."""
 
     stamp: float  # s
     detections: Detections
     points: SpherePoints
-    attitude: Array  # (3, 3) R_obj_ball
+    filter: Any  # the filter's state as predicted for it
+    track: NDArray[np.intp] = _NO_TRACK  # (n,) number of each point: equal for the same point in another view
+
+    @property
+    def attitude(self) -> Array:
+        """R_obj_ball, (3, 3), as predicted."""
+        return self.filter.attitude
 
     @property
     def centre(self) -> Array:
@@ -75,6 +84,7 @@ class Learning(NamedTuple):
 
     found: bool = False  # two discs were seen: the ball is tracked
     views: tuple[View, ...] = ()  # since the ball was seen, to be filtered again without the look-alikes
+    next_track: int = 0  # number of the next point that no view has shown yet
 
 
 class Roundness(NamedTuple):
@@ -113,7 +123,9 @@ class TrackState(Generic[F]):
     confirmed_at: float  # s, stamp of the last frame whose discs confirmed the attitude
     detections: Detections  # all of the last frame
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
+    alternatives: tuple[Hypothesis, ...] = ()  # to `filter`, while the discs in view leave more than one possible
     confirmed: bool = False  # the last frame's discs confirm the attitude
+    supported_at: float = -np.inf  # s, stamp of the last frame that showed a disc of the map where it may be
     lookalikes: Lookalikes = field(default_factory=Lookalikes)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     absolute: bool = False  # the attitude is that of a map made earlier
@@ -172,6 +184,7 @@ def tracked(
         state,
         phase=phase,
         filter=filtered,
+        alternatives=(),
         reported_attitude=reported,
         confirmed_at=stamp,
         confirmed=True,

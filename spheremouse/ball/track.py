@@ -303,13 +303,15 @@ def _next_phase(
         case Tracking():
             return check_bearings(follow(state, stamp, tracker, predicted), stamp, tracker, predicted)
         case Lost():
-            return recover(state, state.phase, stamp, tracker)
+            return recover(state, state.phase, stamp, tracker, predicted)
 
 
 def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[TrackState, Events]:
     """Unconfirmed for so long, the prediction is a guess."""
     after = tracker.settings.loss.lost_after
     if state.status is not Status.TRACKING or state.confirmed or stamp - state.confirmed_at <= after:
+        return state, ()
+    if not tracker.classic and stamp - state.supported_at <= after:
         return state, ()
     return lost(state), (BallLost(Why.UNSEEN, after, len(state.points)),)
 

@@ -127,6 +127,29 @@ class So3Filter:
         each weighed by the likelihood of all pairs together, and the update takes their mean (Bar-Shalom, Li,
         Kirubarajan 2001, section 11.6, with one filter for all of them).
         """
+        certain = self.update_if_certain(state, points, may_start_landmark)
+        if certain is not None:
+            return certain
+        noise_scales = squared_levels(self.settings.levels)
+        expected = self._expected(state)
+        best = self._pair(state, points, expected)
+        if not best.complete and state.process[3, 3] > 0.0:
+            for noise_scale in noise_scales[noise_scales > expected]:
+                pairing = self._pair(state, points, float(noise_scale))
+                more = len(pairing.rows) - len(best.rows)
+                if more > 0 or (more == 0 and pairing.fits and not best.fits):
+                    best = pairing
+                if best.complete:
+                    break
+        return self._keep_map(self._correct(state, points, best)[0], points, best, may_start_landmark)
+
+    def update_if_certain(
+        self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
+    ) -> So3State | None:
+        """`update` of an ordinary frame: two discs and more, each where it was expected, and no other choice.
+
+        None of any other frame.
+        """
         noise_scales = squared_levels(self.settings.levels)
         weights = (state.weights if len(state.weights) else prior_of_levels(self.settings.levels)).copy()
         joint, s = state.joint.copy(), self.settings
@@ -152,20 +175,70 @@ class So3Filter:
             points.dposition_dball,
             self.radius,
         )
-        if ordinary and abs(dx[:3]).max() <= _LINEAR:
-            updated = inject(state, dx, joint, weights, noise_scale**0.5, rows, nis)
-            return self._keep_map(updated, points, _Pairing(rows, columns, True, True), may_start_landmark)
-        expected = self._expected(state)
-        best = self._pair(state, points, expected)
-        if not best.complete and state.process[3, 3] > 0.0:
-            for noise_scale in noise_scales[noise_scales > expected]:
-                pairing = self._pair(state, points, float(noise_scale))
-                more = len(pairing.rows) - len(best.rows)
-                if more > 0 or (more == 0 and pairing.fits and not best.fits):
-                    best = pairing
-                if best.complete:
-                    break
-        return self._keep_map(self._correct(state, points, best), points, best, may_start_landmark)
+        if not ordinary or abs(dx[:3]).max() > _LINEAR:
+            return None
+        updated = inject(state, dx, joint, weights, noise_scale**0.5, rows, nis)
+        return self._keep_map(updated, points, _Pairing(rows, columns, True, True), may_start_landmark)
+
+    def correct(
+        self, state: So3State, points: SpherePoints, rows: tuple[int, ...], columns: tuple[int, ...]
+    ) -> tuple[So3State, float]:
+        """Correct a predicted state by points `rows` taken for the discs `columns`.
+
+        Also the log likelihood of their directions, rad^-2 each, over all levels of process noise.
+        """
+        pairing = _Pairing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), True, True)
+        return self._correct(state, points, pairing)
+
+    def keep_map(
+        self,
+        state: So3State,
+        points: SpherePoints,
+        rows: tuple[int, ...],
+        columns: tuple[int, ...],
+        may_start_landmark: NDArray[np.bool_] | None = None,
+    ) -> So3State:
+        """The corrected state with sightings counted, and landmarks for the points left over that may start one."""
+        pairing = _Pairing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), True, True)
+        return self._keep_map(state, points, pairing, may_start_landmark)
+
+    def candidate_distances(
+        self, state: So3State, points: SpherePoints, widest: bool = False
+    ) -> tuple[Array, NDArray[np.intp]]:
+        """Squared Mahalanobis distances, (n, k), of the points to the discs that may be in view, and which those are.
+
+        `widest`: with the process noise of the liveliest level.
+        """
+        slack = 2.0 * self.place_sigma(state, np.arange(len(state.discs)))
+        cosine = state.discs @ (self.towards_camera @ state.attitude)
+        which = np.flatnonzero(cosine > self.horizon - np.minimum(slack, 0.5))
+        distance = np.full((len(points), len(which)), np.inf)
+        if distance.size == 0:
+            return distance, which
+        scale = max(squared_levels(self.settings.levels)) if widest else 1.0
+        added_process_noise = (scale - 1.0) * state.process
+        spread = float(np.trace(state.joint[:3, :3] + added_process_noise[:3, :3]))
+        distance[0, 0] = self.settings.gate
+        so3_match.distances(
+            state.attitude,
+            state.rate,
+            state.acceleration,
+            state.discs,
+            state.basis,
+            state.joint,
+            which,
+            added_process_noise[:3, :3],
+            min(spread, 0.25) ** 2,
+            points.direction,
+            points.image_covariance / self.radius**2,
+            delays(points, state),
+            points.row,
+            points.dposition_dpose,
+            points.dposition_dball,
+            self.radius,
+            distance,
+        )
+        return distance, which
 
     def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> _Pairing:
         """Pairs within the gate when the density is that of the level whose noise scale is given."""
@@ -214,20 +287,25 @@ class So3Filter:
         """Mean square of the level, before the innovations are seen."""
         return float(state.weights @ squared_levels(self.settings.levels)) if len(state.weights) else 1.0
 
-    def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> So3State:
+    def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> tuple[So3State, float]:
+        """The state corrected by pairs, and their log likelihood, 1/rad² each."""
         rows, columns = pairing.rows, pairing.columns
         noise_scale = self._expected(state)
         weights = state.weights
         if len(rows) == 0:
             joint = state.joint.copy()
             joint[:CORE, :CORE] += (noise_scale - 1.0) * state.process
-            return replace(
+            still = replace(
                 state, joint=joint, process=_STILL, manoeuvre_level=float(np.sqrt(noise_scale)), used=rows, nis=0.0
             )
+            return still, 0.0
         H, HP, z, S = pairing.innovation or self._innovation(state, points, rows, columns, _STILL)
+        log_likelihood = _log_density(z, S)
         if state.process[3, 3] > 0.0:
             weights = weights.copy()
-            kernel.update_level_probabilities(z, S, H, state.process, squared_levels(self.settings.levels), weights)
+            log_likelihood += kernel.update_level_probabilities(
+                z, S, H, state.process, squared_levels(self.settings.levels), weights
+            )
             noise_scale = float(weights @ squared_levels(self.settings.levels))
         joint, added_process_noise = state.joint.copy(), (noise_scale - 1.0) * state.process
         joint[:CORE, :CORE] += added_process_noise
@@ -237,8 +315,10 @@ class So3Filter:
         prior = joint.copy()
         nis = kernel.correct(joint, HP, S, z, dx, kernel.rate_is_significant(state.rate, joint))
         if float(np.abs(dx[:3]).max()) > _LINEAR:
-            joint, dx, nis = self._again(state, prior, dx, points, rows, columns)
-        return inject(state, dx, joint, weights, float(np.sqrt(noise_scale)), rows, nis)
+            log_likelihood -= _log_density(z, S)
+            joint, dx, nis, again = self._again(state, prior, dx, points, rows, columns)
+            log_likelihood += again
+        return inject(state, dx, joint, weights, float(np.sqrt(noise_scale)), rows, nis), log_likelihood
 
     def _again(
         self,
@@ -248,9 +328,12 @@ class So3Filter:
         points: SpherePoints,
         rows: NDArray[np.intp],
         columns: NDArray[np.intp],
-    ) -> tuple[Array, Array, float]:
-        """A large correction, made again about where it led (iterated Kalman filter, Bell and Cathey 1993)."""
-        joint, nis = prior, 0.0
+    ) -> tuple[Array, Array, float, float]:
+        """A large correction, made again about where it led (iterated Kalman filter, Bell and Cathey 1993).
+
+        Joint covariance, correction, normalised innovation squared and log likelihood (Laplace's approximation).
+        """
+        joint, nis, log_likelihood = prior, 0.0, 0.0
         for _ in range(3):
             about = dx.copy()
             about[READOUT] = 0.0  # the innovation is linear in it, and what is added back below leaves it out
@@ -258,14 +341,14 @@ class So3Filter:
             H, HP, z, S = self._innovation(there, points, rows, columns, _STILL)
             at = (FIRST + 2 * columns[:, None] + np.arange(2)).ravel()
             joint, step = prior.copy(), np.empty(len(dx))
-            nis = kernel.correct(
-                joint, HP, S, z + H @ dx[:CORE] + dx[at], step, kernel.rate_is_significant(state.rate, joint)
-            )
+            innovation = z + H @ dx[:CORE] + dx[at]
+            log_likelihood = _log_density(innovation, S)
+            nis = kernel.correct(joint, HP, S, innovation, step, kernel.rate_is_significant(state.rate, joint))
             moved = float(np.abs(step[:3] - dx[:3]).max())
             dx = step
             if moved < 0.1 * _LINEAR:
                 break
-        return joint, dx, nis
+        return joint, dx, nis, log_likelihood
 
     def _innovation(
         self,
@@ -359,6 +442,13 @@ class So3Filter:
             state = drop(state, keep)
         room = max(s.most_discs - len(state.discs), 0)
         return augment(state, points, found[: min(new, room)], self.radius) if new and room else state
+
+
+def _log_density(z: Array, S: Array) -> float:
+    """Log of the normal density of an innovation z, (2k,), with covariance S."""
+    L = np.linalg.cholesky(S)
+    white = np.linalg.solve(L, z)
+    return float(-0.5 * white @ white - np.log(L.diagonal()).sum() - 0.5 * len(z) * math.log(2.0 * math.pi))
 
 
 def relocate(

@@ -102,7 +102,7 @@ def update_level_probabilities(z, S, H, process, noise_scales, weights):
     """Probabilities of the levels after innovations z with covariance S at level 1: into `weights`, (l,).
 
     Another level adds D = (scale - 1) Q to the attitude's covariance: by the matrix inversion lemma its likelihood
-    needs nothing larger than 3x3.
+    needs nothing larger than 3x3. Returns the log likelihood of z over all levels, over that at level 1.
     """
     n = len(z)
     L = np.linalg.cholesky(S)
@@ -132,6 +132,7 @@ def update_level_probabilities(z, S, H, process, noise_scales, weights):
         total += weights[level]
     for level in range(len(noise_scales)):
         weights[level] /= total
+    return most + np.log(total)
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,7 +10,8 @@ from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, augment
-from spheremouse.ball.phases.candidates import all_are_discs, judged, updated
+from spheremouse.ball.phases.candidates import all_are_discs, judged
+from spheremouse.ball.phases.hypotheses import updated_hypotheses
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import Tracker, Tracking, TrackState
@@ -48,13 +49,15 @@ def follow(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> TrackState[So3State]:
     """Filter the points; candidates that have moved with the ball become discs at once."""
-    state = updated(state, tracker, predicted)
+    state = updated_hypotheses(state, stamp, tracker, predicted)
     if all_are_discs(state):
         return state
     if not state.confirmed:
         found = recognised_attitude(state, stamp, tracker)
         if found is not None:
-            return replace(state, filter=found[0], confirmed=True)
+            return replace(state, filter=found[0], alternatives=(), confirmed=True, supported_at=stamp)
+    if state.alternatives:  # the attitude by which candidates would be judged is in doubt
+        return state
     return judged(state, stamp, tracker, predicted, _with_discs)
 
 

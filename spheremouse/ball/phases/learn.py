@@ -1,6 +1,7 @@
 """The first turn of the ball, from which discs are told from look-alikes."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,9 @@ from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.events import Found, Turned
 from spheremouse.ball.phases.candidates import confirms
-from spheremouse.ball.points import SpherePoints
+from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
+from spheremouse.ball.phases.hypotheses import updated_hypotheses
 from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View
-from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
@@ -21,7 +22,7 @@ _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again wi
 def learn(
     state: TrackState[F], phase: Learning, stamp: float, tracker: Tracker, predicted: F
 ) -> tuple[TrackState[F], Events]:
-    """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
+    """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until some turn alike.
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
     """
@@ -29,26 +30,49 @@ def learn(
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) == 0:
             return found(replace(state, filter=predicted), phase, stamp)
-    filtered = tracker.filter.update(predicted, state.points)
-    naive = replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
-    views = (*phase.views, View(stamp, state.detections, state.points, filtered.attitude))
+    naive = _with_all(state, stamp, tracker, predicted)
+    centre = state.detections.centre[state.points.index]
+    track, next_track = follow_points(phase.views, centre, phase.next_track)
+    views = (*phase.views, View(stamp, state.detections, state.points, predicted, track))
     if len(views) > _REPLAY:
         views = (views[0], *views[2:])  # the first frame is the anchor: slow motion shows against it
     still = _still_since(views[0], views[-1], tracker)
     if still is None:
+        still = still_while_two_turned(views, tracker)
+    if still is None:
         if len(views) == _REPLAY and _changed(views[0], views[-1], tracker.settings.static):
             views = views[-1:]
-        return found(naive, phase._replace(views=views), stamp)
-    lookalikes = static.mask(state.lookalikes, still, stamp)
-    filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
-    points = state.points
-    for view in views:
-        free, _ = static.unmasked(lookalikes, view.centre, view.stamp, tracker.settings.static)
-        points = view.points.take(free)
-        filtered = tracker.filter.update(tracker.filter.predict(filtered, view.stamp), points)
-    state = replace(state, filter=filtered, lookalikes=lookalikes, points=points, confirmed=len(filtered.used) > 1)
+        return found(naive, phase._replace(views=views, next_track=next_track), stamp)
+    if len(still):
+        state = _without(state, still, views, tracker)
+    else:
+        state = naive
     state, events = found(state, phase, stamp)
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
+
+
+def _with_all(state: TrackState[F], stamp: float, tracker: Tracker, predicted: F) -> TrackState[F]:
+    """The frame filtered with every point taken for a disc."""
+    if not tracker.classic:
+        every = np.ones(len(state.points), dtype=bool)
+        known: Any = state, stamp, tracker, predicted
+        return updated_hypotheses(*known, proven=every)
+    filtered = tracker.filter.update(predicted, state.points)
+    return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
+
+
+def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracker: Tracker) -> TrackState[F]:
+    """The frames of all views filtered again, without the look-alikes at `still`, (k, 2) px."""
+    stamp = views[-1].stamp
+    state = replace(state, lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
+    filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
+    for view in views:
+        free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp, tracker.settings.static)
+        state = replace(state, filter=filtered, points=view.points.take(free), detections=view.detections)
+        predicted = tracker.filter.predict(filtered, view.stamp)
+        state = _with_all(state, view.stamp, tracker, predicted)
+        filtered = state.filter
+    return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
@@ -78,17 +102,7 @@ def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
     path = np.linalg.norm(anchor.centre[left][pairs[:, 0]] - now.centre[~stayed][pairs[:, 1]], axis=1)
     if np.median(path) < s.moved:
         return None
-    return now.centre[stayed & _would_move(now.points, rotation, tracker, s.moved)]
-
-
-def _would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: float) -> NDArray[np.bool_]:
-    """Which points would have come from at least `least` px away, were they discs under `rotation`."""
-    radius, centre = tracker.rig.ball.radius, tracker.rig.ball.centre
-    uv = [
-        project(tracker.pose.to_cam(centre + radius * d), tracker.rig.camera)[0]
-        for d in (points.direction, points.direction @ rotation)
-    ]
-    return np.linalg.norm(uv[0] - uv[1], axis=1) > least
+    return now.centre[stayed & would_move(now.points, rotation, tracker, s.moved)]
 
 
 def _changed(anchor: View, now: View, settings: StaticSettings) -> bool:

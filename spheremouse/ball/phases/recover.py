@@ -5,6 +5,7 @@ from dataclasses import replace
 from spheremouse.ball.events import BallLost, NewMap, Recognised, Why
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.phases.hypotheses import updated_hypotheses
 from spheremouse.ball.phases.learn import found
 from spheremouse.ball.phases.lifted import back_on_bearings
 from spheremouse.ball.phases.recognise import recognised_attitude
@@ -43,11 +44,19 @@ def seen_since(phase: Lost, points: int, stamp: float) -> Lost:
 
 
 def recover(
-    state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter]
+    state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
     """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
     phase = seen_since(phase, len(state.points), stamp)
     state = replace(state, phase=phase)
+    if phase.lifted_at is None and len(state.points):
+        state = updated_hypotheses(state, stamp, tracker, predicted, extend_map=False)
+        if state.confirmed and len(state.filter.used) > 1:
+            pairs = len(state.filter.used)
+            state = replace(state, lookalikes=forget(state.lookalikes))
+            filtered = state.filter.with_reference()
+            return tracked(state, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
+        state = replace(state, confirmed=False)
     if phase.in_view_since is None:
         return state, ()
     recognised = recognised_attitude(state, stamp, tracker)
@@ -55,11 +64,11 @@ def recover(
         filtered, pairs = recognised
         last = phase.last
         if isinstance(last, Learning):
-            last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered.attitude),))
+            last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered),))
         state = replace(state, lookalikes=forget(state.lookalikes))
         return tracked(state, last, filtered.with_reference(), filtered.attitude, stamp), (Recognised(pairs),)
     waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < tracker.settings.bearing.patience
-    if waits or stamp - phase.in_view_since < tracker.settings.loss.reset_after:
+    if waits or stamp - max(phase.in_view_since, state.supported_at) < tracker.settings.loss.reset_after:
         return state, ()
     return begin_anew(state, stamp, tracker)
 
@@ -95,4 +104,4 @@ def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, V
     """A new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
     attitude = state.filter.attitude
     filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), state.points)
-    return filtered, View(stamp, state.detections, state.points, attitude)
+    return filtered, View(stamp, state.detections, state.points, filtered)

@@ -1,0 +1,140 @@
+"""Several attitudes at once, while the discs in view leave more than one possible.
+
+A hypothesis is a filter state with its probability. Each frame extends every hypothesis by the assignments of points to
+discs that remain likely, weighs them by all that is and is not seen, and keeps the best (hypothesis-oriented multiple
+hypothesis tracking: Reid 1979, "An algorithm for tracking multiple targets"; gated one point at a time as in the joint
+compatibility test of Neira and Tardós 2001). In ordinary frames one hypothesis remains and costs nothing.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_state import So3State
+from spheremouse.ball.points import SpherePoints
+from spheremouse.geometry.rotation import Array
+
+_MAX_HYPOTHESES = 8  # a disc too many on each of three sides
+_MAX_NODES = 12  # assignments carried on from point to point
+_MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
+_SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
+_FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
+_DETECTED = 0.95  # probability that a disc is detected again that was detected where it was last expected
+_REAPPEARS = 0.5  # the same of one that was missed: it may lie behind a strut or a hand
+_LIMB = 0.1  # cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
+_LIMB_BLUR = 0.03  # cosine over which that changes
+
+
+class Hypothesis(NamedTuple):
+    """A possible state, and the logarithm of its probability."""
+
+    state: So3State
+    log_probability: float
+
+
+class _Node(NamedTuple):
+    """An assignment of the points considered so far, with the state after it and its log likelihood."""
+
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+    state: So3State
+    log_likelihood: float
+
+
+def update_hypotheses(
+    filter_: So3Filter,
+    predicted: tuple[Hypothesis, ...],
+    points: SpherePoints,
+    proven: NDArray[np.bool_],
+    extend_map: bool = True,
+) -> tuple[Hypothesis, ...]:
+    """Return the hypotheses after a frame's points, most probable first; their probabilities sum to one.
+
+    `predicted` holds states carried on to the frame's stamp. Of the points that are paired with no disc those start a
+    landmark that are `proven` (n,) to turn with the ball. If fewer than two discs are paired, all do: whatever is in
+    view tells the turn from here on. None does unless the map may be extended, `extend_map`.
+    """
+    if len(predicted) == 1:
+        ordinary = filter_.update_if_certain(predicted[0].state, points, proven & extend_map)
+        if ordinary is not None:
+            return (Hypothesis(ordinary, 0.0),)
+    extended: list[tuple[So3State, _Node, float]] = []
+    for state, log_probability in predicted:
+        for node in _assignments(filter_, state, points):
+            value = log_probability + node.log_likelihood + _log_missed(filter_, node.state, node.columns)
+            extended.append((state, node, value))
+    extended.sort(key=lambda item: -item[2])
+    kept: list[tuple[So3State, _Node, float]] = []
+    for item in extended:
+        if item[2] < extended[0][2] - _MARGIN or len(kept) == _MAX_HYPOTHESES:
+            break
+        if not any(_alike(item[1].state, other[1].state) for other in kept):
+            kept.append(item)
+    total = math.log(sum(math.exp(value - kept[0][2]) for _, _, value in kept)) + kept[0][2]
+    return tuple(
+        Hypothesis(
+            filter_.keep_map(node.state, points, node.rows, node.columns, (proven | (len(node.rows) < 2)) & extend_map),
+            value - total,
+        )
+        for _, node, value in kept
+    )
+
+
+def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) -> list[_Node]:
+    """The likely assignments of a frame's points to the discs of one predicted state."""
+    density = math.log(new_density(filter_, predicted, len(points)))
+    root = _Node((), (), filter_.correct(predicted, points, (), ())[0], 0.0)
+    distance, which = filter_.candidate_distances(predicted, points, widest=True)
+    candidates = distance < filter_.settings.gate
+    order = np.argsort(np.where(candidates.any(axis=1), candidates.sum(axis=1), 1000), kind="stable")
+    nodes = [root]
+    for row in order:
+        if not candidates[row].any():
+            nodes = [node._replace(log_likelihood=node.log_likelihood + density) for node in nodes]
+            continue
+        grown: list[_Node] = []
+        for node in nodes:
+            grown.append(node._replace(log_likelihood=node.log_likelihood + density))
+            for column in which[candidates[row]]:
+                if column in node.columns:
+                    continue
+                rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
+                state, evidence = filter_.correct(predicted, points, rows, columns)
+                unpaired = len(points) - len(rows) - (len(points) - 1 - np.flatnonzero(order == row)[0])
+                value = evidence + unpaired * density
+                value += sum(math.log(p) for p in detection_probability(filter_, state, np.array(columns)))
+                grown.append(_Node(rows, columns, state, value))
+        grown.sort(key=lambda node: -node.log_likelihood)
+        nodes = [n for n in grown[:_MAX_NODES] if n.log_likelihood > grown[0].log_likelihood - 2.0 * _MARGIN]
+    return nodes
+
+
+def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
+    """Density, 1/sr, of points that are no disc of the map: discs not yet known, and false points."""
+    known = int(np.count_nonzero(state.hits >= filter_.settings.trial))
+    in_view = 0.5 * (1.0 - filter_.horizon)  # share of the ball
+    unknown = max(seen / in_view - known, 1.0)
+    return (unknown + _FALSE_POINTS / in_view) / (4.0 * math.pi)
+
+
+def detection_probability(filter_: So3Filter, state: So3State, which: NDArray[np.intp]) -> Array:
+    """Probability, (k,), that each of the discs `which` is detected at a state."""
+    cosine = state.discs[which] @ (filter_.towards_camera @ state.attitude)
+    turned_to = 1.0 / (1.0 + np.exp(np.clip((filter_.horizon + _LIMB - cosine) / _LIMB_BLUR, -30.0, 30.0)))
+    return np.maximum(turned_to * np.where(state.missed[which] == 0, _DETECTED, _REAPPEARS), 1e-6)
+
+
+def _log_missed(filter_: So3Filter, state: So3State, columns: tuple[int, ...]) -> float:
+    """Log probability that all discs but those of `columns` are missed."""
+    others = np.delete(np.arange(len(state.discs)), np.array(columns, dtype=np.intp))
+    if len(others) == 0:
+        return 0.0
+    return float(np.sum(np.log1p(-detection_probability(filter_, state, others))))
+
+
+def _alike(a: So3State, b: So3State) -> bool:
+    """Whether two states have the same attitude."""
+    return bool(np.trace(a.attitude.T @ b.attitude) > 1.0 + 2.0 * math.cos(_SAME))
