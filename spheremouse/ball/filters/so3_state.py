@@ -47,6 +47,25 @@ class So3State:
         """s, standard deviation of `readout`; 0 where the rig knows it."""
         return float(self.joint[READOUT, READOUT]) ** 0.5
 
+    def map_sigma(self) -> Array:
+        """Standard deviation, (m,) rad, along the worse axis, of each disc's place relative to the other discs.
+
+        The rotation that all discs have in common drops out, since it changes no constellation: the S-transformation
+        of Baarda 1973, with the discs' own variances as weights.
+        """
+        P = self.joint[FIRST:-REFERENCE, FIRST:-REFERENCE]
+        m = len(self.discs)
+        if m < 2:
+            return np.zeros(m)
+        A = -(self.basis.transpose(0, 2, 1) @ hat(self.discs)).reshape(2 * m, 3)  # by a common rotation, ball
+        weighted = A / np.maximum(np.diag(P), 1e-12)[:, None]
+        B = np.linalg.solve(weighted.T @ A, weighted.T)  # (3, 2m), common rotation from the discs' errors
+        BP, A = (B @ P).reshape(3, m, 2).transpose(1, 0, 2), A.reshape(m, 2, 3)
+        ABP = A @ BP
+        own = P.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m)]
+        relative = own - ABP - ABP.transpose(0, 2, 1) + A @ (B @ P @ B.T) @ A.transpose(0, 2, 1)
+        return np.sqrt(np.maximum(np.linalg.eigvalsh(relative)[:, 1], 0.0))
+
     def with_reference(self) -> "So3State":
         """The state whose attitude is the one that the next motion counts from."""
         return So3State(  # each frame: `replace` would take twice as long
