@@ -7,6 +7,8 @@ the camera was pushed, or how long a shutter takes.
 
 from dataclasses import replace
 
+import numpy as np
+
 from spheremouse.ball.filters.euler import EulerState
 from spheremouse.ball.phases.candidates import all_are_discs, judged, updated
 from spheremouse.ball.phases.learn import learn
@@ -36,4 +38,7 @@ def _followed(state: State, stamp: float, tracker: Tracker, predicted: EulerStat
     state = updated(state, tracker, predicted)
     if all_are_discs(state):
         return state
+    if not state.confirmed:  # then no point starts a landmark
+        none = np.zeros(len(state.points), dtype=bool)
+        state = replace(state, filter=tracker.filter.update(predicted, state.points, none))
     return judged(state, stamp, tracker, predicted, lambda posterior, *_: posterior)

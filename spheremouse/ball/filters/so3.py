@@ -218,7 +218,7 @@ class So3Filter:
         scale = max(squared_levels(self.settings.levels)) if widest else 1.0
         added_process_noise = (scale - 1.0) * state.process
         spread = float(np.trace(state.joint[:3, :3] + added_process_noise[:3, :3]))
-        distance[0, 0] = self.settings.gate
+        distance[0, 0] = 3.0 * self.settings.gate
         so3_match.distances(
             state.attitude,
             state.rate,

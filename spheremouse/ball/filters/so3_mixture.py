@@ -21,6 +21,7 @@ _MAX_HYPOTHESES = 8  # a disc too many on each of three sides
 _MAX_NODES = 12  # assignments carried on from point to point
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
 _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
+_WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and the likelihood decides
 _FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
 _DETECTED = 0.95  # probability that a disc is detected again that was detected where it was last expected
 _REAPPEARS = 0.5  # the same of one that was missed: it may lie behind a strut or a hand
@@ -88,7 +89,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) 
     density = math.log(new_density(filter_, predicted, len(points)))
     root = _Node((), (), filter_.correct(predicted, points, (), ())[0], 0.0)
     distance, which = filter_.candidate_distances(predicted, points, widest=True)
-    candidates = distance < filter_.settings.gate
+    candidates = distance < _WIDE_GATE * filter_.settings.gate
     order = np.argsort(np.where(candidates.any(axis=1), candidates.sum(axis=1), 1000), kind="stable")
     nodes = [root]
     for row in order:

@@ -47,10 +47,8 @@ def judged(state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, t
     """What is no known disc, by whether it turns with the ball, stands still, or does neither yet."""
     points, centre, confirmed = state.points, state.detections.centre[state.points.index], state.confirmed
     rig, posterior = tracker.rig, state.filter
-    if not confirmed:
-        posterior = tracker.filter.update(predicted, points, np.zeros(len(points), dtype=bool))
-        if not _known_well(posterior, tracker):  # no point has a place on the ball, and none founds a disc
-            return replace(state, filter=posterior)
+    if not confirmed and not _known_well(posterior, tracker):  # no point has a place on the ball
+        return state
     other = np.ones(len(points), dtype=bool)
     other[posterior.used] = False  # what belongs to a known disc needs no judgement
     turning, _, lookalikes = static.classify_candidates(

@@ -26,9 +26,9 @@ def learn(
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
     """
-    if not phase.views:  # the ball is where it is first seen: nothing is known less for having waited
+    if not phase.views:  # the ball is where two points are first seen: nothing is known less for having waited
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
-        if len(state.points) == 0:
+        if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
     naive = _with_all(state, stamp, tracker, predicted)
     centre = state.detections.centre[state.points.index]
