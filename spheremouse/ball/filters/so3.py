@@ -32,7 +32,9 @@ _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense
 
 
 @dataclass(frozen=True, slots=True)
-class _Pairing:
+class Pairing:
+    """Points taken for discs."""
+
     rows: NDArray[np.intp]  # into the points
     columns: NDArray[np.intp]  # into the discs
     complete: bool  # enough of what should pair does
@@ -130,6 +132,11 @@ class So3Filter:
         certain = self.update_if_certain(state, points, may_start_landmark)
         if certain is not None:
             return certain
+        best = self.nearest_pairs(state, points)
+        return self._keep_map(self._correct(state, points, best)[0], points, best, may_start_landmark)
+
+    def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
+        """The pairs of least total distance, at the quietest level of process noise at which most points pair."""
         noise_scales = squared_levels(self.settings.levels)
         expected = self._expected(state)
         best = self._pair(state, points, expected)
@@ -141,7 +148,7 @@ class So3Filter:
                     best = pairing
                 if best.complete:
                     break
-        return self._keep_map(self._correct(state, points, best)[0], points, best, may_start_landmark)
+        return best
 
     def update_if_certain(
         self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
@@ -178,7 +185,7 @@ class So3Filter:
         if not ordinary or abs(dx[:3]).max() > _LINEAR:
             return None
         updated = inject(state, dx, joint, weights, noise_scale**0.5, rows, nis)
-        return self._keep_map(updated, points, _Pairing(rows, columns, True, True), may_start_landmark)
+        return self._keep_map(updated, points, Pairing(rows, columns, True, True), may_start_landmark)
 
     def correct(
         self, state: So3State, points: SpherePoints, rows: tuple[int, ...], columns: tuple[int, ...]
@@ -187,7 +194,7 @@ class So3Filter:
 
         Also the log likelihood of their directions, rad^-2 each, over all levels of process noise.
         """
-        pairing = _Pairing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), True, True)
+        pairing = Pairing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), True, True)
         return self._correct(state, points, pairing)
 
     def keep_map(
@@ -199,7 +206,7 @@ class So3Filter:
         may_start_landmark: NDArray[np.bool_] | None = None,
     ) -> So3State:
         """The corrected state with sightings counted, and landmarks for the points left over that may start one."""
-        pairing = _Pairing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), True, True)
+        pairing = Pairing(np.array(rows, dtype=np.intp), np.array(columns, dtype=np.intp), True, True)
         return self._keep_map(state, points, pairing, may_start_landmark)
 
     def candidate_distances(
@@ -240,11 +247,11 @@ class So3Filter:
         )
         return distance, which
 
-    def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> _Pairing:
+    def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> Pairing:
         """Pairs within the gate when the density is that of the level whose noise scale is given."""
         visible = self.visible(state)
         if len(points) == 0 or len(visible) == 0:
-            return _Pairing(_NONE, _NONE, True, True)
+            return Pairing(_NONE, _NONE, True, True)
         added_process_noise = (noise_scale - 1.0) * state.process
         distance = np.empty((len(points), len(visible)))
         distance[0, 0] = self.settings.gate
@@ -281,13 +288,13 @@ class So3Filter:
         fits = float(distance[rows, columns].sum()) < 4.0 * max(len(rows), 1) + 10.0
         expected = min(len(points), len(visible))
         complete = len(rows) >= self.settings.keep_share * expected and fits
-        return _Pairing(rows, visible[columns], complete, fits, innovation)
+        return Pairing(rows, visible[columns], complete, fits, innovation)
 
     def _expected(self, state: So3State) -> float:
         """Mean square of the level, before the innovations are seen."""
         return float(state.weights @ squared_levels(self.settings.levels)) if len(state.weights) else 1.0
 
-    def _correct(self, state: So3State, points: SpherePoints, pairing: _Pairing) -> tuple[So3State, float]:
+    def _correct(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
         """The state corrected by pairs, and their log likelihood, 1/rad² each."""
         rows, columns = pairing.rows, pairing.columns
         noise_scale = self._expected(state)
@@ -410,7 +417,7 @@ class So3Filter:
         return min(float(spread), _WIDE**2) ** 2
 
     def _keep_map(
-        self, state: So3State, points: SpherePoints, pairing: _Pairing, may_start_landmark: NDArray[np.bool_] | None
+        self, state: So3State, points: SpherePoints, pairing: Pairing, may_start_landmark: NDArray[np.bool_] | None
     ) -> So3State:
         """Count sightings, drop what did not last its trial, and take up new discs."""
         m, n = len(state.discs), len(points)

@@ -92,7 +92,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) 
     candidates = distance < _WIDE_GATE * filter_.settings.gate
     order = np.argsort(np.where(candidates.any(axis=1), candidates.sum(axis=1), 1000), kind="stable")
     nodes = [root]
-    for row in order:
+    for done, row in enumerate(order, 1):
         if not candidates[row].any():
             nodes = [node._replace(log_likelihood=node.log_likelihood + density) for node in nodes]
             continue
@@ -103,14 +103,28 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) 
                 if column in node.columns:
                     continue
                 rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
-                state, evidence = filter_.correct(predicted, points, rows, columns)
-                unpaired = len(points) - len(rows) - (len(points) - 1 - np.flatnonzero(order == row)[0])
-                value = evidence + unpaired * density
-                value += sum(math.log(p) for p in detection_probability(filter_, state, np.array(columns)))
-                grown.append(_Node(rows, columns, state, value))
+                grown.append(_node(filter_, predicted, points, rows, columns, (done - len(rows)) * density))
         grown.sort(key=lambda node: -node.log_likelihood)
         nodes = [n for n in grown[:_MAX_NODES] if n.log_likelihood > grown[0].log_likelihood - 2.0 * _MARGIN]
+    nearest = filter_.nearest_pairs(predicted, points)  # of many points, paired all at once: what the search may miss
+    pairs = dict(zip(nearest.rows.tolist(), nearest.columns.tolist(), strict=True))
+    if all(dict(zip(node.rows, node.columns, strict=True)) != pairs for node in nodes):
+        unpaired = (len(points) - len(pairs)) * density
+        nodes.append(_node(filter_, predicted, points, tuple(pairs), tuple(pairs.values()), unpaired))
     return nodes
+
+
+def _node(
+    filter_: So3Filter,
+    predicted: So3State,
+    points: SpherePoints,
+    rows: tuple[int, ...],
+    columns: tuple[int, ...],
+    log_unpaired: float,
+) -> _Node:
+    state, evidence = filter_.correct(predicted, points, rows, columns)
+    detected = float(np.sum(np.log(detection_probability(filter_, state, np.array(columns, dtype=np.intp)))))
+    return _Node(rows, columns, state, evidence + detected + log_unpaired)
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:

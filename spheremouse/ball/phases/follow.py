@@ -17,6 +17,8 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame
 
+_SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
+
 
 def look(
     state: TrackState[So3State], frame: Frame, tracker: Tracker[So3Filter], predicted: So3State
@@ -38,7 +40,7 @@ def look(
     readout = tracker.rig.readout_s + predicted.readout
     found, search = detector.follow(frame.image, known @ predicted.attitude.T, predicted.rate, readout, state.search)
     seen_before = np.count_nonzero(predicted.missed[which] == 0)
-    if 2 * len(found) < min(seen_before, len(state.filter.used)):
+    if len(found) < _SECURE or 2 * len(found) < min(seen_before, len(state.filter.used)):
         return detector.detect(frame.image), search
     near = np.concatenate([found.centre, state.lookalikes.masks])
     other, search = detector.find_new_discs(frame.image, search, near)
