@@ -129,9 +129,9 @@ class So3Filter:
         each weighed by the likelihood of all pairs together, and the update takes their mean (Bar-Shalom, Li,
         Kirubarajan 2001, section 11.6, with one filter for all of them).
         """
-        certain = self.update_if_certain(state, points, may_start_landmark)
-        if certain is not None:
-            return certain
+        ordinary = self._update_ordinary(state, points, may_start_landmark)
+        if ordinary is not None:
+            return ordinary
         best = self.nearest_pairs(state, points)
         return self._keep_map(self._correct(state, points, best)[0], points, best, may_start_landmark)
 
@@ -151,12 +151,26 @@ class So3Filter:
         return best
 
     def update_if_certain(
-        self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
+        self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_]
     ) -> So3State | None:
-        """`update` of an ordinary frame: two discs and more, each where it was expected, and no other choice.
+        """`update` of a frame whose pairs are beyond doubt; None of any other.
 
-        None of any other frame.
+        They are if two discs and most of what can pair do, and chance does not explain so many.
         """
+        ordinary = self._update_ordinary(state, points, may_start_landmark)
+        if ordinary is not None:
+            return ordinary
+        nearest = self.nearest_pairs(state, points)
+        pairs = len(nearest.rows)
+        most = 2 * pairs >= min(len(points), len(self.visible(state)))
+        if pairs < 2 or not most or not self.beyond_chance(state, pairs, len(points)):
+            return None
+        return self._keep_map(self._correct(state, points, nearest)[0], points, nearest, may_start_landmark)
+
+    def _update_ordinary(
+        self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None
+    ) -> So3State | None:
+        """`update` of a frame that shows each disc where it was expected and leaves no choice; None of any other."""
         noise_scales = squared_levels(self.settings.levels)
         weights = (state.weights if len(state.weights) else prior_of_levels(self.settings.levels)).copy()
         joint, s = state.joint.copy(), self.settings

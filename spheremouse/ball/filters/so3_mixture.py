@@ -59,9 +59,9 @@ def update_hypotheses(
     view tells the turn from here on. None does unless the map may be extended, `extend_map`.
     """
     if len(predicted) == 1:
-        ordinary = filter_.update_if_certain(predicted[0].state, points, proven & extend_map)
-        if ordinary is not None:
-            return (Hypothesis(ordinary, 0.0),)
+        certain = filter_.update_if_certain(predicted[0].state, points, proven & extend_map)
+        if certain is not None:
+            return (Hypothesis(certain, 0.0),)
     extended: list[tuple[So3State, _Node, float]] = []
     for state, log_probability in predicted:
         for node in _assignments(filter_, state, points):

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
@@ -43,10 +42,7 @@ def learn(
         if len(views) == _REPLAY and _changed(views[0], views[-1], tracker.settings.static):
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
-    if len(still):
-        state = _without(state, still, views, tracker)
-    else:
-        state = naive
+    state = _without(state, still, views, tracker) if len(still) else naive
     state, events = found(state, phase, stamp)
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 

@@ -22,6 +22,7 @@ from spheremouse.ball.state import (
     forget,
     lost,
     tracked,
+    unused,
 )
 
 _SPEAKS = 4  # discs in view: fewer say nothing against a map
@@ -48,17 +49,7 @@ def recover(
 ) -> tuple[TrackState[So3State], Events]:
     """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
     phase = seen_since(phase, len(state.points), stamp)
-    state = replace(state, phase=phase)
-    if phase.lifted_at is None and len(state.points):
-        state = updated_hypotheses(state, stamp, tracker, predicted, extend_map=False)
-        if state.confirmed and len(state.filter.used) > 1:
-            pairs = len(state.filter.used)
-            state = replace(state, lookalikes=forget(state.lookalikes))
-            filtered = state.filter.with_reference()
-            return tracked(state, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
-        state = replace(state, confirmed=False)
-    if phase.in_view_since is None:
-        return state, ()
+    state = replace(state, phase=phase, filter=unused(state.filter))
     recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
         filtered, pairs = recognised
@@ -67,10 +58,37 @@ def recover(
             last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered),))
         state = replace(state, lookalikes=forget(state.lookalikes))
         return tracked(state, last, filtered.with_reference(), filtered.attitude, stamp), (Recognised(pairs),)
+    if recognised is None and phase.lifted_at is None:
+        state, events = _followed(state, phase, stamp, tracker, predicted)
+        if events:
+            return state, events
     waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < tracker.settings.bearing.patience
-    if waits or stamp - max(phase.in_view_since, state.supported_at) < tracker.settings.loss.reset_after:
+    if (
+        waits
+        or phase.in_view_since is None
+        or stamp - max(phase.in_view_since, state.supported_at) < tracker.settings.loss.reset_after
+    ):
         return state, ()
     return begin_anew(state, stamp, tracker)
+
+
+def _followed(
+    state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter], predicted: So3State
+) -> tuple[TrackState[So3State], Events]:
+    """Lost, or found by the discs that are where the ball may have turned since.
+
+    Most of what is in view must be discs of the map, each in a place that the time since allows, and only one attitude
+    may explain it.
+    """
+    updated = updated_hypotheses(state, stamp, tracker, predicted, extend_map=False)
+    pairs = len(updated.filter.used)
+    if 2 * pairs <= len(state.points):
+        return state, ()
+    if pairs < 2 or not updated.confirmed:
+        return replace(updated, confirmed=False), ()
+    updated = replace(updated, lookalikes=forget(state.lookalikes))
+    filtered = updated.filter.with_reference()
+    return tracked(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
 
 
 def begin_anew(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
