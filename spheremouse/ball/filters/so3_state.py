@@ -36,6 +36,8 @@ class So3State:
     manoeuvre_level: float = 1.0  # factor on the density that the last update took, rms over the levels
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
+    known_seen: int = 0  # discs beyond their trial that took part in the last update
+    known_missed: int = 0  # discs beyond their trial, well visible, that did not
 
     @property
     def covariance(self) -> Array:
@@ -65,6 +67,8 @@ class So3State:
             self.manoeuvre_level,
             self.nis,
             self.readout,
+            self.known_seen,
+            self.known_missed,
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":

@@ -7,36 +7,44 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
+from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.events import Found, Turned
+from spheremouse.ball.filters import FilterState
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.points import SpherePoints
-from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View
+from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View, no_points
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 
+_CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
+_MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
 
 def learn(
     state: TrackState[F], phase: Learning, stamp: float, tracker: Tracker, predicted: F
 ) -> tuple[TrackState[F], Events]:
-    """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until three turn alike.
+    """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until most turn alike.
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
+    A candidate that appears once discs are established may be anything: it founds a disc when it has turned.
     """
-    if not phase.views:  # the ball is where it is first seen: nothing is known less for having waited
+    if not phase.views and len(state.filter.discs) == 0:  # where it is first seen, it is known as well as ever
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) == 0:
             return found(replace(state, filter=predicted), phase, stamp)
-    filtered = tracker.filter.update(predicted, state.points)
+    filtered = tracker.filter.update(predicted, state.points, _founders(state, predicted, tracker))
+    if isinstance(filtered, So3State) and filtered.known_missed > filtered.known_seen:
+        return found(_hidden(state, tracker, predicted), phase, stamp)
     naive = replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
     views = (*phase.views, View(stamp, state.detections, state.points, filtered.attitude))
     if len(views) > _REPLAY:
         views = (views[0], *views[2:])  # the first frame is the anchor: slow motion shows against it
     still = _still_since(views[0], views[-1], tracker)
     if still is None:
-        if len(views) == _REPLAY and _changed(views[0], views[-1], tracker.settings.static):
+        if len(views) == _REPLAY and _changed(views[0], views[1:], tracker.settings.static):
             views = views[-1:]
         return found(naive, phase._replace(views=views), stamp)
     lookalikes = static.mask(state.lookalikes, still, stamp)
@@ -51,6 +59,19 @@ def learn(
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 
 
+def _founders(state: TrackState, predicted: FilterState, tracker: Tracker) -> NDArray[np.bool_] | None:
+    """Which points may found a disc, (n,); None: all, while fewer than two discs are established."""
+    if not isinstance(predicted, So3State):
+        return None
+    established = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial)
+    return None if established < 2 else np.zeros(len(state.points), dtype=bool)
+
+
+def _hidden(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
+    """The frame without effect: something lies before most of the discs, and what is seen may be part of it."""
+    return replace(state, filter=tracker.filter.update(predicted, no_points(tracker)), confirmed=False)
+
+
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
     """The ball is tracked from where two discs are seen."""
     if phase.found:
@@ -62,7 +83,10 @@ def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackSta
 
 
 def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
-    """Places, (k, 2) px, that stayed while at least three others turned alike; None while nothing is certain."""
+    """Places, (k, 2) px, that stayed while most of the others turned alike, as on a ball; None while that is uncertain.
+
+    What is flat, and passes, moves otherwise.
+    """
     s = tracker.settings.static
     if len(anchor.points) < 3 or len(now.points) < 3:
         return None
@@ -75,10 +99,39 @@ def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
     if shared is None:
         return None
     rotation, pairs = shared
-    path = np.linalg.norm(anchor.centre[left][pairs[:, 0]] - now.centre[~stayed][pairs[:, 1]], axis=1)
-    if np.median(path) < s.moved:
+    pairs = np.stack([np.flatnonzero(left)[pairs[:, 0]], np.flatnonzero(~stayed)[pairs[:, 1]]], axis=1)
+    path = np.linalg.norm(anchor.centre[pairs[:, 0]] - now.centre[pairs[:, 1]], axis=1)
+    if np.median(path) < s.moved or 2 * len(pairs) <= np.count_nonzero(~stayed):
+        return None
+    if _flat(anchor, now, pairs, rotation, tracker):
         return None
     return now.centre[stayed & _would_move(now.points, rotation, tracker, s.moved)]
+
+
+def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tracker: Tracker) -> bool:
+    """Is a flat thing that shifts, turns and grows in the picture nearly as good an explanation as the ball?
+
+    `pairs` (k, 2) index the points of `anchor` and `now`. A turn about the line of sight looks flat, but a flat thing
+    hardly ever turns about the ball's middle.
+    """
+    rig, pose, (before, after) = tracker.rig, tracker.pose, pairs.T
+    towards = pose.position - rig.ball.centre
+    towards = towards / np.linalg.norm(towards)
+    middle = seen_at(np.stack([towards, rotation @ towards]), rig, pose)
+    if np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
+        return False
+    off = now.centre[after] - seen_at(anchor.points.direction[before] @ rotation.T, rig, pose)
+    weight = 1.0 / (_variance(anchor, before) + _variance(now, after) + _MODEL_ERROR**2)
+    a, b = anchor.centre[before] @ (1.0, 1.0j), now.centre[after] @ (1.0, 1.0j)
+    A = np.sqrt(weight)[:, None] * np.stack([a, np.ones_like(a)], axis=1)
+    similarity = np.linalg.lstsq(A, np.sqrt(weight) * b)[0]
+    chi2_flat = float(np.sum(np.abs(np.sqrt(weight) * b - A @ similarity) ** 2))
+    return chi2_flat - float(weight @ np.sum(off * off, axis=1)) < 2.0 * _CERTAIN
+
+
+def _variance(view: View, which: NDArray[np.intp]) -> Array:
+    """Variance per axis, (k,) px², of the centres of some points."""
+    return 0.5 * np.trace(view.detections.covariance[view.points.index[which]], axis1=1, axis2=2)
 
 
 def _would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: float) -> NDArray[np.bool_]:
@@ -91,9 +144,10 @@ def _would_move(points: SpherePoints, rotation: Array, tracker: Tracker, least: 
     return np.linalg.norm(uv[0] - uv[1], axis=1) > least
 
 
-def _changed(anchor: View, now: View, settings: StaticSettings) -> bool:
-    """The anchor's picture is gone without a common rotation: hands, light, or too few discs in common."""
-    if len(anchor.points) == 0 or len(now.points) == 0:
-        return len(now.points) > 0
-    stayed = np.linalg.norm(anchor.centre[:, None] - now.centre[None], axis=2).min(axis=1) < settings.still
-    return bool(np.count_nonzero(~stayed) > 0.5 * len(anchor.points))
+def _changed(anchor: View, since: tuple[View, ...], settings: StaticSettings) -> bool:
+    """Is most of the anchor's picture missing from all later views, without a common rotation?"""
+    later = np.concatenate([view.centre for view in since])
+    if len(anchor.points) == 0 or len(later) == 0:
+        return len(later) > 0
+    gone = np.linalg.norm(anchor.centre[:, None] - later[None], axis=2).min(axis=1) >= settings.still
+    return bool(np.count_nonzero(gone) > 0.5 * len(anchor.points))
