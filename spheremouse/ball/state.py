@@ -102,12 +102,20 @@ class Tracking(NamedTuple):
     roundness: Roundness = Roundness()
 
 
+class Trial(NamedTuple):
+    """A new map that has yet to prove that it is one of a ball."""
+
+    filter: So3State
+    phase: Learning
+
+
 class Lost(NamedTuple):
     """Nothing is sent until the ball is found again."""
 
     last: Learning | Tracking  # what it was before
     in_view_since: float | None = None  # s, of discs
     lifted_at: float | None = None  # s, when it was seen to be off its centre
+    trial: Trial | None = None  # of what has been in view for long and is not recognised
 
 
 Phase = Recognising | Learning | Tracking | Lost

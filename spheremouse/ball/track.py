@@ -202,7 +202,7 @@ def _with_new_pose(
     what the map has taken up of it; `added`, (6, 6), comes on top. None: the pose owes nothing to the one before.
     """
     filtered: Any = state.filter
-    if not (state.known_to_turn or isinstance(state.phase, Recognising)):
+    if anew.classic and not state.known_to_turn:
         # nothing is known yet but where candidates were in the picture
         filtered = anew.filter.initial(state.filter.stamp, state.filter.attitude).with_reference_of(filtered)
     elif not anew.classic:

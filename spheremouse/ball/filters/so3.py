@@ -28,6 +28,7 @@ _LINEAR = 0.02  # rad: a correction larger than that is made again about where i
 _NONE = np.zeros(0, dtype=np.intp)
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _STILL = np.zeros((CORE, CORE))
+_DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
 _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense; the allowance for it grows no more
 
 
@@ -136,16 +137,17 @@ class So3Filter:
         return self._keep_map(self._correct(state, points, best)[0], points, best, may_start_landmark)
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
-        """The pairs of least total distance, at the quietest level of process noise at which most points pair."""
+        """The pairs of least total distance, at the most likely level of process noise at which most points pair."""
         noise_scales = squared_levels(self.settings.levels)
         expected = self._expected(state)
         best = self._pair(state, points, expected)
+        best_score = self._log_likelihood(state, points, best, expected)
         if not best.complete and state.process[3, 3] > 0.0:
             for noise_scale in noise_scales[noise_scales > expected]:
                 pairing = self._pair(state, points, float(noise_scale))
-                more = len(pairing.rows) - len(best.rows)
-                if more > 0 or (more == 0 and pairing.fits and not best.fits):
-                    best = pairing
+                score = self._log_likelihood(state, points, pairing, float(noise_scale))
+                if score > best_score:
+                    best, best_score = pairing, score
                 if best.complete:
                     break
         return best
@@ -260,6 +262,26 @@ class So3Filter:
             distance,
         )
         return distance, which
+
+    def _log_likelihood(self, state: So3State, points: SpherePoints, pairing: Pairing, noise_scale: float) -> float:
+        """Log likelihood ratio of a pairing at a level of process noise, to that of no pair at the expected level.
+
+        A point that is no disc lies anywhere on the visible cap. A wide gate finds pairs by chance, and a low density
+        weighs them accordingly (Reid 1979, eq. 16).
+        """
+        expected = self._expected(state)
+        level = 0.0
+        if noise_scale > expected:
+            nearest = np.argmin(np.abs(squared_levels(self.settings.levels) - noise_scale))
+            weights = state.weights if len(state.weights) else prior_of_levels(self.settings.levels)
+            level = math.log(max(float(weights[nearest]), 1e-12))
+        k = len(pairing.rows)
+        if k == 0:
+            return level
+        H, _, z, S = pairing.innovation or self._innovation(state, points, pairing.rows, pairing.columns, _STILL)
+        density = _log_density(z, S + (noise_scale - 1.0) * H @ state.process @ H.T)
+        foreign = len(points) / (2.0 * math.pi * (1.0 - self.horizon))  # 1/rad², density of points that are no disc
+        return level + density + k * math.log(_DETECTED / ((1.0 - _DETECTED) * foreign))
 
     def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> Pairing:
         """Pairs within the gate when the density is that of the level whose noise scale is given."""
@@ -438,7 +460,7 @@ class So3Filter:
         hits, missed, keep = np.empty(m, dtype=np.intp), np.empty(m, dtype=np.intp), np.empty(m, dtype=np.bool_)
         found = np.empty(n, dtype=np.intp)
         s = self.settings
-        dropped, new = kernel.keep_map(
+        dropped, new, known_seen, known_missed = kernel.keep_map(
             state.attitude,
             state.discs,
             self.towards_camera,
@@ -458,7 +480,7 @@ class So3Filter:
             keep,
             found,
         )
-        state = replace(state, hits=hits, missed=missed)
+        state = replace(state, hits=hits, missed=missed, known_seen=known_seen, known_missed=known_missed)
         if dropped:
             state = drop(state, keep)
         room = max(s.most_discs - len(state.discs), 0)

@@ -14,6 +14,7 @@ from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
+_PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours of fifty discs
 _NO_PROCESS = np.zeros((CORE, CORE))
 
 
@@ -36,6 +37,13 @@ class So3State:
     manoeuvre_level: float = 1.0  # factor on the density that the last update took, rms over the levels
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
+    known_seen: int = 0  # discs beyond their trial that took part in the last update
+    known_missed: int = 0  # discs beyond their trial, well visible, that did not
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the attitude is known so well that it tells where each disc is: no other disc is as near."""
+        return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < _PLACED**2)
 
     @property
     def covariance(self) -> Array:
@@ -84,6 +92,8 @@ class So3State:
             self.manoeuvre_level,
             self.nis,
             self.readout,
+            self.known_seen,
+            self.known_missed,
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
