@@ -133,7 +133,7 @@ class TrackState(Generic[F]):
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
     alternatives: tuple[Hypothesis, ...] = ()  # to `filter`, while the discs in view leave more than one possible
     confirmed: bool = False  # the last frame's discs confirm the attitude
-    supported_at: float = -np.inf  # s, stamp of the last frame that showed a disc of the map where it may be
+    supported_at: float = -np.inf  # s, stamp of the last frame that showed a disc of the map, or should have shown none
     lookalikes: Lookalikes = field(default_factory=Lookalikes)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     absolute: bool = False  # the attitude is that of a map made earlier

@@ -18,7 +18,7 @@ from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.filters.so3_settings import So3Settings, prior_of_levels, squared_levels, usual_acceleration
-from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
+from spheremouse.ball.filters.so3_state import PLACED, So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
@@ -104,6 +104,13 @@ class So3Filter:
         """Indices of the discs that face the camera."""
         return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)
 
+    def expected(self, state: So3State) -> NDArray[np.intp]:
+        """Indices of the discs beyond their trial that are well visible in a place that is well known."""
+        well = self.horizon + 0.5 * (1.0 - self.horizon)  # nearer the limb a disc is often too thin
+        cosine = state.discs @ (self.towards_camera @ state.attitude)
+        which = np.flatnonzero((state.hits >= self.settings.trial) & (cosine > well))
+        return which[self.place_sigma(state, which) < PLACED]
+
     def beyond_chance(self, predicted: So3State, used: int, points: int) -> bool:
         """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
 
@@ -157,15 +164,14 @@ class So3Filter:
     ) -> So3State | None:
         """`update` of a frame whose pairs are beyond doubt; None of any other.
 
-        They are if two discs and most of what can pair do, and chance does not explain so many.
+        They are if two discs pair and the attitude is known well enough, or chance does not explain so many.
         """
         ordinary = self._update_ordinary(state, points, may_start_landmark)
         if ordinary is not None:
             return ordinary
         nearest = self.nearest_pairs(state, points)
         pairs = len(nearest.rows)
-        most = 2 * pairs >= min(len(points), len(self.visible(state)))
-        if pairs < 2 or not most or not self.beyond_chance(state, pairs, len(points)):
+        if pairs < 2 or not (state.is_placed or self.beyond_chance(state, pairs, len(points))):
             return None
         return self._keep_map(self._correct(state, points, nearest)[0], points, nearest, may_start_landmark)
 
@@ -226,11 +232,11 @@ class So3Filter:
         return self._keep_map(state, points, pairing, may_start_landmark)
 
     def candidate_distances(
-        self, state: So3State, points: SpherePoints, widest: bool = False
+        self, state: So3State, points: SpherePoints, gate: float, widest: bool = False
     ) -> tuple[Array, NDArray[np.intp]]:
         """Squared Mahalanobis distances, (n, k), of the points to the discs that may be in view, and which those are.
 
-        `widest`: with the process noise of the liveliest level.
+        They are exact below `gate`. `widest`: with the process noise of the liveliest level.
         """
         slack = 2.0 * self.place_sigma(state, np.arange(len(state.discs)))
         cosine = state.discs @ (self.towards_camera @ state.attitude)
@@ -241,7 +247,7 @@ class So3Filter:
         scale = max(squared_levels(self.settings.levels)) if widest else 1.0
         added_process_noise = (scale - 1.0) * state.process
         spread = float(np.trace(state.joint[:3, :3] + added_process_noise[:3, :3]))
-        distance[0, 0] = 3.0 * self.settings.gate
+        distance[0, 0] = gate
         so3_match.distances(
             state.attitude,
             state.rate,

@@ -41,7 +41,7 @@ def updated_hypotheses(
     filtered, alternatives = hypotheses[0].state, hypotheses[1:]
     if hypotheses[0].log_probability > _CERTAIN:
         alternatives = ()
-    supported = len(filtered.used) > 0
+    supported = len(filtered.used) > 0 or (filtered.is_roughly_known and len(f.expected(filtered)) == 0)
     return replace(
         state,
         filter=filtered,

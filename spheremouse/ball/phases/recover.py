@@ -1,6 +1,7 @@
 """A ball found by its map: one that was lost, or one whose map was made earlier."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -161,6 +162,8 @@ def recognise(
 
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, View]:
     """A new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
-    attitude = state.filter.attitude
-    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), state.points)
-    return filtered, View(stamp, state.detections, state.points, filtered)
+    start: Any = tracker.filter.initial(stamp, state.filter.attitude)
+    if isinstance(state.filter, So3State) and not isinstance(state.phase, Recognising):
+        start = start.with_attitude_covariance(tracker.filter.predict(state.filter, stamp).joint[:3, :3])
+    filtered = tracker.filter.update(start, state.points)
+    return filtered, View(stamp, state.detections, state.points, start)
