@@ -20,7 +20,7 @@ from spheremouse.simulate.wand.options import WandOptions
 
 @contextmanager
 def interrupted_at(step, within):
-    """SystemExit before the instruction number `step` of the functions `within` of the module; gives whether it came."""
+    """Raise SystemExit before instruction `step` of the module's functions `within`; yields whether it came."""
     left, done = [step], []
 
     def trace(frame, event, _):
