@@ -10,6 +10,7 @@ from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.events import Doubt
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_state import So3State, to_map
 from spheremouse.ball.points import SpherePoints, intersect
@@ -103,6 +104,14 @@ class Lost(NamedTuple):
 Phase = Recognising | Learning | Tracking | Lost
 
 
+class Withheld(NamedTuple):
+    """Motion of a tracked ball that is not reported, since no frame confirms the attitude."""
+
+    since: float  # s, stamp of the last frame that confirmed it
+    doubt: Doubt  # of the last frame
+    announced: bool = False  # it has lasted long enough to matter, and an event has said so
+
+
 @dataclass(frozen=True, slots=True)
 class TrackState(Generic[F]):
     """What one frame hands to the next."""
@@ -114,6 +123,7 @@ class TrackState(Generic[F]):
     detections: Detections  # all of the last frame
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
     confirmed: bool = False  # the last frame's discs confirm the attitude
+    withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
     lookalikes: Lookalikes = field(default_factory=Lookalikes)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     absolute: bool = False  # the attitude is that of a map made earlier
