@@ -11,6 +11,7 @@ from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.events import Doubt
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_mixture import Hypothesis
 from spheremouse.ball.filters.so3_state import So3State, to_map
@@ -121,6 +122,14 @@ class Lost(NamedTuple):
 Phase = Recognising | Learning | Tracking | Lost
 
 
+class Withheld(NamedTuple):
+    """Motion of a tracked ball that is not reported, since no frame confirms the attitude."""
+
+    since: float  # s, stamp of the last frame that confirmed it
+    doubt: Doubt  # of the last frame
+    announced: bool = False  # it has lasted long enough to matter, and an event has said so
+
+
 @dataclass(frozen=True, slots=True)
 class TrackState(Generic[F]):
     """What one frame hands to the next."""
@@ -133,7 +142,8 @@ class TrackState(Generic[F]):
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
     alternatives: tuple[Hypothesis, ...] = ()  # to `filter`, while the discs in view leave more than one possible
     confirmed: bool = False  # the last frame's discs confirm the attitude
-    supported_at: float = -np.inf  # s, stamp of the last frame that showed a disc of the map, or should have shown none
+    supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
+    withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
     lookalikes: Lookalikes = field(default_factory=Lookalikes)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     absolute: bool = False  # the attitude is that of a map made earlier
