@@ -356,7 +356,12 @@ class So3Filter:
                 z, S, H, state.process, squared_levels(self.settings.levels), weights
             )
             noise_scale = float(weights @ squared_levels(self.settings.levels))
-        joint, added_process_noise = state.joint.copy(), (noise_scale - 1.0) * state.process
+        added_process_noise = (noise_scale - 1.0) * state.process
+        if len(rows) == 1:
+            added_process_noise += self._unseen_process_noise(
+                state, state.attitude @ state.discs[columns[0]], noise_scale
+            )
+        joint = state.joint.copy()
         joint[:CORE, :CORE] += added_process_noise
         HP[:, :CORE] += H @ added_process_noise
         S += H @ added_process_noise @ H.T
@@ -368,6 +373,15 @@ class So3Filter:
             joint, dx, nis, again = self._again(state, prior, dx, points, rows, columns)
             log_likelihood += again
         return inject(state, dx, joint, weights, float(np.sqrt(noise_scale)), rows, nis), log_likelihood
+
+    def _unseen_process_noise(self, state: So3State, axis: Array, noise_scale: float) -> Array:
+        """Process noise, (9, 9), about the `axis`, (3,) unit vector in obj, of a disc that is the only one in view.
+
+        Its innovations say nothing of the turn about it, so that the level there is the usual one, not theirs.
+        """
+        usual = float(prior_of_levels(self.settings.levels) @ squared_levels(self.settings.levels))
+        along = np.kron(np.eye(3), np.outer(axis, axis))
+        return max(usual - noise_scale, 0.0) * along @ state.process @ along
 
     def _again(
         self,

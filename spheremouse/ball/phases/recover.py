@@ -124,10 +124,8 @@ def _followed(
     """
     updated = updated_hypotheses(state, stamp, tracker, predicted, extend_map=False)
     pairs = len(updated.filter.used)
-    if 2 * pairs <= len(state.points):
+    if pairs < 2 or 2 * pairs <= len(state.points) or not updated.confirmed:
         return state, ()
-    if pairs < 2 or not updated.confirmed:
-        return replace(updated, confirmed=False), ()
     updated = replace(updated, lookalikes=forget(state.lookalikes))
     filtered = updated.filter.with_reference()
     return tracked(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
