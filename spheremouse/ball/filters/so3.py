@@ -17,7 +17,13 @@ from scipy.special import pdtrc
 from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT, REFERENCE
-from spheremouse.ball.filters.so3_settings import So3Settings, prior_of_levels, squared_levels, usual_acceleration
+from spheremouse.ball.filters.so3_settings import (
+    So3Settings,
+    prior_of_levels,
+    squared_levels,
+    usual_acceleration,
+    variances,
+)
 from spheremouse.ball.filters.so3_state import PLACED, So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import assign
@@ -65,25 +71,29 @@ class So3Filter:
         return So3State(stamp, attitude, np.zeros(3), np.zeros(3), np.zeros((0, 3)), np.zeros((0, 3, 2)), joint)
 
     def predict(self, state: So3State, stamp: float) -> So3State:
-        """Carried on with an acceleration that fades, to `stamp`; a longer step is a larger one, up to 10 s.
+        """Carried on to `stamp`, by up to 10 s, with an acceleration that has made no step since.
 
-        The covariance is that of the quiet level; `process` and `weights` say what a more lively player adds.
+        The covariance is that of a ball left alone; `process` and `weights` say what a more lively player adds. Of a
+        longer interval than half the mean time between two steps, all but the last part goes without that distinction:
+        there the acceleration fades (Singer 1970), which is what steps do on the average.
         """
-        dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
         s = self.settings
+        dt = float(min(max(stamp - state.stamp, 0.0), _LONGEST))
+        last = min(dt, 0.5 * s.persistence)
         usual = prior_of_levels(s.levels)
-        attitude, rate, acceleration, joint, weights, process = so3_predict.predict(
-            state.attitude,
-            state.rate,
-            state.acceleration,
-            state.joint,
-            state.weights if len(state.weights) else usual,
-            usual,
-            dt,
-            s.persistence,
-            2.0 * s.acceleration_sigma**2 / s.persistence,
-            s.dwell,
+        weights = state.weights if len(state.weights) else usual
+        density = 2.0 * variances(s)[0] / s.persistence
+        attitude, rate, acceleration, joint = state.attitude, state.rate, state.acceleration, state.joint
+        F, process = np.empty((CORE, CORE)), np.empty((CORE, CORE))
+        if dt > last:
+            density_of_all = density * float(weights @ squared_levels(s.levels))
+            attitude, rate, acceleration, joint = so3_predict.predict(
+                attitude, rate, acceleration, joint, dt - last, s.persistence, density_of_all, F, process
+            )
+        attitude, rate, acceleration, joint = so3_predict.predict(
+            attitude, rate, acceleration, joint, last, np.inf, density, F, process
         )
+        stay = math.exp(-dt / s.dwell)
         return So3State(
             stamp,
             attitude,
@@ -95,9 +105,10 @@ class So3Filter:
             state.hits,
             state.missed,
             _NONE,
-            weights,
+            stay * weights + (1.0 - stay) * usual,
             process,
             readout=state.readout,
+            interval=last,
         )
 
     def visible(self, state: So3State) -> NDArray[np.intp]:
@@ -133,9 +144,9 @@ class So3Filter:
     ) -> So3State:
         """Associate, correct, and keep the map: points of `may_start_landmark` (n,) may found a new disc (None: all).
 
-        How lively the player is, the innovations say: the levels of process noise are hypotheses of a Markov chain,
-        each weighed by the likelihood of all pairs together, and the update takes their mean (Bar-Shalom, Li,
-        Kirubarajan 2001, section 11.6, with one filter for all of them).
+        The innovations tell how lively the player is: the levels are states of a Markov chain, and at each the
+        acceleration makes steps of another size (`so3_steps`). Steps and levels are weighed by the likelihood of all
+        pairs together.
         """
         ordinary = self._update_ordinary(state, points, may_start_landmark)
         if ordinary is not None:
@@ -182,7 +193,7 @@ class So3Filter:
         noise_scales = squared_levels(self.settings.levels)
         weights = (state.weights if len(state.weights) else prior_of_levels(self.settings.levels)).copy()
         joint, s = state.joint.copy(), self.settings
-        ordinary, rows, columns, dx, noise_scale, nis = kernel.update(
+        ordinary, rows, columns, dx, level, nis = kernel.update(
             state.attitude,
             state.rate,
             state.acceleration,
@@ -191,6 +202,7 @@ class So3Filter:
             joint,
             state.process,
             noise_scales,
+            self._steps(state),
             weights,
             self.visible(state),
             s.gate,
@@ -206,7 +218,7 @@ class So3Filter:
         )
         if not ordinary or abs(dx[:3]).max() > _LINEAR:
             return None
-        updated = inject(state, dx, joint, weights, noise_scale**0.5, rows, nis)
+        updated = inject(state, dx, joint, weights, level, rows, nis)
         return self._keep_map(updated, points, Pairing(rows, columns, True, True), may_start_landmark)
 
     def correct(
@@ -336,82 +348,74 @@ class So3Filter:
         """Mean square of the level, before the innovations are seen."""
         return float(state.weights @ squared_levels(self.settings.levels)) if len(state.weights) else 1.0
 
+    def _steps(self, state: So3State) -> tuple[float, float, Array]:
+        """What `so3_steps` asks of the interval since the last frame and of the player."""
+        return state.interval, self.settings.persistence, variances(self.settings)
+
     def _correct(self, state: So3State, points: SpherePoints, pairing: Pairing) -> tuple[So3State, float]:
         """The state corrected by pairs, and their log likelihood, 1/rad² each."""
         rows, columns = pairing.rows, pairing.columns
-        noise_scale = self._expected(state)
-        weights = state.weights
         if len(rows) == 0:
-            joint = state.joint.copy()
-            joint[:CORE, :CORE] += (noise_scale - 1.0) * state.process
-            still = replace(
-                state, joint=joint, process=_STILL, manoeuvre_level=float(np.sqrt(noise_scale)), used=rows, nis=0.0
-            )
-            return still, 0.0
+            return self._coasted(state), 0.0
+        joint, weights, dx = state.joint.copy(), state.weights.copy(), np.empty(len(state.joint))
+        if len(weights) == 0:
+            weights = prior_of_levels(self.settings.levels).copy()
         H, HP, z, S = pairing.innovation or self._innovation(state, points, rows, columns, _STILL)
-        log_likelihood = _log_density(z, S)
-        if state.process[3, 3] > 0.0:
-            weights = weights.copy()
-            log_likelihood += kernel.update_level_probabilities(
-                z, S, H, state.process, squared_levels(self.settings.levels), weights
-            )
-            noise_scale = float(weights @ squared_levels(self.settings.levels))
-        added_process_noise = (noise_scale - 1.0) * state.process
-        if len(rows) == 1:
-            added_process_noise += self._unseen_process_noise(
-                state, state.attitude @ state.discs[columns[0]], noise_scale
-            )
-        joint = state.joint.copy()
-        joint[:CORE, :CORE] += added_process_noise
-        HP[:, :CORE] += H @ added_process_noise
-        S += H @ added_process_noise @ H.T
-        dx = np.empty(len(joint))
-        prior = joint.copy()
-        nis = kernel.correct(joint, HP, S, z, dx, kernel.rate_is_significant(state.rate, joint))
+        learn = kernel.rate_is_significant(state.rate, joint)
+        log_likelihood, nis, level = kernel.correct(
+            joint, H, HP, S, z, state.acceleration, self._steps(state), weights, learn, dx
+        )
+        updated = inject(state, dx, joint, weights, level, rows, nis)
         if float(np.abs(dx[:3]).max()) > _LINEAR:
-            log_likelihood -= _log_density(z, S)
-            joint, dx, nis, again = self._again(state, prior, dx, points, rows, columns)
-            log_likelihood += again
-        return inject(state, dx, joint, weights, float(np.sqrt(noise_scale)), rows, nis), log_likelihood
+            return self._again(state, updated, dx, points, columns)
+        return updated, log_likelihood
 
-    def _unseen_process_noise(self, state: So3State, axis: Array, noise_scale: float) -> Array:
-        """Process noise, (9, 9), about the `axis`, (3,) unit vector in obj, of a disc that is the only one in view.
-
-        Its innovations say nothing of the turn about it, so that the level there is the usual one, not theirs.
-        """
-        usual = float(prior_of_levels(self.settings.levels) @ squared_levels(self.settings.levels))
-        along = np.kron(np.eye(3), np.outer(axis, axis))
-        return max(usual - noise_scale, 0.0) * along @ state.process @ along
+    def _coasted(self, state: So3State) -> So3State:
+        """The state of a frame without pairs: nothing tells of steps. On the average they let the acceleration fade."""
+        noise_scale, mean = self._expected(state), np.zeros(len(state.joint))
+        joint = state.joint.copy()
+        joint[:CORE, :CORE] += (noise_scale - 1.0) * state.process
+        t, tau = state.interval, self.settings.persistence
+        gain, reach = so3_predict.integrals(t, tau)
+        mean[:CORE] = np.outer([reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration).ravel()
+        return inject(state, mean, joint, state.weights, float(np.sqrt(noise_scale)), _NONE, 0.0)
 
     def _again(
-        self,
-        state: So3State,
-        prior: Array,
-        dx: Array,
-        points: SpherePoints,
-        rows: NDArray[np.intp],
-        columns: NDArray[np.intp],
-    ) -> tuple[Array, Array, float, float]:
+        self, state: So3State, updated: So3State, dx: Array, points: SpherePoints, columns: NDArray[np.intp]
+    ) -> tuple[So3State, float]:
         """A large correction, made again about where it led (iterated Kalman filter, Bell and Cathey 1993).
 
-        Joint covariance, correction, normalised innovation squared and log likelihood (Laplace's approximation).
+        The state, and the log likelihood of the pairs (Laplace's approximation).
         """
-        joint, nis, log_likelihood = prior, 0.0, 0.0
+        rows, log_likelihood = updated.used, 0.0
+        at = (FIRST + 2 * columns[:, None] + np.arange(2)).ravel()
         for _ in range(3):
             about = dx.copy()
             about[READOUT] = 0.0  # the innovation is linear in it, and what is added back below leaves it out
-            there = inject(state, about, prior, state.weights, state.manoeuvre_level, rows, nis)
+            there = inject(state, about, state.joint)
             H, HP, z, S = self._innovation(there, points, rows, columns, _STILL)
-            at = (FIRST + 2 * columns[:, None] + np.arange(2)).ravel()
-            joint, step = prior.copy(), np.empty(len(dx))
-            innovation = z + H @ dx[:CORE] + dx[at]
-            log_likelihood = _log_density(innovation, S)
-            nis = kernel.correct(joint, HP, S, innovation, step, kernel.rate_is_significant(state.rate, joint))
+            joint, weights, step = state.joint.copy(), state.weights.copy(), np.empty(len(dx))
+            if len(weights) == 0:
+                weights = prior_of_levels(self.settings.levels).copy()
+            learn = kernel.rate_is_significant(state.rate, joint)
+            log_likelihood, nis, level = kernel.correct(
+                joint,
+                H,
+                HP,
+                S,
+                z + H @ dx[:CORE] + dx[at],
+                state.acceleration,
+                self._steps(state),
+                weights,
+                learn,
+                step,
+            )
             moved = float(np.abs(step[:3] - dx[:3]).max())
             dx = step
+            updated = inject(state, dx, joint, weights, level, rows, nis)
             if moved < 0.1 * _LINEAR:
                 break
-        return joint, dx, nis, log_likelihood
+        return updated, log_likelihood
 
     def _innovation(
         self,
@@ -505,13 +509,6 @@ class So3Filter:
             state = drop(state, keep)
         room = max(s.most_discs - len(state.discs), 0)
         return augment(state, points, found[: min(new, room)], self.radius) if new and room else state
-
-
-def _log_density(z: Array, S: Array) -> float:
-    """Log of the normal density of an innovation z, (2k,), with covariance S."""
-    L = np.linalg.cholesky(S)
-    white = np.linalg.solve(L, z)
-    return float(-0.5 * white @ white - np.log(L.diagonal()).sum() - 0.5 * len(z) * math.log(2.0 * math.pi))
 
 
 def relocate(

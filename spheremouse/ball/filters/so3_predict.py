@@ -36,27 +36,17 @@ def propagate(P, F, Q):
 
 
 @njit(cache=True, error_model="numpy")
-def predict(attitude, rate, acceleration, joint, weights, usual, dt, tau, q, dwell):
-    """All of a prediction: attitude, rate, acceleration, joint covariance, probabilities of the levels, and Q."""
-    F, Q, turn = np.empty((CORE, CORE)), np.empty((CORE, CORE)), np.empty(3)
+def predict(attitude, rate, acceleration, joint, dt, tau, q, F, Q):
+    """Attitude, rate, acceleration and joint covariance after dt; the noise of it goes into Q, (9, 9)."""
+    turn, P = np.empty(3), joint.copy()
     transition(rate, acceleration, dt, tau, q, F, Q, turn)
-    P = joint.copy()
     propagate(P, F, Q)
     now = np.zeros((3, 3))
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 now[i, j] += F[i, k] * attitude[k, j]
-    fade = np.exp(-dt / tau)
-    stay = np.exp(-dt / dwell)
-    return (
-        now,
-        rate + tau * (1.0 - fade) * acceleration,
-        fade * acceleration,
-        P,
-        stay * weights + (1.0 - stay) * usual,
-        Q,
-    )
+    return now, rate + F[3, 6] * acceleration, F[6, 6] * acceleration, P
 
 
 @njit(cache=True, error_model="numpy")
@@ -66,9 +56,7 @@ def transition(rate, acceleration, dt, tau, q, F, Q, turn):
     Q is what white jerk of density q adds (three nodes of Gauss-Legendre): jerk s before the end has faded to g_a by
     then, made a rate g_w of it, and turned the ball by Jl(turn s/dt) g_t.
     """
-    fade = np.exp(-dt / tau)
-    gain = tau * (1.0 - fade)
-    reach = tau * (dt - gain)
+    gain, reach = integrals(dt, tau)
     R, J = np.empty((3, 3)), np.empty((3, 3))
     part = np.empty(3)
     for i in range(3):
@@ -84,14 +72,12 @@ def transition(rate, acceleration, dt, tau, q, F, Q, turn):
             F[i, 6 + j] = J[i, j] * reach
         F[3 + i, 3 + i] = 1.0
         F[3 + i, 6 + i] = gain
-        F[6 + i, 6 + i] = fade
+        F[6 + i, 6 + i] = np.exp(-dt / tau)
     for node in range(3):
         at = 0.5 + np.sqrt(0.15) * (node - 1)
         weight = q * dt * (8.0 if node == 1 else 5.0) / 18.0
-        s = at * dt
-        g_a = np.exp(-s / tau)
-        g_w = tau * (1.0 - g_a)
-        g_t = tau * (s - g_w)
+        g_a = np.exp(-at * dt / tau)
+        g_w, g_t = integrals(at * dt, tau)
         for i in range(3):
             part[i] = at * turn[i]
         left_jacobian_into(part, J)
@@ -109,3 +95,12 @@ def transition(rate, acceleration, dt, tau, q, F, Q, turn):
     for i in range(CORE):
         for j in range(i):
             Q[i, j] = Q[j, i]
+
+
+@njit(cache=True, error_model="numpy")
+def integrals(t, tau):
+    """The first and second integral over t of exp(-t/tau): rate and turn by a unit acceleration that fades."""
+    if t < 1e-3 * tau:  # an acceleration that lasts
+        return t * (1.0 - 0.5 * t / tau), 0.5 * t * t * (1.0 - t / (3.0 * tau))
+    gain = -tau * np.expm1(-t / tau)
+    return gain, tau * (t - gain)

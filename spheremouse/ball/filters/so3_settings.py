@@ -73,7 +73,14 @@ class So3Settings:
 
 @cache
 def squared_levels(levels: tuple[float, ...]) -> Array:
-    return np.square(np.array(levels))
+    """Variances of the levels over that of the first."""
+    return np.square(np.array(levels) / levels[0])
+
+
+@cache
+def variances(settings: So3Settings) -> Array:
+    """Of the angular acceleration at each level, (l,) (rad/s²)² per axis."""
+    return np.square(settings.acceleration_sigma * np.array(settings.levels))
 
 
 @cache
@@ -85,6 +92,4 @@ def prior_of_levels(levels: tuple[float, ...]) -> Array:
 
 def usual_acceleration(settings: So3Settings) -> float:
     """Standard deviation per axis, rad/s², before anything is seen: the levels' mean square."""
-    return settings.acceleration_sigma * float(
-        np.sqrt(squared_levels(settings.levels) @ prior_of_levels(settings.levels))
-    )
+    return float(np.sqrt(variances(settings) @ prior_of_levels(settings.levels)))

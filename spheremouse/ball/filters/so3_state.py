@@ -34,12 +34,15 @@ class So3State:
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # noise of the last prediction, at level 1
-    manoeuvre_level: float = 1.0  # factor on the density that the last update took, rms over the levels
+    process: Array = field(
+        default_factory=lambda: np.zeros((CORE, CORE))
+    )  # noise of the last prediction, at the first level
+    manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
     known_seen: int = 0  # discs beyond their trial that took part in the last update
     known_missed: int = 0  # discs beyond their trial, well visible, that did not
+    interval: float = 0.0  # s, of the last prediction, where no update has used it yet
 
     @property
     def is_placed(self) -> bool:

@@ -9,6 +9,7 @@ with an upper-case P work on the joint covariance in place.
 import numpy as np
 from numba import njit
 
+from spheremouse.ball.filters import so3_steps
 from spheremouse.ball.filters.so3_match import (
     considered_jacobian,
     consistent,
@@ -98,80 +99,44 @@ def innovation(
 
 
 @njit(cache=True, error_model="numpy")
-def update_level_probabilities(z, S, H, process, noise_scales, weights):
-    """Probabilities of the levels after innovations z with covariance S at level 1: into `weights`, (l,).
-
-    Another level adds D = (scale - 1) Q to the attitude's covariance: by the matrix inversion lemma its likelihood
-    needs nothing larger than 3x3. Returns the log likelihood of z over all levels, over that at level 1.
-    """
-    n = len(z)
-    L = np.linalg.cholesky(S)
-    white = np.empty((n, 4))
-    for i in range(n):
-        for c in range(4):
-            value = z[i] if c == 3 else H[i, c]
-            for k in range(i):
-                value -= L[i, k] * white[k, c]
-            white[i, c] = value / L[i, i]
-    A, v = np.zeros((3, 3)), np.zeros(3)
-    for i in range(n):
-        for a in range(3):
-            v[a] += white[i, a] * white[i, 3]
-            for b in range(3):
-                A[a, b] += white[i, a] * white[i, b]
-    log = np.empty(len(noise_scales))
-    for level in range(len(noise_scales)):
-        D = (noise_scales[level] - 1.0) * process[:3, :3]
-        M = np.eye(3) + A @ D
-        gain = v @ (D @ np.linalg.solve(M, v))
-        log[level] = 0.5 * (gain - np.log(max(np.linalg.det(M), 1e-300))) + np.log(max(weights[level], 1e-12))
-    most = np.max(log)
-    total = 0.0
-    for level in range(len(noise_scales)):
-        weights[level] = np.exp(log[level] - most)
-        total += weights[level]
-    for level in range(len(noise_scales)):
-        weights[level] /= total
-    return most + np.log(total)
+def whitened(L, HP, H, z):
+    """L^-1 [H P, H, z], (2k, n + 10), with L L' = S."""
+    k, n = len(z), HP.shape[1]
+    W = np.empty((k, n + CORE + 1))
+    for i in range(k):
+        for j in range(n):
+            W[i, j] = HP[i, j]
+        for j in range(CORE):
+            W[i, n + j] = H[i, j]
+        W[i, n + CORE] = z[i]
+        for m in range(i):
+            f = L[i, m]
+            for j in range(n + CORE + 1):
+                W[i, j] -= f * W[m, j]
+        f = 1.0 / L[i, i]
+        for j in range(n + CORE + 1):
+            W[i, j] *= f
+    return W
 
 
 @njit(cache=True, error_model="numpy")
-def rate_is_significant(rate, P):
-    """Whether the rate is five standard deviations from zero: noise taken for a rate would teach a readout."""
-    if P[READOUT, READOUT] == 0.0:
-        return False
-    return rate @ np.linalg.solve(P[3:6, 3:6].copy(), rate) > 25.0
+def correct(P, H, HP, S, z, acceleration, steps, weights, learn, dx):
+    """P and the correction dx, (n,), after innovations z; `weights` (l,) of the levels become those after them.
 
-
-@njit(cache=True, error_model="numpy")
-def correct(P, HP, S, z, dx, learn):
-    """P and the correction dx, (n,), after innovations z; returns z' S^-1 z.
+    `steps` as in `so3_steps.posterior`. A mixture over the steps is replaced by the normal distribution of its mean and
+    covariance once the innovations are taken in (generalised pseudo-Bayesian of order 1: Bar-Shalom, Li, Kirubarajan
+    2001, section 11.6.4). Returns the log likelihood of z, its normalised square, and the rms level of the steps.
 
     What is only considered gets no gain (Schmidt 1966), nor does the reference: what was told stays told. The
     covariance is Joseph's form multiplied out, which holds for any gain: P - K H P - (K H P)' + K S K' (Bierman 1977,
     section V).
     """
-    k, n = len(z), len(P) - REFERENCE
+    k, n = len(z), len(P)
     L = np.linalg.cholesky(S)
-    K = np.empty((k, n))  # S^-1 H P: transposed gain
-    nis = 0.0
-    white = np.empty(k)
-    for i in range(k):
-        value = z[i]
-        for m in range(i):
-            value -= L[i, m] * white[m]
-        white[i] = value / L[i, i]
-        nis += white[i] * white[i]
-    for i in range(k):
-        for j in range(n):
-            K[i, j] = HP[i, j]
-        for m in range(i):
-            f = L[i, m]
-            for j in range(n):
-                K[i, j] -= f * K[m, j]
-        f = 1.0 / L[i, i]
-        for j in range(n):
-            K[i, j] *= f
+    W = whitened(L, HP, H, z)
+    onto, white = W[:, n : n + CORE].copy(), W[:, n + CORE].copy()
+    K = W[:, :n].copy()  # becomes S^-1 H P: transposed gain
+    KH = K.T @ onto
     for i in range(k - 1, -1, -1):
         for m in range(i + 1, k):
             f = L[m, i]
@@ -180,30 +145,39 @@ def correct(P, HP, S, z, dx, learn):
         f = 1.0 / L[i, i]
         for j in range(n):
             K[i, j] *= f
-    for i in range(k):
-        for j in range(CORE, READOUT if learn else FIRST):
-            K[i, j] = 0.0
-    U = HP[:, :n] - 0.5 * (S @ K)
-    KU = K.T @ U
+    left, held = -KH, np.zeros((n, CORE))  # of a step in the errors after the correction; gains that are not taken
+    for j in range(n):
+        if CORE <= j < (READOUT if learn else FIRST) or j >= n - REFERENCE:
+            held[j] = KH[j]
+            left[j] = 0.0
+            for i in range(k):
+                K[i, j] = 0.0
+        if j < CORE:
+            left[j, j] += 1.0
+    KU = K.T @ (HP - 0.5 * (S @ K))
+    mean, covariance, gain, level, ratio, nis = so3_steps.posterior(
+        onto.T @ onto, onto.T @ white, acceleration, steps, weights
+    )
+    KU += (held @ gain - 0.5 * (left @ covariance)) @ left.T
     for i in range(n):
         for j in range(i + 1):
             value = P[i, j] - KU[i, j] - KU[j, i]
             P[i, j] = value
             P[j, i] = value
-    for j in range(n):
-        for c in range(n, n + REFERENCE):
-            value = P[j, c]
-            for i in range(k):
-                value -= K[i, j] * HP[i, c]
-            P[j, c] = value
-            P[c, j] = value
-    dx[n:] = 0.0
-    for j in range(n):
-        value = 0.0
-        for i in range(k):
-            value += K[i, j] * z[i]
-        dx[j] = value
-    return nis
+    dx[:] = K.T @ z + left @ mean
+    nis += white @ white
+    log_likelihood = ratio - 0.5 * (white @ white + k * np.log(2.0 * np.pi))
+    for i in range(k):
+        log_likelihood -= np.log(L[i, i])
+    return log_likelihood, nis, level
+
+
+@njit(cache=True, error_model="numpy")
+def rate_is_significant(rate, P):
+    """Whether the rate is five standard deviations from zero: noise taken for a rate would teach a readout."""
+    if P[READOUT, READOUT] == 0.0:
+        return False
+    return rate @ np.linalg.solve(P[3:6, 3:6].copy(), rate) > 25.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -287,13 +261,13 @@ def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
 
 @njit(cache=True, error_model="numpy")
 def update(
-    attitude, rate, acceleration, discs, basis, P, process, noise_scales, weights, visible, gate, keep_share, wide,
-    seen, image_covariance, delay, row, by_pose, by_ball, radius,
+    attitude, rate, acceleration, discs, basis, P, process, noise_scales, steps, weights, visible, gate, keep_share,
+    wide, seen, image_covariance, delay, row, by_pose, by_ball, radius,
 ):  # fmt: skip
     """The whole of an ordinary update in one call: pairs, levels, correction. P and `weights` (l,) are changed.
 
-    Returns whether it was ordinary (all plain, complete, small), and rows, columns, the correction, the mean square of
-    the level and the normalised innovation squared. Where it was not, P may be spoilt, and it is done with more care.
+    Returns whether it was ordinary (all plain, complete, small), and rows, columns, the correction, the level of the
+    steps and the normalised innovation squared. Where it was not, P may be spoilt, and it is done with more care.
     """
     nothing = np.zeros(0, dtype=np.intp)
     empty = np.zeros(0)
@@ -332,16 +306,9 @@ def update(
     )  # fmt: skip
     if not np.all(consistent(z, S + H @ added_process_noise @ H.T, 1.5 * gate)):
         return False, nothing, nothing, empty, 1.0, 0.0
-    if process[3, 3] > 0.0:
-        update_level_probabilities(z, S, H, process, noise_scales, weights)
-        noise_scale = weights @ noise_scales
-        added_process_noise = (noise_scale - 1.0) * process
-        P[:CORE, :CORE] += added_process_noise
-        HP[:, :CORE] += H @ added_process_noise
-        S += H @ added_process_noise @ H.T
     dx = np.empty(len(P))
-    nis = correct(P, HP, S, z, dx, rate_is_significant(rate, P))
-    return True, rows, columns, dx, noise_scale, nis
+    _, nis, level = correct(P, H, HP, S, z, acceleration, steps, weights, rate_is_significant(rate, P), dx)
+    return True, rows, columns, dx, level, nis
 
 
 @njit(cache=True, error_model="numpy")

@@ -90,9 +90,12 @@ def draw(joint, rng, n):
     return rng.normal(size=(n, len(w))) @ (V * np.sqrt(np.maximum(w, 0.0))).T
 
 
-def singer(dt, sigma, tau):
-    """F and Q of angle, rate and acceleration over a step, (3, 3), for one axis, by Van Loan's method."""
-    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / tau]])
+def white_jerk(dt, sigma, tau, fade=0.0):
+    """F and Q of angle, rate and acceleration over a step, (3, 3), for one axis, by Van Loan's method.
+
+    `fade` in 1/s: 0 of an acceleration that lasts, 1 / tau of one that fades with tau (Singer 1970).
+    """
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -fade]])
     G = np.diag([0.0, 0.0, 2.0 * sigma**2 / tau])
     E = expm(np.block([[-A, G], [np.zeros((3, 3)), A.T]]) * dt)
     F = E[3:, 3:].T
@@ -170,7 +173,7 @@ def test_motion_since_the_reference_is_as_certain_as_runs_drawn_from_the_own_mod
     """NEES of rotation vector and rate, 95 % band; and what two attitudes have wrong alike does not count."""
     rng = np.random.default_rng(21)
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
-    F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
     jerk, runs, squares, shares = np.linalg.cholesky(Q), 60, [], []
     for _ in range(runs):
         R, w = np.eye(3), SETTINGS.start_rate_sigma * rng.normal(size=3)
@@ -197,22 +200,27 @@ def test_motion_since_the_reference_is_as_certain_as_runs_drawn_from_the_own_mod
 
 @pytest.mark.parametrize("dt", [DT, 0.5])
 def test_predicted_covariance_is_the_scatter_of_samples(dt):
+    """Of a ball left alone; of a long interval all but the last part under an acceleration that fades."""
     rng = np.random.default_rng(3)
-    noisy = replace(FILTER, settings=replace(SETTINGS, acceleration_sigma=2.0))
+    noisy = replace(FILTER, settings=replace(SETTINGS, acceleration_sigma=2.0, levels=(1.0,)))
     P0 = np.diag([1e-4, 4e-4, 2e-4, 1e-3, 3e-3, 2e-3, 0.5, 0.2, 0.4])
     P0[0, 4] = P0[4, 0] = 3e-4
     w, a0 = np.array([0.8, -1.2, 2.0]), np.array([-0.5, 0.3, 1.0])
     start = replace(noisy.initial(0.0, exp(np.array([0.2, 0.1, -0.4]))), rate=w, acceleration=a0, joint=P0)
     predicted = noisy.predict(start, dt)
-    n, steps = 6000, 8
+    n, steps, tau = 6000, 8, SETTINGS.persistence
     e = draw(P0, rng, n)
     R, rate, a = exp(e[:, :3]) @ start.attitude, w + e[:, 3:6], a0 + e[:, 6:]
-    F, Q = singer(dt / steps, 2.0, SETTINGS.persistence)
-    jerk = np.linalg.cholesky(Q)
-    for _ in range(steps):  # jerk integrated in small steps: the exact law of (angle, rate, acceleration) over each
-        now = np.einsum("ij,jnk->ink", F, np.stack([np.zeros((n, 3)), rate, a]))
-        now += np.einsum("ij,jnk->ink", jerk, rng.normal(size=(3, n, 3)))
-        R, rate, a = exp(now[0]) @ R, now[1], now[2]
+    last = min(dt, 0.5 * tau)
+    for part, fade in ((dt - last, 1.0 / tau), (last, 0.0)):
+        if part <= 0.0:
+            continue
+        F, Q = white_jerk(part / steps, 2.0, tau, fade)
+        jerk = np.linalg.cholesky(Q)
+        for _ in range(steps):  # jerk integrated in small steps: the exact law of (angle, rate, acceleration)
+            now = np.einsum("ij,jnk->ink", F, np.stack([np.zeros((n, 3)), rate, a]))
+            now += np.einsum("ij,jnk->ink", jerk, rng.normal(size=(3, n, 3)))
+            R, rate, a = exp(now[0]) @ R, now[1], now[2]
     error = np.concatenate([log(R @ predicted.attitude.T), rate - predicted.rate], axis=1)
     scatter = np.cov(error.T)
     scale = np.sqrt(np.outer(np.diag(predicted.covariance), np.diag(predicted.covariance)))
@@ -238,7 +246,7 @@ def test_update_is_the_batch_solution():
         state = f.update(f.predict(state, k * dt), points)
     assert len(state.used) == 4
 
-    F, Q = singer(dt, jolt, quiet.persistence)
+    F, Q = white_jerk(dt, jolt, quiet.persistence)
     Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
     base = state.discs
 
@@ -269,7 +277,7 @@ def test_nees_of_runs_drawn_from_the_own_model():
     """50 runs with rates, accelerations and noise as the filter assumes, the map unknown: chi-square, 95 % band."""
     rng = np.random.default_rng(12)
     own = replace(FILTER, settings=replace(SETTINGS, levels=(1.0,)))
-    F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
     jerk = np.linalg.cholesky(Q)
     runs, frames, checks = 50, 60, (10, 39, 59)
     nees = {k: [] for k in range(10, frames)}
@@ -505,6 +513,7 @@ def test_stamps_that_repeat_jump_back_or_far_ahead_do_no_harm(gap):
 
 def test_nothing_seen_is_a_prediction_and_one_disc_is_half_an_attitude():
     state, R = settled(rate=(0.2, 0.0, 0.0))
+    state = replace(state, acceleration=np.zeros(3))
     predicted = FILTER.predict(state, state.stamp + DT)
     blind = FILTER.update(predicted, points_at(np.zeros((0, 3))))
     assert_allclose(blind.attitude, predicted.attitude)
@@ -608,7 +617,7 @@ def played(filter_, rig, pose, errors, rng, *, frames=60, margin=0.3):
 
     And how many of the true pairs were made.
     """
-    F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
     jerk = np.linalg.cholesky(Q)
     squares, used, possible = np.empty((len(errors), frames, 2)), 0, 0
     for run, error in enumerate(errors):
@@ -735,7 +744,7 @@ def test_update_with_considered_errors_is_the_batch_solution():
         state = consider.update(consider.predict(state, k * dt), intersect(detected(uv[k], sigma), rig, pose))
     assert len(state.used) == 5
 
-    F, Q = singer(dt, jolt, quiet.persistence)
+    F, Q = white_jerk(dt, jolt, quiet.persistence)
     Wq = np.kron(np.linalg.cholesky(np.linalg.inv(Q)).T, np.eye(3))
     Wc = np.linalg.cholesky(np.linalg.inv(consider.considered)).T
 
@@ -970,7 +979,7 @@ def readout_nees(rate_sigma, runs=60, frames=60, checks=(10, 30, 59)):
     """
     rng = np.random.default_rng(36)
     own = replace(LEARNING, settings=replace(SETTINGS, levels=(1.0,), start_rate_sigma=rate_sigma))
-    F, Q = singer(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
+    F, Q = white_jerk(DT, SETTINGS.acceleration_sigma, SETTINGS.persistence)
     jerk = np.linalg.cholesky(Q)
     squares = {k: [] for k in checks}
     for _ in range(runs):

@@ -1,0 +1,162 @@
+"""Steps of the angular acceleration, and what the innovations of one frame tell of them.
+
+A hand takes hold of the ball, pushes, lets go and stops it: between such events the acceleration is nearly constant,
+and at each it jumps. The events are a Poisson process; each draws a new acceleration about zero, independent of the one
+before (compound Poisson jumps; their second moments are those of Singer 1970). When within the interval between two
+frames it jumps is unknown, and so is how far: both are hypotheses, (instant, level), weighed by their likelihood.
+"""
+
+import numpy as np
+from numba import njit
+
+_EVENTS = (0.25, 0.75, 1.25)  # intervals before the frame: the middles of the last three half intervals
+_WINDOW = 1.5  # intervals in which they lie: an event just before the last frame moved nothing yet that could be seen
+
+
+@njit(cache=True, error_model="numpy")
+def posterior(A, v, acceleration, steps, weights):
+    """The moments of what steps add to rotation, rate and acceleration, after innovations with these moments.
+
+    `A` = H' S^-1 H, (9, 9), and `v` = H' S^-1 z, (9,), where no step is made, at an `acceleration` (3,). `steps` holds
+    the interval since the last frame, s (0: no step), the mean time between two events, s, and the variances, (l,)
+    (rad/s²)² per axis, of the levels; the first is that of a ball left alone, which makes no steps. Their probabilities
+    `weights` (l,) become those after the innovations.
+
+    Returns mean (9,), covariance (9, 9), the mean G of the hypotheses' covariances, (9, 9), so that G H' S^-1 is their
+    mean gain, the rms level of the steps (1 of none), the log likelihood ratio of z to no step, and its mean normalised
+    square less z' S^-1 z.
+    """
+    interval, between, variances = steps
+    instants, levels = len(_EVENTS), len(variances) - 1
+    g, quiet = np.empty((instants, 3)), np.exp(-_WINDOW * interval / between)
+    mean, covariance = np.empty((instants, levels, 3)), np.empty((instants, levels, 3, 3))
+    square, log = np.empty((instants, levels)), np.empty((instants, levels))
+    B, c = np.empty((3, 3)), np.empty(3)
+    for s in range(instants):
+        _effect(_EVENTS[s] * interval, interval, g[s])
+        _seen(A, v, g[s], B, c)
+        for k in range(levels):
+            square[s, k], log[s, k] = _one_step(B, c, acceleration, variances[1 + k], mean[s, k], covariance[s, k])
+            log[s, k] += np.log(max((1.0 - quiet) / instants * weights[1 + k], 1e-300))
+    mean_square, ratio = _normalise(log, quiet, weights)
+    excess = 0.0
+    for k in range(levels):
+        mean_square += np.sum(log[:, k]) * variances[1 + k] / variances[0]
+        excess += np.sum(log[:, k] * square[:, k])
+    total, spread, gain = _merged(g, log, mean, covariance)
+    return total, spread, gain, np.sqrt(mean_square), ratio, excess
+
+
+@njit(cache=True, error_model="numpy")
+def _effect(before, interval, g):
+    """What a unit step `before` s before a frame adds to rotation, rate and acceleration by then: into g, (3,).
+
+    Of a step before the last frame the rotation until then is in the state already.
+    """
+    g[0] = 0.5 * before * before if before < interval else interval * (before - 0.5 * interval)
+    g[1], g[2] = before, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _seen(A, v, g, B, c):
+    """Information on a step whose effect is g, (3,): B, (3, 3), and c, (3,), from those on the state."""
+    for a in range(3):
+        c[a] = g[0] * v[a] + g[1] * v[3 + a] + g[2] * v[6 + a]
+        for b in range(3):
+            B[a, b] = 0.0
+            for i in range(3):
+                for j in range(3):
+                    B[a, b] += g[i] * g[j] * A[3 * i + a, 3 * j + b]
+
+
+@njit(cache=True, error_model="numpy")
+def _one_step(B, c, acceleration, variance, mean, covariance):
+    """A step from `acceleration` (3,) to one of that variance about zero: its mean, (3,), and covariance, (3, 3).
+
+    Returns z' S^-1 z if it is made, less that if it is not, and the log likelihood ratio of the two. By the matrix
+    inversion lemma nothing is larger than 3x3 (Willsky and Jones 1976, "A generalized likelihood ratio approach to the
+    detection and estimation of jumps in linear systems").
+    """
+    M, y = np.empty((3, 3)), np.empty(3)
+    square = 0.0
+    for a in range(3):
+        y[a] = c[a]
+        for b in range(3):
+            M[a, b] = variance * B[a, b] + (1.0 if a == b else 0.0)
+            y[a] += B[a, b] * acceleration[b]
+        square += acceleration[a] * (c[a] + y[a])
+    determinant = _inverse(M, covariance)
+    for a in range(3):
+        mean[a] = -acceleration[a]
+        for b in range(3):
+            covariance[a, b] *= variance
+            mean[a] += covariance[a, b] * y[b]
+        square -= y[a] * (mean[a] + acceleration[a])
+    return square, -0.5 * (square + np.log(determinant))
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse(M, out):
+    """The inverse of a symmetric positive definite (3, 3) into `out`; returns the determinant."""
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            c, d = (j + 1) % 3, (j + 2) % 3
+            out[j, i] = M[a, c] * M[b, d] - M[a, d] * M[b, c]
+    determinant = M[0, 0] * out[0, 0] + M[0, 1] * out[1, 0] + M[0, 2] * out[2, 0]
+    for i in range(3):
+        for j in range(3):
+            out[i, j] /= determinant
+    return determinant
+
+
+@njit(cache=True, error_model="numpy")
+def _normalise(log, quiet, weights):
+    """Probabilities of the hypotheses, in place of `log` (i, l - 1), and of the levels, in place of `weights` (l,).
+
+    `quiet` is the probability that a level which makes steps makes none. Returns the probability of no step, and the
+    log likelihood ratio of all hypotheses to that.
+    """
+    none = weights[0] + quiet * (1.0 - weights[0])
+    most = np.log(max(none, 1e-300))
+    for s in range(len(log)):
+        for k in range(log.shape[1]):
+            most = max(most, log[s, k])
+    total = none * np.exp(-most)
+    for s in range(len(log)):
+        for k in range(log.shape[1]):
+            log[s, k] = np.exp(log[s, k] - most)
+            total += log[s, k]
+    left = np.exp(-most) / total
+    weights[0] *= left
+    for k in range(log.shape[1]):
+        weights[1 + k] *= quiet * left
+        for s in range(len(log)):
+            log[s, k] /= total
+            weights[1 + k] += log[s, k]
+    return none * left, most + np.log(total)
+
+
+@njit(cache=True, error_model="numpy")
+def _merged(g, p, mean, covariance):
+    """Mean, (9,), covariance, (9, 9), and mean covariance, (9, 9), of the mixture with probabilities p, (i, l - 1)."""
+    total, spread, gain = np.zeros(9), np.zeros((9, 9)), np.zeros((9, 9))
+    for s in range(len(p)):
+        first, within, outer = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
+        for level in range(p.shape[1]):
+            for a in range(3):
+                first[a] += p[s, level] * mean[s, level, a]
+                for b in range(3):
+                    within[a, b] += p[s, level] * covariance[s, level, a, b]
+                    outer[a, b] += p[s, level] * mean[s, level, a] * mean[s, level, b]
+        for i in range(3):
+            for a in range(3):
+                total[3 * i + a] += g[s, i] * first[a]
+                for j in range(3):
+                    for b in range(3):
+                        gain[3 * i + a, 3 * j + b] += g[s, i] * g[s, j] * within[a, b]
+                        spread[3 * i + a, 3 * j + b] += g[s, i] * g[s, j] * outer[a, b]
+    for i in range(9):
+        for j in range(9):
+            spread[i, j] += gain[i, j] - total[i] * total[j]
+    return total, spread, gain
