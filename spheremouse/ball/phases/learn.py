@@ -16,7 +16,7 @@ from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View, no_points
 from spheremouse.geometry.camera import project
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
 _MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
@@ -35,7 +35,7 @@ def learn(
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) == 0:
             return found(replace(state, filter=predicted), phase, stamp)
-    filtered = tracker.filter.update(predicted, state.points, _founders(state, predicted, tracker))
+    filtered = tracker.filter.update(predicted, state.points, _founders(state, phase, predicted, tracker))
     if isinstance(filtered, So3State) and filtered.known_missed > filtered.known_seen:
         return found(_hidden(state, tracker, predicted), phase, stamp)
     naive = replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
@@ -59,12 +59,20 @@ def learn(
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _founders(state: TrackState, predicted: FilterState, tracker: Tracker) -> NDArray[np.bool_] | None:
-    """Which points may found a disc, (n,); None: all, while fewer than two discs are established."""
-    if not isinstance(predicted, So3State):
+def _founders(
+    state: TrackState, phase: Learning, predicted: FilterState, tracker: Tracker
+) -> NDArray[np.bool_] | None:
+    """Which points may found a disc, (n,); None: all.
+
+    That is while fewer than two discs are established, and once those have turned by a disc's width: new discs come
+    into view then. While the ball stands, what appears is not on it, or was hidden.
+    """
+    if not isinstance(predicted, So3State) or np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2:
         return None
-    established = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial)
-    return None if established < 2 else np.zeros(len(state.points), dtype=bool)
+    turned = rotation_between(phase.views[0].attitude, predicted.attitude) if phase.views else np.zeros(3)
+    if np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius:
+        return None
+    return np.zeros(len(state.points), dtype=bool)
 
 
 def _hidden(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
