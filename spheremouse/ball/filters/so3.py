@@ -511,6 +511,13 @@ class So3Filter:
         return augment(state, points, found[: min(new, room)], self.radius) if new and room else state
 
 
+def _log_density(z: Array, S: Array) -> float:
+    """Log of the normal density of an innovation z, (2k,), with covariance S."""
+    L = np.linalg.cholesky(S)
+    white = np.linalg.solve(L, z)
+    return float(-0.5 * white @ white - np.log(L.diagonal()).sum() - 0.5 * len(z) * math.log(2.0 * math.pi))
+
+
 def relocate(
     state: So3State, attitude: Array, sigma: float, settings: So3Settings, stamp: float, rate: Array | None = None
 ) -> So3State:
