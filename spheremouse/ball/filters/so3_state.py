@@ -15,7 +15,6 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
 PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours of fifty discs
-_ANY_ATTITUDE = np.pi**2 / 3.0  # rad², variance of an angle of which nothing is known
 _NO_PROCESS = np.zeros((CORE, CORE))
 
 
@@ -110,13 +109,6 @@ class So3State:
         joint = self.joint.copy()
         joint[-REFERENCE:] = joint[:, -REFERENCE:] = 0.0
         joint[-REFERENCE:, -REFERENCE:] = other.joint[-REFERENCE:, -REFERENCE:]
-        return replace(self, joint=joint)
-
-    def with_attitude_covariance(self, covariance: Array) -> "So3State":
-        """The state with the covariance, (3, 3) rad², of an attitude that nothing on the map depends on yet."""
-        joint = self.joint.copy()
-        values, vectors = np.linalg.eigh(covariance)
-        joint[:3, :3] = (vectors * np.minimum(values, _ANY_ATTITUDE)) @ vectors.T
         return replace(self, joint=joint)
 
     def covariance_since(self, turn: Array) -> Array:

@@ -1,7 +1,6 @@
 """A ball found by its map: one that was lost, or one whose map was made earlier."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -164,8 +163,6 @@ def recognise(
 
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, View]:
     """A new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
-    start: Any = tracker.filter.initial(stamp, state.filter.attitude)
-    if isinstance(state.filter, So3State) and not isinstance(state.phase, Recognising):
-        start = start.with_attitude_covariance(tracker.filter.predict(state.filter, stamp).joint[:3, :3])
+    start = tracker.filter.initial(stamp, state.filter.attitude)
     filtered = tracker.filter.update(start, state.points)
     return filtered, View(stamp, state.detections, state.points, start)
