@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import pdtrc
+from scipy.special import ndtr, pdtrc
 
 from spheremouse.ball.filters import so3_match, so3_predict
 from spheremouse.ball.filters import so3_update as kernel
@@ -24,7 +24,7 @@ from spheremouse.ball.filters.so3_settings import (
     usual_acceleration,
     variances,
 )
-from spheremouse.ball.filters.so3_state import PLACED, So3State, augment, delays, drop, inject
+from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
@@ -115,12 +115,16 @@ class So3Filter:
         """Indices of the discs that face the camera."""
         return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)
 
-    def expected(self, state: So3State) -> NDArray[np.intp]:
-        """Indices of the discs beyond their trial that are well visible in a place that is well known."""
+    def expected_missing(self, state: So3State, seen: NDArray[np.intp] | tuple[int, ...]) -> float:
+        """Number of discs beyond their trial that are to be expected well in view, without those of `seen`.
+
+        Each counts with the probability that the uncertainty of its place leaves.
+        """
+        which = np.setdiff1d(np.flatnonzero(state.hits >= self.settings.trial), seen)
+        cosine = np.clip(state.discs[which] @ (self.towards_camera @ state.attitude), -1.0, 1.0)
         well = self.horizon + 0.5 * (1.0 - self.horizon)  # nearer the limb a disc is often too thin
-        cosine = state.discs @ (self.towards_camera @ state.attitude)
-        which = np.flatnonzero((state.hits >= self.settings.trial) & (cosine > well))
-        return which[self.place_sigma(state, which) < PLACED]
+        sigma = np.maximum(self.place_sigma(state, which), _POINT_SIGMA) * np.sqrt(1.0 - cosine**2 + 1e-6)
+        return float(np.sum(ndtr((cosine - well) / sigma)))
 
     def beyond_chance(self, predicted: So3State, used: int, points: int) -> bool:
         """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?

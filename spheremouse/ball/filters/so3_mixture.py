@@ -132,8 +132,7 @@ def _node(
 
 def _needs_landmarks(filter_: So3Filter, node: _Node) -> bool:
     """Whether too few discs are paired to tell the turn, and not because something lies before them."""
-    missing = np.setdiff1d(filter_.expected(node.state), node.columns)
-    return len(node.rows) < 2 and len(missing) <= len(node.rows)
+    return len(node.rows) < 2 and filter_.expected_missing(node.state, node.columns) <= max(len(node.rows), 1)
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:

@@ -13,7 +13,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.state import Tracker, TrackState
 
-_HIDDEN_BY_CHANCE = 1  # discs: a strut hides one, something that covers the ball hides more
+_HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, something that covers the ball hides more
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude is taken for the only one
 
 
@@ -42,9 +42,7 @@ def updated_hypotheses(
     filtered, alternatives = hypotheses[0].state, hypotheses[1:]
     if hypotheses[0].log_probability > _CERTAIN:
         alternatives = ()
-    used = len(filtered.used)
-    missing = np.count_nonzero(filtered.missed[f.expected(filtered)])
-    supported = (used > 0 or filtered.is_roughly_known) and missing <= max(used, _HIDDEN_BY_CHANCE)
+    supported = _supports(state, filtered, tracker)
     return replace(
         state,
         filter=filtered,
@@ -52,3 +50,17 @@ def updated_hypotheses(
         supported_at=stamp if supported else min(state.supported_at, stamp),
         confirmed=not alternatives and confirms(filtered, len(points), predicted, tracker),
     )
+
+
+def _supports(state: TrackState[So3State], filtered: So3State, tracker: Tracker[So3Filter]) -> bool:
+    """Whether a frame, filtered, agrees with where the discs of the map should be; `state` is that before it.
+
+    It shows as many of them as it hides. Or it shows none, since few are known and those may be out of view; more than
+    two do not vanish at once.
+    """
+    used, before = len(filtered.used), len(state.filter.used)
+    missing = tracker.filter.expected_missing(filtered, np.flatnonzero(filtered.missed == 0))
+    if used > 0:
+        return missing <= max(used, _HIDDEN_BY_CHANCE)
+    went_on = state.supported_at == state.filter.stamp and before <= _HIDDEN_BY_CHANCE
+    return went_on and filtered.is_roughly_known and missing <= _HIDDEN_BY_CHANCE
