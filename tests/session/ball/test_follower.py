@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.ball.follower import BallFollower
@@ -34,7 +35,8 @@ def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
     film = prepare(options)
     rig = replace(film.scene.rig(), pose=film.scene.pose)
     rig = replace(rig, disc_radius=disc * rig.disc_radius)
-    follower = BallFollower(rig, Configuration(), None, lambda _: None)
+    settings = Configuration(discs=DiscSettings(polarity="dark"))
+    follower = BallFollower(rig, settings, None, lambda _: None)
     matrix = MotionSettings().matrix(rig.radius_m)
     ball = ball_mask(rig, film.scene.pose) > 0
     seen = Seen([], [], np.zeros((0, 3)), np.zeros(3), 0.0, [], [])
