@@ -6,6 +6,7 @@ from typing import assert_never, cast
 import numpy as np
 
 from spheremouse.ball import events
+from spheremouse.ball.detect.absence import Absence, Cause
 from spheremouse.ball.detect.refused import Bound, Refused
 from spheremouse.ball.events import BallLost, Doubt, Why
 from spheremouse.ball.pose import Resection
@@ -106,6 +107,58 @@ def _doubt(doubt: Doubt) -> str:
             return "the camera is moving"
         case _:
             assert_never(doubt)
+
+
+def no_discs(seen: int, seconds: float, absence: Absence) -> str:
+    """A ball that shows no discs, or too few, for so long: why, and what to change."""
+    found = f"only {seen} disc{'s' if seen > 1 else ''} found" if seen else "no disc found"
+    problem, hint = why_absent(absence)
+    return f"{found} on the ball for {seconds:.0f} s: {problem}; {hint}"
+
+
+def why_absent(absence: Absence) -> tuple[str, str]:
+    """Why no disc is found on the ball, and what to change."""
+    spots = f"{absence.spots} spot{'' if absence.spots == 1 else 's'}"
+    shown = "`spheremouse ctl snapshot`, or `preview`, shows it"
+    match absence.cause:
+        case Cause.DARK:
+            return (
+                f"it is nearly black ({absence.grey:.0f} of 255)",
+                "uncover the lens, light the ball, or expose longer (camera.exposure_s)",
+            )
+        case Cause.BRIGHT:
+            return (
+                f"it is overexposed ({absence.grey:.0f} of 255)",
+                "a shorter exposure (camera.exposure_s), less gain, or less light",
+            )
+        case Cause.BLURRED:
+            return f"the picture is blurred, by {absence.size:.1f} px", "focus the lens (camera.focus), and wipe it"
+        case Cause.LIGHTER:
+            return f"{spots} like discs are lighter than the ball, not darker", "set discs.polarity to light"
+        case Cause.DARKER:
+            return f"{spots} like discs are darker than the ball, not lighter", "set discs.polarity to dark"
+        case Cause.FAINT:
+            return (
+                f"{spots} like discs are faint, with a contrast of {absence.contrast:.2f}",
+                "more light from the side of the camera, less gloss, or a smaller discs.contrast",
+            )
+        case Cause.SIZE:
+            return (
+                f"{spots} are about {absence.size:.0f} px across, and the rig's discs {absence.disc:.0f} px",
+                "if these are the discs, correct disc_radius in the rig, or give the rig of this ball",
+            )
+        case Cause.SHAPE:
+            return (
+                f"none of {spots} looks like a disc of {absence.disc:.0f} px",
+                f"uncover the ball, light it evenly; is this the rig's ball? {shown}",
+            )
+        case Cause.PLAIN:
+            return (
+                "nothing on it stands out",
+                f"uncover the ball; does the camera see it, and are its discs on this side? {shown}",
+            )
+        case _:
+            assert_never(absence.cause)
 
 
 def _why(lost: BallLost) -> str:

@@ -3,8 +3,9 @@
 import pytest
 
 from spheremouse.ball import events
+from spheremouse.ball.detect.absence import Absence, Cause
 from spheremouse.ball.events import BallLost, Doubt, Why
-from spheremouse.session.messages import line, reason, withheld
+from spheremouse.session.messages import line, no_discs, reason, why_absent, withheld
 from spheremouse.tracker import Event
 
 SENTENCES = {
@@ -75,3 +76,22 @@ def test_several_are_one_line_and_beside_the_state_it_is_not_said_again():
     assert line((BallLost(Why.UNSEEN, 0.3, 3), events.Turned(0))).startswith("lost: 3 discs")
     assert reason((events.Turned(0), events.Found(5))) == "the ball turns; tracking: 5 discs in view"
     assert line(()) == reason(()) == ""
+
+
+@pytest.mark.parametrize("cause", Cause)
+def test_a_ball_without_discs_is_told_with_what_to_change(cause):
+    problem, hint = why_absent(Absence(cause, 12.0, 4, 0.18, 9.0, 15.0))
+    assert problem
+    assert hint
+    assert "\n" not in problem + hint
+
+
+def test_a_ball_without_discs_in_words():
+    assert no_discs(0, 1.03, Absence(Cause.SIZE, 160.0, 4, 0.8, 9.2, 14.6)) == (
+        "no disc found on the ball for 1 s: 4 spots are about 9 px across, and the rig's discs 15 px; if these are the "
+        "discs, correct disc_radius in the rig, or give the rig of this ball"
+    )
+    assert no_discs(2, 2.0, Absence(Cause.DARK, 3.0)) == (
+        "only 2 discs found on the ball for 2 s: it is nearly black (3 of 255); uncover the lens, light the ball, or "
+        "expose longer (camera.exposure_s)"
+    )

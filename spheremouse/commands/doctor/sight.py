@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.build import build
+from spheremouse.ball.detect.absence import why_no_disc
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
@@ -18,6 +19,7 @@ from spheremouse.commands.doctor.finding import Finding, ok, refused, unchecked,
 from spheremouse.errors import SpheremouseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array
+from spheremouse.session.messages import why_absent
 from spheremouse.tracker import Frame
 
 _PLACED = 1e-3  # m: as well as targets keep their place on a frame that is wood or steel
@@ -128,12 +130,9 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
     contrasts = np.concatenate([contrast(grey(v.image), d, settings) for v, d in zip(views, found, strict=True)])
     numbers: dict[str, Any] = {"seen": count, "least": min(counts), "most": max(counts)}
     if count == 0:
-        return wrong(
-            "discs",
-            "none is seen on the ball",
-            "light the ball; uncover it; are the discs' size in the rig and discs.polarity right?",
-            **numbers,
-        )
+        absence = why_no_disc(views[0].image, seen.rig, seen.pose, settings)
+        problem, hint = why_absent(absence)
+        return wrong("discs", f"none is seen on the ball: {problem}", hint, **numbers, cause=str(absence.cause))
     text = f"{count} seen"
     if len(contrasts):
         strength = float(np.median(contrasts))

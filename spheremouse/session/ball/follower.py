@@ -15,7 +15,7 @@ import numpy as np
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import detect_targets
-from spheremouse.ball.events import CameraMoved, MotionReleased, MotionWithheld
+from spheremouse.ball.events import CameraMoved
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -29,6 +29,7 @@ from spheremouse.output.pointer import Counts
 from spheremouse.session import messages
 from spheremouse.session.ball.looking import FirstPose, Seeker
 from spheremouse.session.ball.map_keeper import MapKeeper
+from spheremouse.session.ball.news import BallNews
 from spheremouse.session.ball.subject import BallSubject, picture, sought
 from spheremouse.session.directions import of_ball
 from spheremouse.session.follower import MAP, POSE, TARGETS, Change, Do, Follower, News, Tracked, here
@@ -62,7 +63,7 @@ class BallFollower:
         self.posed = 0.0  # s, time.monotonic() when the pose was found
         self.state: TrackState | None = None
         self.waiting = "the ring targets are looked for"
-        self._reason = ""
+        self._news = BallNews(partial(do, TARGETS))
         self.untracked = 0  # frames that came before the pose was known
         self._tracker: Tracker | None = None
         self._subject: BallSubject | None = None
@@ -71,7 +72,6 @@ class BallFollower:
         self._forget_views()
         self._anew: _Reinitialisation | None = None
         self._detected = 0.0
-        self._news = ""
         if rig.pose is not None:
             self.stands(rig.pose, "camera pose: as the rig says")
         elif len(rig.targets.codes) < 3:
@@ -89,12 +89,8 @@ class BallFollower:
 
     @property
     def reason(self) -> str:
-        """What is known of the ball, in words: the last event, or why motion is withheld now."""
-        state = self.state
-        if state is None or state.withheld is None or not state.withheld.announced:
-            return self._reason
-        since, doubt, _ = state.withheld
-        return messages.withheld(state.filter.stamp - since, doubt)
+        """What is known of the ball, in words."""
+        return self._news.reason
 
     @property
     def subject(self) -> BallSubject | None:
@@ -131,8 +127,7 @@ class BallFollower:
 
     def take_news(self) -> News:
         """What is to be said of the ball since this was last asked."""
-        news, self._news = self._news, ""
-        return News(news)
+        return News(self._news.take())
 
     def interrupted(self, reason: str) -> None:
         """What has been begun with the frames before is void, for the camera may be moved meanwhile."""
@@ -143,7 +138,8 @@ class BallFollower:
 
     def restart(self, reason: str) -> None:
         """The ball looked for anew, by the pose that is known."""
-        self.state, self._reason = None, reason
+        self.state = None
+        self._news.restart(reason)
         self._forget_views()
 
     def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
@@ -171,7 +167,7 @@ class BallFollower:
                 return BallFollower(rig, settings, self._keeper, self.say, self._do, self._given, outputs)
             self.state, self._tracker, self._subject, self.outputs = state, tracker, None, outputs
             if settings.tracker != self.settings.tracker:
-                self._reason = "another filter begins"
+                self._news.restart("another filter begins")
             self.settings = settings
             self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
             if tuned:
@@ -292,7 +288,7 @@ class BallFollower:
         else:
             made = step(before, frame, tracker, self._note_detected, self._seeker)
         seconds = {"detect": self._detected - begun, "filter": time.monotonic() - self._detected}
-        self._remember(made, tracker)
+        self._remember(made, frame, tracker)
         epoch = Epoch(frame, made.state, made.motion, made.events, seconds)
         return Tracked(frame, self._counter.report(made.motion), seconds, epoch)
 
@@ -315,15 +311,13 @@ class BallFollower:
         asked = tuple(replace(e, asked=True) if isinstance(e, CameraMoved) else e for e in made.events)
         return made._replace(events=asked)
 
-    def _remember(self, made: Step[TrackState], tracker: Tracker) -> None:
+    def _remember(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
         self.state, self._motion = made.state, made.motion
         if self._anew is not None and self._anew.over:
             self._anew = None
-        if made.events:
-            self._news = messages.line(made.events)
-        if lasting := [e for e in made.events if not isinstance(e, MotionWithheld | MotionReleased)]:
-            self._reason = messages.reason(lasting)
-        pose = current(made.state, tracker).pose
+        tracker = current(made.state, tracker)
+        self._news.add(made, frame, tracker)
+        pose = tracker.pose
         if pose is not self.pose:
             self.pose, self.posed = pose, time.monotonic()
         if self._keeper is not None:

@@ -55,7 +55,7 @@ class FirstPose:
             raise PoseError("the frames are grey: the ring targets need colour; give a rig with a camera pose")
         image = frame.image.copy()
         first = self._first = image if self._first is None else self._first
-        self._looking = _begun(lambda: self._look(image, first), self._elsewhere)
+        self._looking = begun(lambda: self._look(image, first), self._elsewhere)
 
     def _look(self, image: Image, first: Image) -> Resection | None:
         self._views.append(detect_targets(image, self._rig.targets.radii, self._settings.rings))
@@ -86,7 +86,7 @@ class Seeker:
             return None
         kept = replace(frame, image=frame.image.copy())
         self._tracker = tracker
-        self._seeking = _begun(lambda: seek_by_colour(kept, tracker), self._elsewhere)
+        self._seeking = begun(lambda: seek_by_colour(kept, tracker), self._elsewhere)
         if not self._seeking.done():
             return None
         done, self._seeking = self._seeking, None
@@ -101,7 +101,7 @@ class Seeker:
         return None if moved is None or tracker is not self._tracker else moved[0].pose
 
 
-def _begun(work: Callable[[], T], elsewhere: Elsewhere) -> Future[T]:
+def begun(work: Callable[[], T], elsewhere: Elsewhere) -> Future[T]:
     """What will come of the work, or its error."""
     future: Future[T] = Future()
 

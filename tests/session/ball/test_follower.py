@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import MotionSettings
 from spheremouse.session.ball.follower import BallFollower
@@ -29,18 +30,20 @@ class Seen:
     stamps: list[float]
 
 
-def watched(options, covered=(0.0, 0.0)):
-    """A film tracked; the discs are painted over from one time to the other."""
+def watched(options, covered=(0.0, 0.0), level=170, disc=1.0):
+    """A film tracked; the ball is painted over from one time to the other, and the rig's discs are so much larger."""
     film = prepare(options)
     rig = replace(film.scene.rig(), pose=film.scene.pose)
-    follower = BallFollower(rig, Configuration(), None, lambda _: None)
+    rig = replace(rig, disc_radius=disc * rig.disc_radius)
+    settings = Configuration(discs=DiscSettings(polarity="dark"))
+    follower = BallFollower(rig, settings, None, lambda _: None)
     matrix = MotionSettings().matrix(rig.radius_m)
     ball = ball_mask(rig, film.scene.pose) > 0
     seen = Seen([], [], np.zeros((0, 3)), np.zeros(3), 0.0, [], [])
     for filmed in simulate(film):
         image, stamp = filmed.frame.image.copy(), filmed.frame.stamp
         if covered[0] <= stamp < covered[1]:
-            image[ball] = 170
+            image[ball] = level
         made = follower.follow(replace(filmed.frame, image=image))
         assert made is not None
         seen.reasons.append(follower.reason)
@@ -52,6 +55,36 @@ def watched(options, covered=(0.0, 0.0)):
         if line := follower.take_news().change:
             seen.news.append((stamp, line))
     return seen, rig
+
+
+@pytest.mark.parametrize(
+    ("options", "change", "told"),
+    [
+        ({}, {"covered": (0.0, 9.0), "level": 3}, "it is nearly black (3 of 255); uncover the lens, light the ball"),
+        ({}, {"covered": (0.0, 9.0), "level": 255}, "it is overexposed (255 of 255); a shorter exposure"),
+        ({}, {"covered": (0.0, 9.0)}, "nothing on it stands out; uncover the ball"),
+        ({"ball_colour": (40.0,) * 3, "disc_colour": (230.0,) * 3}, {}, "set discs.polarity to light"),
+        ({"ball_colour": (200.0,) * 3, "disc_colour": (165.0,) * 3, "discs": 40}, {}, "a smaller discs.contrast"),
+        ({}, {"disc": 1.8}, "correct disc_radius in the rig"),
+    ],
+)
+def test_a_ball_without_discs_states_why_within_two_seconds_and_the_log_has_it_once(options, change, told):
+    seen, _ = watched(SimulationOptions(seed=5, motion="rest", noise=2.0, seconds=3.0, **options), **change)
+    after = [k for k, t in enumerate(seen.stamps) if t - seen.stamps[0] >= 2.0]
+    for k in after:
+        assert seen.reasons[k].startswith("no disc found on the ball for ")
+        assert told in seen.reasons[k]
+    lines = [line for _, line in seen.news if "on the ball for" in line]
+    assert len(lines) == 1
+    assert told in lines[0]
+
+
+def test_a_lens_cap_put_on_in_play_is_told_within_two_seconds_and_forgotten_when_the_ball_is_seen_again():
+    seen, _ = watched(SimulationOptions(seed=3, motion="play", noise=2.0, seconds=4.5), covered=(1.0, 3.5), level=2)
+    black = [t for t, reason in zip(seen.stamps, seen.reasons, strict=True) if "nearly black" in reason]
+    assert black[0] <= 3.0
+    assert 3.4 <= black[-1] <= 3.6
+    assert [line for _, line in seen.news if "nearly black" in line][1:] == []
 
 
 def sent_at_a_hands_pace(seen, rig):

@@ -1,0 +1,88 @@
+"""The ball in words: what status and log have of its events, of motion withheld, and of a ball that shows no discs."""
+
+from concurrent.futures import Future
+
+from spheremouse.ball.detect.absence import Absence, why_no_disc
+from spheremouse.ball.events import MotionReleased, MotionWithheld
+from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.output.sparing import letters
+from spheremouse.session import messages
+from spheremouse.session.ball.looking import Elsewhere, begun
+from spheremouse.tracker import Frame, Status, Step
+
+_FEW = 3  # discs: with as many in view the picture is not what is wrong
+_AFTER = 1.0  # s without them until the picture is looked at: hands pass within less
+_EVERY = 2.0  # s between two looks
+
+
+class BallNews:
+    """Called by one thread with each tracked frame; `reason` may be read by others."""
+
+    def __init__(self, elsewhere: Elsewhere) -> None:
+        """`elsewhere` has pictures looked at by another thread."""
+        self.reason = ""  # what is known of the ball
+        self._known, self._log = "", ""
+        self._missing = MissingDiscs(elsewhere)
+
+    def add(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
+        """One more frame, and what the tracker made of it."""
+        state, events = made.state, made.events
+        lines = [messages.line(events)] if events else []
+        if lasting := [e for e in events if not isinstance(e, MotionWithheld | MotionReleased)]:
+            self._known = messages.reason(lasting)
+        missing, new = self._missing.look(state, frame, tracker)
+        if new:
+            lines.append(missing)
+        if lines:
+            self._log = "; ".join(lines)
+        withheld = state.withheld
+        if withheld is not None and withheld.announced:
+            self.reason = messages.withheld(frame.stamp - withheld.since, withheld.doubt)
+        else:
+            self.reason = missing or self._known
+
+    def restart(self, reason: str) -> None:
+        """The ball is looked for anew."""
+        self.reason = self._known = reason
+
+    def take(self) -> str:
+        """What is to be logged since this was last asked; empty where nothing is."""
+        log, self._log = self._log, ""
+        return log
+
+
+class MissingDiscs:
+    """Why the ball shows no discs: asked of a picture now and then, while the ball is not tracked."""
+
+    def __init__(self, elsewhere: Elsewhere) -> None:
+        self._elsewhere = elsewhere
+        self._forget()
+
+    def look(self, state: TrackState, frame: Frame, tracker: Tracker) -> tuple[str, bool]:
+        """Why, in words, and whether that is new; empty while discs are seen, or not known yet."""
+        points, stamp = len(state.points), frame.stamp
+        if state.status is Status.TRACKING:
+            self._forget()
+            return "", False
+        since = self._since = stamp if self._since is None else min(self._since, stamp)
+        due = stamp - since >= _AFTER and not 0.0 <= stamp - self._looked < _EVERY
+        if due and points < _FEW and self._looking is None:
+            self._looked, self._seen, image = stamp, points, frame.image.copy()
+            self._looking = begun(
+                lambda: why_no_disc(image, tracker.rig, tracker.pose, tracker.settings.discs), self._elsewhere
+            )
+        if self._looking is not None and self._looking.done():
+            looked, self._looking = self._looking, None
+            self._absence = looked.result()
+        if self._absence is None or points >= _FEW:
+            return "", False
+        told, self._told = self._told, messages.why_absent(self._absence)[0]
+        return messages.no_discs(self._seen, stamp - since, self._absence), letters(told) != letters(self._told)
+
+    def _forget(self) -> None:
+        self._since: float | None = None  # s, stamp of the first frame in which the ball was not tracked
+        self._looked = -float("inf")  # s, stamp of the last frame that was looked at
+        self._looking: Future[Absence] | None = None
+        self._seen = 0  # discs in it
+        self._absence: Absence | None = None
+        self._told = ""
