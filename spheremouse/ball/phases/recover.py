@@ -68,6 +68,8 @@ def recover(
     waits = phase.lifted_at is not None and 0.0 <= stamp - phase.lifted_at < tracker.settings.bearing.patience
     if waits or stamp - phase.in_view_since < tracker.settings.loss.reset_after:
         return state, ()
+    if np.count_nonzero(state.filter.hits >= tracker.settings.so3.trial) < 2:  # no map that could be recognised
+        return begin_anew(state, stamp, tracker)
     return try_new_map(state, phase, stamp, tracker)
 
 
