@@ -16,9 +16,11 @@ from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View, no_points
 from spheremouse.geometry.camera import project
-from spheremouse.geometry.rotation import Array, rotation_between
+from spheremouse.geometry.rotation import Array, log, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
+_FRAME = 1.0 / 30.0  # s, in which a turn about the line of sight is noticed
+_JUMP = 64.0  # level of the player from which points pair by chance
 _MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
@@ -36,7 +38,7 @@ def learn(
         if len(state.points) == 0:
             return found(replace(state, filter=predicted), phase, stamp)
     filtered = tracker.filter.update(predicted, state.points, _founders(state, phase, predicted, tracker))
-    if isinstance(filtered, So3State) and filtered.known_missed > filtered.known_seen:
+    if _covered(filtered):
         return found(_hidden(state, tracker, predicted), phase, stamp)
     naive = replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
     views = (*phase.views, View(stamp, state.detections, state.points, filtered.attitude))
@@ -47,6 +49,9 @@ def learn(
         if len(views) == _REPLAY and _changed(views[0], views[1:], tracker.settings.static):
             views = views[-1:]
         return found(naive, phase._replace(views=views), stamp)
+    if len(still) == 0 and naive.confirmed:  # nothing to leave out
+        naive, events = found(naive, phase, stamp)
+        return replace(naive, phase=Tracking()), (Turned(0), *events)
     lookalikes = static.mask(state.lookalikes, still, stamp)
     filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
     points = state.points
@@ -59,9 +64,7 @@ def learn(
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _founders(
-    state: TrackState, phase: Learning, predicted: FilterState, tracker: Tracker
-) -> NDArray[np.bool_] | None:
+def _founders(state: TrackState[F], phase: Learning, predicted: F, tracker: Tracker) -> NDArray[np.bool_] | None:
     """Which points may found a disc, (n,); None: all.
 
     That is while fewer than two discs are established, and once those have turned by a disc's width: new discs come
@@ -70,9 +73,21 @@ def _founders(
     if not isinstance(predicted, So3State) or np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2:
         return None
     turned = rotation_between(phase.views[0].attitude, predicted.attitude) if phase.views else np.zeros(3)
-    if np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius:
+    if (
+        isinstance(state.filter, So3State)
+        and state.filter.known_missed == 0
+        and np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
+    ):
         return None
     return np.zeros(len(state.points), dtype=bool)
+
+
+def _covered(filtered: FilterState) -> bool:
+    """Does something lie before most of the established discs? A jump that half of them contradict is no better."""
+    if not isinstance(filtered, So3State) or filtered.known_missed == 0:
+        return False
+    jumped = filtered.manoeuvre_level >= _JUMP
+    return filtered.known_missed + jumped > filtered.known_seen
 
 
 def _hidden(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
@@ -126,7 +141,8 @@ def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tra
     towards = pose.position - rig.ball.centre
     towards = towards / np.linalg.norm(towards)
     middle = seen_at(np.stack([towards, rotation @ towards]), rig, pose)
-    if np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
+    at_once = np.linalg.norm(log(rotation)) < tracker.settings.loss.fastest * _FRAME  # rows of spots match far turns
+    if at_once and np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
         return False
     off = now.centre[after] - seen_at(anchor.points.direction[before] @ rotation.T, rig, pose)
     weight = 1.0 / (_variance(anchor, before) + _variance(now, after) + _MODEL_ERROR**2)
