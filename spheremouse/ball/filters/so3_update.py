@@ -329,6 +329,7 @@ def keep_map(
         new_missed[columns[i]] = -1
     dropped, known_seen, known_missed = 0, 0, 0
     p = np.empty((m, 3))
+    # a frame that shows nothing says nothing of any one disc
     # a disc near the horizon is often too thin to be detected: only the well visible are missed
     well = horizon + 0.5 * (1.0 - horizon)
     for k in range(m):
@@ -337,7 +338,7 @@ def keep_map(
         if new_missed[k] < 0:
             new_missed[k] = 0
             known_seen += hits[k] >= trial
-        elif p[k, 0] * towards[0] + p[k, 1] * towards[1] + p[k, 2] * towards[2] > well:
+        elif n > 0 and p[k, 0] * towards[0] + p[k, 1] * towards[1] + p[k, 2] * towards[2] > well:
             new_missed[k] += 1
             known_missed += hits[k] >= trial
         limit = misses if new_hits[k] < trial else patience * new_hits[k]

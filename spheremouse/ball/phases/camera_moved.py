@@ -12,6 +12,8 @@ from spheremouse.geometry.rotation import Array
 from spheremouse.tracker import Frame, Status
 
 _LIVELY = 64.0  # level of the player from which a bumped camera explains as much
+_STIRRED = 8.0  # the same of a ball that hardly turns, and a camera that shakes by a few tenths of a pixel
+_RESTS = 0.2  # rad/s, below which a ball hardly turns: a pixel per frame
 _COLOUR_EVERY = 0.5  # s between two searches of the whole picture for the targets: they take long
 Moved = tuple[Tracker, Array | None]  # the tracker for another pose; what is added to its covariance, None: it is new
 
@@ -30,7 +32,7 @@ def surprised(state: TrackState[So3State]) -> bool:
     freedom = 2 * len(state.filter.used)
     return (
         not state.confirmed
-        or state.filter.manoeuvre_level >= _LIVELY
+        or state.filter.manoeuvre_level >= (_STIRRED if np.linalg.norm(state.filter.rate) < _RESTS else _LIVELY)
         or state.filter.nis > freedom + 5.0 * (2 * freedom) ** 0.5
     )
 

@@ -17,9 +17,11 @@ from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
 from spheremouse.ball.phases.hypotheses import updated_hypotheses
 from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View, no_points
-from spheremouse.geometry.rotation import Array, rotation_between
+from spheremouse.geometry.rotation import Array, log, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
+_FRAME = 1.0 / 30.0  # s, in which a turn about the line of sight is noticed
+_JUMP = 64.0  # level of the player from which points pair by chance
 _MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
@@ -37,7 +39,7 @@ def learn(
         if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
     naive = _with_all(state, stamp, tracker, predicted, phase.views)
-    if _are_hidden(naive.filter, predicted):
+    if _covered(naive.filter, predicted):
         return found(_hidden(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
@@ -81,13 +83,6 @@ def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracke
     return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
-def _are_hidden(filtered: FilterState, predicted: FilterState) -> bool:
-    """Whether more known discs are missing than seen although they are well predicted: something lies before them."""
-    if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
-        return False
-    return filtered.known_missed > filtered.known_seen and predicted.is_placed
-
-
 def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], tracker: Tracker) -> NDArray[np.bool_]:
     """Which points may found a disc, (n,).
 
@@ -97,7 +92,20 @@ def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], t
     few = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
     has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
-    return np.full(len(state.points), few or has_turned)
+    return np.full(len(state.points), few or (has_turned and state.filter.known_missed == 0))
+
+
+def _covered(filtered: FilterState, predicted: FilterState) -> bool:
+    """Does something lie before most of the established discs, whose places are well known?
+
+    A jump that half of them contradict is no better.
+    """
+    if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
+        return False
+    if filtered.known_missed == 0 or not predicted.is_placed:
+        return False
+    jumped = filtered.manoeuvre_level >= _JUMP
+    return filtered.known_missed + jumped > filtered.known_seen
 
 
 def _hidden(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
@@ -151,7 +159,8 @@ def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tra
     towards = pose.position - rig.ball.centre
     towards = towards / np.linalg.norm(towards)
     middle = seen_at(np.stack([towards, rotation @ towards]), rig, pose)
-    if np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
+    at_once = np.linalg.norm(log(rotation)) < tracker.settings.loss.fastest * _FRAME  # rows of spots match far turns
+    if at_once and np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
         return False
     off = now.centre[after] - seen_at(anchor.points.direction[before] @ rotation.T, rig, pose)
     weight = 1.0 / (_variance(anchor, before) + _variance(now, after) + _MODEL_ERROR**2)

@@ -76,6 +76,8 @@ def recover(
         or stamp - max(phase.in_view_since, state.supported_at) < tracker.settings.loss.reset_after
     ):
         return state, ()
+    if np.count_nonzero(state.filter.hits >= tracker.settings.so3.trial) < 2:  # no map that could be recognised
+        return begin_anew(state, stamp, tracker)
     return try_new_map(state, phase, stamp, tracker)
 
 

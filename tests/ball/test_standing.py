@@ -1,0 +1,126 @@
+"""A standing ball stands: what passes before it, or shakes the camera, sends next to nothing; play follows at once."""
+
+import numpy as np
+import pytest
+from conftest import directions
+from reporting import counts_of
+from standing_scenes import film, judge
+
+from spheremouse.ball.build import begin, build
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.events import NewMap, Turned
+from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import advance
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import exp
+from spheremouse.output.counts import MotionSettings
+from spheremouse.tracker import Status
+
+CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
+MATRIX = MotionSettings().matrix(RIG.radius_m)  # counts per radian
+DT = 1.0 / 30.0
+SIGMA = 0.05  # px
+MIDDLE, LIMB = np.array([320.0, 240.0]), 165.0  # px, of the ball's picture
+TURN = np.array([0.8, 0.1, 0.5])  # rad/s, of the play that follows
+
+
+def seen(R, discs, spots, cover, rng):
+    """Discs at attitude R that no cover, (x from, x to) px, hides, and spots before them; all on the ball's picture."""
+    p = discs @ R.T
+    uv = project(POSE.to_cam(RIG.ball.radius * p[p[:, 2] > 0.35]), CAMERA)[0]
+    uv = uv[(uv[:, 0] < cover[0]) | (uv[:, 0] > cover[1])]
+    uv = np.concatenate([uv, spots[np.hypot(*(spots - MIDDLE).T) < LIMB]])
+    uv = uv + SIGMA * rng.normal(size=uv.shape)
+    return Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
+
+
+def run(discs, passing, turned, seconds=8.0, seed=0):
+    """States, counts and events of a ball that stands while `passing(t)` gives spots and cover, then turns for 1 s.
+
+    `turned`: it turns for 2 s before, and rests for 1 s.
+    """
+    rng = np.random.default_rng(seed)
+    tracker = build(RIG, POSE, Settings())
+    before = 3.0 if turned else 0.0
+    state, states, motions, events = begin(tracker, 0.0), [], [], []
+    for t in np.arange(round((before + seconds + 1.0) / DT)) * DT:
+        since = t - before - seconds
+        R = exp(0.9 * min(t, 2.0) * np.array([0.6, 0.8, 0.0])) if turned else np.eye(3)
+        R = exp(max(since, 0.0) * TURN) @ R
+        spots, cover = passing(t - before) if 0.0 <= t - before < seconds else (np.zeros((0, 2)), (0.0, 0.0))
+        state, motion, more = advance(state, t, seen(R, discs, spots, cover, rng), tracker)
+        states.append(state)
+        motions.append(motion)
+        events += [(t - before, e) for e in more]
+    counts = np.cumsum(counts_of(motions, RIG), axis=0)
+    first = round(before / DT)
+    return states[first:], counts[first:] - (counts[first - 1] if turned else 0), events
+
+
+def lattice(spacing, shift):
+    k = np.arange(-12, 13) * spacing
+    return np.stack(np.meshgrid(k, k), axis=-1).reshape(-1, 2) + MIDDLE + shift
+
+
+def sheet(t):
+    """In front from 1 s on, trembling; gone before 8 s."""
+    x = MIDDLE[0] - 700.0 + min(max(t - 1.0, 0.0) * 900.0, 700.0) + max(t - 6.0, 0.0) * 900.0
+    spots = lattice(45.0, (0.0, 0.7 * np.sin(9.0 * t))) + (x - MIDDLE[0], 0.0)
+    return spots[np.abs(spots[:, 0] - x) < 350.0], (x - 350.0, x + 350.0)
+
+
+def sleeve(t):
+    """A spotted strip that wipes back and forth over two thirds of the ball."""
+    x = MIDDLE[0] + 110.0 * np.sin(3.0 * t) + 600.0 * (max(1.0 - t, 0.0) + max(t - 7.0, 0.0))
+    spots = lattice(38.0, (x - MIDDLE[0], 20.0 * np.sin(2.0 * t)))  # along with it
+    return spots[np.abs(spots[:, 0] - x) < 80.0], (x - 80.0, x + 80.0)
+
+
+def dots(t):
+    """Two dozen dots that fall from 1 s on, and hide nothing."""
+    if t < 1.0:
+        return np.zeros((0, 2)), (0.0, 0.0)
+    rng = np.random.default_rng(5)
+    xy = rng.uniform((160.0, 0.0), (480.0, 480.0), (24, 2))
+    return np.stack([xy[:, 0], (xy[:, 1] + 150.0 * t) % 480.0], axis=1), (0.0, 0.0)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("number", [12, 26])
+@pytest.mark.parametrize("passing", [sheet, sleeve, dots])
+def test_what_passes_before_a_standing_ball_sends_nothing_and_delays_no_play(passing, number, turned):
+    states, counts, events = run(directions(number, 3), passing, turned)
+    stands = round(8.0 / DT)
+    assert np.linalg.norm(counts[:stands], axis=1).max() <= 5.0
+    assert not any(isinstance(e, NewMap) or (isinstance(e, Turned) and 0.0 < t < 8.0) for t, e in events)
+    assert states[stands + 9].status is Status.TRACKING
+    # each count from the first on: what the play turned by, in 1 s at a constant rate from the frame at 8 s on
+    assert np.abs(counts[-1] - counts[stands - 1] - MATRIX @ TURN * (1.0 - DT)).max() < 8.0
+    moved = np.linalg.norm(counts[stands:] - counts[stands - 1], axis=1)
+    assert np.argmax(moved > 3.0) * DT <= 0.3
+
+
+def test_a_flat_thing_that_moves_alone_is_no_ball_that_turns():
+    """A spotted board slides and turns before a camera that sees no ball: nothing turns, and nothing is masked."""
+
+    def board(t):
+        c, s = np.cos(0.2 * t), np.sin(0.2 * t)
+        return (lattice(50.0, (12.0, 7.0)) - MIDDLE) @ np.array([[c, s], [-s, c]]) + MIDDLE + (25.0 * t, 4.0 * t), (
+            (0.0, 640.0)
+        )
+
+    states, _, events = run(np.zeros((0, 3)), board, False, seconds=0.6)
+    assert not any(isinstance(e, Turned) for t, e in events if t < 0.6)
+    assert not len(states[-31].lookalikes.masks)
+
+
+@pytest.mark.parametrize(("name", "turned"), [("sheet passing", False), ("camera drifting", False)])
+def test_rendered(name, turned):
+    scene, frames = film(name, 1, turned=turned, discs=12)
+    outcome = judge(frames, scene, turned)
+    assert outcome.farthest <= 5.0
+    assert outcome.delay <= 0.3
+    assert outcome.error <= 5.0
