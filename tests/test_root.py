@@ -415,6 +415,7 @@ def test_a_recording_that_another_user_exchanges_goes_where_root_began_it(root, 
     kept = root / "kept"
     kept.mkdir()
     new = NewFolder(state / "r", DatasetError)
+    new.make()
     (hidden,) = state.iterdir()
     hidden.rename(state / "moved")
     linked(hidden, kept)

@@ -15,6 +15,16 @@ class Why(StrEnum):
     CAMERA = "camera"  # the camera was moved, and its pose is not found
 
 
+class Doubt(StrEnum):
+    """Why a frame does not confirm the attitude of a ball that is tracked."""
+
+    NO_DISC = "no disc"  # none is seen
+    UNKNOWN = "unknown"  # none of those seen is where a disc of the map should be
+    ONE_DISC = "one disc"  # the rotation about it is free
+    UNCERTAIN = "uncertain"  # chance explains the matches, or the rate is one that no hand gives
+    CAMERA = "camera"  # the camera is moving
+
+
 @dataclass(frozen=True, slots=True)
 class Found(Event):
     """Tracking begins, with so many discs in view."""
@@ -45,6 +55,21 @@ class BallLost(Event):
     figure: float = 0.0  # s without a confirmation or a frame; m, or radii, off the centre
     discs: int = 0  # in view
     radii: bool = False  # the figure counts in radii
+
+
+@dataclass(frozen=True, slots=True)
+class MotionWithheld(Event):
+    """The ball is tracked, but no frame confirms its attitude: motion is sent once one does."""
+
+    doubt: Doubt
+
+
+@dataclass(frozen=True, slots=True)
+class MotionReleased(Event):
+    """A frame confirms the attitude again: the motion that was withheld is sent from now on."""
+
+    seconds: float  # since the last confirmation
+    angle: float  # rad that the ball has turned since then
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.disc_map import DiscMap
+from spheremouse.ball.events import Doubt
 from spheremouse.ball.filters import Filter, FilterState
 from spheremouse.ball.filters.so3_mixture import Hypothesis
 from spheremouse.ball.filters.so3_state import So3State, to_map
@@ -102,15 +103,31 @@ class Tracking(NamedTuple):
     roundness: Roundness = Roundness()
 
 
+class Trial(NamedTuple):
+    """A new map that has yet to prove that it is one of a ball."""
+
+    filter: So3State
+    phase: Learning
+
+
 class Lost(NamedTuple):
     """Nothing is sent until the ball is found again."""
 
     last: Learning | Tracking  # what it was before
     in_view_since: float | None = None  # s, of discs
     lifted_at: float | None = None  # s, when it was seen to be off its centre
+    trial: Trial | None = None  # of what has been in view for long and is not recognised
 
 
 Phase = Recognising | Learning | Tracking | Lost
+
+
+class Withheld(NamedTuple):
+    """Motion of a tracked ball that is not reported, since no frame confirms the attitude."""
+
+    since: float  # s, stamp of the last frame that confirmed it
+    doubt: Doubt  # of the last frame
+    announced: bool = False  # it has lasted long enough to matter, and an event has said so
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +142,8 @@ class TrackState(Generic[F]):
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
     alternatives: tuple[Hypothesis, ...] = ()  # to `filter`, while the discs in view leave more than one possible
     confirmed: bool = False  # the last frame's discs confirm the attitude
-    supported_at: float = -np.inf  # s, stamp of the last frame that showed a disc of the map where it may be
+    supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
+    withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
     lookalikes: Lookalikes = field(default_factory=Lookalikes)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
     absolute: bool = False  # the attitude is that of a map made earlier

@@ -18,10 +18,18 @@ from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.events import BallLost, CameraMoved, TargetsHidden, Why
+from spheremouse.ball.events import (
+    BallLost,
+    CameraMoved,
+    Doubt,
+    MotionReleased,
+    MotionWithheld,
+    TargetsHidden,
+    Why,
+)
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_state import CORE, So3State, consider
+from spheremouse.ball.filters.so3_state import CORE, PLACED, So3State, consider
 from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases.follow import follow, look
 from spheremouse.ball.phases.learn import learn
@@ -40,6 +48,7 @@ from spheremouse.ball.state import (
     Tracker,
     Tracking,
     TrackState,
+    Withheld,
     current,
     lost,
     no_points,
@@ -48,6 +57,8 @@ from spheremouse.errors import PoseError
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import Array, rotation_between
 from spheremouse.tracker import Frame, Motion, Status, Step, check_size, no_motion
+
+_MATTERS = 0.1  # s without a confirmation from which a player notices: the pointer's prediction ends there by default
 
 Seek = Callable[[Frame, Tracker], Moved | None]
 
@@ -202,7 +213,7 @@ def _with_new_pose(
     what the map has taken up of it; `added`, (6, 6), comes on top. None: the pose owes nothing to the one before.
     """
     filtered: Any = state.filter
-    if not (state.known_to_turn or isinstance(state.phase, Recognising)):
+    if anew.classic and not state.known_to_turn:
         # nothing is known yet but where candidates were in the picture
         filtered = anew.filter.initial(state.filter.stamp, state.filter.attitude).with_reference_of(filtered)
     elif not anew.classic:
@@ -250,8 +261,8 @@ def _camera_moving(state: TrackState, stamp: float, tracker: Tracker) -> Step[Tr
         watch=replace(state.watch, away=away),
     )
     if state.status is Status.TRACKING and stamp - away > tracker.settings.loss.lost_after:
-        return Step(lost(state), no_motion(stamp), (BallLost(Why.CAMERA),))
-    return Step(state, no_motion(stamp))
+        return _reported(lost(state), stamp, (BallLost(Why.CAMERA),))
+    return _reported(state, stamp, ())
 
 
 def advance(
@@ -318,13 +329,48 @@ def _lost_in_time(state: TrackState, stamp: float, tracker: Tracker) -> tuple[Tr
 
 def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackState]:
     """Motion since the last one, where discs confirm the attitude; nothing otherwise: it is made up for then."""
-    if state.status is not Status.TRACKING or not state.confirmed:
-        return Step(state, no_motion(stamp), events)
+    if state.status is not Status.TRACKING:
+        return Step(state if state.withheld is None else replace(state, withheld=None), no_motion(stamp), events)
+    if not state.confirmed:
+        withheld, more = _withheld(state, stamp)
+        return Step(replace(state, withheld=withheld), no_motion(stamp), (*events, *more))
     attitude = state.filter.attitude
     rotation = rotation_between(state.reported_attitude, attitude)
     covariance, rate, since = np.zeros((12, 12)), np.zeros(6), state.filter.covariance_since(rotation)
+    if np.linalg.eigvalsh(since[:3, :3])[-1] > PLACED**2:  # what the ball did unseen is a guess, and in no motion
+        rotation, since[:3], since[:, :3] = np.zeros(3), 0.0, 0.0
     covariance[:3, :3], covariance[:3, 6:9], covariance[6:9, :3] = since[:3, :3], since[:3, 3:], since[3:, :3]
     covariance[6:9, 6:9], rate[:3] = since[3:, 3:], state.filter.rate
     motion = Motion(stamp, rotation, np.zeros(3), rate, covariance, confirmed=True)
-    state = replace(state, filter=state.filter.with_reference(), reported_attitude=attitude, confirmed_at=stamp)
+    before = state.withheld
+    if before is not None and before.announced:
+        events = (*events, MotionReleased(stamp - before.since, float(np.linalg.norm(rotation))))
+    state = replace(
+        state,
+        filter=state.filter.with_reference(),
+        reported_attitude=attitude,
+        confirmed_at=stamp,
+        withheld=None,
+    )
     return Step(state, motion, events)
+
+
+def _withheld(state: TrackState, stamp: float) -> tuple[Withheld, Events]:
+    """What a frame that confirms nothing withholds, and the event when that begins to matter: one for each spell."""
+    before = state.withheld or Withheld(state.confirmed_at, Doubt.NO_DISC)
+    since, doubt = min(before.since, stamp), _doubt(state)  # a clock that starts again
+    if before.announced or stamp - since <= _MATTERS:
+        return Withheld(since, doubt, before.announced), ()
+    return Withheld(since, doubt, announced=True), (MotionWithheld(doubt),)
+
+
+def _doubt(state: TrackState) -> Doubt:
+    """Why the last frame does not confirm the attitude."""
+    used = len(state.filter.used)
+    if state.watch is not None and state.watch.away is not None:
+        return Doubt.CAMERA
+    if len(state.points) == 0:
+        return Doubt.NO_DISC
+    if used == 0:
+        return Doubt.UNKNOWN
+    return Doubt.ONE_DISC if used == 1 else Doubt.UNCERTAIN

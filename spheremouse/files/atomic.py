@@ -77,6 +77,11 @@ def write_json(path: Path, data: Any) -> bool:
     return False
 
 
+def random_letters() -> str:
+    """The part of a hidden name that nobody can guess."""
+    return "".join(secrets.choice(_LETTERS) for _ in range(_RANDOM))
+
+
 def clear_left(folder: Path, name: str | None = None) -> int:
     """Remove what killed processes of this user left half-written in a folder (of the file `name`); how many files.
 
@@ -102,7 +107,7 @@ class NewFile:
         try:
             self._old = None if mode is not None else self._there()
             self._mode = mode if self._old is None else stat.S_IMODE(self._old.st_mode) & 0o777
-            self._temporary = f".{self._name}.{''.join(secrets.choice(_LETTERS) for _ in range(_RANDOM))}.new"
+            self._temporary = f".{self._name}.{random_letters()}.new"
             self.file = self._made()
         except BaseException:
             self._leave()

@@ -4,56 +4,83 @@ import contextlib
 import os
 import re
 import shutil
-import tempfile
 import time
 from pathlib import Path
 
 from spheremouse.errors import SpheremouseError
-from spheremouse.files.atomic import OLD
+from spheremouse.files.atomic import OLD, random_letters
 from spheremouse.files.lookup import exchangeable
 
-_LEFT = re.compile(r"\..+\.[a-z0-9_]{8}", re.S)  # as `_hidden` names them
+_LEFT = re.compile(r"\..+\.[a-z0-9_]{8}", re.S)  # as `_hidden_name` names them
 
 
 class NewFolder:
-    """A folder under a hidden name beside its place; `finish` gives it its name, `discard` removes it.
+    """A folder under a hidden name beside its place.
 
-    `path` is what to write below. Where another user could put a link there while root writes, it leads by descriptor
-    to the folder that root has made.
+    `make` makes it, `finish` gives it its name, `discard` removes it. A signal may end the program at any step: call
+    `make` inside the `try` whose `finally` discards. `path` is what to write below. Where another user could put a link
+    there while root writes, it leads by descriptor to the folder that root has made.
     """
 
     def __init__(self, path: Path, error: type[SpheremouseError]) -> None:
-        """An empty folder for what is to become `path`; `error` where that is there and no folder, or none can be."""
+        """Nothing is made yet. Raises `error` if `path` is there and no folder."""
         if path.exists() and not path.is_dir():
             raise error(f"{path}: is a file; name a folder")
-        self._place, self._descriptor = path, None
+        self._place, self._error, self._descriptor = path, error, None
+        self._old: Path | None = None  # the folder that is replaced, while it is
+        self.path = self._hidden = _hidden_name(path)
+
+    def make(self) -> Path:
+        """Make the folder, empty, and return `path`; the error of the constructor if that cannot be."""
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self.path = self._hidden = _hidden(path)
-            if exchangeable(path.parent):
+            self._place.parent.mkdir(parents=True, exist_ok=True)
+            self._make_hidden()
+            if exchangeable(self._place.parent):
                 self._descriptor = os.open(self._hidden, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
                 self.path = Path(f"/proc/self/fd/{self._descriptor}")
                 if os.fstat(self._descriptor).st_uid != 0:
-                    raise error(f"{path}: another user changes what is in that folder; name another place")
+                    raise self._error(f"{self._place}: another user changes what is in that folder; name another place")
         except OSError as e:
-            raise error(f"{path}: cannot be written ({e.strerror})") from None
+            raise self._error(f"{self._place}: cannot be written ({e.strerror})") from None
+        return self.path
 
     def finish(self) -> None:
         """Move it to its place; a folder that is there is removed once the new one stands."""
         if not self._place.exists():
             os.replace(self._hidden, self._place)
             return
-        old = _hidden(self._place)
-        os.replace(self._place, old)
-        os.replace(self._hidden, self._place)
-        shutil.rmtree(old, ignore_errors=True)
+        self._old = _hidden_name(self._place)
+        try:
+            os.replace(self._place, self._old)
+            os.replace(self._hidden, self._place)
+        finally:
+            self._clear_old()
 
     def discard(self) -> None:
         """Remove it and what is in it, unless it has its name."""
+        self._clear_old()
         shutil.rmtree(self._hidden, ignore_errors=True)
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
+
+    def _clear_old(self) -> None:
+        """Remove the folder that is replaced; put it back if nothing took its place."""
+        if self._old is None:
+            return
+        if self._place.exists():
+            shutil.rmtree(self._old, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):
+                os.replace(self._old, self._place)
+
+    def _make_hidden(self) -> None:
+        while True:
+            try:
+                self._hidden.mkdir(0o700)
+                return
+            except FileExistsError:  # not ours: never discarded
+                self.path = self._hidden = _hidden_name(self._place)
 
 
 def clear_left_folders(parent: Path) -> int:
@@ -74,5 +101,6 @@ def clear_left_folders(parent: Path) -> int:
     return removed
 
 
-def _hidden(path: Path) -> Path:
-    return Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+def _hidden_name(path: Path) -> Path:
+    """A name beside `path` that nobody can guess. Known before the folder is made, so that it can always be removed."""
+    return path.with_name(f".{path.name}.{random_letters()}")

@@ -15,6 +15,8 @@ from spheremouse.settings import FACTOR, PER_RADIAN, param
 from spheremouse.tracker import Motion
 
 _DUE = 1.0 - 1e-9  # counts; less than one by rounding alone
+_RELEASE_RATE = 2.0  # rad/s: a hand rolls a ball at 1 to 3 rad/s in ordinary play
+_GAP = 2.5  # intervals without a frame: frames are missing; where one was dropped, the next comes after two
 _USUAL_RADIUS = 0.6  # m: a millimetre of a ball of unknown size is what it is on a ball of 1.2 m
 _REVERSED = "where it goes the wrong way, say where the player stands (motion.player), or reverse one axis (invert_{})"
 
@@ -123,17 +125,50 @@ def to_counts(rotation: Array, matrix: Array, remainder: Remainder) -> tuple[tup
     return (counts[0], counts[1], counts[2]), Remainder((left[0], left[1], left[2]))
 
 
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """Motion of frames that were missing or not confirmed, released no faster than a hand rolls a ball."""
+
+    stamp: float | None = None  # s, of the last frame
+    interval: float = np.inf  # s between the last two frames
+    confirmed: float = np.inf  # s, stamp of the last confirmed frame, or of the first one
+    pending: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, withheld and not released yet
+
+    def take(self, motion: Motion) -> tuple[Array, "Pace"]:
+        """The rotation vector (3,) rad to report with a frame, and what is left.
+
+        A frame's own motion is its share, by time, of the motion since the last confirmed one: all of it, unless frames
+        between were missing or not confirmed. The rest is added at `_RELEASE_RATE`.
+        """
+        interval = np.inf if self.stamp is None else motion.stamp - self.stamp
+        confirmed = min(self.confirmed, motion.stamp)  # a clock that starts again
+        if not motion.confirmed:
+            return np.zeros(3), Pace(motion.stamp, interval, confirmed, self.pending)
+        since = motion.stamp - confirmed
+        length = self.interval if interval > _GAP * self.interval > 0.0 else interval
+        own = 1.0 if not 0.0 < length < since else length / since
+        left = np.array(self.pending) + (1.0 - own) * motion.rotation
+        size, bound = float(np.sqrt(left @ left)), max(_RELEASE_RATE * length, 0.0)
+        released = left if size <= bound else left * (bound / size)
+        x, y, z = (left - released).tolist()
+        return own * motion.rotation + released, Pace(motion.stamp, interval, motion.stamp, (x, y, z))
+
+
 class Counter:
     """The reports of a ball's motions, one after the other: what is left of a count goes into the next one."""
 
     def __init__(self, matrix: Array) -> None:
         """`matrix` (3, 3), counts per radian, as of `MotionSettings`."""
-        self.matrix, self._remainder = matrix, Remainder()
+        self.matrix, self._remainder, self._pace = matrix, Remainder(), Pace()
 
     def report(self, motion: Motion) -> Report:
-        """The next one; a motion that is not confirmed gives no counts: it is made up for by the next that is."""
+        """The next one; a motion that is not confirmed gives no counts: the next ones that are make up for it.
+
+        They do so at a hand's pace (`Pace`), and the sum of all counts stays within one of the integral of the motion.
+        """
+        rotation, self._pace = self._pace.take(motion)
         if not motion.confirmed:
             return Report((0, 0, 0), (0.0, 0.0, 0.0), motion)
-        counts, self._remainder = to_counts(motion.rotation, self.matrix, self._remainder)
+        counts, self._remainder = to_counts(rotation, self.matrix, self._remainder)
         x, y, z = (self.matrix @ motion.rate[:3]).tolist()
         return Report(counts, (x, y, z), motion)

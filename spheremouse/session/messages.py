@@ -7,7 +7,7 @@ import numpy as np
 
 from spheremouse.ball import events
 from spheremouse.ball.detect.refused import Bound, Refused
-from spheremouse.ball.events import BallLost, Why
+from spheremouse.ball.events import BallLost, Doubt, Why
 from spheremouse.ball.pose import Resection
 from spheremouse.ball.rig import Rig
 from spheremouse.tracker import Event
@@ -17,6 +17,8 @@ _Ball = (
     | events.Turned
     | events.Recognised
     | BallLost
+    | events.MotionWithheld
+    | events.MotionReleased
     | events.NewMap
     | events.OutOfRound
     | events.ReadoutKnown
@@ -60,6 +62,10 @@ def sentence(event: Event) -> str:
             return f"tracking again: attitude kept, recognised by {discs} discs"
         case BallLost():
             return _why(happened)
+        case events.MotionWithheld(doubt):
+            return f"motion withheld: {_doubt(doubt)}"
+        case events.MotionReleased(seconds, angle):
+            return f"motion goes on: the {np.degrees(angle):.0f}° of {seconds:.1f} s are made up for at a hand's pace"
         case events.NewMap(saved=True):
             return "the saved map does not fit: another ball, or its discs were moved; a new map is begun"
         case events.NewMap():
@@ -79,6 +85,27 @@ def sentence(event: Event) -> str:
             return "the targets are out of sight: if the camera was moved, initialise again"
         case _:
             assert_never(happened)
+
+
+def withheld(seconds: float, doubt: Doubt) -> str:
+    """Why a ball that is tracked moves nothing, and for how long it has not."""
+    return f"motion withheld for {seconds:.1f} s: {_doubt(doubt)}"
+
+
+def _doubt(doubt: Doubt) -> str:
+    match doubt:
+        case Doubt.NO_DISC:
+            return "no disc in view"
+        case Doubt.UNKNOWN:
+            return "no disc in view is where one of the map should be"
+        case Doubt.ONE_DISC:
+            return "one known disc in view does not tell the turn about it"
+        case Doubt.UNCERTAIN:
+            return "the discs in view do not agree on one turn of the ball"
+        case Doubt.CAMERA:
+            return "the camera is moving"
+        case _:
+            assert_never(doubt)
 
 
 def _why(lost: BallLost) -> str:

@@ -143,7 +143,7 @@ def as_line(epoch: Epoch, tally: Tally) -> str:
     rate = " ".join(f"{np.rad2deg(w):+.1f}" for w in state.filter.rate)
     counts = " ".join(f"{n:+d}" for n in tally.counts)
     return (
-        f"{epoch.frame.stamp:9.3f} s  {state.status}  rate {rate} deg/s  counts {counts}  discs {_discs(epoch)}  "
+        f"{epoch.frame.stamp:9.3f} s  {_status(epoch)}  rate {rate} deg/s  counts {counts}  discs {_discs(epoch)}  "
         f"{1e3 * tally.times.recent_quantile(0.5):.1f} ms"
     )
 
@@ -183,7 +183,7 @@ def as_table(epoch: Epoch, tally: Tally, rates: Sequence[tuple[float, Array]], t
     facts.add_row("time", Text(f"{pace}; {times.rate:.0f} frames/s" if np.isfinite(times.rate) else pace))
 
     head = Text.assemble(
-        (f" {title} ", "bold"), "│ ", (f"● {state.status}", _COLOURS[state.status]), f" │ {epoch.frame.stamp:.2f} s "
+        (f" {title} ", "bold"), "│ ", (f"● {_status(epoch)}", _COLOURS[state.status]), f" │ {epoch.frame.stamp:.2f} s "
     )
     return Panel(Group(grid, Text(), facts), title=head, title_align="left", border_style="dim", width=78)
 
@@ -200,6 +200,12 @@ def curve(stamps: Array, values: Array, now: float) -> str:
         level = None if len(here) == 0 else (float(here.mean()) / most + 1.0) / 2.0 * (len(_BLOCKS) - 1)
         cells.append(" " if level is None else _BLOCKS[round(level)])
     return "".join(cells)
+
+
+def _status(epoch: Epoch) -> str:
+    """What is known of the ball, in a word or two."""
+    withheld = epoch.state.withheld
+    return f"{epoch.state.status}{'' if withheld is None or not withheld.announced else ', motion withheld'}"
 
 
 def _discs(epoch: Epoch) -> str:

@@ -84,10 +84,10 @@ def write_wand(path: Path | str, film: WandFilm, *, replace: bool = False) -> It
     path = Path(path).absolute()
     refuse_to_overwrite(path, replace)
     new = NewFolder(path, DatasetError)
-    folder = new.path
     camera = film.scene.camera
     pictures: PictureWriter | None = None
     try:
+        folder = new.make()
         folder.chmod(0o755)
         pictures = PictureWriter(folder, (camera.width, camera.height), film.fps)
         with (folder / "truth.csv").open("w", newline="", encoding="utf-8") as file:

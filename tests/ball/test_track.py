@@ -12,10 +12,20 @@ from reporting import counts_of
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
-from spheremouse.ball.events import BallLost, CameraMoved, NewMap, OutOfRound, Recognised, Why
+from spheremouse.ball.events import (
+    BallLost,
+    CameraMoved,
+    Doubt,
+    MotionReleased,
+    MotionWithheld,
+    NewMap,
+    OutOfRound,
+    Recognised,
+    Why,
+)
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.state import TrackState, current
+from spheremouse.ball.state import TrackState, Withheld, current
 from spheremouse.ball.track import advance, step, wants_colour, with_pose, with_settings
 from spheremouse.errors import SourceError
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
@@ -228,6 +238,38 @@ def test_dropped_frames_lose_no_motion():
     out = film(lambda t: start(t, 0.2), t, extra=BOLTS)
     assert out.error.max() < 2e-3
     assert np.abs(out.counts.sum(axis=0) - MATRIX @ (ROLL * (3.8 - DT - 0.5))).max() < 3.0
+
+
+# --- motion withheld ---
+
+
+@pytest.mark.parametrize(("hidden", "told"), [(0.06, False), (0.2, True)])
+def test_motion_that_is_withheld_is_told_once_and_so_is_its_release(hidden, told):
+    out = film(start, seconds(3.0), hidden=[(1.5, 1.5 + hidden)], extra=BOLTS)
+    ends = [e for e in out.events if isinstance(e, MotionWithheld | MotionReleased)]
+    if not told:
+        assert ends == []
+        return
+    withheld, released = ends
+    assert withheld == MotionWithheld(Doubt.NO_DISC)
+    confirmed = np.array([m.confirmed for m in out.motions])
+    assert released.seconds == pytest.approx(np.diff(seconds(3.0)[confirmed]).max(), abs=1e-9)
+    assert released.angle == pytest.approx(np.linalg.norm(ROLL) * released.seconds, rel=0.05)
+    assert not any(isinstance(e, BallLost) for e in out.events)
+
+
+def test_the_state_has_what_is_withheld_since_when_and_why():
+    out = film(start, seconds(4.0), hidden=[(1.5, 1.7), (2.5, 3.2)])
+    last = 0.0
+    for t, state, motion in zip(seconds(4.0), out.states, out.motions, strict=True):
+        if state.status is not Status.TRACKING or motion.confirmed:
+            assert state.withheld is None
+        elif state.known_to_turn:
+            assert state.withheld == Withheld(last, Doubt.NO_DISC, announced=t - last > 0.1)
+        last = t if motion.confirmed else last
+    assert [type(e) for e in out.events if isinstance(e, MotionWithheld | MotionReleased | BallLost)] == [
+        MotionWithheld, MotionReleased, MotionWithheld, BallLost,
+    ]  # fmt: skip
 
 
 # --- loss and recovery -----------------------------------------------------------------------------------------------

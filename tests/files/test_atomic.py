@@ -153,7 +153,7 @@ def test_the_names_that_are_removed_are_the_names_that_are_made(tmp_path):
     from spheremouse.errors import DatasetError
     from spheremouse.files.folders import NewFolder
 
-    NewFolder(tmp_path / "r.1", DatasetError)
+    NewFolder(tmp_path / "r.1", DatasetError).make()
     (made,) = tmp_path.iterdir()
     aged(made)
     assert clear_left_folders(tmp_path) == 1

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from seats import LOOKS
 
 from spheremouse.geometry.rotation import exp, rotation_between
-from spheremouse.output.counts import MotionSettings, Remainder, to_counts
+from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_counts
+from spheremouse.tracker import Motion, no_motion
 
 RADIUS = 0.6
 steps = st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array), max_size=60)
@@ -56,6 +57,94 @@ def test_a_ball_at_rest_on_the_boundary_between_two_counts_is_silent():
             sent.append(counts)
             before = tremble
         assert np.abs(sent).sum() <= 3  # at most the one that was due already, on each axis
+
+
+# ---- motion that was withheld ----
+
+DT = 1.0 / 30.0  # s
+HAND = 2.0  # rad/s, a hand in ordinary play
+
+
+def filmed(rates, confirmed, stamps):
+    """The motions of a ball of `rates`, (n, 3) rad/s; frames that are not `confirmed` are made up for by the next."""
+    motions, left, before = [], np.zeros(3), stamps[0]
+    for rate, sure, stamp in zip(rates, confirmed, stamps, strict=True):
+        left, before = left + (stamp - before) * np.asarray(rate), stamp
+        if sure:
+            motions.append(Motion(stamp, left, np.zeros(3), np.r_[rate, np.zeros(3)], np.zeros((12, 12)), True))
+            left = np.zeros(3)
+        else:
+            motions.append(no_motion(stamp))
+    return motions
+
+
+def reported(motions, per_radian=1e4):
+    """Rotation vectors, (n, 3) rad, that reports stand for, to a part of `per_radian`."""
+    matrix = MotionSettings(counts_per_radian=per_radian).matrix(RADIUS)
+    counter = Counter(matrix)
+    return np.array([counter.report(m).counts for m in motions]) @ np.linalg.inv(matrix).T
+
+
+frames = st.lists(
+    st.tuples(st.booleans(), st.sampled_from((1, 1, 1, 2, 3, 6)), st.tuples(*[st.floats(-4.0, 4.0)] * 3)),
+    min_size=1,
+    max_size=40,
+)
+
+
+@given(frames)
+def test_what_was_withheld_comes_at_a_hands_pace_and_none_of_it_is_lost(drawn):
+    """With frames that are not confirmed and frames that are missing, in any order; then the ball rests."""
+    stamps = DT * np.cumsum([steps for _, steps, _ in drawn])
+    rates = [np.array(rate) for *_, rate in drawn]
+    rest = int(np.ceil(np.sum([np.linalg.norm(r) for r in rates]) * 6 / HAND)) + 3
+    motions = filmed(
+        [*rates, *[np.zeros(3)] * rest],
+        [*(sure for sure, *_ in drawn), *[True] * rest],
+        [*stamps, *(stamps[-1] + DT * np.arange(1, rest + 1))],
+    )
+    sent = reported(motions)
+    assert_allclose(sent.sum(axis=0), np.sum([m.rotation for m in motions], axis=0), atol=2e-4)
+    fastest = max(np.linalg.norm(r) for r in rates)
+    interval = DT * max(steps for _, steps, _ in drawn)
+    assert np.linalg.norm(sent, axis=1).max() <= (fastest + HAND) * interval + 5e-4
+
+
+@given(st.lists(st.tuples(*[st.floats(-20.0, 20.0)] * 3), min_size=2, max_size=40), st.sampled_from((DT, DT / 2, 0.2)))
+def test_ordinary_motion_passes_at_once_however_fast_it_is(rates, interval):
+    motions = filmed(rates, [True] * len(rates), interval * np.arange(1, len(rates) + 1))
+    assert_allclose(reported(motions), [m.rotation for m in motions], atol=1.1e-4 * np.sqrt(3))
+
+
+def test_a_dropped_frame_delays_nothing():
+    stamps = DT * np.delete(np.arange(1, 40), [5, 11, 12 + 8])
+    motions = filmed([(6.0, 1.0, 0.0)] * len(stamps), [True] * len(stamps), stamps)
+    assert_allclose(reported(motions), [m.rotation for m in motions], atol=1.1e-4 * np.sqrt(3))
+
+
+@pytest.mark.parametrize("missing", [True, False])
+def test_a_fifth_of_a_second_is_made_up_for_within_as_long_and_no_report_is_a_jump(missing):
+    """A ball of 2 rad/s of which six frames show nothing, or never come."""
+    rate, gap = np.array([2.0, 0.0, 0.0]), slice(10, 16)
+    stamps, confirmed = DT * np.arange(1, 41), np.ones(40, dtype=bool)
+    confirmed[gap] = False
+    if missing:
+        stamps, confirmed = stamps[confirmed], confirmed[confirmed]
+    sent = reported(filmed([rate] * len(stamps), confirmed, stamps))
+    back = 10 if missing else 16
+    assert sent.max() < 2.01 * 2.0 * DT
+    assert_allclose(sent[: back + 6].sum(axis=0), rate * (stamps[back + 5] - stamps[0]), atol=1e-3)
+    assert_allclose(sent[back + 6 :, 0], 2.0 * DT, atol=2e-4)
+
+
+def test_a_clock_that_starts_again_or_stands_still_loses_nothing():
+    stamps = [100.0, 100.0 + DT, 100.0 + 2 * DT, 3.0, 3.0 + DT, 3.0 + DT, 3.0 + 2 * DT, *(4.0 + DT * np.arange(99))]
+    turn = np.array([0.05, 0.0, 0.0])
+    motions = [Motion(t, turn, np.zeros(3), np.zeros(6), np.zeros((12, 12)), True) for t in stamps]
+    motions[1] = motions[4] = no_motion(0.0)._replace(stamp=stamps[1])
+    sent = reported(motions)
+    assert np.all(np.isfinite(sent))
+    assert_allclose(sent.sum(axis=0), turn * (len(stamps) - 2), atol=2e-4)
 
 
 # ---- directions ----

@@ -3,8 +3,8 @@
 import pytest
 
 from spheremouse.ball import events
-from spheremouse.ball.events import BallLost, Why
-from spheremouse.session.messages import line, reason
+from spheremouse.ball.events import BallLost, Doubt, Why
+from spheremouse.session.messages import line, reason, withheld
 from spheremouse.tracker import Event
 
 SENTENCES = {
@@ -26,6 +26,12 @@ SENTENCES = {
     BallLost(Why.CAMERA): (
         "lost: the camera was moved, and its pose is not found: uncover the targets, or initialise again"
     ),
+    events.MotionWithheld(Doubt.NO_DISC): "motion withheld: no disc in view",
+    events.MotionWithheld(Doubt.UNKNOWN): "motion withheld: no disc in view is where one of the map should be",
+    events.MotionWithheld(Doubt.ONE_DISC): ("motion withheld: one known disc in view does not tell the turn about it"),
+    events.MotionWithheld(Doubt.UNCERTAIN): ("motion withheld: the discs in view do not agree on one turn of the ball"),
+    events.MotionWithheld(Doubt.CAMERA): "motion withheld: the camera is moving",
+    events.MotionReleased(0.23, 0.6): "motion goes on: the 34° of 0.2 s are made up for at a hand's pace",
     events.NewMap(): (
         "tracking again: attitude reset to the last one known, a new map begun; unseen motion not counted"
     ),
@@ -52,6 +58,13 @@ def test_every_event_has_words_and_every_reason_to_be_lost():
     every = {e for e in vars(events).values() if isinstance(e, type) and issubclass(e, Event) and e is not Event}
     assert {type(event) for event in SENTENCES} == every
     assert {event.why for event in SENTENCES if isinstance(event, BallLost)} == set(Why)
+    assert {event.doubt for event in SENTENCES if isinstance(event, events.MotionWithheld)} == set(Doubt)
+
+
+def test_motion_withheld_now_is_told_with_its_time():
+    assert withheld(0.42, Doubt.ONE_DISC) == (
+        "motion withheld for 0.4 s: one known disc in view does not tell the turn about it"
+    )
 
 
 def test_several_are_one_line_and_beside_the_state_it_is_not_said_again():

@@ -24,7 +24,7 @@ from spheremouse.ball.filters.so3_settings import (
     usual_acceleration,
     variances,
 )
-from spheremouse.ball.filters.so3_state import So3State, augment, delays, drop, inject
+from spheremouse.ball.filters.so3_state import PLACED, So3State, augment, delays, drop, inject
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
@@ -34,6 +34,7 @@ _LINEAR = 0.02  # rad: a correction larger than that is made again about where i
 _NONE = np.zeros(0, dtype=np.intp)
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _STILL = np.zeros((CORE, CORE))
+_DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
 _WIDE = 0.1  # rad: an attitude known worse than that is not linear in any sense; the allowance for it grows no more
 
 
@@ -114,6 +115,13 @@ class So3Filter:
         """Indices of the discs that face the camera."""
         return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)
 
+    def expected(self, state: So3State) -> NDArray[np.intp]:
+        """Indices of the discs beyond their trial that are well visible in a place that is well known."""
+        well = self.horizon + 0.5 * (1.0 - self.horizon)  # nearer the limb a disc is often too thin
+        cosine = state.discs @ (self.towards_camera @ state.attitude)
+        which = np.flatnonzero((state.hits >= self.settings.trial) & (cosine > well))
+        return which[self.place_sigma(state, which) < PLACED]
+
     def beyond_chance(self, predicted: So3State, used: int, points: int) -> bool:
         """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
 
@@ -147,16 +155,17 @@ class So3Filter:
         return self._keep_map(self._correct(state, points, best)[0], points, best, may_start_landmark)
 
     def nearest_pairs(self, state: So3State, points: SpherePoints) -> Pairing:
-        """The pairs of least total distance, at the quietest level of process noise at which most points pair."""
+        """The pairs of least total distance, at the most likely level of process noise at which most points pair."""
         noise_scales = squared_levels(self.settings.levels)
         expected = self._expected(state)
         best = self._pair(state, points, expected)
+        best_score = self._log_likelihood(state, points, best, expected)
         if not best.complete and state.process[3, 3] > 0.0:
             for noise_scale in noise_scales[noise_scales > expected]:
                 pairing = self._pair(state, points, float(noise_scale))
-                more = len(pairing.rows) - len(best.rows)
-                if more > 0 or (more == 0 and pairing.fits and not best.fits):
-                    best = pairing
+                score = self._log_likelihood(state, points, pairing, float(noise_scale))
+                if score > best_score:
+                    best, best_score = pairing, score
                 if best.complete:
                     break
         return best
@@ -166,15 +175,14 @@ class So3Filter:
     ) -> So3State | None:
         """`update` of a frame whose pairs are beyond doubt; None of any other.
 
-        They are if two discs and most of what can pair do, and chance does not explain so many.
+        They are if two discs pair and the attitude is known well enough, or chance does not explain so many.
         """
         ordinary = self._update_ordinary(state, points, may_start_landmark)
         if ordinary is not None:
             return ordinary
         nearest = self.nearest_pairs(state, points)
         pairs = len(nearest.rows)
-        most = 2 * pairs >= min(len(points), len(self.visible(state)))
-        if pairs < 2 or not most or not self.beyond_chance(state, pairs, len(points)):
+        if pairs < 2 or not (state.is_placed or self.beyond_chance(state, pairs, len(points))):
             return None
         return self._keep_map(self._correct(state, points, nearest)[0], points, nearest, may_start_landmark)
 
@@ -210,7 +218,7 @@ class So3Filter:
         )
         if not ordinary or abs(dx[:3]).max() > _LINEAR:
             return None
-        updated = inject(state, dx, joint, weights, level, rows, nis)
+        updated = inject(state, dx, joint, weights, level, rows, float(nis))
         return self._keep_map(updated, points, Pairing(rows, columns, True, True), may_start_landmark)
 
     def correct(
@@ -236,11 +244,11 @@ class So3Filter:
         return self._keep_map(state, points, pairing, may_start_landmark)
 
     def candidate_distances(
-        self, state: So3State, points: SpherePoints, widest: bool = False
+        self, state: So3State, points: SpherePoints, gate: float, widest: bool = False
     ) -> tuple[Array, NDArray[np.intp]]:
         """Squared Mahalanobis distances, (n, k), of the points to the discs that may be in view, and which those are.
 
-        `widest`: with the process noise of the liveliest level.
+        They are exact below `gate`. `widest`: with the process noise of the liveliest level.
         """
         slack = 2.0 * self.place_sigma(state, np.arange(len(state.discs)))
         cosine = state.discs @ (self.towards_camera @ state.attitude)
@@ -251,7 +259,7 @@ class So3Filter:
         scale = max(squared_levels(self.settings.levels)) if widest else 1.0
         added_process_noise = (scale - 1.0) * state.process
         spread = float(np.trace(state.joint[:3, :3] + added_process_noise[:3, :3]))
-        distance[0, 0] = 3.0 * self.settings.gate
+        distance[0, 0] = gate
         so3_match.distances(
             state.attitude,
             state.rate,
@@ -272,6 +280,26 @@ class So3Filter:
             distance,
         )
         return distance, which
+
+    def _log_likelihood(self, state: So3State, points: SpherePoints, pairing: Pairing, noise_scale: float) -> float:
+        """Log likelihood ratio of a pairing at a level of process noise, to that of no pair at the expected level.
+
+        A point that is no disc lies anywhere on the visible cap. A wide gate finds pairs by chance, and a low density
+        weighs them accordingly (Reid 1979, eq. 16).
+        """
+        expected = self._expected(state)
+        level = 0.0
+        if noise_scale > expected:
+            nearest = np.argmin(np.abs(squared_levels(self.settings.levels) - noise_scale))
+            weights = state.weights if len(state.weights) else prior_of_levels(self.settings.levels)
+            level = math.log(max(float(weights[nearest]), 1e-12))
+        k = len(pairing.rows)
+        if k == 0:
+            return level
+        H, _, z, S = pairing.innovation or self._innovation(state, points, pairing.rows, pairing.columns, _STILL)
+        density = _log_density(z, S + (noise_scale - 1.0) * H @ state.process @ H.T)
+        foreign = len(points) / (2.0 * math.pi * (1.0 - self.horizon))  # 1/rad², density of points that are no disc
+        return level + density + k * math.log(_DETECTED / ((1.0 - _DETECTED) * foreign))
 
     def _pair(self, state: So3State, points: SpherePoints, noise_scale: float) -> Pairing:
         """Pairs within the gate when the density is that of the level whose noise scale is given."""
@@ -337,9 +365,13 @@ class So3Filter:
         log_likelihood, nis, level = kernel.correct(
             joint, H, HP, S, z, state.acceleration, self._steps(state), weights, learn, dx
         )
-        updated = inject(state, dx, joint, weights, level, rows, nis)
+        updated = inject(state, dx, joint, weights, level, rows, float(nis))
         if float(np.abs(dx[:3]).max()) > _LINEAR:
-            return self._again(state, updated, dx, points, columns)
+            updated, log_likelihood = self._again(state, updated, dx, points, columns)
+        if len(rows) == 1:
+            joint = updated.joint.copy()
+            joint[:CORE, :CORE] += self._unseen_process_noise(state, state.attitude @ state.discs[columns[0]], updated)
+            updated = replace(updated, joint=joint)
         return updated, log_likelihood
 
     def _coasted(self, state: So3State) -> So3State:
@@ -351,6 +383,16 @@ class So3Filter:
         gain, reach = so3_predict.integrals(t, tau)
         mean[:CORE] = np.outer([reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration).ravel()
         return inject(state, mean, joint, state.weights, float(np.sqrt(noise_scale)), _NONE, 0.0)
+
+    def _unseen_process_noise(self, state: So3State, axis: Array, updated: So3State) -> Array:
+        """Process noise, (9, 9), about the `axis`, (3,) unit vector in obj, of a disc that is the only one in view.
+
+        Its innovations say nothing of the turn about it, so that the level there is the usual one, not theirs.
+        """
+        usual = float(prior_of_levels(self.settings.levels) @ squared_levels(self.settings.levels))
+        noise_scale = self._expected(updated)
+        along = np.kron(np.eye(3), np.outer(axis, axis))
+        return max(usual - noise_scale, 0.0) * along @ state.process @ along
 
     def _again(
         self, state: So3State, updated: So3State, dx: Array, points: SpherePoints, columns: NDArray[np.intp]
@@ -384,7 +426,7 @@ class So3Filter:
             )
             moved = float(np.abs(step[:3] - dx[:3]).max())
             dx = step
-            updated = inject(state, dx, joint, weights, level, rows, nis)
+            updated = inject(state, dx, joint, weights, level, rows, float(nis))
             if moved < 0.1 * _LINEAR:
                 break
         return updated, log_likelihood
@@ -456,7 +498,7 @@ class So3Filter:
         hits, missed, keep = np.empty(m, dtype=np.intp), np.empty(m, dtype=np.intp), np.empty(m, dtype=np.bool_)
         found = np.empty(n, dtype=np.intp)
         s = self.settings
-        dropped, new = kernel.keep_map(
+        dropped, new, known_seen, known_missed = kernel.keep_map(
             state.attitude,
             state.discs,
             self.towards_camera,
@@ -476,11 +518,18 @@ class So3Filter:
             keep,
             found,
         )
-        state = replace(state, hits=hits, missed=missed)
+        state = replace(state, hits=hits, missed=missed, known_seen=known_seen, known_missed=known_missed)
         if dropped:
             state = drop(state, keep)
         room = max(s.most_discs - len(state.discs), 0)
         return augment(state, points, found[: min(new, room)], self.radius) if new and room else state
+
+
+def _log_density(z: Array, S: Array) -> float:
+    """Log of the normal density of an innovation z, (2k,), with covariance S."""
+    L = np.linalg.cholesky(S)
+    white = np.linalg.solve(L, z)
+    return float(-0.5 * white @ white - np.log(L.diagonal()).sum() - 0.5 * len(z) * math.log(2.0 * math.pi))
 
 
 def relocate(

@@ -17,8 +17,8 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 
-_MAX_HYPOTHESES = 8  # a disc too many on each of three sides
-_MAX_NODES = 12  # assignments carried on from point to point
+_MAX_HYPOTHESES = 6
+_MAX_NODES = 8  # assignments carried on from point to point
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
 _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
 _WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and the likelihood decides
@@ -85,25 +85,27 @@ def update_hypotheses(
 
 
 def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) -> list[_Node]:
-    """The likely assignments of a frame's points to the discs of one predicted state."""
+    """The likely assignments of a frame's points to the discs of one predicted state.
+
+    Points join one by one, those with the fewest candidates first. Each pair narrows what the next ones may be.
+    """
     density = math.log(new_density(filter_, predicted, len(points)))
-    root = _Node((), (), filter_.correct(predicted, points, (), ())[0], 0.0)
-    distance, which = filter_.candidate_distances(predicted, points, widest=True)
-    candidates = distance < _WIDE_GATE * filter_.settings.gate
-    order = np.argsort(np.where(candidates.any(axis=1), candidates.sum(axis=1), 1000), kind="stable")
-    nodes = [root]
-    for done, row in enumerate(order, 1):
-        if not candidates[row].any():
-            nodes = [node._replace(log_likelihood=node.log_likelihood + density) for node in nodes]
-            continue
+    gate = _WIDE_GATE * filter_.settings.gate
+    distance, which = filter_.candidate_distances(predicted, points, gate, widest=True)
+    choices = np.count_nonzero(distance < gate, axis=1)
+    nodes = [_Node((), (), filter_.correct(predicted, points, (), ())[0], 0.0)]
+    for done, row in enumerate(np.argsort(choices, kind="stable"), 1):
         grown: list[_Node] = []
         for node in nodes:
             grown.append(node._replace(log_likelihood=node.log_likelihood + density))
-            for column in which[candidates[row]]:
-                if column in node.columns:
-                    continue
-                rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
-                grown.append(_node(filter_, predicted, points, rows, columns, (done - len(rows)) * density))
+            near, among = distance[row], which
+            if len(node.rows) > 0 and choices[row] > 0:
+                one, among = filter_.candidate_distances(node.state, points.take(np.array([row])), gate)
+                near = one[0]
+            for column in among[near < gate]:
+                if column not in node.columns:
+                    rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
+                    grown.append(_node(filter_, predicted, points, rows, columns, (done - len(rows)) * density))
         grown.sort(key=lambda node: -node.log_likelihood)
         nodes = [n for n in grown[:_MAX_NODES] if n.log_likelihood > grown[0].log_likelihood - 2.0 * _MARGIN]
     nearest = filter_.nearest_pairs(predicted, points)  # of many points, paired all at once: what the search may miss
@@ -125,6 +127,12 @@ def _node(
     state, evidence = filter_.correct(predicted, points, rows, columns)
     detected = float(np.sum(np.log(detection_probability(filter_, state, np.array(columns, dtype=np.intp)))))
     return _Node(rows, columns, state, evidence + detected + log_unpaired)
+
+
+def _needs_landmarks(filter_: So3Filter, node: _Node) -> bool:
+    """Whether too few discs are paired to tell the turn, and not because something lies before them."""
+    missing = np.setdiff1d(filter_.expected(node.state), node.columns)
+    return len(node.rows) < 2 and len(missing) <= len(node.rows)
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:

@@ -14,6 +14,8 @@ from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
+PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours of fifty discs
+_ANY_ATTITUDE = np.pi**2 / 3.0  # rad², variance of an angle of which nothing is known
 _NO_PROCESS = np.zeros((CORE, CORE))
 
 
@@ -32,13 +34,23 @@ class So3State:
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(
-        default_factory=lambda: np.zeros((CORE, CORE))
-    )  # noise of the last prediction, at the first level
+    process: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # of the last prediction, at the first level
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
+    known_seen: int = 0  # discs beyond their trial that took part in the last update
+    known_missed: int = 0  # discs beyond their trial, well visible, that did not
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the attitude is known so well that it tells where each disc is: no other disc is as near."""
+        return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < PLACED**2)
+
+    @property
+    def is_roughly_known(self) -> bool:
+        """Whether the attitude is better than a guess."""
+        return bool(np.linalg.eigvalsh(self.joint[:3, :3])[-1] < 1.0)
 
     @property
     def covariance(self) -> Array:
@@ -87,6 +99,8 @@ class So3State:
             self.manoeuvre_level,
             self.nis,
             self.readout,
+            self.known_seen,
+            self.known_missed,
         )
 
     def with_reference_of(self, other: "So3State") -> "So3State":
@@ -94,6 +108,13 @@ class So3State:
         joint = self.joint.copy()
         joint[-REFERENCE:] = joint[:, -REFERENCE:] = 0.0
         joint[-REFERENCE:, -REFERENCE:] = other.joint[-REFERENCE:, -REFERENCE:]
+        return replace(self, joint=joint)
+
+    def with_attitude_covariance(self, covariance: Array) -> "So3State":
+        """The state with the covariance, (3, 3) rad², of an attitude that nothing on the map depends on yet."""
+        joint = self.joint.copy()
+        values, vectors = np.linalg.eigh(covariance)
+        joint[:3, :3] = (vectors * np.minimum(values, _ANY_ATTITUDE)) @ vectors.T
         return replace(self, joint=joint)
 
     def covariance_since(self, turn: Array) -> Array:

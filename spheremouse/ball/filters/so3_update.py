@@ -318,7 +318,8 @@ def keep_map(
 ):  # fmt: skip
     """Sightings counted: into new_hits, new_missed, keep (m,), and into found (n,) the points that found a disc.
 
-    Returns how many discs are dropped and how many found. See `So3Filter._keep_map`.
+    Returns how many discs are dropped and how many found; and of those beyond their trial, how many were seen and how
+    many missed. See `So3Filter._keep_map`.
     """
     m, n = len(discs), len(seen)
     for k in range(m):
@@ -326,7 +327,7 @@ def keep_map(
     for i in range(len(columns)):
         new_hits[columns[i]] += 1
         new_missed[columns[i]] = -1
-    dropped = 0
+    dropped, known_seen, known_missed = 0, 0, 0
     p = np.empty((m, 3))
     # a disc near the horizon is often too thin to be detected: only the well visible are missed
     well = horizon + 0.5 * (1.0 - horizon)
@@ -335,8 +336,10 @@ def keep_map(
             p[k, i] = attitude[i, 0] * discs[k, 0] + attitude[i, 1] * discs[k, 1] + attitude[i, 2] * discs[k, 2]
         if new_missed[k] < 0:
             new_missed[k] = 0
+            known_seen += hits[k] >= trial
         elif p[k, 0] * towards[0] + p[k, 1] * towards[1] + p[k, 2] * towards[2] > well:
             new_missed[k] += 1
+            known_missed += hits[k] >= trial
         limit = misses if new_hits[k] < trial else patience * new_hits[k]
         keep[k] = new_missed[k] < limit
         dropped += not keep[k]
@@ -357,4 +360,4 @@ def keep_map(
         if free:
             found[new] = i
             new += 1
-    return dropped, new
+    return dropped, new, known_seen, known_missed

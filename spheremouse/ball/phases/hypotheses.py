@@ -13,6 +13,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.state import Tracker, TrackState
 
+_HIDDEN_BY_CHANCE = 1  # discs: a strut hides one, something that covers the ball hides more
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude is taken for the only one
 
 
@@ -41,7 +42,8 @@ def updated_hypotheses(
     filtered, alternatives = hypotheses[0].state, hypotheses[1:]
     if hypotheses[0].log_probability > _CERTAIN:
         alternatives = ()
-    supported = len(filtered.used) > 0
+    hidden = len(f.expected(filtered)) > _HIDDEN_BY_CHANCE or not filtered.is_roughly_known
+    supported = len(filtered.used) > 0 or not hidden
     return replace(
         state,
         filter=filtered,

@@ -4,17 +4,23 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from spheremouse.ball.associate import common_rotation
 from spheremouse.ball.detect import lookalikes as static
+from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.events import Found, Turned
+from spheremouse.ball.filters import FilterState
+from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
 from spheremouse.ball.phases.hypotheses import updated_hypotheses
-from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View
+from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View, no_points
 from spheremouse.geometry.rotation import Array
 
+_CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
+_MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
 
@@ -24,12 +30,15 @@ def learn(
     """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until some turn alike.
 
     Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
+    A candidate that appears once discs are established may be anything: it founds a disc when it has turned.
     """
-    if not phase.views:  # the ball is where two points are first seen: nothing is known less for having waited
+    if not phase.views and len(state.filter.discs) == 0:  # where two are first seen, it is known as well as ever
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
     naive = _with_all(state, stamp, tracker, predicted)
+    if _are_hidden(naive.filter, predicted):
+        return found(_hidden(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
     views = (*phase.views, View(stamp, state.detections, state.points, predicted, track))
@@ -39,7 +48,7 @@ def learn(
     if still is None:
         still = still_while_two_turned(views, tracker)
     if still is None:
-        if len(views) == _REPLAY and _changed(views[0], views[-1], tracker.settings.static):
+        if len(views) == _REPLAY and _changed(views[0], views[1:], tracker.settings.static):
             views = views[-1:]
         return found(naive, phase._replace(views=views, next_track=next_track), stamp)
     state = _without(state, still, views, tracker) if len(still) else naive
@@ -48,11 +57,11 @@ def learn(
 
 
 def _with_all(state: TrackState[F], stamp: float, tracker: Tracker, predicted: F) -> TrackState[F]:
-    """The frame filtered with every point taken for a disc."""
-    if not tracker.classic:
-        every = np.ones(len(state.points), dtype=bool)
+    """The frame filtered, with every point taken for a disc while fewer than two discs are established."""
+    if isinstance(predicted, So3State):
         known: Any = state, stamp, tracker, predicted
-        return updated_hypotheses(*known, proven=every)
+        established = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial)
+        return updated_hypotheses(*known, proven=np.full(len(state.points), established < 2))
     filtered = tracker.filter.update(predicted, state.points)
     return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
 
@@ -71,6 +80,18 @@ def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracke
     return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
+def _are_hidden(filtered: FilterState, predicted: FilterState) -> bool:
+    """Whether more known discs are missing than seen although they are well predicted: something lies before them."""
+    if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
+        return False
+    return filtered.known_missed > filtered.known_seen and predicted.is_placed
+
+
+def _hidden(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
+    """The frame without effect: something lies before most of the discs, and what is seen may be part of it."""
+    return replace(state, filter=tracker.filter.update(predicted, no_points(tracker)), confirmed=False)
+
+
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
     """The ball is tracked from where two discs are seen."""
     if phase.found:
@@ -82,7 +103,10 @@ def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackSta
 
 
 def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
-    """Places, (k, 2) px, that stayed while at least three others turned alike; None while nothing is certain."""
+    """Places, (k, 2) px, that stayed while most of the others turned alike, as on a ball; None while that is uncertain.
+
+    What is flat, and passes, moves otherwise.
+    """
     s = tracker.settings.static
     if len(anchor.points) < 3 or len(now.points) < 3:
         return None
@@ -95,15 +119,45 @@ def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
     if shared is None:
         return None
     rotation, pairs = shared
-    path = np.linalg.norm(anchor.centre[left][pairs[:, 0]] - now.centre[~stayed][pairs[:, 1]], axis=1)
-    if np.median(path) < s.moved:
+    pairs = np.stack([np.flatnonzero(left)[pairs[:, 0]], np.flatnonzero(~stayed)[pairs[:, 1]]], axis=1)
+    path = np.linalg.norm(anchor.centre[pairs[:, 0]] - now.centre[pairs[:, 1]], axis=1)
+    if np.median(path) < s.moved or 2 * len(pairs) <= np.count_nonzero(~stayed):
+        return None
+    if _flat(anchor, now, pairs, rotation, tracker):
         return None
     return now.centre[stayed & would_move(now.points, rotation, tracker, s.moved)]
 
 
-def _changed(anchor: View, now: View, settings: StaticSettings) -> bool:
-    """The anchor's picture is gone without a common rotation: hands, light, or too few discs in common."""
-    if len(anchor.points) == 0 or len(now.points) == 0:
-        return len(now.points) > 0
-    stayed = np.linalg.norm(anchor.centre[:, None] - now.centre[None], axis=2).min(axis=1) < settings.still
-    return bool(np.count_nonzero(~stayed) > 0.5 * len(anchor.points))
+def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tracker: Tracker) -> bool:
+    """Is a flat thing that shifts, turns and grows in the picture nearly as good an explanation as the ball?
+
+    `pairs` (k, 2) index the points of `anchor` and `now`. A turn about the line of sight looks flat, but a flat thing
+    hardly ever turns about the ball's middle.
+    """
+    rig, pose, (before, after) = tracker.rig, tracker.pose, pairs.T
+    towards = pose.position - rig.ball.centre
+    towards = towards / np.linalg.norm(towards)
+    middle = seen_at(np.stack([towards, rotation @ towards]), rig, pose)
+    if np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
+        return False
+    off = now.centre[after] - seen_at(anchor.points.direction[before] @ rotation.T, rig, pose)
+    weight = 1.0 / (_variance(anchor, before) + _variance(now, after) + _MODEL_ERROR**2)
+    a, b = anchor.centre[before] @ (1.0, 1.0j), now.centre[after] @ (1.0, 1.0j)
+    A = np.sqrt(weight)[:, None] * np.stack([a, np.ones_like(a)], axis=1)
+    similarity = np.linalg.lstsq(A, np.sqrt(weight) * b)[0]
+    chi2_flat = float(np.sum(np.abs(np.sqrt(weight) * b - A @ similarity) ** 2))
+    return chi2_flat - float(weight @ np.sum(off * off, axis=1)) < 2.0 * _CERTAIN
+
+
+def _variance(view: View, which: NDArray[np.intp]) -> Array:
+    """Variance per axis, (k,) px², of the centres of some points."""
+    return 0.5 * np.trace(view.detections.covariance[view.points.index[which]], axis1=1, axis2=2)
+
+
+def _changed(anchor: View, since: tuple[View, ...], settings: StaticSettings) -> bool:
+    """Is most of the anchor's picture missing from all later views, without a common rotation?"""
+    later = np.concatenate([view.centre for view in since])
+    if len(anchor.points) == 0 or len(later) == 0:
+        return len(later) > 0
+    gone = np.linalg.norm(anchor.centre[:, None] - later[None], axis=2).min(axis=1) >= settings.still
+    return bool(np.count_nonzero(gone) > 0.5 * len(anchor.points))

@@ -1,12 +1,15 @@
 """A ball found by its map: one that was lost, or one whose map was made earlier."""
 
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from spheremouse.ball.events import BallLost, NewMap, Recognised, Why
-from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3 import So3Filter, relocate
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.hypotheses import updated_hypotheses
-from spheremouse.ball.phases.learn import found
+from spheremouse.ball.phases.learn import found, learn
 from spheremouse.ball.phases.lifted import back_on_bearings
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.state import (
@@ -18,6 +21,7 @@ from spheremouse.ball.state import (
     Tracker,
     Tracking,
     TrackState,
+    Trial,
     View,
     forget,
     lost,
@@ -50,11 +54,12 @@ def recover(
     """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
     phase = seen_since(phase, len(state.points), stamp)
     state = replace(state, phase=phase, filter=unused(state.filter))
-    recognised = recognised_attitude(state, stamp, tracker)
+    resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
+    recognised = resting or recognised_attitude(state, stamp, tracker)
     if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
         filtered, pairs = recognised
         last = phase.last
-        if isinstance(last, Learning):
+        if isinstance(last, Learning) and resting is None:
             last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered),))
         state = replace(state, lookalikes=forget(state.lookalikes))
         return tracked(state, last, filtered.with_reference(), filtered.attitude, stamp), (Recognised(pairs),)
@@ -69,7 +74,44 @@ def recover(
         or stamp - max(phase.in_view_since, state.supported_at) < tracker.settings.loss.reset_after
     ):
         return state, ()
-    return begin_anew(state, stamp, tracker)
+    return try_new_map(state, phase, stamp, tracker)
+
+
+def _where_it_was(
+    state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[So3State, int] | None:
+    """The filter at rest where the ball was last, and by how many discs; None where they do not show it.
+
+    Most balls that are hidden for a while are. Two discs in their places are enough then, if chance does not put them
+    there.
+    """
+    filter_, s = tracker.filter, tracker.settings.loss
+    placed = relocate(state.filter, state.reported_attitude, s.identify_sigma, tracker.settings.so3, stamp, np.zeros(3))
+    filtered = filter_.update(placed, state.points, np.zeros(len(state.points), dtype=bool))
+    seen = filtered.known_seen
+    if seen < 2 or filtered.known_missed > seen or not filter_.beyond_chance(placed, seen, len(state.points)):
+        return None
+    return filtered, seen
+
+
+def try_new_map(
+    state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter]
+) -> tuple[TrackState[So3State], Events]:
+    """What is in view on trial as a new map, beside the old one, until it has turned as only a ball turns.
+
+    What passes before a ball that stands does not: nothing is sent, and the old map is recognised when it is gone.
+    """
+    if phase.trial is None:
+        filtered, view = _new_map(state, stamp, tracker)
+        trial = Trial(filtered, Learning(found=True, views=(view,)))
+        return replace(state, phase=phase._replace(trial=trial)), ()
+    trial = phase.trial
+    predicted = tracker.filter.predict(trial.filter, stamp)
+    tried, events = learn(replace(state, filter=trial.filter), trial.phase, stamp, tracker, predicted)
+    if isinstance(tried.phase, Learning):
+        return replace(state, phase=phase._replace(trial=Trial(tried.filter, tried.phase))), ()
+    filtered = tried.filter.with_reference()
+    return tracked(tried, Tracking(), filtered, filtered.attitude, stamp), (NewMap(), *events)
 
 
 def _followed(
@@ -82,10 +124,8 @@ def _followed(
     """
     updated = updated_hypotheses(state, stamp, tracker, predicted, extend_map=False)
     pairs = len(updated.filter.used)
-    if 2 * pairs <= len(state.points):
+    if pairs < 2 or 2 * pairs <= len(state.points) or not updated.confirmed:
         return state, ()
-    if pairs < 2 or not updated.confirmed:
-        return replace(updated, confirmed=False), ()
     updated = replace(updated, lookalikes=forget(state.lookalikes))
     filtered = updated.filter.with_reference()
     return tracked(updated, phase.last, filtered, filtered.attitude, stamp), (Recognised(pairs),)
@@ -120,6 +160,8 @@ def recognise(
 
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, View]:
     """A new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
-    attitude = state.filter.attitude
-    filtered = tracker.filter.update(tracker.filter.initial(stamp, attitude), state.points)
-    return filtered, View(stamp, state.detections, state.points, filtered)
+    start: Any = tracker.filter.initial(stamp, state.filter.attitude)
+    if isinstance(state.filter, So3State) and not isinstance(state.phase, Recognising):
+        start = start.with_attitude_covariance(tracker.filter.predict(state.filter, stamp).joint[:3, :3])
+    filtered = tracker.filter.update(start, state.points)
+    return filtered, View(stamp, state.detections, state.points, start)

@@ -1,4 +1,4 @@
-"""`spheremouse bench`: what a frame costs on this machine, beside what was asked for; measured in measure.py.
+"""`spheremouse bench`: what a frame costs on this machine; measured in measure.py.
 
 One thread: OpenCV is told so, and BLAS and Numba read their number of threads when they are imported, so that the
 measurement runs in a process of its own that has it from the start.

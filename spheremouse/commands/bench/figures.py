@@ -1,38 +1,15 @@
-"""Figures of a measurement, as --json writes them, and those that were asked for."""
+"""Figures of a measurement, as --json writes them."""
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from spheremouse.commands.bench.measure import Film, Steps, Times
-from spheremouse.commands.bench.series import BLOBS, MEMORY_STEPS, SIMPLE, SIZES, STEP, STEPS, TRACKED, WARM_UP
+from spheremouse.commands.bench.series import BLOBS, SIMPLE, STEP, WARM_UP
 from spheremouse.geometry.rotation import Array
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-_FLAT = 1 << 20  # bytes: eleven a step would show
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A figure that was asked for."""
-
-    what: str
-    figure: float
-    at_least: float | None
-    at_most: float | None
-    judged: bool  # measured as it was asked for: picture, number of steps, ball tracked
-
-    @property
-    def met(self) -> bool | None:
-        """None: this run cannot say."""
-        if not self.judged:
-            return None
-        return (self.at_least is None or self.figure >= self.at_least) and (
-            self.at_most is None or self.figure <= self.at_most
-        )
 
 
 def report(
@@ -66,11 +43,7 @@ def report(
         "steady": None if row is None else _steady(row),
         "sizes": {f"{w}x{h}": _in_short(s) for (w, h), s in (sizes or {}).items()},
     }
-    figures["targets"] = [
-        {"what": t.what, "figure": t.figure, "at_least": t.at_least, "at_most": t.at_most, "met": t.met}
-        for t in targets(figures)
-    ]
-    return figures
+    return {**figures, "ratios": _ratios(figures)}
 
 
 def _summary(seconds: Array) -> dict[str, float]:
@@ -97,27 +70,13 @@ def _steady(row: Steps) -> dict[str, Any]:
     }
 
 
-def targets(figures: dict[str, Any]) -> Iterator[Target]:
-    """Targets asked of this tracker, as far as they were measured; all in pictures of 640x480 but the last."""
-    ordinary = tuple(figures["size"]) == SIZES[0]
-    tracked = figures["tracked"] >= TRACKED * figures["frames"]
-    for name, least in ((BLOBS, 10.0), (SIMPLE, 12.0)):
-        yield Target(name, 1.0 / figures[f"step_to_{name}"], least, None, ordinary and tracked)
+def _ratios(figures: dict[str, Any]) -> dict[str, float]:
+    """Ratios of medians: each blob detector over the step, the step of each larger picture over that of the smallest;
+    and of the steps in a row the 99th percentile and the slowest over the median."""
+    ratios = {name: 1.0 / figures[f"step_to_{name}"] for name in (BLOBS, SIMPLE)}
     row = figures["steady"]
     if row is not None:
-        enough = ordinary and row["steps"] + WARM_UP >= STEPS and _held(row)
-        yield Target("p99", row["p99_to_median"], None, 2.5, enough)
-        yield Target("max", row["max_to_median"], None, 8.0, enough)
-        if row["memory_bytes"] is not None:
-            grown = row["memory_bytes"]["end"] - row["memory_bytes"]["early"]
-            yield Target("memory", grown, None, _FLAT, row["steps"] + WARM_UP >= MEMORY_STEPS and _held(row))
-    sizes = figures["sizes"]
-    if sizes:
-        first, *others = (f"{w}x{h}" for w, h in SIZES)
-        for name, most in zip(others, (1.5, 2.0), strict=True):
-            ratio = sizes[name]["us"]["median"] / sizes[first]["us"]["median"]
-            yield Target(name, ratio, None, most, _held(sizes[first]) and _held(sizes[name]))
-
-
-def _held(steps: dict[str, Any]) -> bool:
-    return bool(steps["tracked"] >= TRACKED * steps["steps"])
+        ratios |= {"p99": row["p99_to_median"], "max": row["max_to_median"]}
+    sizes = {name: steps["us"]["median"] for name, steps in figures["sizes"].items()}
+    first = next(iter(sizes), "")
+    return ratios | {name: median / sizes[first] for name, median in sizes.items() if name != first}

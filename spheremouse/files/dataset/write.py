@@ -43,8 +43,8 @@ class DatasetWriter:
     def __enter__(self) -> Self:
         refuse_to_overwrite(self._path, self._replace)
         self._new = NewFolder(self._path, DatasetError)
-        self._folder = self._new.path
         try:
+            self._folder = self._new.make()
             self._folder.chmod(0o755)
             self._pictures = PictureWriter(self._folder, self._size, float(self._scene["fps"]))
             self._truth_file = (self._folder / "truth.csv").open("w", newline="", encoding="utf-8")
@@ -116,7 +116,11 @@ class FilmWriter:
         self._pictures: PictureWriter | None = None
         refuse_to_overwrite(self._path, False)
         self._new = NewFolder(self._path, DatasetError)
-        self.folder = self._new.path  # until it takes its name
+        try:
+            self.folder = self._new.make()  # until it takes its name
+        except BaseException:
+            self._new.discard()
+            raise
 
     def open(self, fps: float) -> None:
         """Find out how to write, which takes some tenths of a second; `fps` is what a player of the video goes by."""

@@ -15,7 +15,7 @@ import numpy as np
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.rings import detect_targets
-from spheremouse.ball.events import CameraMoved
+from spheremouse.ball.events import CameraMoved, MotionReleased, MotionWithheld
 from spheremouse.ball.pose import Resection, find_pose
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -62,7 +62,7 @@ class BallFollower:
         self.posed = 0.0  # s, time.monotonic() when the pose was found
         self.state: TrackState | None = None
         self.waiting = "the ring targets are looked for"
-        self.reason = ""
+        self._reason = ""
         self.untracked = 0  # frames that came before the pose was known
         self._tracker: Tracker | None = None
         self._subject: BallSubject | None = None
@@ -86,6 +86,15 @@ class BallFollower:
     def status(self) -> Status:
         """What the tracker knows of the ball."""
         return Status.SEARCHING if self.state is None else self.state.status
+
+    @property
+    def reason(self) -> str:
+        """What is known of the ball, in words: the last event, or why motion is withheld now."""
+        state = self.state
+        if state is None or state.withheld is None or not state.withheld.announced:
+            return self._reason
+        since, doubt, _ = state.withheld
+        return messages.withheld(state.filter.stamp - since, doubt)
 
     @property
     def subject(self) -> BallSubject | None:
@@ -134,7 +143,7 @@ class BallFollower:
 
     def restart(self, reason: str) -> None:
         """The ball looked for anew, by the pose that is known."""
-        self.state, self.reason = None, reason
+        self.state, self._reason = None, reason
         self._forget_views()
 
     def prepare(self, plan: Plan, changed: Collection[str]) -> Change:
@@ -162,7 +171,7 @@ class BallFollower:
                 return BallFollower(rig, settings, self._keeper, self.say, self._do, self._given, outputs)
             self.state, self._tracker, self._subject, self.outputs = state, tracker, None, outputs
             if settings.tracker != self.settings.tracker:
-                self.reason = "another filter begins"
+                self._reason = "another filter begins"
             self.settings = settings
             self._counter.matrix = settings.motion.matrix(self.rig.radius_m)
             if tuned:
@@ -311,7 +320,9 @@ class BallFollower:
         if self._anew is not None and self._anew.over:
             self._anew = None
         if made.events:
-            self.reason, self._news = messages.reason(made.events), messages.line(made.events)
+            self._news = messages.line(made.events)
+        if lasting := [e for e in made.events if not isinstance(e, MotionWithheld | MotionReleased)]:
+            self._reason = messages.reason(lasting)
         pose = current(made.state, tracker).pose
         if pose is not self.pose:
             self.pose, self.posed = pose, time.monotonic()

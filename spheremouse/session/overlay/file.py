@@ -25,7 +25,7 @@ class OverlayFile:
     """A picture of the last drawing, or a video of all, under its name only when it is complete. A context manager."""
 
     def __init__(self, path: Path, fps: float | None) -> None:
-        """`fps` is what a video plays at. Raises OutputError where nothing can be written there."""
+        """`fps` is what a video plays at. Raises OutputError where nothing can be written there, as entering does."""
         self.path = path
         self._picture = path.suffix.lower() in _PICTURES
         self._fps = fps or 30.0
@@ -40,8 +40,7 @@ class OverlayFile:
             raise OutputError(f"{path}: unknown kind of overlay; end the name in one of {known}")
         if not path.parent.is_dir():
             raise OutputError(f"{path}: cannot be written: there is no folder {path.parent}")
-        self._new = NewFolder(path.with_name(f"{path.name}.part"), OutputError)  # that it can be made is known at once
-        self._part = self._new.path / path.name
+        self._new = NewFolder(path.with_name(f"{path.name}.part"), OutputError)
 
     def begin(self, tracker: Tracker, targets: tuple[Mark, ...]) -> None:
         """What will be drawn: known only once the camera's pose is."""
@@ -69,6 +68,11 @@ class OverlayFile:
         self._video.write(image)
 
     def __enter__(self) -> Self:
+        try:
+            self._part = self._new.make() / self.path.name  # that it can be made is known at once
+        except BaseException:
+            self._new.discard()
+            raise
         return self
 
     def __exit__(

@@ -85,7 +85,7 @@ def _new_folder(path: Path, replace: bool) -> Iterator[Path]:
     _refuse(path, replace)
     made = NewFolder(path, CalibrationError)
     try:
-        made.path.chmod(0o755)
+        made.make().chmod(0o755)
         yield made.path
         _refuse(path, replace)  # once more: somebody may have come first
         made.finish()

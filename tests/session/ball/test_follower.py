@@ -1,0 +1,86 @@
+"""A ball in its frame at work: what status and log show of it, and what is sent."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from spheremouse.ball.detect.appearance import ball_mask
+from spheremouse.geometry.rotation import Array
+from spheremouse.output.counts import MotionSettings
+from spheremouse.session.ball.follower import BallFollower
+from spheremouse.session.settings import Configuration
+from spheremouse.simulate.ball.film import prepare, simulate
+from spheremouse.simulate.ball.options import SimulationOptions
+
+HAND = 2.0  # rad/s, a hand in ordinary play
+
+
+@dataclass
+class Seen:
+    """What a film comes to."""
+
+    reasons: list[str]
+    news: list[tuple[float, str]]
+    counts: Array  # (n, 3) of each frame
+    integral: Array  # (3,) counts, of the motion
+    fastest: float  # rad/s
+    confirmed: list[bool]
+    stamps: list[float]
+
+
+def watched(options, covered=(0.0, 0.0)):
+    """A film tracked; the discs are painted over from one time to the other."""
+    film = prepare(options)
+    rig = replace(film.scene.rig(), pose=film.scene.pose)
+    follower = BallFollower(rig, Configuration(), None, lambda _: None)
+    matrix = MotionSettings().matrix(rig.radius_m)
+    ball = ball_mask(rig, film.scene.pose) > 0
+    seen = Seen([], [], np.zeros((0, 3)), np.zeros(3), 0.0, [], [])
+    for filmed in simulate(film):
+        image, stamp = filmed.frame.image.copy(), filmed.frame.stamp
+        if covered[0] <= stamp < covered[1]:
+            image[ball] = 170
+        made = follower.follow(replace(filmed.frame, image=image))
+        assert made is not None
+        seen.reasons.append(follower.reason)
+        seen.confirmed.append(made.report.motion.confirmed)
+        seen.stamps.append(stamp)
+        seen.counts = np.concatenate([seen.counts, [made.report.counts]])
+        seen.integral = seen.integral + matrix @ made.report.motion.rotation
+        seen.fastest = max(seen.fastest, float(np.linalg.norm(filmed.rate)))
+        if line := follower.take_news().change:
+            seen.news.append((stamp, line))
+    return seen, rig
+
+
+def sent_at_a_hands_pace(seen, rig):
+    """Nothing is lost, and no report is more than the ball and a hand together turn in an interval."""
+    per_radian = MotionSettings().scale(rig.radius_m)
+    most = per_radian * (seen.fastest + HAND) * float(np.diff(seen.stamps).max())
+    assert np.linalg.norm(seen.counts, axis=1).max() <= most + np.sqrt(3.0)
+    np.testing.assert_allclose(seen.counts.sum(axis=0), seen.integral, atol=1.0)
+
+
+def test_status_and_log_show_that_motion_is_withheld_and_for_how_long():
+    seen, rig = watched(SimulationOptions(discs=26, seed=3, motion="play", seconds=3.0), covered=(1.59, 1.79))
+    told = [reason for reason in seen.reasons if reason.startswith("motion withheld")]
+    assert 3 <= len(told) <= 4  # of six frames, from a tenth of a second on
+    assert {told[0], told[-1]} == {f"motion withheld for 0.{t} s: no disc in view" for t in (1, 2)}
+    assert seen.reasons[-1] == seen.reasons[int(30 * 1.5)]  # what was known of the ball before
+    lines = [(t, line) for t, line in seen.news if t > 1.5]
+    assert [line for _, line in lines] == ["motion withheld: no disc in view", lines[1][1]]
+    assert lines[1][1].startswith("motion goes on: the ")
+    assert lines[0][0] == pytest.approx(1.567 + 0.1, abs=0.04)
+    assert lines[1][0] == pytest.approx(1.8, abs=0.02)
+    sent_at_a_hands_pace(seen, rig)
+
+
+def test_one_disc_in_view_of_a_ball_with_twelve_sends_no_jump():
+    """A film in which a push turns all discs but one out of view: 369 counts came in one report, without a word."""
+    seen, rig = watched(SimulationOptions(discs=12, seed=114, motion="play", seconds=7.0, noise=2.0))
+    sent_at_a_hands_pace(seen, rig)
+    since = seen.stamps[0]
+    for stamp, confirmed, reason in zip(seen.stamps, seen.confirmed, seen.reasons, strict=True):
+        since = stamp if confirmed else since
+        assert reason.startswith("motion withheld") == (stamp - since > 0.1), stamp
