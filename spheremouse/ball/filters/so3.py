@@ -368,10 +368,6 @@ class So3Filter:
         updated = inject(state, dx, joint, weights, level, rows, float(nis))
         if float(np.abs(dx[:3]).max()) > _LINEAR:
             updated, log_likelihood = self._again(state, updated, dx, points, columns)
-        if len(rows) == 1:
-            joint = updated.joint.copy()
-            joint[:CORE, :CORE] += self._unseen_process_noise(state, state.attitude @ state.discs[columns[0]], updated)
-            updated = replace(updated, joint=joint)
         return updated, log_likelihood
 
     def _coasted(self, state: So3State) -> So3State:
@@ -383,16 +379,6 @@ class So3Filter:
         gain, reach = so3_predict.integrals(t, tau)
         mean[:CORE] = np.outer([reach - 0.5 * t * t, gain - t, math.expm1(-t / tau)], state.acceleration).ravel()
         return inject(state, mean, joint, state.weights, float(np.sqrt(noise_scale)), _NONE, 0.0)
-
-    def _unseen_process_noise(self, state: So3State, axis: Array, updated: So3State) -> Array:
-        """Process noise, (9, 9), about the `axis`, (3,) unit vector in obj, of a disc that is the only one in view.
-
-        Its innovations say nothing of the turn about it, so that the level there is the usual one, not theirs.
-        """
-        usual = float(prior_of_levels(self.settings.levels) @ squared_levels(self.settings.levels))
-        noise_scale = self._expected(updated)
-        along = np.kron(np.eye(3), np.outer(axis, axis))
-        return max(usual - noise_scale, 0.0) * along @ state.process @ along
 
     def _again(
         self, state: So3State, updated: So3State, dx: Array, points: SpherePoints, columns: NDArray[np.intp]

@@ -22,6 +22,7 @@ _MAX_NODES = 8  # assignments carried on from point to point
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
 _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
 _WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and the likelihood decides
+_UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
 _FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
 _DETECTED = 0.95  # probability that a disc is detected again that was detected where it was last expected
 _REAPPEARS = 0.5  # the same of one that was missed: it may lie behind a strut or a hand
@@ -139,7 +140,7 @@ def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
     """Density, 1/sr, of points that are no disc of the map: discs not yet known, and false points."""
     known = int(np.count_nonzero(state.hits >= filter_.settings.trial))
     in_view = 0.5 * (1.0 - filter_.horizon)  # share of the ball
-    unknown = max(seen / in_view - known, 1.0)
+    unknown = max(seen / in_view - known, _UNKNOWN_DISCS)
     return (unknown + _FALSE_POINTS / in_view) / (4.0 * math.pi)
 
 

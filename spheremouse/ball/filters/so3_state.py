@@ -15,7 +15,6 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
 PLACED = 0.1  # rad, standard deviation: a third of the way between neighbours of fifty discs
-_ANY_ATTITUDE = np.pi**2 / 3.0  # rad², variance of an angle of which nothing is known
 _NO_PROCESS = np.zeros((CORE, CORE))
 
 
@@ -38,9 +37,9 @@ class So3State:
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
-    interval: float = 0.0  # s, of the last prediction, where no update has used it yet
     known_seen: int = 0  # discs beyond their trial that took part in the last update
     known_missed: int = 0  # discs beyond their trial, well visible, that did not
+    interval: float = 0.0  # s, of the last prediction, where no update has used it yet
 
     @property
     def is_placed(self) -> bool:
@@ -108,13 +107,6 @@ class So3State:
         joint = self.joint.copy()
         joint[-REFERENCE:] = joint[:, -REFERENCE:] = 0.0
         joint[-REFERENCE:, -REFERENCE:] = other.joint[-REFERENCE:, -REFERENCE:]
-        return replace(self, joint=joint)
-
-    def with_attitude_covariance(self, covariance: Array) -> "So3State":
-        """The state with the covariance, (3, 3) rad², of an attitude that nothing on the map depends on yet."""
-        joint = self.joint.copy()
-        values, vectors = np.linalg.eigh(covariance)
-        joint[:3, :3] = (vectors * np.minimum(values, _ANY_ATTITUDE)) @ vectors.T
         return replace(self, joint=joint)
 
     def covariance_since(self, turn: Array) -> Array:

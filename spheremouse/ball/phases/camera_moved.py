@@ -50,7 +50,8 @@ def out_of_sight(state: TrackState, stamp: float) -> bool:
     watch = state.watch
     if watch is None or state.confirmed or state.status is Status.SEARCHING:
         return False
-    return hidden(watch) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
+    astray = state.rebuilt is not None and np.count_nonzero(watch.seen) < 3  # the last pose found shows too few
+    return (astray or hidden(watch)) and not watch.tried <= stamp < watch.tried + _COLOUR_EVERY
 
 
 def relative(on_rings: Array, shift: Array, tracker: Tracker) -> Moved | None:

@@ -42,8 +42,9 @@ def updated_hypotheses(
     filtered, alternatives = hypotheses[0].state, hypotheses[1:]
     if hypotheses[0].log_probability > _CERTAIN:
         alternatives = ()
-    hidden = len(f.expected(filtered)) > _HIDDEN_BY_CHANCE or not filtered.is_roughly_known
-    supported = len(filtered.used) > 0 or not hidden
+    used = len(filtered.used)
+    missing = np.count_nonzero(filtered.missed[f.expected(filtered)])
+    supported = (used > 0 or filtered.is_roughly_known) and missing <= max(used, _HIDDEN_BY_CHANCE)
     return replace(
         state,
         filter=filtered,

@@ -17,7 +17,7 @@ from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
 from spheremouse.ball.phases.hypotheses import updated_hypotheses
 from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View, no_points
-from spheremouse.geometry.rotation import Array
+from spheremouse.geometry.rotation import Array, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
 _MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
@@ -36,7 +36,7 @@ def learn(
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
-    naive = _with_all(state, stamp, tracker, predicted)
+    naive = _with_all(state, stamp, tracker, predicted, phase.views)
     if _are_hidden(naive.filter, predicted):
         return found(_hidden(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
@@ -56,12 +56,13 @@ def learn(
     return replace(state, phase=Tracking()), (Turned(len(still)), *events)
 
 
-def _with_all(state: TrackState[F], stamp: float, tracker: Tracker, predicted: F) -> TrackState[F]:
-    """The frame filtered, with every point taken for a disc while fewer than two discs are established."""
+def _with_all(
+    state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, views: tuple[View, ...]
+) -> TrackState[F]:
+    """The frame filtered, with every point taken for a disc that may be one."""
     if isinstance(predicted, So3State):
         known: Any = state, stamp, tracker, predicted
-        established = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial)
-        return updated_hypotheses(*known, proven=np.full(len(state.points), established < 2))
+        return updated_hypotheses(*known, proven=_founders(state, predicted, views, tracker))
     filtered = tracker.filter.update(predicted, state.points)
     return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
 
@@ -71,11 +72,11 @@ def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracke
     stamp = views[-1].stamp
     state = replace(state, lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
     filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
-    for view in views:
+    for k, view in enumerate(views):
         free, _ = static.unmasked(state.lookalikes, view.centre, view.stamp, tracker.settings.static)
         state = replace(state, filter=filtered, points=view.points.take(free), detections=view.detections)
         predicted = tracker.filter.predict(filtered, view.stamp)
-        state = _with_all(state, view.stamp, tracker, predicted)
+        state = _with_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
     return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
 
@@ -85,6 +86,18 @@ def _are_hidden(filtered: FilterState, predicted: FilterState) -> bool:
     if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
         return False
     return filtered.known_missed > filtered.known_seen and predicted.is_placed
+
+
+def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], tracker: Tracker) -> NDArray[np.bool_]:
+    """Which points may found a disc, (n,).
+
+    All may while fewer than two discs are established, and once those have turned by a disc's width: new discs come
+    into view then. While the ball stands, what appears is not on it, or was hidden.
+    """
+    few = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2
+    turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
+    has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
+    return np.full(len(state.points), few or has_turned)
 
 
 def _hidden(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:

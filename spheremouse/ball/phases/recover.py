@@ -1,7 +1,6 @@
 """A ball found by its map: one that was lost, or one whose map was made earlier."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from spheremouse.ball.state import (
     unused,
 )
 
+_RESTS = 0.05  # rad/s, standard deviation of the rate of a ball that is where it was
 _SPEAKS = 4  # discs in view: fewer say nothing against a map
 
 
@@ -58,11 +58,13 @@ def recover(
     recognised = resting or recognised_attitude(state, stamp, tracker)
     if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
         filtered, pairs = recognised
-        last = phase.last
-        if isinstance(last, Learning) and resting is None:
-            last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered),))
+        last, reported = phase.last, state.reported_attitude
+        if resting is None:
+            filtered, reported = filtered.with_reference(), filtered.attitude
+            if isinstance(last, Learning):
+                last = Learning(found=True, views=(View(stamp, state.detections, state.points, filtered),))
         state = replace(state, lookalikes=forget(state.lookalikes))
-        return tracked(state, last, filtered.with_reference(), filtered.attitude, stamp), (Recognised(pairs),)
+        return tracked(state, last, filtered, reported, stamp), (Recognised(pairs),)
     if recognised is None and phase.lifted_at is None:
         state, events = _followed(state, phase, stamp, tracker, predicted)
         if events:
@@ -83,10 +85,11 @@ def _where_it_was(
     """The filter at rest where the ball was last, and by how many discs; None where they do not show it.
 
     Most balls that are hidden for a while are. Two discs in their places are enough then, if chance does not put them
-    there.
+    there. What little the attitude differs counts as motion: else errors of the camera's pose would add up.
     """
     filter_, s = tracker.filter, tracker.settings.loss
     placed = relocate(state.filter, state.reported_attitude, s.identify_sigma, tracker.settings.so3, stamp, np.zeros(3))
+    placed.joint[3:6, 3:6] = _RESTS**2 * np.eye(3)
     filtered = filter_.update(placed, state.points, np.zeros(len(state.points), dtype=bool))
     seen = filtered.known_seen
     if seen < 2 or filtered.known_missed > seen or not filter_.beyond_chance(placed, seen, len(state.points)):
@@ -160,8 +163,6 @@ def recognise(
 
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, View]:
     """A new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
-    start: Any = tracker.filter.initial(stamp, state.filter.attitude)
-    if isinstance(state.filter, So3State) and not isinstance(state.phase, Recognising):
-        start = start.with_attitude_covariance(tracker.filter.predict(state.filter, stamp).joint[:3, :3])
+    start = tracker.filter.initial(stamp, state.filter.attitude)
     filtered = tracker.filter.update(start, state.points)
     return filtered, View(stamp, state.detections, state.points, start)
