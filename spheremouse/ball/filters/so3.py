@@ -1,7 +1,7 @@
 """The default filter: attitude on SO(3), angular velocity and acceleration in `obj`, and the map of discs in one state.
 
 An error-state extended Kalman filter (Sola 2017, "Quaternion kinematics for the error-state Kalman filter", left
-errors in `obj`) with an angular acceleration that lasts for a while (Singer 1970), and discs as landmarks with their
+errors in `obj`) with an angular acceleration that lasts until the hand changes it, and discs as landmarks with their
 full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view
 stays known and closes the loop. Pose and ball, wrong in every frame alike, are considered, not estimated (Schmidt
 1966).
