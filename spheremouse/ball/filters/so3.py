@@ -1,7 +1,7 @@
 """The default filter: attitude on SO(3), angular velocity and acceleration in `obj`, and the map of discs in one state.
 
 An error-state extended Kalman filter (Sola 2017, "Quaternion kinematics for the error-state Kalman filter", left
-errors in `obj`) with an angular acceleration that lasts for a while (Singer 1970), and discs as landmarks with their
+errors in `obj`) with an angular acceleration that lasts until the hand changes it, and discs as landmarks with their
 full correlations (Smith, Self, Cheeseman 1990). No angle is a coordinate, so nothing is singular; a disc out of view
 stays known and closes the loop. Pose and ball, wrong in every frame alike, are considered, not estimated (Schmidt
 1966).
@@ -222,7 +222,7 @@ class So3Filter:
         )
         if not ordinary or abs(dx[:3]).max() > _LINEAR:
             return None
-        updated = inject(state, dx, joint, weights, level, rows, nis)
+        updated = inject(state, dx, joint, weights, level, rows, float(nis))
         return self._keep_map(updated, points, Pairing(rows, columns, True, True), may_start_landmark)
 
     def correct(
@@ -369,9 +369,9 @@ class So3Filter:
         log_likelihood, nis, level = kernel.correct(
             joint, H, HP, S, z, state.acceleration, self._steps(state), weights, learn, dx
         )
-        updated = inject(state, dx, joint, weights, level, rows, nis)
+        updated = inject(state, dx, joint, weights, level, rows, float(nis))
         if float(np.abs(dx[:3]).max()) > _LINEAR:
-            return self._again(state, updated, dx, points, columns)
+            updated, log_likelihood = self._again(state, updated, dx, points, columns)
         return updated, log_likelihood
 
     def _coasted(self, state: So3State) -> So3State:
@@ -416,7 +416,7 @@ class So3Filter:
             )
             moved = float(np.abs(step[:3] - dx[:3]).max())
             dx = step
-            updated = inject(state, dx, joint, weights, level, rows, nis)
+            updated = inject(state, dx, joint, weights, level, rows, float(nis))
             if moved < 0.1 * _LINEAR:
                 break
         return updated, log_likelihood

@@ -24,7 +24,7 @@ class So3Settings:
     persistence: float = param(
         0.2,
         "s",
-        "time over which an acceleration lasts: a hand's push takes a tenth to a few tenths of a second",
+        "mean time between two steps of the acceleration, as a hand takes hold, lets go or stops the ball",
         ge=0.01,
         le=10,
     )
@@ -46,9 +46,7 @@ class So3Settings:
         le=1e4,  # of the quietest ball, a stop by hand
         most=12,  # a factor of two apart; each takes its time
     )
-    dwell: float = param(
-        0.3, "s", "mean time the player stays at a level: a push takes a few tenths of a second", **SECONDS
-    )
+    dwell: float = param(1.0, "s", "mean time the player stays at a level: a gesture takes about a second", **SECONDS)
     keep_share: float = param(0.6, "-", "part of the discs that must fit before the next level is not tried", **SHARE)
     trial: int = param(3, "frames", "sightings until a disc is kept for good", **FRAMES)
     misses: int = param(3, "frames", "a disc on trial is dropped when it is not seen where it should be", **FRAMES)

@@ -33,9 +33,7 @@ class So3State:
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
-    process: Array = field(
-        default_factory=lambda: np.zeros((CORE, CORE))
-    )  # noise of the last prediction, at the first level
+    process: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # of the last prediction, at the first level
     manoeuvre_level: float = 1.0  # factor on the acceleration of a ball left alone that the last step was made at, rms
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says

@@ -456,6 +456,69 @@ def test_a_flick_takes_a_wider_level_and_then_the_quiet_one_again():
     assert all(len(s.discs) <= 26 for s in states)
 
 
+def jerky(rng, seconds, fastest=4.0):
+    """Attitudes and rates at 30 Hz: a new constant acceleration every 0.1 to 0.5 s, after a rest of a second."""
+    stamps, rates = [0.0, 1.0], [np.zeros(3), np.zeros(3)]
+    while stamps[-1] < seconds:
+        axis = rng.normal(size=3)
+        stamps.append(stamps[-1] + rng.uniform(0.1, 0.5))
+        rates.append(rng.uniform(0.0, fastest) * axis / np.linalg.norm(axis))
+    fine = np.arange(0.0, seconds, DT / 20.0)
+    rate = np.stack([np.interp(fine, stamps, np.array(rates)[:, i]) for i in range(3)], axis=1)
+    R, attitudes = np.eye(3), []
+    for k in range(len(fine)):
+        if k % 20 == 0:
+            attitudes.append(R)
+        R = exp(0.5 * (rate[k] + rate[min(k + 1, len(fine) - 1)]) * DT / 20.0) @ R
+    return np.array(attitudes), rate[::20][: len(attitudes)]
+
+
+def test_the_rate_of_a_jerky_ball_is_as_certain_as_it_says():
+    """Twenty balls whose acceleration makes steps of 20 rad/s²: rate error and NEES."""
+    squares, nees, attitude = [], [], []
+    for seed in range(20):
+        rng = np.random.default_rng([5, seed])
+        R, w = jerky(rng, 6.0)
+        state = FILTER.initial(0.0, R[0])
+        for k in range(len(R)):
+            state = FILTER.update(FILTER.predict(state, k * DT), points_at(seen(R[k]), rng=rng))
+            if k > 30:
+                e = state.rate - w[k]
+                squares.append(e @ e)
+                nees.append(e @ np.linalg.solve(state.covariance[3:, 3:], e))
+                turn = R[k] @ state.attitude.T
+                attitude.append(np.arccos(min((np.trace(turn) - 1.0) / 2.0, 1.0)))
+    assert np.degrees(np.sqrt(np.mean(squares))) < 4.5
+    assert 1.5 < np.mean(nees) < 5.0
+    assert np.sqrt(np.mean(np.square(attitude))) < 5e-4
+
+
+def test_a_steady_push_leaves_no_error_behind():
+    """A ball that speeds up evenly for half a second: the acceleration lasts, so that the rate does not lag."""
+    rng, push = np.random.default_rng(6), np.array([6.0, -3.0, 2.0])
+    state = FILTER.initial(0.0, np.eye(3))
+    for k in range(45):
+        t = max(k * DT - 1.0, 0.0)
+        R = exp(0.5 * t * t * push)
+        state = FILTER.update(FILTER.predict(state, k * DT), points_at(seen(R), rng=rng))
+        if t > 0.15:
+            assert np.linalg.norm(state.rate - t * push) < np.radians(2.0)
+    assert np.linalg.norm(state.acceleration - push) < 1.0
+
+
+def test_an_unseen_push_fades():
+    """Nothing tells how long a push lasts that is not seen: on the average as long as `persistence`."""
+    start = FILTER.initial(0.0, np.eye(3))
+    state = replace(start, acceleration=np.array([5.0, 0.0, 0.0]))
+    for k in range(1, 31):
+        state = FILTER.update(FILTER.predict(state, k * DT), points_at(np.zeros((0, 3))))
+    at_once = FILTER.predict(replace(start, acceleration=np.array([5.0, 0.0, 0.0])), 1.0)
+    t, tau = 1.0, SETTINGS.persistence
+    assert_allclose(state.rate[0], 5.0 * tau * (1.0 - np.exp(-t / tau)), rtol=1e-9)
+    assert_allclose(state.acceleration[0], 5.0 * np.exp(-t / tau), rtol=1e-9)
+    assert abs(at_once.rate[0] - state.rate[0]) < 0.01
+
+
 def test_spurious_points_do_not_raise_the_level():
     """As many false points as hidden discs: nothing fits better at a wider level, so the quiet one must stay."""
     rng = np.random.default_rng(14)
