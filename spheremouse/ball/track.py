@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball import classic
-from spheremouse.ball.build import begin, build
+from spheremouse.ball.build import begin, build, colours_of
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
@@ -23,6 +23,7 @@ from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
 from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
+from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.follow import follow, look
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.lifted import check_bearings
@@ -102,7 +103,9 @@ def step(
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:
-    """Will the targets be looked for in the frame of `stamp`? Then it should come in colour; grey does otherwise."""
+    """Should the frame of `stamp` come in colour? For discs that need it, or for the targets; grey does otherwise."""
+    if colours.wants_colour(state, stamp):
+        return True
     watch = state.watch
     if watch is None:
         return False
@@ -138,20 +141,23 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     if settings.so3.levels != tracker.settings.so3.levels and not anew.classic:
         state = replace(state, filter=replace(state.filter, weights=np.zeros(0)))  # they were those of other levels
-    return replace(state, rebuilt=None, search=SearchState()), anew
+    seen = colours_of(settings, state.colours)
+    return replace(state, rebuilt=None, search=SearchState(), colours=seen), anew
 
 
 def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
 ) -> Step[TrackState]:
     """One frame of a camera that stands."""
+    state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
     if tracker.classic:
-        detections, search = tracker.detector.detect(frame.image), state.search
+        detections, search = colours.seen_in(tracker.detector, state.colours).detect(frame.image), state.search
     else:
         detections, search = look(state, frame, tracker, predicted)
     detected()
-    return advance(state, frame.stamp, detections, tracker, predicted, search)
+    done = advance(state, frame.stamp, detections, tracker, predicted, search)
+    return colours.refined(done, frame, tracker)
 
 
 def _check_camera(

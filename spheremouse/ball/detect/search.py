@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.fit import FitSettings
+from spheremouse.ball.detect.projection import sample_weights_of
 from spheremouse.geometry.rotation import Array
 
 _STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
@@ -94,7 +95,6 @@ def places_to_look_at(
     found = np.empty((_MOST, 2))
     n = _candidates_on(
         image.reshape(-1),
-        image.shape[2],
         mask,
         where.places[shift],
         where.sides[shift],
@@ -106,7 +106,7 @@ def places_to_look_at(
         _REJECTED * where.reduction,
         0.5 * fit.contrast,
         2.5 * noise,
-        fit.light,
+        sample_weights_of(fit.projection, image.shape[2]),
         radius,
         where.reduction,
         found,
@@ -144,9 +144,20 @@ def _near(x, y, places, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def _settle(flat, channels, first, invert, mask, level, reach, reduction, place):
+def _value(flat, at, weights):
+    """Projection of one pixel whose first channel is at `at`."""
+    total = np.float32(0.0)
+    for k in range(len(weights)):
+        if weights[k] != 0.0:
+            total += weights[k] * np.float32(flat[at + np.uint64(k)])
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _settle(flat, weights, mask, level, reach, reduction, place):
     """Two steps of the mean shift towards what is darker than `level`, on the ball, within `reach` px."""
     h, w = mask.shape
+    channels = len(weights)
     for _ in range(2):
         left, right = max(int(place[0] - reach), 0), min(int(place[0] + reach) + 1, w - 1)
         top, bottom = max(int(place[1] - reach), 0), min(int(place[1] + reach) + 1, h - 1)
@@ -155,7 +166,7 @@ def _settle(flat, channels, first, invert, mask, level, reach, reduction, place)
             dy = y - place[1]
             for x in range(left, right + 1, reduction):
                 at = y * w + x
-                g = np.float32(flat[np.uint64(at * channels + first)] ^ invert)
+                g = _value(flat, np.uint64(at * channels), weights)
                 dx = x - place[0]
                 if g < level and mask[np.uint64(y), np.uint64(x)] > 0 and dx * dx + dy * dy < reach * reach:
                     total += level - g
@@ -168,37 +179,37 @@ def _settle(flat, channels, first, invert, mask, level, reach, reduction, place)
 
 @njit(cache=True, error_model="numpy")
 def _candidates_on(
-    flat, channels, mask, places, sides, offsets, turn, known, known_radius, rejected, rejected_radius, contrast,
-    least, light, radius, reduction, found,
+    flat, mask, places, sides, offsets, turn, known, known_radius, rejected, rejected_radius, contrast,
+    least, weights, radius, reduction, found,
 ):  # fmt: skip
-    """`flat` is the image, (h w c,); of colours the green one is looked at, which weighs most in grey."""
+    """`flat` is the image, (h w c,), `weights` those of its channels, (c,)."""
     n = len(places)
     count = 0
     start = (turn * 997) % n if n else 0  # another one is the first each time: the limit falls on none for long
-    keep, below = np.int32(256.0 * (1.0 - contrast)), np.int32(least)
-    invert = np.uint8(255) if light else np.uint8(0)
+    keep, below = np.float32(1.0 - contrast), np.float32(least)
+    channels = len(weights)
     width = mask.shape[1]
     steps = np.empty(8, dtype=np.int64)
     for side in range(8):
         steps[side] = (offsets[side, 1] * width + offsets[side, 0]) * channels
-    first = 1 if channels == 3 else 0
     s0, s1 = np.uint64(steps[0]), np.uint64(steps[1])
     for part in range(2):
         for i in range(start if part == 0 else 0, n if part == 0 else start):
-            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels) + np.uint64(first)
+            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels)
             bits = sides[i]
-            g = np.int32(flat[at] ^ invert)
+            g = _value(flat, at, weights)
             # two neighbours part most of the ball from the rest
             if bits & 3 == 3:
-                beside = max(np.int32(flat[at + s0] ^ invert), np.int32(flat[at + s1] ^ invert))
-                if not 256 * g < keep * beside:
+                beside = max(_value(flat, at + s0, weights), _value(flat, at + s1, weights))
+                if not (g < keep * beside and keep * g < beside):
                     continue
             brighter, darker = 0, 0
             ball = 0.0
             for side in range(8):
                 if (bits >> side) & 1:
-                    beside = np.int32(flat[at + np.uint64(steps[side])] ^ invert)
-                    if 256 * g < keep * beside and g < beside - below:
+                    beside = _value(flat, at + np.uint64(steps[side]), weights)
+                    # by a part of the lighter of the two, whatever the signs of the weights
+                    if g < keep * beside and keep * g < beside and g < beside - below:
                         brighter += 1
                         ball += beside
                     else:
@@ -214,7 +225,7 @@ def _candidates_on(
                 continue
             found[count, 0], found[count, 1] = x, y
             level = np.float32(0.5 * (g + ball / brighter))
-            _settle(flat, channels, first, invert, mask, level, radius + reduction, reduction, found[count])
+            _settle(flat, weights, mask, level, radius + reduction, reduction, found[count])
             x, y = found[count, 0], found[count, 1]
             if _near(x, y, known, known_radius) or _near(x, y, rejected, rejected_radius):
                 continue

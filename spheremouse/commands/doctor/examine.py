@@ -12,6 +12,7 @@ import numpy as np
 
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.fit_model import noise_of
+from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.commands.doctor import (
     computer,
@@ -191,7 +192,9 @@ def _noise(footage: Footage, seen: "sights.Sight | None") -> float:
     if seen is not None:
         return float(np.median([seen.detector.noise(v.image) for v in footage.views]))
     images = [v.image if v.image.ndim == 3 else v.image[:, :, None] for v in footage.views]
-    return float(np.median([noise_of(i, 0, i.shape[0], 0, i.shape[1]) for i in images]))
+    return float(
+        np.median([noise_of(i, sample_weights_of(GREY, i.shape[2]), 0, i.shape[0], 0, i.shape[1]) for i in images])
+    )
 
 
 def _exposure(plan: Plan, footage: Footage, rig: Rig) -> float | None:

@@ -9,6 +9,7 @@ from numpy.testing import assert_array_equal
 
 from spheremouse.ball.detect.appearance import Appearance, appearance
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.ball.detect.projection import GREY, NEGATIVE
 from spheremouse.ball.detect.search import SearchState, places_to_look_at, went
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -72,8 +73,8 @@ def photo(image, noise=NOISE, seed=0):
     return np.clip(np.rint(image + noise * rng.normal(size=image.shape)), 0, 255).astype(np.uint8)[:, :, None]
 
 
-def look(image, state, known=NOWHERE, detector: DiscDetector = PLAIN, light=False):
-    fit = replace(detector.view.fit, light=light)
+def look(image, state, known=NOWHERE, detector: DiscDetector = PLAIN, projection=GREY):
+    fit = replace(detector.view.fit, projection=projection)
     radius = 0.5 * detector.diameter
     return places_to_look_at(image, detector.view.mask, detector.lattice, state, known, fit, radius, NOISE)
 
@@ -182,9 +183,9 @@ def test_known_places_are_left_out():
 def test_light_discs_on_a_dark_ball_are_the_negative():
     centres, shapes = random_discs(np.random.default_rng(5), 4, PLAIN, 30.0)
     image = photo(drawn(centres, shapes))
-    assert_array_equal(four_turns(255 - image, light=True), four_turns(image))
-    assert len(four_turns(image)) >= 4
-    assert distances(four_turns(image, light=True), centres).min() > 3.0
+    assert distances(four_turns(255 - image, projection=NEGATIVE), centres).max() < 1.0
+    assert distances(four_turns(255 - image), centres).min() > 3.0
+    assert distances(four_turns(image, projection=NEGATIVE), centres).min() > 3.0
 
 
 def test_colour_and_grey_agree():
