@@ -22,8 +22,8 @@ from spheremouse.ball.events import BallLost, CameraMoved, TargetsHidden, Why
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
-from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases import colours
+from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases.follow import follow, look
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.lifted import check_bearings

@@ -219,7 +219,7 @@ def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
     What is expected of the slopes and the size comes in as observations: a ball's shade slopes little, and what does
     more is a strut; gloss slopes the contrast; a sliver cannot tell size from contrast, there the known size decides.
     """
-    shade = (scale / (_SLOPE * max(lighter(x[0], x[3]), 1.0))) ** 2
+    shade = (scale / (_SLOPE * max(abs(x[0]), 1.0))) ** 2
     gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
     hold = (scale / size_sigma) ** 2
     for k in range(1, 3):

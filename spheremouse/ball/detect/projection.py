@@ -87,19 +87,21 @@ def fisher_projection(image: Image, found: Detections, diameter: float) -> Proje
     """The projection that parts the discs `found` in a picture (h, w, 3) from the ball around them best.
 
     Fisher's linear discriminant: w = S^-1 (m_ball - m_disc), with the covariance S of the pixels within disc and ball,
-    each about its own mean, so that shade from one side of the ball to the other does not count. `diameter` px is that
+    each about a plane of its own, since the fit takes care of a slope of the light. `diameter` px is that
     of a disc seen from in front. None where fewer than three discs face the camera.
     """
     difference, within, freedom, discs = np.zeros(3), np.zeros((3, 3)), 0, 0
     facing = found.take(found.area > _FACING * 0.25 * np.pi * diameter**2)
     for centre, area in zip(facing.centre, facing.area, strict=True):
-        core, around = _pixels(image, centre, float(np.sqrt(area / np.pi)))
-        if min(len(core), len(around)) < _FEWEST_PIXELS:
+        parts = _pixels(image, centre, float(np.sqrt(area / np.pi)))
+        if min(len(part) for part, _ in parts) < _FEWEST_PIXELS:
             continue
-        difference += np.median(around, axis=0) - np.median(core, axis=0)
-        for part in (core, around):
-            within += np.cov(part.T) * (len(part) - 1)
-            freedom += len(part) - 1
+        core, around = (np.median(part, axis=0) for part, _ in parts)
+        difference += around - core
+        for part, columns in parts:
+            residual = _about_a_plane(part, columns)
+            within += residual.T @ residual
+            freedom += len(residual)
         discs += 1
     if discs < _FEWEST_DISCS or not difference.any():
         return None
@@ -107,12 +109,24 @@ def fisher_projection(image: Image, found: Detections, diameter: float) -> Proje
     return normalised(np.linalg.solve(within / freedom + np.eye(3) / 12.0, difference))
 
 
-def _pixels(image: Image, centre: Array, radius: float) -> tuple[Array, Array]:
-    """Colours of a disc, (n, 3), and of the ball around it, (m, 3)."""
+def _about_a_plane(part: Array, columns: Array) -> Array:
+    """What is left of colours, (n, 3), beside a plane, (m, 3), without pixels of something else."""
+    for _ in range(2):
+        residual = part - columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
+        spread = 1.4826 * np.median(np.abs(residual), axis=0)
+        alike = np.all(np.abs(residual) <= 3.0 * spread + 1.0, axis=1)
+        part, columns, residual = part[alike], columns[alike], residual[alike]
+    return residual
+
+
+def _pixels(image: Image, centre: Array, radius: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Colours, (n, 3), and columns 1, x, y of their places, (n, 3), of a disc, and of the ball around it."""
     half = int(np.ceil(_AROUND[1] * radius)) + 1
     u, v = round(centre[0]), round(centre[1])
     top, left = max(v - half, 0), max(u - half, 0)
     patch = image[top : v + half + 1, left : u + half + 1].astype(float)
     y, x = np.mgrid[top : top + patch.shape[0], left : left + patch.shape[1]]
     distance = np.hypot(x - centre[0], y - centre[1]) / radius
-    return patch[distance < _CORE], patch[(distance > _AROUND[0]) & (distance < _AROUND[1])]
+    columns = np.stack([np.ones(x.shape), x - centre[0], y - centre[1]], axis=2)
+    core, around = distance < _CORE, (distance > _AROUND[0]) & (distance < _AROUND[1])
+    return (patch[core], columns[core]), (patch[around], columns[around])

@@ -1,8 +1,8 @@
 """The projection of colours found in which discs are darker than the ball, while nothing is known to turn with it.
 
-Each candidate is tried on one picture; what counts is the information that its fits give of the discs' centres. A fit of
-a stain or a highlight gives little. Once the ball has turned and three discs are known, Fisher's discriminant of their
-pixels takes its place. From then on it is fixed.
+Each candidate is tried on one picture; what counts is the information that its fits give of the discs' centres. A fit
+of a stain or a highlight gives little. Once the ball has turned and three discs are known, Fisher's discriminant of
+their pixels takes its place. From then on it is fixed.
 """
 
 from dataclasses import replace
