@@ -106,17 +106,17 @@ def fisher_projection(image: Image, found: Detections, diameter: float) -> Proje
     if discs < _FEWEST_DISCS or not difference.any():
         return None
     # a twelfth of a square grey value is what rounding leaves: the least that any channel has
-    return normalised(np.linalg.solve(within / freedom + np.eye(3) / 12.0, difference))
+    weights = np.linalg.solve(within / freedom + np.eye(3) / 12.0, difference)
+    return normalised(np.asarray(weights, dtype=np.float64))
 
 
 def _about_a_plane(part: Array, columns: Array) -> Array:
     """What is left of colours, (n, 3), beside a plane, (m, 3), without pixels of something else."""
-    for _ in range(2):
-        residual = part - columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
-        spread = 1.4826 * np.median(np.abs(residual), axis=0)
-        alike = np.all(np.abs(residual) <= 3.0 * spread + 1.0, axis=1)
-        part, columns, residual = part[alike], columns[alike], residual[alike]
-    return residual
+    residual = part - columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
+    spread = 1.4826 * np.median(np.abs(residual), axis=0)
+    alike = np.all(np.abs(residual) <= 3.0 * spread + 1.0, axis=1)  # a grey value, for there may be no noise at all
+    part, columns = part[alike], columns[alike]
+    return part - columns @ np.linalg.lstsq(columns, part, rcond=None)[0]
 
 
 def _pixels(image: Image, centre: Array, radius: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
