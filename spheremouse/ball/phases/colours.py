@@ -12,7 +12,7 @@ from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.projection import fisher_projection
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.events import DiscColours
-from spheremouse.ball.state import Colours, Detector, Learning, Lost, Recognising, Tracker, Tracking, TrackState
+from spheremouse.ball.state import Colours, Detector, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame, Step
 
 _ENOUGH = 1.0  # discs, from which the wait until the next trial grows
@@ -30,7 +30,7 @@ def is_trial_due(state: TrackState, stamp: float) -> bool:
     colours, phase = state.colours, state.phase
     if colours.fixed or isinstance(phase, Tracking) or colours.tried <= stamp < colours.tried + colours.wait:
         return False
-    if isinstance(phase, Lost):
+    if isinstance(phase, Lost) and isinstance(phase.last, Tracking):
         return phase.in_view_since is None and stamp - state.confirmed_at > _LOST
     return True
 
@@ -50,13 +50,21 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     if projection == before.projection:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
         return replace(state, colours=before._replace(tried=frame.stamp, wait=wait))
-    phase = state.phase
-    if isinstance(phase, Learning):
-        phase = Learning(phase.found)
-    elif isinstance(phase, Recognising):
-        phase = Recognising()
     colours = Colours(projection, tried=frame.stamp, wait=_WAIT[0])
-    return replace(state, colours=colours, phase=phase, search=SearchState())
+    return replace(state, colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
+
+
+def _in_other_colours(phase: Phase) -> Phase:
+    """The phase without what was seen in the colours before."""
+    match phase:
+        case Learning(found):
+            return Learning(found)
+        case Lost(Learning()):
+            return Learning()
+        case Recognising():
+            return Recognising()
+        case _:
+            return phase
 
 
 def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[TrackState]:
