@@ -69,6 +69,14 @@ def sample_weights_of(projection: Projection, channels: int) -> NDArray[np.float
     return weights_of(projection, channels)
 
 
+@lru_cache(maxsize=64)
+def sampled_channel(projection: Projection, channels: int) -> tuple[int, int] | None:
+    """The only channel that `sample_weights_of` gives a weight, and its sign; None where it gives several one."""
+    weights = sample_weights_of(projection, channels)
+    used = np.flatnonzero(weights)
+    return (int(used[0]), int(np.sign(weights[used[0]]))) if len(used) == 1 else None
+
+
 def offset_of(projection: Projection, channels: int) -> float:
     """Value of no light in `projected`: what makes the least value 0."""
     return -255.0 * float(np.minimum(weights_of(projection, channels), 0.0).sum())

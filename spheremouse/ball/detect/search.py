@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.fit import FitSettings
-from spheremouse.ball.detect.projection import sample_weights_of
+from spheremouse.ball.detect.projection import Projection, offset_of, projected, sampled_channel
 from spheremouse.geometry.rotation import Array
 
 _STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
@@ -95,10 +95,15 @@ def places_to_look_at(
 
     The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `noise` of a pixel.
     """
+    plane, first, sign, dark = _samples(image, fit.projection)
     shift = state.turn % len(_SHIFTS)
     found = np.empty((_MOST, 2))
     n = _candidates_on(
-        image.reshape(-1),
+        plane.reshape(-1),
+        plane.shape[2],
+        first,
+        sign,
+        dark,
         mask,
         where.places[shift],
         where.sides[shift],
@@ -110,12 +115,22 @@ def places_to_look_at(
         _REJECTED * where.reduction,
         0.5 * fit.contrast,
         2.5 * noise,
-        sample_weights_of(fit.projection, image.shape[2]),
         radius,
         where.reduction,
         found,
     )
     return found[:n]
+
+
+def _samples(image: Image, projection: Projection) -> tuple[Image, int, int, int]:
+    """A picture, (h, w, c), its channel and the sign that are the projection, and the value of no light.
+
+    A picture of its own is made where more than one channel counts.
+    """
+    one = sampled_channel(projection, image.shape[2])
+    if one is not None:
+        return image, *one, 0
+    return projected(image, projection)[:, :, None], 0, 1, round(offset_of(projection, image.shape[2]))
 
 
 def went(state: SearchState, rejected: Array, reduction: int) -> SearchState:
@@ -148,20 +163,9 @@ def _near(x, y, places, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def _value(flat, at, weights):
-    """Projection of one pixel whose first channel is at `at`."""
-    total = np.float32(0.0)
-    for k in range(len(weights)):
-        if weights[k] != 0.0:
-            total += weights[k] * np.float32(flat[at + np.uint64(k)])
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def _settle(flat, weights, mask, level, reach, reduction, place):
+def _settle(flat, channels, first, sign, dark, mask, level, reach, reduction, place):
     """Two steps of the mean shift towards what is darker than `level`, on the ball, within `reach` px."""
     h, w = mask.shape
-    channels = len(weights)
     for _ in range(2):
         left, right = max(int(place[0] - reach), 0), min(int(place[0] + reach) + 1, w - 1)
         top, bottom = max(int(place[1] - reach), 0), min(int(place[1] + reach) + 1, h - 1)
@@ -170,7 +174,7 @@ def _settle(flat, weights, mask, level, reach, reduction, place):
             dy = y - place[1]
             for x in range(left, right + 1, reduction):
                 at = y * w + x
-                g = _value(flat, np.uint64(at * channels), weights)
+                g = np.float32(sign * np.int32(flat[np.uint64(at * channels + first)]) - dark)
                 dx = x - place[0]
                 if g < level and mask[np.uint64(y), np.uint64(x)] > 0 and dx * dx + dy * dy < reach * reach:
                     total += level - g
@@ -183,15 +187,14 @@ def _settle(flat, weights, mask, level, reach, reduction, place):
 
 @njit(cache=True, error_model="numpy")
 def _candidates_on(
-    flat, mask, places, sides, offsets, turn, known, known_radius, rejected, rejected_radius, contrast,
-    least, weights, radius, reduction, found,
+    flat, channels, first, sign, dark, mask, places, sides, offsets, turn, known, known_radius, rejected,
+    rejected_radius, contrast, least, radius, reduction, found,
 ):  # fmt: skip
-    """`flat` is the image, (h w c,), `weights` those of its channels, (c,)."""
+    """`flat` is the image, (h w c,). Of a pixel, `sign` times its channel `first`, less `dark`, is the projection."""
     n = len(places)
     count = 0
     start = (turn * 997) % n if n else 0  # another one is the first each time: the limit falls on none for long
-    keep, below = np.float32(1.0 - contrast), np.float32(least)
-    channels = len(weights)
+    keep, below = np.int32(256.0 * (1.0 - contrast)), np.int32(least)
     width = mask.shape[1]
     steps = np.empty(8, dtype=np.int64)
     for side in range(8):
@@ -199,21 +202,21 @@ def _candidates_on(
     s0, s1 = np.uint64(steps[0]), np.uint64(steps[1])
     for part in range(2):
         for i in range(start if part == 0 else 0, n if part == 0 else start):
-            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels)
+            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels) + np.uint64(first)
             bits = sides[i]
-            g = _value(flat, at, weights)
+            g = sign * np.int32(flat[at]) - dark
             # two neighbours part most of the ball from the rest
             if bits & 3 == 3:
-                beside = max(_value(flat, at + s0, weights), _value(flat, at + s1, weights))
-                if not (g < keep * beside and keep * g < beside):
+                beside = max(sign * np.int32(flat[at + s0]), sign * np.int32(flat[at + s1])) - dark
+                # by a part of the lighter of the two, whatever their signs
+                if not (256 * g < keep * beside and keep * g < 256 * beside):
                     continue
             brighter, darker = 0, 0
             ball = 0.0
             for side in range(8):
                 if (bits >> side) & 1:
-                    beside = _value(flat, at + np.uint64(steps[side]), weights)
-                    # by a part of the lighter of the two, whatever the signs of the weights
-                    if g < keep * beside and keep * g < beside and g < beside - below:
+                    beside = sign * np.int32(flat[at + np.uint64(steps[side])]) - dark
+                    if 256 * g < keep * beside and keep * g < 256 * beside and g < beside - below:
                         brighter += 1
                         ball += beside
                     else:
@@ -229,7 +232,7 @@ def _candidates_on(
                 continue
             found[count, 0], found[count, 1] = x, y
             level = np.float32(0.5 * (g + ball / brighter))
-            _settle(flat, weights, mask, level, radius + reduction, reduction, found[count])
+            _settle(flat, channels, first, sign, dark, mask, level, radius + reduction, reduction, found[count])
             x, y = found[count, 0], found[count, 1]
             if _near(x, y, known, known_radius) or _near(x, y, rejected, rejected_radius):
                 continue
