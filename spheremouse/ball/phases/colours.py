@@ -76,7 +76,7 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
     if not (isinstance(detector, DiscDetector) and isinstance(state.phase, Tracking) and state.confirmed):
         return done
     used: Any = state.points.index[state.filter.used]
-    fisher = fisher_projection(frame.image, state.detections.take(used), detector.diameter)
+    fisher = fisher_projection(frame.image, detector.view.mask, state.detections.take(used), detector.diameter)
     if fisher is None:
         return done
     before, after = (

@@ -18,6 +18,7 @@ from spheremouse.commands.doctor.timing import steadiness
 from spheremouse.geometry.rotation import Array
 
 _CLIPPED = 254  # grey value: the last two hold what is blown out, whatever the noise
+_LIGHT_DISCS = 99.8  # per cent of the ball that are darker than light discs: eight of 2 cm on 1.2 m cover 0.2 %
 _BRIGHTEST = 95.0  # per cent of the picture that are darker
 _MUCH = 0.1  # of the ball blown out: one disc in ten has a rim whose bright side is cut off
 _PRINT = 0.8  # contrast of black print on white
@@ -54,7 +55,7 @@ def brightness(
     }
     darken = "a shorter exposure (camera.exposure_s), less gain, or a lamp less"
     lighten = "more light on the ball; then gain, then exposure"
-    level = middle if projection == GREY else float(np.percentile(values, _BRIGHTEST))
+    level = middle if projection == GREY else float(np.percentile(values, _LIGHT_DISCS))
     if clipped > 0.5 and mask is not None:
         return wrong(name, f"{text}: most discs have no true rim", darken, **numbers)
     if mask is not None and level < hopeless:
