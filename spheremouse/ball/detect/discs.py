@@ -170,7 +170,7 @@ class DiscDetector:
         fit, radius = self.view.fit, 0.5 * self.diameter
         noise = state.noise or self.noise(image)
         colours = _with_channels(image)
-        places = places_to_look_at(colours, self.lattice.clear, self.lattice, state, known, fit, radius, noise)
+        places = places_to_look_at(colours, self.view.mask, self.lattice, state, known, fit, radius, noise)
         if len(places) == 0:
             return no_detections(), went(state, places, self.lattice.reduction)
         directions, index = directions_at(places, self.rig, self.pose)

@@ -7,7 +7,6 @@ the first. Places that turned out to be none are left out for a while, so that s
 
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from spheremouse.geometry.rotation import Array
 _STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
 _SHIFTS = ((0, 0), (1, 4), (0, 2), (1, 6))  # of the lattice, frame after frame: together every other row
 _MARGIN = 2.5  # px beyond a disc's radius at which the ball is looked at: blur, and a sample off the centre
-_LIMB = 1  # px within the mask whose pixels mix with the room: no neighbour is looked at there
 _MOST = 4  # candidates in one frame: more come in the next
 _REJECTED = 2.5  # px of the coarse picture, around a place that turned out to be no disc
 _WAIT = (32, 512)  # frames for which such a place is left out, at first and at most: doubled each time
@@ -35,7 +33,6 @@ class Lattice:
     sides: tuple[NDArray[np.uint8], ...]  # of each shift (n,): bits of the neighbours that lie on the ball
     offsets: NDArray[np.int32]  # (8, 2) px to the neighbours, opposite ones follow each other
     reduction: int  # a large picture is looked at so much more coarsely
-    clear: Image  # (h, w) 255 on the ball, without the pixels at its limb that mix with the room
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +58,6 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
     d = 0.5 * diameter + _MARGIN * reduction
     angles = np.pi / 4 * np.array([0, 4, 2, 6, 1, 5, 3, 7])
     offsets = np.rint(d * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.int32)
-    clear = cv2.erode(mask, np.ones((2 * _LIMB + 1, 2 * _LIMB + 1), np.uint8))
     places, sides = [], []
     for dx, dy in _SHIFTS:
         parts = []
@@ -74,11 +70,11 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
         for k, (ox, oy) in enumerate(offsets):
             u, v = at[:, 0] + ox, at[:, 1] + oy
             inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
-            inside[inside] = clear[v[inside], u[inside]] > 0
+            inside[inside] = mask[v[inside], u[inside]] > 0
             bits |= (inside.astype(np.uint8) << k).astype(np.uint8)
         places.append(at)
         sides.append(bits)
-    return Lattice(tuple(places), tuple(sides), offsets, reduction, clear)
+    return Lattice(tuple(places), tuple(sides), offsets, reduction)
 
 
 def places_to_look_at(
