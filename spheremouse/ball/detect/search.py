@@ -1,12 +1,14 @@
 """Unknown discs looked for while the known ones are followed: a lattice of samples over the ball, a part in each frame.
 
 A sample is a candidate where it is darker than the ball around it, on nearly all sides at a little more than a disc's
-radius. Four frames, each with a shifted lattice, see every disc that is large enough; one of ordinary size is met in
-the first. Places that turned out to be none are left out for a while, so that struts cost nothing.
+radius, and along the limb on both: there a disc ends, and the blur of the limb does not. Four frames, each with a
+shifted lattice, see every disc that is large enough; one of ordinary size is met in the first. Places that turned out
+to be none are left out for a while, so that struts cost nothing.
 """
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -31,6 +33,7 @@ class Lattice:
 
     places: tuple[NDArray[np.int32], ...]  # of each shift (n, 2): column and row, px, on the ball
     sides: tuple[NDArray[np.uint8], ...]  # of each shift (n,): bits of the neighbours that lie on the ball
+    along: tuple[NDArray[np.int32], ...]  # of each shift (n, 2, 2) px to both sides along the limb; 0 away from it
     offsets: NDArray[np.int32]  # (8, 2) px to the neighbours, opposite ones follow each other
     reduction: int  # a large picture is looked at so much more coarsely
 
@@ -58,7 +61,8 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
     d = 0.5 * diameter + _MARGIN * reduction
     angles = np.pi / 4 * np.array([0, 4, 2, 6, 1, 5, 3, 7])
     offsets = np.rint(d * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.int32)
-    places, sides = [], []
+    places, sides, along = [], [], []
+    limb = _Limb(mask)
     for dx, dy in _SHIFTS:
         parts = []
         for step, part in ((reduction, ~thin), (1, thin)):
@@ -74,7 +78,33 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
             bits |= (inside.astype(np.uint8) << k).astype(np.uint8)
         places.append(at)
         sides.append(bits)
-    return Lattice(tuple(places), tuple(sides), offsets, reduction)
+        along.append(limb.along(at, d))
+    return Lattice(tuple(places), tuple(sides), tuple(along), offsets, reduction)
+
+
+class _Limb:
+    """The edge of a mask, (h, w), as seen from within."""
+
+    def __init__(self, mask: Image) -> None:
+        depth = cv2.distanceTransform(cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 5)
+        self._depth = depth[1:-1, 1:-1]  # px from the edge
+        smooth = cv2.GaussianBlur(self._depth, (0, 0), 3.0)
+        self._inward = np.stack([cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)], axis=2)
+
+    def along(self, at: NDArray[np.int32], distance: float) -> NDArray[np.int32]:
+        """Offsets, (n, 2, 2) px, from pixels `at`, (n, 2), to two `distance` px along the edge, as deep; 0 far off."""
+        depth, inward = self._depth[at[:, 1], at[:, 0]], self._inward[at[:, 1], at[:, 0]]
+        inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
+        offsets = np.zeros((len(at), 2, 2), dtype=np.int32)
+        for k, sign in enumerate((1.0, -1.0)):
+            there = at + sign * distance * inward[:, ::-1] * (1.0, -1.0)
+            h, w = self._depth.shape
+            x, y = (np.clip(np.rint(there[:, j]).astype(int), 0, n - 1) for j, n in ((0, w), (1, h)))
+            there += (depth - self._depth[y, x])[:, None] * inward  # an edge is bent
+            offsets[:, k] = np.rint(there) - at
+        inside = (at[:, None] + offsets >= 0) & (at[:, None] + offsets < (self._depth.shape[1], self._depth.shape[0]))
+        offsets[(depth > distance) | ~inside.all(axis=(1, 2))] = 0
+        return offsets
 
 
 def places_to_look_at(
@@ -103,6 +133,7 @@ def places_to_look_at(
         mask,
         where.places[shift],
         where.sides[shift],
+        where.along[shift],
         where.offsets,
         state.turn,
         known,
@@ -183,7 +214,7 @@ def _settle(flat, channels, first, sign, dark, mask, level, reach, reduction, pl
 
 @njit(cache=True, error_model="numpy")
 def _candidates_on(
-    flat, channels, first, sign, dark, mask, places, sides, offsets, turn, known, known_radius, rejected,
+    flat, channels, first, sign, dark, mask, places, sides, along, offsets, turn, known, known_radius, rejected,
     rejected_radius, contrast, least, radius, reduction, found,
 ):  # fmt: skip
     """`flat` is the image, (h w c,). Of a pixel, `sign` times its channel `first`, less `dark`, is the projection."""
@@ -220,6 +251,16 @@ def _candidates_on(
                         if darker > 1:
                             break
             if darker > 1 or brighter < 4:
+                continue
+            # a disc ends along the limb, the limb's own blur does not
+            ends = True
+            for side in range(2):
+                ox, oy = along[i, side, 0], along[i, side, 1]
+                if ox != 0 or oy != 0:
+                    step = (np.int64(oy) * width + np.int64(ox)) * channels
+                    beside = sign * np.int32(flat[at + np.uint64(step)]) - dark
+                    ends = ends and 256 * g < keep * beside and keep * g < 256 * beside and g < beside - below
+            if not ends:
                 continue
             x, y = float(places[i, 0]), float(places[i, 1])
             if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
