@@ -9,6 +9,7 @@ from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.blobs import BlobDetector
 from spheremouse.ball.detect.detections import no_detections
 from spheremouse.ball.detect.discs import disc_detector
+from spheremouse.ball.detect.projection import GREY
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import Filter
 from spheremouse.ball.filters.euler import ConstantDiscsFilter, StateDiscsFilter
@@ -17,6 +18,7 @@ from spheremouse.ball.filters.so3_state import with_map
 from spheremouse.ball.rig import Rig, considered_covariance
 from spheremouse.ball.settings import Settings
 from spheremouse.ball.state import (
+    Colours,
     Detector,
     Learning,
     Recognising,
@@ -71,6 +73,14 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
     return Tracker(settings, rig, pose, detector, stage)
 
 
+def colours_of(settings: Settings, before: Colours) -> Colours:
+    """How discs are told from the ball by new settings: as they fix it, or else as it was found `before`."""
+    fixed = settings.discs.projection
+    if settings.detector != "default":
+        fixed = GREY
+    return before._replace(fixed=False) if fixed is None else Colours(fixed, fixed=True)
+
+
 def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: DiscMap | None = None) -> TrackState:
     """State before the first frame; the ball is at `attitude` (3, 3), by default that of `obj`.
 
@@ -79,9 +89,11 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     """
     R = np.eye(3) if attitude is None else attitude
     start: Any = tracker.filter.initial(stamp, R)
+    colours = colours_of(tracker.settings, Colours())
     saved = known is not None and len(known) >= 3 and not tracker.classic
     if saved and known is not None:
         start = with_map(start, known, _REMEMBERED)
+        colours = colours if colours.fixed else Colours(known.projection, refined=known.projection != GREY)
     return TrackState(
         Recognising() if saved else Learning(),
         start,
@@ -89,5 +101,6 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
         stamp,
         no_detections(),
         no_points(tracker),
+        colours=colours,
         watch=None if tracker.classic else watching.begin(tracker.rig, tracker.pose),
     )

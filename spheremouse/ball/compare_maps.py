@@ -1,6 +1,6 @@
 """Two maps of discs: the same ball? And if so, which of its discs stayed, moved, are gone or new."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,7 @@ def turned(disc_map: DiscMap, rotation: Array) -> DiscMap:
     m = len(disc_map)
     blocks = disc_map.covariance.reshape(m, 2, m, 2)
     covariance = np.einsum("iab,ibjc,jdc->iajd", axes, blocks, axes).reshape(2 * m, 2 * m)
-    return DiscMap(after, covariance, disc_map.sightings)
+    return replace(disc_map, directions=after, covariance=covariance)
 
 
 def in_words(comparison: Comparison) -> str:

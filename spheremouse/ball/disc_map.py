@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.geometry.rotation import Array
 
 
@@ -18,6 +19,7 @@ class DiscMap:
     directions: Array  # (m, 3) unit vectors, ball
     covariance: Array  # (2m, 2m) rad², of errors along rotation.tangent_basis(directions)
     sightings: NDArray[np.intp]  # (m,) frames in which each was seen
+    projection: Projection = GREY  # of colours, in which the discs are darker than the ball
 
     def __len__(self) -> int:
         return len(self.directions)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.camera_watch import Watch
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
+from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.events import Doubt
@@ -72,6 +73,16 @@ class View(NamedTuple):
     def centre(self) -> Array:
         """(n, 2) px of the points."""
         return self.detections.centre[self.points.index]
+
+
+class Colours(NamedTuple):
+    """How the discs are told from the ball."""
+
+    projection: Projection = GREY  # in which they are darker
+    fixed: bool = False  # by the settings
+    tried: float = -np.inf  # s, when all projections were tried last
+    wait: float = 0.5  # s until they are tried again, unless the ball has turned
+    refined: bool = False  # from the pixels of known discs
 
 
 class Recognising(NamedTuple):
@@ -146,6 +157,7 @@ class TrackState(Generic[F]):
     withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked
     lookalikes: Lookalikes = field(default_factory=Lookalikes)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
+    colours: Colours = field(default_factory=Colours)
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: Watch | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was
@@ -178,7 +190,8 @@ def disc_map(state: TrackState) -> DiscMap | None:
     """What is worth keeping of the discs on the ball; None while fewer than four are sure, or for another tracker."""
     if not isinstance(state.filter, So3State) or isinstance(state.phase, Recognising):
         return None
-    return to_map(state.filter, _SURE)
+    found = to_map(state.filter, _SURE)
+    return None if found is None else replace(found, projection=state.colours.projection)
 
 
 def lost(state: TrackState[F], lifted_at: float | None = None) -> TrackState[F]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from spheremouse.ball import camera_watch as watching
 from spheremouse.ball import classic
-from spheremouse.ball.build import begin, build
+from spheremouse.ball.build import begin, build, colours_of
 from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.detections import Detections, no_detections
 from spheremouse.ball.detect.lookalikes import Lookalikes
@@ -30,6 +30,7 @@ from spheremouse.ball.events import (
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, PLACED, So3State, consider
+from spheremouse.ball.phases import colours
 from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases.follow import follow, look
 from spheremouse.ball.phases.learn import learn
@@ -113,7 +114,9 @@ def step(
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:
-    """Will the targets be looked for in the frame of `stamp`? Then it should come in colour; grey does otherwise."""
+    """Should the frame of `stamp` come in colour? For discs that need it, or for the targets; grey does otherwise."""
+    if colours.wants_colour(state, stamp):
+        return True
     watch = state.watch
     if watch is None:
         return False
@@ -149,20 +152,25 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     if settings.so3.levels != tracker.settings.so3.levels and not anew.classic:
         state = replace(state, filter=replace(state.filter, weights=np.zeros(0)))  # they were those of other levels
-    return replace(state, rebuilt=None, search=SearchState()), anew
+    seen = colours_of(settings, state.colours)
+    return replace(state, rebuilt=None, search=SearchState(), colours=seen), anew
 
 
 def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
 ) -> Step[TrackState]:
     """One frame of a camera that stands."""
+    before = state.colours
+    state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
     if tracker.classic:
-        detections, search = tracker.detector.detect(frame.image), state.search
+        detections, search = colours.seen_in(tracker.detector, state.colours).detect(frame.image), state.search
     else:
         detections, search = look(state, frame, tracker, predicted)
     detected()
-    return advance(state, frame.stamp, detections, tracker, predicted, search)
+    done = advance(state, frame.stamp, detections, tracker, predicted, search)
+    done = colours.refined(done, frame, tracker)
+    return done if done.state.colours is before else colours.told(done, before)
 
 
 def _check_camera(

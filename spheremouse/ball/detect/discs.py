@@ -1,7 +1,8 @@
 """The default disc detector: local contrast finds them, a fit of the expected image measures them.
 
-A disc is where the image is darker than its surroundings (grey closing wider than a disc) by a part of them: a ratio,
-so that neither the level of the light nor its slope matters. Around each such place the image is fitted by a sloped
+A projection of the colours (detect.projection) makes discs darker than the ball. A disc is where it is darker than its
+surroundings (grey closing wider than a disc) by a part of the lighter of the two: a ratio, so that neither the level of
+the light nor its slope matters. Around each such place the image is fitted by a sloped
 background minus a blurred ellipse whose shape the geometry gives; centre, size and contrast come out of the fit, with a
 covariance (detect.fit); a fit that lost its rim is none. In use, when the map says where discs must be, each is
 measured in a window of its own, and the whole picture is left alone.
@@ -19,6 +20,15 @@ from spheremouse.ball.detect.appearance import appearance, ball_mask, largest_di
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings
 from spheremouse.ball.detect.fit_model import noise_of, smoothing_kernel
+from spheremouse.ball.detect.projection import (
+    GREY,
+    NEGATIVE,
+    Projection,
+    normalised,
+    offset_of,
+    projected,
+    sample_weights_of,
+)
 from spheremouse.ball.detect.search import Lattice, SearchState, lattice, places_to_look_at, went
 from spheremouse.ball.detect.windows import View, look_at, view_of
 from spheremouse.ball.rig import Rig, directions_at
@@ -37,11 +47,22 @@ _FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pi
 class DiscSettings:
     """What a disc is, beyond its geometry."""
 
-    polarity: Literal["dark", "light"] = param("dark", "-", "discs darker or lighter than the ball")
+    polarity: Literal["auto", "dark", "light"] = param(
+        "auto", "-", "discs darker or lighter than the ball; auto finds that, and the colours that tell them apart"
+    )
+    weights: tuple[float, ...] = param(
+        (),
+        "-",
+        "[blue, green, red]: a sum of colours, so weighted, in which discs are darker than the ball; [] is by polarity",
+        ge=-1,
+        le=1,
+        most=3,
+    )
     contrast: float = param(
         0.25,
         "-",
-        "least darkness against the background; print is 0.8, haze and gloss halve it, its edge is at half of that",
+        "least contrast, a part of the lighter of disc and ball; print is 0.8, haze and gloss halve it, its edge is at "
+        "half of that",
         **PART,
     )
     smoothing: float = param(
@@ -77,9 +98,20 @@ class DiscSettings:
     )
 
     def __post_init__(self) -> None:
+        if self.weights and (len(self.weights) != 3 or not any(self.weights)):
+            raise ValueError("weights: give [blue, green, red], one of them not 0, or [] for those of polarity")
+        if self.weights and self.polarity != "auto":
+            raise ValueError("weights: they say which discs are darker: set polarity to auto, or weights to []")
         for left, top, right, bottom in self.masks:
             if left > right or top > bottom:
                 raise ValueError("masks: give [left, top, right, bottom], left not above right, top not above bottom")
+
+    @property
+    def projection(self) -> Projection | None:
+        """The projection of colours that is set; None: it is to be found."""
+        if self.weights:
+            return normalised(np.array(self.weights))
+        return {"auto": None, "dark": GREY, "light": NEGATIVE}[self.polarity]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +127,17 @@ class DiscDetector:
     lattice: Lattice
     view: View
 
+    def seeing(self, projection: Projection) -> "DiscDetector":
+        """The detector with another projection of colours."""
+        if projection == self.view.fit.projection:
+            return self
+        return replace(self, view=replace(self.view, fit=replace(self.view.fit, projection=projection)))
+
     def detect(self, image: Image) -> Detections:
         """Disc candidates in an image (h, w, 3) BGR or (h, w), look-alikes included."""
         noise = self.noise(image)
-        places, size = self._dark_places(self._grey(image), noise)
+        offset = offset_of(self.view.fit.projection, 1 if image.ndim == 2 else 3)
+        places, size = self._dark_places(self._grey(image), noise, offset)
         directions, index = directions_at(places, self.rig, self.pose)
         seen = appearance(directions, self.rig, self.pose)
         share = size[index] / seen.area
@@ -142,21 +181,19 @@ class DiscDetector:
     def noise(self, image: Image) -> float:
         """Standard deviation of one pixel, grey values."""
         rows, columns = self.window
-        return noise_of(_with_channels(image), rows.start, rows.stop, columns.start, columns.stop)
+        colours = _with_channels(image)
+        weights = sample_weights_of(self.view.fit.projection, colours.shape[2])
+        return noise_of(colours, weights, rows.start, rows.stop, columns.start, columns.stop)
 
     def _grey(self, image: Image) -> Image:
-        """Smoothed grey of the window, coarse, dark discs."""
-        grey = image[self.window]
-        if grey.ndim == 3:
-            grey = cv2.cvtColor(grey, cv2.COLOR_BGR2GRAY)
+        """Smoothed projection of the window, coarse, dark discs."""
+        grey = projected(image[self.window], self.view.fit.projection)
         f = self.lattice.reduction
         if f > 1:
             grey = cv2.resize(grey, (grey.shape[1] // f, grey.shape[0] // f), interpolation=cv2.INTER_AREA)
-        if self.settings.polarity == "light":
-            grey = cv2.bitwise_not(grey)
         return cv2.GaussianBlur(grey, (0, 0), self.settings.smoothing) if self.settings.smoothing > 0 else grey
 
-    def _dark_places(self, grey: Image, noise: float) -> tuple[Array, Array]:
+    def _dark_places(self, grey: Image, noise: float, offset: float) -> tuple[Array, Array]:
         """Compact regions darker than what surrounds them: centroids (n, 2) px and areas, px², of the whole picture.
 
         Looked for at three levels: the low one finds slivers at the limb, the high one parts a disc from a shadow.
@@ -169,7 +206,7 @@ class DiscDetector:
         deep = cv2.bitwise_and(deep, self.coarse)
         places, sizes = [], []
         for share in (0.6, 1.2, 2.4):
-            level = cv2.convertScaleAbs(background, alpha=max(1.0 - share * self.settings.contrast, 0.0))
+            level = cv2.LUT(background, _levels(min(share * self.settings.contrast, 0.95), offset))
             dark = cv2.bitwise_and(cv2.compare(grey, level, cv2.CMP_LT), deep)
             contours, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
             for contour in contours:
@@ -206,7 +243,7 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
         slice(int(columns[0]) // f * f, min((int(columns[-1]) // f + 1) * f, width // f * f)),
     )
     fit = FitSettings(
-        settings.polarity == "light",
+        settings.projection or GREY,
         smoothing_kernel(settings.smoothing),
         # rims are blurred by pixels, lens and our own smoothing
         float(np.sqrt(settings.smoothing**2 + 1.0 / 12.0 + _LENS_BLUR**2)),
@@ -230,6 +267,15 @@ def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.b
     cosine = min(_SHOWN * reduction / diameter, 1.0)
     depth = radius * (1.0 - np.sqrt(1.0 - cosine**2))  # px from the limb
     return cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_5) < depth
+
+
+def _levels(part: float, offset: float) -> NDArray[np.uint8]:
+    """Of each value that the ball may have, (256,), that below which a disc lies; `offset` is that of no light.
+
+    They differ by a `part` of the light of the lighter of the two: of the ball's, and of the disc's.
+    """
+    ball = np.arange(256.0) - offset
+    return np.clip(np.rint(np.minimum(ball * (1.0 - part), ball / (1.0 - part)) + offset), 0, 255).astype(np.uint8)
 
 
 def _with_channels(image: Image) -> Image:

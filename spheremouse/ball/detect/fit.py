@@ -26,11 +26,13 @@ from spheremouse.ball.detect.fit_model import (
     ellipse_of,
     gauss_newton_step,
     keep_near,
+    lighter,
     normal_equations,
     plane,
     semi_axes,
     solve,
 )
+from spheremouse.ball.detect.projection import Projection, weights_of
 from spheremouse.geometry.rotation import Array
 
 _SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
@@ -61,10 +63,10 @@ class Fits:
 class FitSettings:
     """What the fit needs to know of discs and camera."""
 
-    light: bool  # discs lighter than the ball
+    projection: Projection  # of colours, in which discs are darker than the ball
     kernel: NDArray[np.float32]  # (2 EDGE + 1,), the smoothing
     blur: float  # px, standard deviation of a rim's blur: pixels, lens and smoothing
-    contrast: float  # least contrast over the background
+    contrast: float  # least contrast over the light of the lighter of disc and ball
     size_tolerance: float
     rim: float  # least part of the rim that fits
     sigma: float  # px, floor of a centre's standard deviation
@@ -97,7 +99,7 @@ def measure(
             np.ascontiguousarray(shape),
             np.zeros((n, 2)) if smear is None else smear,
             np.float32(noise),
-            settings.light,
+            weights_of(settings.projection, image.shape[2]),
             settings.kernel,
             settings.blur,
             settings.contrast,
@@ -116,7 +118,7 @@ def measure(
 
 @njit(cache=True, error_model="numpy")
 def measure_into(
-    image, mask, place, shape, smear, noise, light, kernel, blur, contrast, size_tolerance, rim_least, sigma,
+    image, mask, place, shape, smear, noise, weights, kernel, blur, contrast, size_tolerance, rim_least, sigma,
     size_known, ok, centroid, covariance, rim, cut,
 ):  # fmt: skip
     """`measure` into ok, centroid, covariance, rim and cut; returns the size all discs share, 0 where too few tell.
@@ -166,7 +168,7 @@ def measure_into(
         h, w = 2 * half_h + 1, 2 * half_w + 1
         if h > side or w > side:
             continue
-        cut_patch(image, light, top, left, h, w, kernel, raw, across, patch)
+        cut_patch(image, weights, top, left, h, w, kernel, raw, across, patch)
         m = 0
         for i in range(h):
             y = top + i
@@ -216,7 +218,7 @@ def measure_into(
                 above += e[k, i] * (x[k, 0] + x[k, 1] * px[k, i] + x[k, 2] * py[k, i] - grey[k, i])
                 sum_e += e[k, i] * e[k, i]
         a = above / max(sum_e, 1e-3)
-        if a < max(0.3 * contrast * x[k, 0], 2.0 * noise):
+        if a < max(0.3 * contrast * lighter(x[k, 0], a), 2.0 * noise):
             continue
         x[k, 3], x[k, 8] = a, 1.0
         scale[k] = max(noise, _UNEVEN * a)
@@ -305,5 +307,5 @@ def measure_into(
 
 @njit(cache=True, error_model="numpy")
 def _deep(x, contrast, noise):
-    """Is the contrast more than this part of the background, and than noise?"""
-    return x[3] > max(contrast * (x[0] + x[1] * x[6] + x[2] * x[7]), 4.0 * noise)
+    """Is the contrast more than this part of the lighter of disc and ball, and than noise?"""
+    return x[3] > max(contrast * lighter(x[0] + x[1] * x[6] + x[2] * x[7], x[3]), 4.0 * noise)

@@ -21,19 +21,22 @@ def smoothing_kernel(sigma: float) -> NDArray[np.float32]:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def noise_of(image, top, bottom, left, right):
-    """Standard deviation of one pixel's grey value, from second differences along sixteen rows of a window.
+def noise_of(image, weights, top, bottom, left, right):
+    """Standard deviation of a pixel's projection by `weights`, (c,), from second differences along sixteen rows.
 
-    Their median: half of the pixels may be edges. Colour takes its green, which weighs most in grey.
+    Their median: half of the pixels may be edges.
     """
-    channel = 1 if image.shape[2] == 3 else 0
     count = np.zeros(1024, dtype=np.int64)
     total = 0
     step = max((bottom - top) // 16, 1)
     for i in range(top + step // 2, bottom, step):
         for j in range(left + 1, right - 1):
-            d = 2 * int(image[i, j, channel]) - int(image[i, j - 1, channel]) - int(image[i, j + 1, channel])
-            count[abs(d)] += 1
+            d = np.float32(0.0)
+            for channel in range(len(weights)):
+                if weights[channel] != 0.0:
+                    beside = int(image[i, j - 1, channel]) + int(image[i, j + 1, channel])
+                    d += weights[channel] * (2 * int(image[i, j, channel]) - beside)
+            count[int(abs(d) + np.float32(0.5))] += 1
             total += 1
     below = 0
     for d in range(1024):
@@ -45,41 +48,33 @@ def noise_of(image, top, bottom, left, right):
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def cut_patch(image, light, top, left, h, w, kernel, raw, across, out):
-    """Smoothed grey of a window of h x w px from row `top` and column `left`: into `out`.
+def cut_patch(image, weights, top, left, h, w, kernel, raw, across, out):
+    """Smoothed projection by `weights`, (c,), of a window of h x w px from row `top` and column `left`: into `out`.
 
     Beyond the picture's edge its last row and column are repeated.
     """
     height, width, channels = image.shape
     rows, columns = h + 2 * EDGE, w + 2 * EDGE
     y0, x0 = top - EDGE, left - EDGE
-    scale, base = np.float32(1.0), np.float32(0.0)
-    if light:
-        scale, base = -scale, np.float32(255.0)
+    w0 = weights[0]
+    w1, w2 = (weights[1], weights[2]) if channels == 3 else (np.float32(0.0), np.float32(0.0))
     if channels == 3 and y0 >= 0 and x0 >= 0 and y0 + rows <= height and x0 + columns <= width:
         for i in range(rows):
             line, to = image[np.uint64(y0 + i)], raw[i]
             for j in range(columns):
                 at = np.uint64(x0 + j)
-                value = (
-                    np.float32(0.114) * np.float32(line[at, 0])
-                    + np.float32(0.587) * np.float32(line[at, 1])
-                    + np.float32(0.299) * np.float32(line[at, 2])
+                to[np.uint64(j)] = (
+                    w0 * np.float32(line[at, 0]) + w1 * np.float32(line[at, 1]) + w2 * np.float32(line[at, 2])
                 )
-                to[np.uint64(j)] = base + scale * value
     else:
         for i in range(rows):
             y = min(max(y0 + i, 0), height - 1)
             for j in range(columns):
                 x = min(max(x0 + j, 0), width - 1)
-                value = np.float32(image[y, x, 0])
+                value = w0 * np.float32(image[y, x, 0])
                 if channels == 3:
-                    value = (
-                        np.float32(0.114) * value
-                        + np.float32(0.587) * np.float32(image[y, x, 1])
-                        + np.float32(0.299) * np.float32(image[y, x, 2])
-                    )
-                raw[i, j] = base + scale * value
+                    value += w1 * np.float32(image[y, x, 1]) + w2 * np.float32(image[y, x, 2])
+                raw[i, j] = value
     k0, k1, k2, k3 = kernel[3], kernel[4], kernel[5], kernel[6]
     for i in range(rows):
         r, a = raw[i], across[i]
@@ -210,6 +205,12 @@ def solve(L, b, n):
 
 
 @njit(cache=True, error_model="numpy")
+def lighter(ball, contrast):
+    """Light of the lighter of a ball and a disc on it, whose projections are `ball` and `ball - contrast`."""
+    return max(abs(ball), abs(ball - contrast))
+
+
+@njit(cache=True, error_model="numpy")
 def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
     """One Gauss-Newton step of x, (9,), times `damping` (weights that come and go let a full step swing).
 
@@ -218,7 +219,7 @@ def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
     What is expected of the slopes and the size comes in as observations: a ball's shade slopes little, and what does
     more is a strut; gloss slopes the contrast; a sliver cannot tell size from contrast, there the known size decides.
     """
-    shade = (scale / (_SLOPE * max(x[0], 1.0))) ** 2
+    shade = (scale / (_SLOPE * max(abs(x[0]), 1.0))) ** 2
     gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
     hold = (scale / size_sigma) ** 2
     for k in range(1, 3):

@@ -12,6 +12,7 @@ from numba import njit
 from spheremouse.ball.detect.appearance import appearance_into, seen_into
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings, measure_into
+from spheremouse.ball.detect.projection import weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, row_of
 from spheremouse.geometry.rotation import Array, exp_into
@@ -82,7 +83,7 @@ def look_at(
     centre, covariance, area, told = _look_at(
         image, view.mask, np.ascontiguousarray(directions), np.ascontiguousarray(places), rate, readout, view.exposure,
         view.centre, view.radius, view.alpha, view.rotation, view.position, view.intrinsic, view.distortion, noise,
-        view.least, view.apart, fit.light, fit.kernel, fit.blur, share * fit.contrast,
+        view.least, view.apart, weights_of(fit.projection, image.shape[2]), fit.kernel, fit.blur, share * fit.contrast,
         fit.size_tolerance, fit.rim, fit.sigma, size,
     )  # fmt: skip
     return Detections(centre, covariance, area), told
@@ -91,7 +92,7 @@ def look_at(
 @njit(cache=True, error_model="numpy")
 def _look_at(
     image, mask, directions, places, rate, readout, exposure, K, radius, alpha, rotation, P, intrinsic, distortion,
-    noise, least, apart, light, kernel, blur, contrast, size_tolerance, rim_least, sigma, size,
+    noise, least, apart, weights, kernel, blur, contrast, size_tolerance, rim_least, sigma, size,
 ):  # fmt: skip
     n = len(directions)
     height, width = mask.shape
@@ -139,7 +140,7 @@ def _look_at(
     ok, found, covariance = np.zeros(k, dtype=np.bool_), np.empty((k, 2)), np.empty((k, 2, 2))
     rim, cut = np.zeros(k), np.zeros(k)
     told = measure_into(
-        image, mask, start, shape[index], smear[index], np.float32(noise), light, kernel, blur, contrast,
+        image, mask, start, shape[index], smear[index], np.float32(noise), weights, kernel, blur, contrast,
         size_tolerance, rim_least, sigma, size, ok, found, covariance, rim, cut,
     )  # fmt: skip
     kept = np.empty(k, dtype=np.int64)

@@ -11,6 +11,7 @@ from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, augment
 from spheremouse.ball.phases.candidates import all_are_discs, judged
+from spheremouse.ball.phases.colours import seen_in
 from spheremouse.ball.phases.hypotheses import updated_hypotheses
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.points import SpherePoints
@@ -28,7 +29,7 @@ def look(
     While the attitude is confirmed, each disc of the map in a window of its own where it is predicted, and a part of
     the rest of the ball; the whole picture when that does not show enough of what was seen before.
     """
-    detector = tracker.detector
+    detector = seen_in(tracker.detector, state.colours)
     if not (
         isinstance(detector, DiscDetector)
         and isinstance(state.phase, Tracking)

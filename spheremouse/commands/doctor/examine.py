@@ -12,6 +12,7 @@ import numpy as np
 
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.fit_model import noise_of
+from spheremouse.ball.detect.projection import GREY, sample_weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.commands.doctor import (
     computer,
@@ -175,9 +176,12 @@ def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]
             if pose is not None:
                 seen, found = _pair(lambda: sights.sight(rig, pose, settings), "ball")
                 yield found
+    seen = None if seen is None else sights.in_colours(seen, footage.views)
+    projection = GREY if seen is None else seen.projection
     mask = None if seen is None else ball_mask(seen.rig, seen.pose)
     greys = [sights.grey(v.image) for v in footage.views]
-    yield from _guarded("brightness", lambda: light.brightness(greys, mask, settings.discs, _noise(footage, seen)))
+    noise = _noise(footage, seen)
+    yield from _guarded("brightness", lambda: light.brightness(greys, mask, settings.discs, noise, projection))
     yield from _guarded("flicker", light.flicker, footage, mask, settings.discs)
     if seen is not None:
         sight = seen
@@ -191,7 +195,9 @@ def _noise(footage: Footage, seen: "sights.Sight | None") -> float:
     if seen is not None:
         return float(np.median([seen.detector.noise(v.image) for v in footage.views]))
     images = [v.image if v.image.ndim == 3 else v.image[:, :, None] for v in footage.views]
-    return float(np.median([noise_of(i, 0, i.shape[0], 0, i.shape[1]) for i in images]))
+    return float(
+        np.median([noise_of(i, sample_weights_of(GREY, i.shape[2]), 0, i.shape[0], 0, i.shape[1]) for i in images])
+    )
 
 
 def _exposure(plan: Plan, footage: Footage, rig: Rig) -> float | None:

@@ -9,15 +9,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from spheremouse.ball.detect.fit import Fits, FitSettings, measure
 from spheremouse.ball.detect.fit_model import ellipse_of, noise_of, smoothing_kernel
+from spheremouse.ball.detect.projection import GREY, NEGATIVE
 
 LENS = 0.4  # px of the whole picture, the blur of an ordinary lens
 BALL, PRINT = 150.0, 40.0  # grey values
+ONE = np.ones(1, dtype=np.float32)  # the weight of a grey picture's only channel
 OVER = 6  # subpixels along each side of a pixel
 
 
 def settings(**changes):
     values = {
-        "light": False,
+        "projection": GREY,
         "kernel": smoothing_kernel(0.8),
         "blur": float(np.sqrt(0.8**2 + 1.0 / 12.0 + LENS**2)),
         "contrast": 0.25,
@@ -368,13 +370,13 @@ def test_what_is_off_the_mask_or_off_the_picture_does_not_take_part():
 def test_light_discs_on_a_dark_ball_are_the_negative():
     shape, c = ellipse(6.0, 4.0, 0.3), np.array([20.2, 19.6])
     image = digital(disc(40, c, shape), 1.0, np.random.default_rng(13))
-    dark, light = fit(image, c + 0.3, shape), fit(255 - image, c + 0.3, shape, chosen=settings(light=True))
+    dark, light = fit(image, c + 0.3, shape), fit(255 - image, c + 0.3, shape, chosen=settings(projection=NEGATIVE))
     assert dark.ok[0]
     assert light.ok[0]
     assert_allclose(light.centroid, dark.centroid, atol=1e-3)
     assert_allclose(light.covariance, dark.covariance, rtol=1e-2)
     assert not fit(255 - image, c + 0.3, shape).ok[0]
-    assert not fit(image, c + 0.3, shape, chosen=settings(light=True)).ok[0]
+    assert not fit(image, c + 0.3, shape, chosen=settings(projection=NEGATIVE)).ok[0]
 
 
 @pytest.mark.parametrize("f", [1, 2])
@@ -408,11 +410,9 @@ def test_noise_is_found(sigma, channels):
     x = np.arange(320.0)
     shade = 90.0 + 0.2 * x  # a slope has no second difference
     image = np.clip(np.rint(shade[None, :, None] + sigma * rng.normal(size=(240, 320, channels))), 0, 255)
-    if channels == 3:
-        image[:, :, [0, 2]] = 77.0  # green counts
-    rounding = 1.0 / 12.0
-    found = noise_of(image.astype(np.uint8), 10, 230, 10, 310)
-    assert_allclose(found, np.sqrt(sigma**2 + rounding), rtol=0.06)
+    weights = np.array([1.0] if channels == 1 else [-0.2, 0.5, -0.3], dtype=np.float32)
+    found = noise_of(image.astype(np.uint8), weights, 10, 230, 10, 310)
+    assert_allclose(found, np.linalg.norm(weights) * np.sqrt(sigma**2 + 1.0 / 12.0), rtol=0.06, atol=0.06)
 
 
 def test_edges_do_not_raise_the_noise_much():
@@ -423,12 +423,12 @@ def test_edges_do_not_raise_the_noise_much():
     image = digital(cv2.GaussianBlur(np.where(dots, PRINT, BALL), (0, 0), 0.6), 3.0, rng)
     edges = np.abs(np.diff(cv2.GaussianBlur(np.where(dots, PRINT, BALL), (0, 0), 0.6), 2, axis=1)) > 10
     assert edges.mean() > 0.1
-    found = noise_of(image, 0, 240, 0, 320)
+    found = noise_of(image, ONE, 0, 240, 0, 320)
     assert 3.0 < found < 4.5
 
 
 def test_noise_of_a_still_or_empty_picture_is_that_of_rounding():
     """An exact picture has noise all the same: its grey values are whole numbers."""
     for image in (np.full((40, 40, 1), 90, np.uint8), np.zeros((40, 40, 3), np.uint8)):
-        assert_allclose(noise_of(image, 0, 40, 0, 40), np.sqrt(1.0 / 12.0), atol=0.01)
-    assert_allclose(noise_of(np.zeros((40, 40, 1), np.uint8), 5, 5, 5, 5), np.sqrt(1.0 / 12.0), atol=0.01)
+        assert_allclose(noise_of(image, ONE, 0, 40, 0, 40), np.sqrt(1.0 / 12.0), atol=0.01)
+    assert_allclose(noise_of(np.zeros((40, 40, 1), np.uint8), ONE, 5, 5, 5, 5), np.sqrt(1.0 / 12.0), atol=0.01)

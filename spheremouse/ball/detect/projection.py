@@ -1,0 +1,137 @@
+"""From colours to the one value by which discs are told from the ball: a linear projection in which discs are darker.
+
+Its value is w·(B, G, R) without an offset: no light gives 0, and a contrast can be stated as a part of the light.
+Black discs on a white ball take grey; light discs its negative; a coloured ball one channel or a difference of two.
+Once discs are known, Fisher's linear discriminant (Fisher 1936) gives the weights that part disc from ball best.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.geometry.rotation import Array
+
+_CORE, _AROUND = 0.5, (1.5, 2.2)  # of a disc's radius: pixels of the disc, and of the ball around it, without the rim
+_FEWEST_PIXELS = 6  # of a disc and of the ball around it: fewer are mixed pixels
+_FEWEST_DISCS = 3
+_EVERY = 4  # rows of a picture, between those whose noise is measured
+_FACING = 0.5  # of the largest disc's area: what is more aslant has no round core
+
+
+@dataclass(frozen=True, slots=True)
+class Projection:
+    """Weights of blue, green and red; their absolute values sum to 1, so that the values keep to -255..255."""
+
+    weights: tuple[float, float, float]
+
+    @property
+    def needs_colour(self) -> bool:
+        """Do grey frames not show it?"""
+        return self not in (GREY, NEGATIVE)
+
+
+GREY = Projection((0.114, 0.587, 0.299))  # ITU-R BT.601, as in OpenCV's grey
+NEGATIVE = Projection((-0.114, -0.587, -0.299))
+
+
+def normalised(weights: Array) -> Projection:
+    """The projection with weights in proportion to `weights`, (3,), not all of them 0."""
+    blue, green, red = (weights / np.abs(weights).sum() + 0.0).tolist()  # no -0
+    return Projection((blue, green, red))
+
+
+def _candidates() -> tuple[Projection, ...]:
+    single = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    differences = [axis - other for axis in np.eye(3) for other in np.eye(3) if axis is not other]
+    apart = [d for d in differences if d.any()]
+    return (GREY, NEGATIVE, *(normalised(w) for w in single + apart))
+
+
+CANDIDATES = _candidates()  # grey, its negative, each channel and each difference of two, in both senses
+
+
+@lru_cache(maxsize=64)
+def weights_of(projection: Projection, channels: int) -> NDArray[np.float32]:
+    """Weights of a picture's channels, (channels,): 3, or 1 of a grey one, which shows grey or its negative."""
+    if channels == 3:
+        return np.array(projection.weights, dtype=np.float32)
+    return np.array([1.0 if sum(projection.weights) >= 0.0 else -1.0], dtype=np.float32)
+
+
+@lru_cache(maxsize=64)
+def sample_weights_of(projection: Projection, channels: int) -> NDArray[np.float32]:
+    """Weights for single pixels, (channels,): of grey the green alone, which weighs most, and costs a third."""
+    if channels == 3 and not projection.needs_colour:
+        return np.array([0.0, np.sign(projection.weights[1]), 0.0], dtype=np.float32)
+    return weights_of(projection, channels)
+
+
+@lru_cache(maxsize=64)
+def sampled_channel(projection: Projection, channels: int) -> tuple[int, int] | None:
+    """The only channel that `sample_weights_of` gives a weight, and its sign; None where it gives several one."""
+    weights = sample_weights_of(projection, channels)
+    used = np.flatnonzero(weights)
+    return (int(used[0]), int(np.sign(weights[used[0]]))) if len(used) == 1 else None
+
+
+def offset_of(projection: Projection, channels: int) -> float:
+    """Value of no light in `projected`: what makes the least value 0."""
+    return -255.0 * float(np.minimum(weights_of(projection, channels), 0.0).sum())
+
+
+def projected(image: Image, projection: Projection) -> Image:
+    """A picture (h, w, 3) BGR or (h, w) as (h, w) uint8, with the offset of `offset_of`."""
+    if projection == GREY:
+        return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    channels = 1 if image.ndim == 2 else 3
+    matrix = np.append(weights_of(projection, channels), offset_of(projection, channels)).astype(np.float64)
+    return cv2.transform(image, matrix[None])
+
+
+def fisher_projection(image: Image, mask: Image, found: Detections, diameter: float) -> Projection | None:
+    """The projection that parts the discs `found` in a picture (h, w, 3) from the ball around them best.
+
+    Fisher's linear discriminant: w = S^-1 (m_ball - m_disc), with the covariance S of the channels' noise alone, for
+    the fit takes care of a slope of the light. `mask`, (h, w), is not 0 on the ball; `diameter` px is that of a disc
+    seen from in front. None where fewer than three discs face the camera.
+    """
+    differences = []
+    facing = found.take(found.area > _FACING * 0.25 * np.pi * diameter**2)
+    for centre, area in zip(facing.centre, facing.area, strict=True):
+        core, around = _pixels(image, mask, centre, float(np.sqrt(area / np.pi)))
+        if min(len(core), len(around)) >= _FEWEST_PIXELS:
+            differences.append(np.median(around, axis=0) - np.median(core, axis=0))
+    difference = np.sum(differences, axis=0)
+    if len(differences) < _FEWEST_DISCS or not difference.any():
+        return None
+    # a twelfth of a square grey value is what rounding leaves: the least that any channel has
+    weights = np.linalg.solve(_noise_covariance(image, mask) + np.eye(3) / 12.0, difference)
+    return normalised(np.asarray(weights, dtype=np.float64))
+
+
+def _noise_covariance(image: Image, mask: Image) -> Array:
+    """Covariance of a pixel's blue, green and red, (3, 3), from second differences along rows on the ball.
+
+    Without those that are large in any channel: edges.
+    """
+    rows = image[::_EVERY].astype(np.int16)
+    second = (2 * rows[:, 1:-1] - rows[:, :-2] - rows[:, 2:])[mask[::_EVERY, 1:-1] > 0].astype(float)
+    spread = 1.4826 * np.median(np.abs(second), axis=0)
+    flat = second[np.all(np.abs(second) <= 3.0 * spread + 1.0, axis=1)]
+    return flat.T @ flat / (6.0 * max(len(flat), 1))
+
+
+def _pixels(image: Image, mask: Image, centre: Array, radius: float) -> tuple[Array, Array]:
+    """Colours of a disc, (n, 3), and of the ball around it, (m, 3)."""
+    half = int(np.ceil(_AROUND[1] * radius)) + 1
+    u, v = round(centre[0]), round(centre[1])
+    top, left = max(v - half, 0), max(u - half, 0)
+    patch = image[top : v + half + 1, left : u + half + 1].astype(float)
+    y, x = np.mgrid[top : top + patch.shape[0], left : left + patch.shape[1]]
+    distance = np.hypot(x - centre[0], y - centre[1]) / radius
+    on_ball = mask[top : v + half + 1, left : u + half + 1] > 0
+    return patch[on_ball & (distance < _CORE)], patch[on_ball & (distance > _AROUND[0]) & (distance < _AROUND[1])]
