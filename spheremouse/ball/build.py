@@ -73,7 +73,7 @@ def build(rig: Rig, pose: Pose, settings: Settings) -> Tracker:
     return Tracker(settings, rig, pose, detector, stage)
 
 
-def colours_of(settings: Settings, before: Colours = Colours()) -> Colours:
+def colours_of(settings: Settings, before: Colours) -> Colours:
     """How discs are told from the ball by new settings: as they fix it, or else as it was found `before`."""
     fixed = settings.discs.projection
     if settings.detector != "default":
@@ -89,7 +89,7 @@ def begin(tracker: Tracker, stamp: float, attitude: Array | None = None, known: 
     """
     R = np.eye(3) if attitude is None else attitude
     start: Any = tracker.filter.initial(stamp, R)
-    colours = colours_of(tracker.settings)
+    colours = colours_of(tracker.settings, Colours())
     saved = known is not None and len(known) >= 3 and not tracker.classic
     if saved and known is not None:
         start = with_map(start, known, _REMEMBERED)

@@ -67,6 +67,13 @@ class ReadoutKnown(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class DiscColours(Event):
+    """The discs are told from the ball by other colours than before."""
+
+    weights: tuple[float, float, float]  # of blue, green and red: in that sum the discs are darker
+
+
+@dataclass(frozen=True, slots=True)
 class CameraMoved(Event):
     """The camera's pose was estimated anew."""
 

@@ -127,7 +127,7 @@ class TrackState(Generic[F]):
     confirmed: bool = False  # the last frame's discs confirm the attitude
     lookalikes: Lookalikes = field(default_factory=Lookalikes)
     search: SearchState = field(default_factory=SearchState)  # for discs that are not on the map yet
-    colours: Colours = Colours()
+    colours: Colours = field(default_factory=Colours)
     absolute: bool = False  # the attitude is that of a map made earlier
     watch: Watch | None = None  # on the targets: does the camera stand?
     rebuilt: Tracker[Any] | None = None  # for the pose found after the camera was moved; None: it never was

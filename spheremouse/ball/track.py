@@ -22,8 +22,8 @@ from spheremouse.ball.events import BallLost, CameraMoved, TargetsHidden, Why
 from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import CORE, So3State, consider
-from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases import colours
+from spheremouse.ball.phases.camera_moved import Moved, hidden, out_of_sight, relative, surprised, with_references
 from spheremouse.ball.phases.follow import follow, look
 from spheremouse.ball.phases.learn import learn
 from spheremouse.ball.phases.lifted import check_bearings
@@ -149,6 +149,7 @@ def _stages(
     state: TrackState, frame: Frame, tracker: Tracker, detected: Callable[[], None] = lambda: None
 ) -> Step[TrackState]:
     """One frame of a camera that stands."""
+    before = state.colours
     state = colours.with_trial(state, frame, tracker)
     predicted = tracker.filter.predict(state.filter, frame.stamp)
     if tracker.classic:
@@ -157,7 +158,8 @@ def _stages(
         detections, search = look(state, frame, tracker, predicted)
     detected()
     done = advance(state, frame.stamp, detections, tracker, predicted, search)
-    return colours.refined(done, frame, tracker)
+    done = colours.refined(done, frame, tracker)
+    return done if done.state.colours is before else colours.told(done, before)
 
 
 def _check_camera(

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from spheremouse import __version__
+from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, normalised
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MOST_DISCS, Rig
 from spheremouse.errors import ConfigurationError
@@ -31,6 +32,7 @@ BALL_DIFFERS, _DISC_DIFFERS = 0.05, 0.25  # parts of a radius; less is calibrati
 Length = Annotated[float, Field(ge=1e-6, le=1e6)]  # as in the rig file
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # likewise
 Sigma = Annotated[float, Field(ge=0, lt=10)]
+Weight = Annotated[float, Field(ge=-1, le=1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +63,10 @@ class _MapFile(_Part):
     disc_radius: Length = Field(description="radius of a disc in m")
     discs: tuple[_Disc, ...] = Field(
         min_length=1, max_length=MOST_DISCS, description="list of {direction, sigma, sightings}"
+    )
+    weights: tuple[Weight, Weight, Weight] = Field(
+        default=GREY.weights,
+        description="[blue, green, red] of the sum of colours in which discs are darker",
     )
     correlation_root: tuple[str, ...] = Field(
         max_length=2 * MOST_DISCS, description="two lines of whole numbers, in quotes, for each disc"
@@ -135,6 +141,7 @@ def map_text(saved: SavedMap) -> str:
         f'saved: "{saved.saved.isoformat()}"',
         f"ball_radius: {float(saved.ball_radius)!r}  # m",
         f"disc_radius: {float(saved.disc_radius)!r}  # m, along the surface",
+        *_weights_line(saved.map.projection),
         "discs:",
     ]
     for direction, s, sightings in zip(saved.map.directions, sigma.reshape(-1, 2), saved.map.sightings, strict=True):
@@ -147,6 +154,14 @@ def map_text(saved: SavedMap) -> str:
     for i, row in enumerate(np.rint(_UNIT * root).astype(int).tolist()):
         lines.append(f'  - "{" ".join(map(str, row[: i + 1]))}"')
     return "\n".join(lines) + "\n"
+
+
+def _weights_line(projection: Projection) -> list[str]:
+    """Nothing for grey, which is what a file without the line has."""
+    if projection == GREY:
+        return []
+    blue, green, red = projection.weights
+    return [f"weights: [{blue:.6f}, {green:.6f}, {red:.6f}]  # of blue, green and red: so the discs are darker"]
 
 
 def _factored(covariance: Array) -> tuple[Array, Array]:
@@ -173,6 +188,7 @@ def _parsed(document: Document) -> SavedMap:
         directions / np.linalg.norm(directions, axis=1, keepdims=True),
         (root @ root.T) * np.outer(sigma, sigma),
         np.array([d.sightings for d in file.discs], dtype=np.intp),
+        _projection(file.weights),
     )
     saved = datetime.fromisoformat(file.saved)
     return SavedMap(disc_map, file.ball_radius, file.disc_radius, saved, file.spheremouse)
@@ -188,6 +204,8 @@ def _problems(file: _MapFile) -> Iterator[Problem]:
         length = np.linalg.norm(disc.direction)
         if not abs(length - 1.0) <= 1e-3:
             yield Problem(("discs", i, "direction"), f"has length {length:.4g}; it is a unit vector")
+    if not any(file.weights):
+        yield Problem(("weights",), "are all 0; remove the line: they are found as the ball turns")
     if len(file.correlation_root) != 2 * len(file.discs):
         text = f"has {len(file.correlation_root)} lines for {len(file.discs)} discs; each disc has two"
         yield Problem(("correlation_root",), text)
@@ -197,6 +215,12 @@ def _problems(file: _MapFile) -> Iterator[Problem]:
             yield Problem(("correlation_root", i), f"must be {i + 1} whole numbers, is {shown(text)}")
         elif not abs(np.linalg.norm(np.array(text.split(), dtype=float)) / _UNIT - 1.0) <= 1e-3:
             yield Problem(("correlation_root", i), f"its squares must sum to {_UNIT} squared: a digit was changed")
+
+
+def _projection(weights: tuple[float, float, float]) -> Projection:
+    """That of a file; grey and its negative to the last bit, since both are seen in grey pictures."""
+    found = normalised(np.array(weights))
+    return next((p for p in (GREY, NEGATIVE) if np.allclose(p.weights, found.weights, rtol=0.0, atol=1e-5)), found)
 
 
 def _root(file: _MapFile) -> Array:

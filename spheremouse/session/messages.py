@@ -6,6 +6,7 @@ from typing import assert_never, cast
 import numpy as np
 
 from spheremouse.ball import events
+from spheremouse.ball.detect.projection import GREY, NEGATIVE
 from spheremouse.ball.detect.refused import Bound, Refused
 from spheremouse.ball.events import BallLost, Why
 from spheremouse.ball.pose import Resection
@@ -20,6 +21,7 @@ _Ball = (
     | events.NewMap
     | events.OutOfRound
     | events.ReadoutKnown
+    | events.DiscColours
     | events.CameraMoved
     | events.TargetsHidden
 )
@@ -72,6 +74,8 @@ def sentence(event: Event) -> str:
             return (
                 f"rolling shutter: {1e3 * readout:.1f} ms for all rows (say readout_s: {readout:.4f} in the rig file)"
             )
+        case events.DiscColours(weights):
+            return _in_colours(weights)
         case events.CameraMoved(path, turn, asked):
             moved = "" if asked else "the camera was moved: "
             return f"{moved}pose estimated anew ({1e3 * path:.1f} mm, {np.degrees(turn):.2f}°)"
@@ -79,6 +83,15 @@ def sentence(event: Event) -> str:
             return "the targets are out of sight: if the camera was moved, initialise again"
         case _:
             assert_never(happened)
+
+
+def _in_colours(weights: tuple[float, float, float]) -> str:
+    if weights == GREY.weights:
+        return "the discs are darker than the ball"
+    if weights == NEGATIVE.weights:
+        return "the discs are lighter than the ball"
+    named = ", ".join(f"{w + 0.0:.2f}" for w in weights)
+    return f"the discs differ from the ball in colour (discs.weights: [{named}])"
 
 
 def _why(lost: BallLost) -> str:

@@ -12,6 +12,7 @@ from reporting import counts_of
 
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections, no_detections
+from spheremouse.ball.detect.discs import DiscSettings
 from spheremouse.ball.events import BallLost, CameraMoved, NewMap, OutOfRound, Recognised, Why
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
@@ -638,7 +639,7 @@ def test_the_published_keep_no_map_and_begin_anew_where_they_lost_the_ball(name)
 @pytest.mark.parametrize("name", ["ekf1", "ekf2"])
 def test_the_published_do_not_watch_the_camera(name):
     """Neither from the beginning nor from where the pose was estimated anew."""
-    tracker = build(RIG, POSE, Settings(tracker=name))
+    tracker = build(RIG, POSE, Settings(tracker=name, discs=DiscSettings(polarity="dark")))
     state = begin(tracker, 0.0)
     image = np.full((CAMERA.height, CAMERA.width, 3), 120, np.uint8)
     assert state.watch is None

@@ -12,6 +12,7 @@ from conftest import directions
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from spheremouse.ball.detect.projection import CANDIDATES, GREY, normalised
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.errors import ConfigurationError
@@ -96,6 +97,17 @@ def test_a_saved_map_reads_back_the_same(tmp_path_factory, seed, discs, thin):
     np.testing.assert_allclose(back, there, rtol=0, atol=1e-3 * np.linalg.norm(v * sigma, axis=1).max())
 
 
+@pytest.mark.parametrize("projection", [*CANDIDATES, normalised(np.array([-0.123456, 0.3, 0.7]))])
+def test_a_map_keeps_the_colours_of_its_discs(tmp_path, projection):
+    path = tmp_path / "m.yaml"
+    saved = saved_map(4)
+    save_map(path, replace(saved, map=replace(saved.map, projection=projection)))
+    assert ("weights" in path.read_text()) == (projection != GREY)  # without them it is what older versions wrote
+    after = load_map(path).map.projection
+    np.testing.assert_allclose(after.weights, projection.weights, rtol=0, atol=1e-6)
+    assert after.needs_colour == projection.needs_colour
+
+
 def test_what_is_known_best_of_a_map_survives_its_digits(tmp_path):
     """All discs off by one common turn of 1°, one to another by 0.003°: the digits of correlations would lose it."""
     d = directions(20, 1)
@@ -178,6 +190,8 @@ def test_a_missing_file_is_no_damaged_one(tmp_path):
         ("sightings: ", "sightings: -", ":9: discs[0].sightings: must be at least 0"),
         ("sigma: [", "sigma: [-", ":9: discs[0].sigma[0]: must be at least 0"),
         ("direction: [", "direction: [7", ":9: discs[0].direction: has length "),
+        ("discs:", "weights: [0, 0, 0]\ndiscs:", ":8: weights: are all 0; remove the line"),
+        ("discs:", "weights: [0, 2, 0]\ndiscs:", ":8: weights[1]: must be at most 1"),
         ('"100000"', '"90000"', ":16: correlation_root[0]: its squares must sum to 100000 squared"),
         ('"100000"', '"100000 1"', ":16: correlation_root[0]: must be 1 whole numbers, is '100000 1'"),
         ('"100000"', "100000", ":16: correlation_root[0]: must be text, is 100000"),

@@ -38,7 +38,7 @@ def check_pictures(drawn: list[NDArray[np.uint8]]) -> None:
     ]  # as frames come: no other are compiled for
     rig = small_rig()
     assert rig.pose is not None
-    for polarity in ("dark", "light"):
+    for polarity in ("auto", "dark", "light"):
         detector = disc_detector(DiscSettings(polarity=polarity, min_area=3.0), rig, rig.pose)
         for image in images:
             _sound(detector.detect(image), image)

@@ -57,7 +57,7 @@ def test_values_are_of_what_differs_and_of_what_was_assigned():
         Request(assignments=("motion.scale_x=2", "discs.polarity=light"), source="synthetic:", output="null")
     )
     found = values(before, now, ("motion.scale_y=1",))
-    assert found == {"motion.scale_x": (1.0, 2.0), "motion.scale_y": (1.0, 1.0), "discs.polarity": ("dark", "light")}
+    assert found == {"motion.scale_x": (1.0, 2.0), "motion.scale_y": (1.0, 1.0), "discs.polarity": ("auto", "light")}
     assert set(told(found).split(", ")) == {
-        "motion.scale_x 1.0 → 2.0", "motion.scale_y 1.0 already", "discs.polarity dark → light",
+        "motion.scale_x 1.0 → 2.0", "motion.scale_y 1.0 already", "discs.polarity auto → light",
     }  # fmt: skip

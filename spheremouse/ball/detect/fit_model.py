@@ -260,7 +260,7 @@ def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
     ball's shade tells nothing of it. Gloss changes that slope by up to `gloss` (of the contrast, 1/px). A sliver cannot
     tell size from contrast, there the known size decides.
     """
-    shade = (scale / (_SLOPE * max(lighter(x[0], x[3]), 1.0))) ** 2
+    shade = (scale / (_SLOPE * max(abs(x[0]), 1.0))) ** 2
     gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
     hold = (scale / size_sigma) ** 2
     as_shade = x[3] * x[0] / max(lighter(x[0], x[3]), 1.0) ** 2

@@ -18,6 +18,7 @@ from spheremouse.geometry.rotation import Array
 _CORE, _AROUND = 0.5, (1.5, 2.2)  # of a disc's radius: pixels of the disc, and of the ball around it, without the rim
 _FEWEST_PIXELS = 6  # of a disc and of the ball around it: fewer are mixed pixels
 _FEWEST_DISCS = 3
+_EVERY = 4  # rows of a picture, between those whose noise is measured
 _FACING = 0.5  # of the largest disc's area: what is more aslant has no round core
 
 
@@ -69,6 +70,14 @@ def sample_weights_of(projection: Projection, channels: int) -> NDArray[np.float
     return weights_of(projection, channels)
 
 
+@lru_cache(maxsize=64)
+def sampled_channel(projection: Projection, channels: int) -> tuple[int, int] | None:
+    """The only channel that `sample_weights_of` gives a weight, and its sign; None where it gives several one."""
+    weights = sample_weights_of(projection, channels)
+    used = np.flatnonzero(weights)
+    return (int(used[0]), int(np.sign(weights[used[0]]))) if len(used) == 1 else None
+
+
 def offset_of(projection: Projection, channels: int) -> float:
     """Value of no light in `projected`: what makes the least value 0."""
     return -255.0 * float(np.minimum(weights_of(projection, channels), 0.0).sum())
@@ -83,31 +92,40 @@ def projected(image: Image, projection: Projection) -> Image:
     return cv2.transform(image, matrix[None])
 
 
-def fisher_projection(image: Image, found: Detections, diameter: float) -> Projection | None:
+def fisher_projection(image: Image, mask: Image, found: Detections, diameter: float) -> Projection | None:
     """The projection that parts the discs `found` in a picture (h, w, 3) from the ball around them best.
 
-    Fisher's linear discriminant: w = S^-1 (m_ball - m_disc), with the covariance S of the pixels within disc and ball,
-    each about its own mean, so that shade from one side of the ball to the other does not count. `diameter` px is that
-    of a disc seen from in front. None where fewer than three discs face the camera.
+    Fisher's linear discriminant: w = S^-1 (m_ball - m_disc), with the covariance S of the channels' noise alone, for
+    the fit takes care of a slope of the light. `mask`, (h, w), is not 0 on the ball; `diameter` px is that of a disc
+    seen from in front. None where fewer than three discs face the camera.
     """
-    difference, within, freedom, discs = np.zeros(3), np.zeros((3, 3)), 0, 0
+    differences = []
     facing = found.take(found.area > _FACING * 0.25 * np.pi * diameter**2)
     for centre, area in zip(facing.centre, facing.area, strict=True):
-        core, around = _pixels(image, centre, float(np.sqrt(area / np.pi)))
-        if min(len(core), len(around)) < _FEWEST_PIXELS:
-            continue
-        difference += np.median(around, axis=0) - np.median(core, axis=0)
-        for part in (core, around):
-            within += np.cov(part.T) * (len(part) - 1)
-            freedom += len(part) - 1
-        discs += 1
-    if discs < _FEWEST_DISCS or not difference.any():
+        core, around = _pixels(image, mask, centre, float(np.sqrt(area / np.pi)))
+        if min(len(core), len(around)) >= _FEWEST_PIXELS:
+            differences.append(np.median(around, axis=0) - np.median(core, axis=0))
+    difference = np.sum(differences, axis=0)
+    if len(differences) < _FEWEST_DISCS or not difference.any():
         return None
     # a twelfth of a square grey value is what rounding leaves: the least that any channel has
-    return normalised(np.linalg.solve(within / freedom + np.eye(3) / 12.0, difference))
+    weights = np.linalg.solve(_noise_covariance(image, mask) + np.eye(3) / 12.0, difference)
+    return normalised(np.asarray(weights, dtype=np.float64))
 
 
-def _pixels(image: Image, centre: Array, radius: float) -> tuple[Array, Array]:
+def _noise_covariance(image: Image, mask: Image) -> Array:
+    """Covariance of a pixel's blue, green and red, (3, 3), from second differences along rows on the ball.
+
+    Without those that are large in any channel: edges.
+    """
+    rows = image[::_EVERY].astype(np.int16)
+    second = (2 * rows[:, 1:-1] - rows[:, :-2] - rows[:, 2:])[mask[::_EVERY, 1:-1] > 0].astype(float)
+    spread = 1.4826 * np.median(np.abs(second), axis=0)
+    flat = second[np.all(np.abs(second) <= 3.0 * spread + 1.0, axis=1)]
+    return flat.T @ flat / (6.0 * max(len(flat), 1))
+
+
+def _pixels(image: Image, mask: Image, centre: Array, radius: float) -> tuple[Array, Array]:
     """Colours of a disc, (n, 3), and of the ball around it, (m, 3)."""
     half = int(np.ceil(_AROUND[1] * radius)) + 1
     u, v = round(centre[0]), round(centre[1])
@@ -115,4 +133,5 @@ def _pixels(image: Image, centre: Array, radius: float) -> tuple[Array, Array]:
     patch = image[top : v + half + 1, left : u + half + 1].astype(float)
     y, x = np.mgrid[top : top + patch.shape[0], left : left + patch.shape[1]]
     distance = np.hypot(x - centre[0], y - centre[1]) / radius
-    return patch[distance < _CORE], patch[(distance > _AROUND[0]) & (distance < _AROUND[1])]
+    on_ball = mask[top : v + half + 1, left : u + half + 1] > 0
+    return patch[on_ball & (distance < _CORE)], patch[on_ball & (distance > _AROUND[0]) & (distance < _AROUND[1])]

@@ -1,19 +1,21 @@
 """Unknown discs looked for while the known ones are followed: a lattice of samples over the ball, a part in each frame.
 
 A sample is a candidate where it is darker than the ball around it, on nearly all sides at a little more than a disc's
-radius. Four frames, each with a shifted lattice, see every disc that is large enough; one of ordinary size is met in
-the first. Places that turned out to be none are left out for a while, so that struts cost nothing.
+radius, and along the limb on both: there a disc ends, and the blur of the limb does not. Four frames, each with a
+shifted lattice, see every disc that is large enough; one of ordinary size is met in the first. Places that turned out
+to be none are left out for a while, so that struts cost nothing.
 """
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.fit import FitSettings
-from spheremouse.ball.detect.projection import sample_weights_of
+from spheremouse.ball.detect.projection import Projection, offset_of, projected, sampled_channel
 from spheremouse.geometry.rotation import Array
 
 _STRIDE = (2, 8)  # columns and rows of the coarse picture between samples of one frame: few rows are few cache misses
@@ -31,6 +33,7 @@ class Lattice:
 
     places: tuple[NDArray[np.int32], ...]  # of each shift (n, 2): column and row, px, on the ball
     sides: tuple[NDArray[np.uint8], ...]  # of each shift (n,): bits of the neighbours that lie on the ball
+    along: tuple[NDArray[np.int32], ...]  # of each shift (n, 2, 2) px to both sides along the limb; 0 away from it
     offsets: NDArray[np.int32]  # (8, 2) px to the neighbours, opposite ones follow each other
     reduction: int  # a large picture is looked at so much more coarsely
 
@@ -58,7 +61,8 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
     d = 0.5 * diameter + _MARGIN * reduction
     angles = np.pi / 4 * np.array([0, 4, 2, 6, 1, 5, 3, 7])
     offsets = np.rint(d * np.stack([np.cos(angles), np.sin(angles)], axis=1)).astype(np.int32)
-    places, sides = [], []
+    places, sides, along = [], [], []
+    limb = _Limb(mask)
     for dx, dy in _SHIFTS:
         parts = []
         for step, part in ((reduction, ~thin), (1, thin)):
@@ -74,7 +78,33 @@ def lattice(mask: Image, thin: NDArray[np.bool_], diameter: float, reduction: in
             bits |= (inside.astype(np.uint8) << k).astype(np.uint8)
         places.append(at)
         sides.append(bits)
-    return Lattice(tuple(places), tuple(sides), offsets, reduction)
+        along.append(limb.along(at, d))
+    return Lattice(tuple(places), tuple(sides), tuple(along), offsets, reduction)
+
+
+class _Limb:
+    """The edge of a mask, (h, w), as seen from within."""
+
+    def __init__(self, mask: Image) -> None:
+        depth = cv2.distanceTransform(cv2.copyMakeBorder(mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 5)
+        self._depth = depth[1:-1, 1:-1]  # px from the edge
+        smooth = cv2.GaussianBlur(self._depth, (0, 0), 3.0)
+        self._inward = np.stack([cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)], axis=2)
+
+    def along(self, at: NDArray[np.int32], distance: float) -> NDArray[np.int32]:
+        """Offsets, (n, 2, 2) px, from pixels `at`, (n, 2), to two `distance` px along the edge, as deep; 0 far off."""
+        depth, inward = self._depth[at[:, 1], at[:, 0]], self._inward[at[:, 1], at[:, 0]]
+        inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
+        offsets = np.zeros((len(at), 2, 2), dtype=np.int32)
+        for k, sign in enumerate((1.0, -1.0)):
+            there = at + sign * distance * inward[:, ::-1] * (1.0, -1.0)
+            h, w = self._depth.shape
+            x, y = (np.clip(np.rint(there[:, j]).astype(int), 0, n - 1) for j, n in ((0, w), (1, h)))
+            there += (depth - self._depth[y, x])[:, None] * inward  # an edge is bent
+            offsets[:, k] = np.rint(there) - at
+        inside = (at[:, None] + offsets >= 0) & (at[:, None] + offsets < (self._depth.shape[1], self._depth.shape[0]))
+        offsets[(depth > distance) | ~inside.all(axis=(1, 2))] = 0
+        return offsets
 
 
 def places_to_look_at(
@@ -91,13 +121,19 @@ def places_to_look_at(
 
     The middles of the darkness around samples, (k, 2) px. `radius` px of the largest disc, `noise` of a pixel.
     """
+    plane, first, sign, dark = _samples(image, fit.projection)
     shift = state.turn % len(_SHIFTS)
     found = np.empty((_MOST, 2))
     n = _candidates_on(
-        image.reshape(-1),
+        plane.reshape(-1),
+        plane.shape[2],
+        first,
+        sign,
+        dark,
         mask,
         where.places[shift],
         where.sides[shift],
+        where.along[shift],
         where.offsets,
         state.turn,
         known,
@@ -106,12 +142,22 @@ def places_to_look_at(
         _REJECTED * where.reduction,
         0.5 * fit.contrast,
         2.5 * noise,
-        sample_weights_of(fit.projection, image.shape[2]),
         radius,
         where.reduction,
         found,
     )
     return found[:n]
+
+
+def _samples(image: Image, projection: Projection) -> tuple[Image, int, int, int]:
+    """A picture, (h, w, c), its channel and the sign that are the projection, and the value of no light.
+
+    A picture of its own is made where more than one channel counts.
+    """
+    one = sampled_channel(projection, image.shape[2])
+    if one is not None:
+        return image, *one, 0
+    return projected(image, projection)[:, :, None], 0, 1, round(offset_of(projection, image.shape[2]))
 
 
 def went(state: SearchState, rejected: Array, reduction: int) -> SearchState:
@@ -144,20 +190,9 @@ def _near(x, y, places, radius):
 
 
 @njit(cache=True, error_model="numpy")
-def _value(flat, at, weights):
-    """Projection of one pixel whose first channel is at `at`."""
-    total = np.float32(0.0)
-    for k in range(len(weights)):
-        if weights[k] != 0.0:
-            total += weights[k] * np.float32(flat[at + np.uint64(k)])
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def _settle(flat, weights, mask, level, reach, reduction, place):
+def _settle(flat, channels, first, sign, dark, mask, level, reach, reduction, place):
     """Two steps of the mean shift towards what is darker than `level`, on the ball, within `reach` px."""
     h, w = mask.shape
-    channels = len(weights)
     for _ in range(2):
         left, right = max(int(place[0] - reach), 0), min(int(place[0] + reach) + 1, w - 1)
         top, bottom = max(int(place[1] - reach), 0), min(int(place[1] + reach) + 1, h - 1)
@@ -166,7 +201,7 @@ def _settle(flat, weights, mask, level, reach, reduction, place):
             dy = y - place[1]
             for x in range(left, right + 1, reduction):
                 at = y * w + x
-                g = _value(flat, np.uint64(at * channels), weights)
+                g = np.float32(sign * np.int32(flat[np.uint64(at * channels + first)]) - dark)
                 dx = x - place[0]
                 if g < level and mask[np.uint64(y), np.uint64(x)] > 0 and dx * dx + dy * dy < reach * reach:
                     total += level - g
@@ -179,15 +214,14 @@ def _settle(flat, weights, mask, level, reach, reduction, place):
 
 @njit(cache=True, error_model="numpy")
 def _candidates_on(
-    flat, mask, places, sides, offsets, turn, known, known_radius, rejected, rejected_radius, contrast,
-    least, weights, radius, reduction, found,
+    flat, channels, first, sign, dark, mask, places, sides, along, offsets, turn, known, known_radius, rejected,
+    rejected_radius, contrast, least, radius, reduction, found,
 ):  # fmt: skip
-    """`flat` is the image, (h w c,), `weights` those of its channels, (c,)."""
+    """`flat` is the image, (h w c,). Of a pixel, `sign` times its channel `first`, less `dark`, is the projection."""
     n = len(places)
     count = 0
     start = (turn * 997) % n if n else 0  # another one is the first each time: the limit falls on none for long
-    keep, below = np.float32(1.0 - contrast), np.float32(least)
-    channels = len(weights)
+    keep, below = np.int32(256.0 * (1.0 - contrast)), np.int32(least)
     width = mask.shape[1]
     steps = np.empty(8, dtype=np.int64)
     for side in range(8):
@@ -195,21 +229,21 @@ def _candidates_on(
     s0, s1 = np.uint64(steps[0]), np.uint64(steps[1])
     for part in range(2):
         for i in range(start if part == 0 else 0, n if part == 0 else start):
-            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels)
+            at = np.uint64(places[i, 1] * width + places[i, 0]) * np.uint64(channels) + np.uint64(first)
             bits = sides[i]
-            g = _value(flat, at, weights)
+            g = sign * np.int32(flat[at]) - dark
             # two neighbours part most of the ball from the rest
             if bits & 3 == 3:
-                beside = max(_value(flat, at + s0, weights), _value(flat, at + s1, weights))
-                if not (g < keep * beside and keep * g < beside):
+                beside = max(sign * np.int32(flat[at + s0]), sign * np.int32(flat[at + s1])) - dark
+                # by a part of the lighter of the two, whatever their signs
+                if not (256 * g < keep * beside and keep * g < 256 * beside):
                     continue
             brighter, darker = 0, 0
             ball = 0.0
             for side in range(8):
                 if (bits >> side) & 1:
-                    beside = _value(flat, at + np.uint64(steps[side]), weights)
-                    # by a part of the lighter of the two, whatever the signs of the weights
-                    if g < keep * beside and keep * g < beside and g < beside - below:
+                    beside = sign * np.int32(flat[at + np.uint64(steps[side])]) - dark
+                    if 256 * g < keep * beside and keep * g < 256 * beside and g < beside - below:
                         brighter += 1
                         ball += beside
                     else:
@@ -218,6 +252,16 @@ def _candidates_on(
                             break
             if darker > 1 or brighter < 4:
                 continue
+            # a disc ends along the limb, the limb's own blur does not
+            ends = True
+            for side in range(2):
+                ox, oy = along[i, side, 0], along[i, side, 1]
+                if ox != 0 or oy != 0:
+                    step = (np.int64(oy) * width + np.int64(ox)) * channels
+                    beside = sign * np.int32(flat[at + np.uint64(step)]) - dark
+                    ends = ends and 256 * g < keep * beside and keep * g < 256 * beside and g < beside - below
+            if not ends:
+                continue
             x, y = float(places[i, 0]), float(places[i, 1])
             if _near(x, y, known, known_radius) or _near(x, y, found[:count], radius + 2.0 * reduction):
                 continue
@@ -225,7 +269,7 @@ def _candidates_on(
                 continue
             found[count, 0], found[count, 1] = x, y
             level = np.float32(0.5 * (g + ball / brighter))
-            _settle(flat, weights, mask, level, radius + reduction, reduction, found[count])
+            _settle(flat, channels, first, sign, dark, mask, level, radius + reduction, reduction, found[count])
             x, y = found[count, 0], found[count, 1]
             if _near(x, y, known, known_radius) or _near(x, y, rejected, rejected_radius):
                 continue

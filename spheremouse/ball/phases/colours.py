@@ -1,25 +1,20 @@
 """The projection of colours found in which discs are darker than the ball, while nothing is known to turn with it.
 
-Each candidate is tried on one picture; what counts is the information that its fits give of the discs' centres. A fit of
-a stain or a highlight gives little. Once the ball has turned and three discs are known, Fisher's discriminant of their
-pixels takes its place. From then on it is fixed.
+All candidates are tried on one picture (detect.choice), again and again until the ball turns. Once three of its discs
+are known, Fisher's discriminant of their pixels takes the place of the candidate. From then on it is fixed.
 """
 
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
-from spheremouse.ball.detect.detections import Detections, Image
+from spheremouse.ball.detect.choice import chosen, information_of
 from spheremouse.ball.detect.discs import DiscDetector
-from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, Projection, fisher_projection
+from spheremouse.ball.detect.projection import fisher_projection
 from spheremouse.ball.detect.search import SearchState
-from spheremouse.ball.state import Colours, Detector, Learning, Lost, Recognising, Tracker, Tracking, TrackState
+from spheremouse.ball.events import DiscColours
+from spheremouse.ball.state import Colours, Detector, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame, Step
 
-_BETTER = 1.5  # times the information: standard deviations a fifth smaller; less is not worth a change
-_NEARLY = 1.2  # times the information: a tenth of a standard deviation is not worth colour
-_LEAST = 0.1  # discs: less information is that of stains
 _ENOUGH = 1.0  # discs, from which the wait until the next trial grows
 _WAIT = (0.5, 64.0)  # s between trials, at first and at most: doubled while the choice stays
 _LOST = 10.0  # s without a disc, after which another ball may be there
@@ -35,7 +30,7 @@ def is_trial_due(state: TrackState, stamp: float) -> bool:
     colours, phase = state.colours, state.phase
     if colours.fixed or isinstance(phase, Tracking) or colours.tried <= stamp < colours.tried + colours.wait:
         return False
-    if isinstance(phase, Lost):
+    if isinstance(phase, Lost) and isinstance(phase.last, Tracking):
         return phase.in_view_since is None and stamp - state.confirmed_at > _LOST
     return True
 
@@ -55,33 +50,21 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
     if projection == before.projection:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
         return replace(state, colours=before._replace(tried=frame.stamp, wait=wait))
-    phase = state.phase
-    if isinstance(phase, Learning):
-        phase = Learning(phase.found)
-    elif isinstance(phase, Recognising):
-        phase = Recognising()
     colours = Colours(projection, tried=frame.stamp, wait=_WAIT[0])
-    return replace(state, colours=colours, phase=phase, search=SearchState())
+    return replace(state, colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
 
 
-def chosen(image: Image, detector: DiscDetector, present: Projection) -> tuple[Projection, float]:
-    """The projection that shows the discs in a picture best, and its information, in discs; grey where nearly as good.
-
-    The `present` one stays unless another one is clearly better.
-    """
-    tried = (GREY, NEGATIVE) if image.ndim == 2 else dict.fromkeys((present, *CANDIDATES))
-    told = {p: information_of(detector.seeing(p).detect(image), detector.settings.sigma) for p in tried}
-    now, most = told.get(present, 0.0), max(told.values())
-    if most < _BETTER * now + _LEAST:
-        return present, now
-    best = next((p for p in (GREY, NEGATIVE) if told[p] * _NEARLY > most), max(told, key=lambda p: told[p]))
-    return best, told[best]
-
-
-def information_of(found: Detections, sigma: float) -> float:
-    """Information about the centres, in that of discs known to `sigma` px, the best there is."""
-    variance = 0.5 * np.trace(found.covariance, axis1=1, axis2=2)
-    return float(np.sum(sigma**2 / variance))
+def _in_other_colours(phase: Phase) -> Phase:
+    """The phase without what was seen in the colours before."""
+    match phase:
+        case Learning(found):
+            return Learning(found)
+        case Lost(Learning()):
+            return Learning()
+        case Recognising():
+            return Recognising()
+        case _:
+            return phase
 
 
 def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[TrackState]:
@@ -93,13 +76,22 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
     if not (isinstance(detector, DiscDetector) and isinstance(state.phase, Tracking) and state.confirmed):
         return done
     used: Any = state.points.index[state.filter.used]
-    fisher = fisher_projection(frame.image, state.detections.take(used), detector.diameter)
+    fisher = fisher_projection(frame.image, detector.view.mask, state.detections.take(used), detector.diameter)
     if fisher is None:
         return done
     before, after = (
         information_of(detector.seeing(p).detect(frame.image), detector.settings.sigma)
         for p in (colours.projection, fisher)
     )
-    projection = fisher if after > before else colours.projection
-    state = replace(state, colours=colours._replace(projection=projection, refined=True), search=SearchState())
+    if after <= before:
+        return done._replace(state=replace(state, colours=colours._replace(refined=True)))
+    state = replace(state, colours=colours._replace(projection=fisher, refined=True), search=SearchState())
     return done._replace(state=state)
+
+
+def told(done: Step[TrackState], before: Colours) -> Step[TrackState]:
+    """The step with an event where the discs are seen in other colours than `before`."""
+    projection = done.state.colours.projection
+    if projection == before.projection:
+        return done
+    return done._replace(events=(DiscColours(projection.weights), *done.events))

@@ -10,8 +10,8 @@ from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State, augment
-from spheremouse.ball.phases.colours import seen_in
 from spheremouse.ball.phases.candidates import all_are_discs, judged, updated
+from spheremouse.ball.phases.colours import seen_in
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import Tracker, Tracking, TrackState

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.blobs import BlobDetector, BlobSettings
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
+from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Device, DistanceError
 from spheremouse.calibrate.device.adjust import (
@@ -61,17 +62,17 @@ def calibrate_device(
         progress("looking for targets", 0.4 * k / len(photos))
         image = read()
         seen.append(detect_targets(image, device.target_radii, rings))
-        grey.append(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+        grey.append(projected(image, discs.projection or GREY))
     views = target_views(seen, device, camera, TARGET_SIGMA)
     block, views = first_block(views, device, camera, named)
     progress("looking for the ball", 0.45)
     here = [(grey[k], seen[k]) for k in views.photos]
     tolerance = _ray_tolerance(views, block, device, camera)
 
-    def found(size: float) -> tuple[Bundled, Spots]:
-        """With discs of that part of their radius."""
+    def found(size: float, here: Sequence[tuple[Image, TargetDetections]]) -> tuple[Bundled, Spots]:
+        """With discs of that part of their radius, dark ones in these pictures."""
         sized = replace(device, disc_radius=size * device.disc_radius)
-        result = bundled(views, _first_discs(here, block, sized, discs, tolerance), block, sized, camera)
+        result = bundled(views, _first_discs(here, block, sized, tolerance), block, sized, camera)
         check_distances(result, sized)
         spots = Spots(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
         for turn in range(2):  # the second time with the ball where the first one found it
@@ -81,14 +82,17 @@ def calibrate_device(
             result = bundled(views, observed, result.solution.block, sized, camera)
         return result, spots
 
-    try:
-        result, spots = found(1.0)
-        return replace(moved_to_ball(result, views, device), doubtful=_doubtful(result, spots, views, device))
-    except DistanceError:
-        raise
-    except CalibrationError as e:
-        _check_radius(lambda size: found(size)[0], device)
-        raise e from None
+    failed: list[CalibrationError] = []
+    for pictures in (here,) if discs.projection else (here, [(cv2.bitwise_not(g), s) for g, s in here]):
+        try:
+            result, spots = found(1.0, pictures)
+            return replace(moved_to_ball(result, views, device), doubtful=_doubtful(result, spots, views, device))
+        except DistanceError:
+            raise
+        except CalibrationError as e:
+            failed.append(e)
+    _check_radius(lambda size: found(size, here)[0], device)
+    raise failed[0] from None
 
 
 def _check_radius(found: Callable[[float], Bundled], device: Device) -> None:
@@ -107,22 +111,21 @@ def _check_radius(found: Callable[[float], Bundled], device: Device) -> None:
         ) from None
 
 
-def dark_spots(grey: Image, seen: TargetDetections, share: float, settings: DiscSettings) -> Detections:
+def dark_spots(grey: Image, seen: TargetDetections, share: float) -> Detections:
     """Dark spots that may be discs: `share` of the targets' radius, nearer or further off, straight or aslant."""
     face = np.pi * (float(np.median(seen.radius)) * share) ** 2
     detector = BlobDetector(BlobSettings(masks=24, min_area=max(0.1 * face, 12.0), max_area=4.0 * face))
-    return detector.detect(cv2.bitwise_not(grey) if settings.polarity == "light" else grey)
+    return detector.detect(grey)
 
 
 def _first_discs(
     photos: Sequence[tuple[Image, TargetDetections]],
     block: Block,
     device: Device,
-    settings: DiscSettings,
     tolerance: float,
 ) -> DiscViews:
     """Dark spots that lie on one ball, numbered. Raises CalibrationError where there is none."""
-    found = [dark_spots(grey, seen, device.disc_radius / device.target_radii[2], settings) for grey, seen in photos]
+    found = [dark_spots(grey, seen, device.disc_radius / device.target_radii[2]) for grey, seen in photos]
     spots = Spots(
         np.repeat(np.arange(len(found)), [len(f) for f in found]),
         np.concatenate([f.centre for f in found]),
@@ -138,7 +141,11 @@ def _first_discs(
 def _measured_discs(
     photos: Sequence[tuple[Image, TargetDetections]], result: Bundled, device: Device, settings: DiscSettings
 ) -> tuple[Spots, DiscViews]:
-    """Discs measured as what they must look like on the ball found so far: all, and those that two photos show."""
+    """Discs measured as what they must look like on the ball found so far: all, and those that two photos show.
+
+    In `photos` they are darker than the ball, whatever the settings say of their colours.
+    """
+    settings = replace(settings, polarity="dark", weights=())
     block, K, R = result.solution.block, result.sphere.centre, result.sphere.radius
     rig = ball_rig(block.camera, K, R, device.disc_radius)
     seen = [

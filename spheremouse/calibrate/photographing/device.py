@@ -7,11 +7,11 @@ whole adjustment of the photos so far would ask for (plans): the two cannot disa
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscSettings
+from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.ball.detect.rings import RingSettings, TargetDetections, detect_targets
 from spheremouse.ball.device import Axes, Device
 from spheremouse.calibrate.device.bundle import Block
@@ -83,8 +83,8 @@ class DeviceJudge:
         new, place = self._place(found)
         if not new:
             return Look(found, f"{where}; {place}")
-        grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), np.uint8)
-        spots = dark_spots(grey, found, self._device.disc_radius / self._device.target_radii[2], self._discs)
+        grey = np.asarray(projected(picture, self._discs.projection or GREY), np.uint8)
+        spots = dark_spots(grey, found, self._device.disc_radius / self._device.target_radii[2])
         blur = blur_of_spots(grey, spots)
         self._sharpest = min(self._sharpest, blur)  # nan is not less
         hindered = not_sharp(blur, self._sharpest)

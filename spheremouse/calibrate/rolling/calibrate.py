@@ -7,12 +7,15 @@ stood still.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.discs import DiscSettings
+from spheremouse.ball.detect.projection import GREY, NEGATIVE, Projection, projected
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
 from spheremouse.calibrate.rolling.adjust import adjust_rolling
@@ -86,10 +89,10 @@ def solve(
     `disc_angle` may say, of a first result, how large the discs are over the ball; None: as seen. `progress` wraps the
     frames of each way through. CalibrationError in all the ways that a recording can fail.
     """
-    views, found, block = _first_look(footage, camera, progress)
+    views, found, block, polarity = _ball_found(footage, camera, progress)
     assert views.first is not None
     _check_still(views, found, camera)
-    settings = Settings()
+    settings = Settings(discs=DiscSettings(polarity=polarity))
     rig = replace(start_rig(found, camera), readout_s=readout[0], readout_sigma_s=readout[1])
     whole = views.last - views.first
     rolled, tracked, rig = _round(footage, block, rig, found.direction, found.ratio, camera, settings, progress)
@@ -125,8 +128,21 @@ def _round(
     return rolled, tracked, replace(rig, disc_radius=rig.disc_radius * tracked.size)
 
 
-def _first_look(
+def _ball_found(
     footage: Footage, camera: InteriorOrientation, progress: Progress
+) -> tuple[Views, RollingStart, float | None, Literal["dark", "light"]]:
+    """The first look by dark discs, or else by light ones; of two failures, the first."""
+    try:
+        return *_first_look(footage, camera, progress, GREY), "dark"
+    except CalibrationError as e:
+        try:
+            return *_first_look(footage, camera, progress, NEGATIVE), "light"
+        except CalibrationError:
+            raise e from None
+
+
+def _first_look(
+    footage: Footage, camera: InteriorOrientation, progress: Progress, projection: Projection
 ) -> tuple[Views, RollingStart, float | None]:
     """All frames once: views kept, and the start from the first seconds, or more where those do not do."""
     views, spots = Views(), list[Spots]()
@@ -144,7 +160,7 @@ def _first_look(
         assert views.first is not None
         if found is not None:
             continue
-        spots.append(dark_spots(frame.image))
+        spots.append(dark_spots(projected(frame.image, projection)))
         used = frame.stamp - views.first
         if used > limit:
             limit *= 2.0

@@ -176,9 +176,12 @@ def _picture(plan: Plan, footage: Footage, rig: Rig | None) -> Iterator[Finding]
             if pose is not None:
                 seen, found = _pair(lambda: sights.sight(rig, pose, settings), "ball")
                 yield found
+    seen = None if seen is None else sights.in_colours(seen, footage.views)
+    projection = GREY if seen is None else seen.projection
     mask = None if seen is None else ball_mask(seen.rig, seen.pose)
     greys = [sights.grey(v.image) for v in footage.views]
-    yield from _guarded("brightness", lambda: light.brightness(greys, mask, settings.discs, _noise(footage, seen)))
+    noise = _noise(footage, seen)
+    yield from _guarded("brightness", lambda: light.brightness(greys, mask, settings.discs, noise, projection))
     yield from _guarded("flicker", light.flicker, footage, mask, settings.discs)
     if seen is not None:
         sight = seen

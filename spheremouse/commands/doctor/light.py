@@ -11,12 +11,14 @@ import numpy as np
 
 from spheremouse.ball.detect.detections import Image
 from spheremouse.ball.detect.discs import DiscSettings
+from spheremouse.ball.detect.projection import GREY, Projection
 from spheremouse.commands.doctor.finding import Finding, ok, unchecked, warning, wrong
 from spheremouse.commands.doctor.footage import Footage
 from spheremouse.commands.doctor.timing import steadiness
 from spheremouse.geometry.rotation import Array
 
 _CLIPPED = 254  # grey value: the last two hold what is blown out, whatever the noise
+_LIGHT_DISCS = 99.8  # per cent of the ball that are darker than light discs: eight of 2 cm on 1.2 m cover 0.2 %
 _BRIGHTEST = 95.0  # per cent of the picture that are darker
 _MUCH = 0.1  # of the ball blown out: one disc in ten has a rim whose bright side is cut off
 _PRINT = 0.8  # contrast of black print on white
@@ -26,13 +28,16 @@ _FALSE = 1e-4  # chance that noise alone is taken for flicker
 _LEAST = 0.005  # depth below which nobody need know
 
 
-def brightness(views: list[Image], mask: Image | None, settings: DiscSettings, noise: float) -> Finding:
+def brightness(
+    views: list[Image], mask: Image | None, settings: DiscSettings, noise: float, projection: Projection = GREY
+) -> Finding:
     """Of the ball's paper, grey values, in `views` (h, w) where `mask` (h, w) is not 0.
 
     Without one, of what is brightest in the picture: the ball is not the darkest thing in it.
 
     A disc of the least contrast must stand out of the noise at its edge, where half of it is left: four standard
-    deviations and a grey value, as the detector asks.
+    deviations and a grey value, as the detector asks. Its contrast is a part of the lighter of disc and ball, which is
+    the disc in any `projection` but grey.
     """
     name = "brightness"
     values = np.concatenate([v[mask > 0] if mask is not None else v.ravel() for v in views])
@@ -50,7 +55,7 @@ def brightness(views: list[Image], mask: Image | None, settings: DiscSettings, n
     }
     darken = "a shorter exposure (camera.exposure_s), less gain, or a lamp less"
     lighten = "more light on the ball; then gain, then exposure"
-    level = 255.0 - middle if settings.polarity == "light" else middle
+    level = middle if projection == GREY else float(np.percentile(values, _LIGHT_DISCS))
     if clipped > 0.5 and mask is not None:
         return wrong(name, f"{text}: most discs have no true rim", darken, **numbers)
     if mask is not None and level < hopeless:

@@ -1,6 +1,7 @@
 """What is seen with the rig right now: targets and camera pose, the ball, its discs, and how fast it may turn."""
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -8,8 +9,10 @@ import numpy as np
 
 from spheremouse.ball.build import build
 from spheremouse.ball.detect.appearance import ball_outline, largest_disc
+from spheremouse.ball.detect.choice import chosen
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
+from spheremouse.ball.detect.projection import Projection, weights_of
 from spheremouse.ball.detect.rings import detect_targets
 from spheremouse.ball.pose import find_pose, gather
 from spheremouse.ball.rig import Rig
@@ -34,6 +37,11 @@ class Sight:
     rig: Rig
     pose: Pose
     detector: DiscDetector
+
+    @property
+    def projection(self) -> Projection:
+        """Of the colours, in which discs are darker than the ball."""
+        return self.detector.view.fit.projection
 
     @property
     def disc(self) -> float:
@@ -120,12 +128,20 @@ def sight(rig: Rig, pose: Pose, settings: Settings) -> tuple[Sight | None, Findi
     return seen, ok("ball", text, **numbers)
 
 
+def in_colours(seen: Sight, views: tuple[Frame, ...]) -> Sight:
+    """With the projection of colours that shows the discs best in most views, where the settings leave it open."""
+    if seen.detector.settings.projection is not None:
+        return seen
+    found = Counter(chosen(v.image, seen.detector, seen.projection)[0] for v in views)
+    return replace(seen, detector=seen.detector.seeing(found.most_common(1)[0][0])) if found else seen
+
+
 def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Finding:
     """Number of disc candidates in the median view, and their contrast."""
     found = [seen.detector.detect(v.image) for v in views]
     counts = [len(d) for d in found]
     count = int(np.median(counts))
-    contrasts = np.concatenate([contrast(grey(v.image), d, settings) for v, d in zip(views, found, strict=True)])
+    contrasts = np.concatenate([contrast(v.image, d, seen.projection) for v, d in zip(views, found, strict=True)])
     numbers: dict[str, Any] = {"seen": count, "least": min(counts), "most": max(counts)}
     if count == 0:
         return wrong(
@@ -149,9 +165,9 @@ def discs(views: tuple[Frame, ...], seen: Sight, settings: DiscSettings) -> Find
     return ok("discs", text, **numbers)
 
 
-def contrast(image: Image, found: Detections, settings: DiscSettings) -> Array:
-    """Of each disc, (k,): one less its grey over that around it; those whose surroundings are out of sight left out."""
-    values = image if settings.polarity == "dark" else cv2.bitwise_not(image)
+def contrast(image: Image, found: Detections, projection: Projection) -> Array:
+    """Of each disc, (k,), a part of the lighter of disc and ball; without those whose surroundings are out of sight."""
+    values = (image if image.ndim == 3 else image[:, :, None]) @ weights_of(projection, 1 if image.ndim == 2 else 3)
     made = []
     for (u, v), area in zip(found.centre, found.area, strict=True):
         r = float(np.sqrt(area / np.pi))
@@ -163,8 +179,9 @@ def contrast(image: Image, found: Detections, settings: DiscSettings) -> Array:
         grid = np.arange(-half, half + 1)
         d = np.hypot(grid[None, :] - (u - x), grid[:, None] - (v - y))
         core, ring = patch[d <= max(0.5 * r, 0.8)], patch[(d >= 1.5 * r) & (d <= 2.0 * r)]
-        if len(core) and len(ring) and np.median(ring) > 0.0:
-            made.append(1.0 - float(np.median(core)) / float(np.median(ring)))
+        if len(core) and len(ring):
+            disc, ball = float(np.median(core)), float(np.median(ring))
+            made.append((ball - disc) / max(abs(ball), abs(disc), 1.0))
     return np.array(made)
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from spheremouse.ball.detect.detections import Image
+from spheremouse.ball.detect.projection import GREY, projected
 from spheremouse.ball.detect.sharpness import blur_of
 from spheremouse.calibrate.rolling.start import Spots, dark_spots
 from spheremouse.capture.stopping import Stopping
@@ -196,6 +197,6 @@ def _look(frame: Frame, radii: Array, codes: tuple[str, ...] | None, settings: C
     image = frame.image
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     noise = float(mad_sigma(np.diff(grey[::4].astype(np.float32), axis=1).ravel())) / np.sqrt(2.0)
-    dark = cv2.bitwise_not(grey) if settings.discs.polarity == "light" else grey
+    dark = projected(image, settings.discs.projection or GREY)
     light = brightness([grey], None, settings.discs, noise)
     return Seen(frame, sight_of(image, radii, codes, settings.rings), dark_spots(dark), blur_of(grey), light)

@@ -5,9 +5,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import ray_cast
 from numpy.testing import assert_array_equal
 
-from spheremouse.ball.detect.appearance import Appearance, appearance
+from spheremouse.ball.detect.appearance import Appearance, appearance, ball_mask
 from spheremouse.ball.detect.discs import DiscDetector, DiscSettings, disc_detector
 from spheremouse.ball.detect.projection import GREY, NEGATIVE
 from spheremouse.ball.detect.search import SearchState, places_to_look_at, went
@@ -311,3 +312,39 @@ def test_places_remembered_are_bounded():
         state = went(state, rng.uniform(100.0, 400.0, (4, 2)), 1)
         assert len(state.rejected) == len(state.until) == len(state.wait) <= 256
     assert state.turn == 200
+
+
+# --- the limb --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("room", "projection"), [(150.0, NEGATIVE), (10.0, GREY)])
+def test_the_limb_is_no_disc_and_discs_beside_it_are_met(room, projection):
+    """Of a ball before a room that is as light, or as dark, as discs are: its blurred pixels are a ring, not a disc."""
+    detector = disc_detector(DiscSettings(), ray_cast.RIG, ray_cast.POSE)
+    ball, ink = (50.0, 200.0) if projection == NEGATIVE else (150.0, 40.0)
+    mask = ball_mask(ray_cast.RIG, ray_cast.POSE) > 0
+    angle = np.linspace(0.0, 2.0 * np.pi, 7, endpoint=False)
+    discs = np.stack([0.92 * np.cos(angle), 0.92 * np.sin(angle), np.full(7, np.sqrt(1.0 - 0.92**2))], axis=1)
+    for shown in (discs[:0], discs):
+        image = ray_cast.ray_cast(shown, ball=ball, ink=ink, blur=0.0)
+        image[(image == ray_cast.ROOM) & ~mask] = room
+        found = photo(cv2.GaussianBlur(image, (0, 0), 0.7))
+        places = four_turns(found, detector=detector, projection=projection)
+        centres = ray_cast.centre_of(shown, ray_cast.RIG, ray_cast.POSE)
+        assert len(places) <= 2 + 2 * len(shown)  # four in each turn otherwise
+        assert np.all(distances(places, centres) < 2.0)
+
+
+def test_along_the_limb_the_neighbours_are_as_deep():
+    lattice = PLAIN.lattice
+    depth = cv2.distanceTransform(PLAIN.view.mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    d = 0.5 * PLAIN.diameter + 2.5
+    for places, along in zip(lattice.places, lattice.along, strict=True):
+        here = depth[places[:, 1], places[:, 0]]
+        near = here < d - 1.0
+        assert np.all(along[near].any(axis=2))
+        assert not np.any(along[here > d + 1.0])
+        u = places[near][:, None] + along[near]
+        assert np.abs(depth[u[..., 1], u[..., 0]] - here[near][:, None]).max() < 1.5
+        length = np.linalg.norm(along[near], axis=2)
+        assert np.all((length > 0.8 * d) & (length < 1.3 * d))

@@ -1,7 +1,8 @@
 """Rolling: the ball's place, the discs and their covariances, from sightings simulated and from recordings."""
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from spheremouse.calibrate.rolling.advice import advise
 from spheremouse.calibrate.rolling.axes import Axes as RolledAxes
 from spheremouse.calibrate.rolling.axes import axes_from_gestures, axes_from_targets
 from spheremouse.calibrate.rolling.axes_from_rings import axes_from_rings
+from spheremouse.calibrate.rolling.calibrate import solve
+from spheremouse.calibrate.rolling.footage import until
 from spheremouse.calibrate.rolling.normal import _cost, _moved
 from spheremouse.calibrate.rolling.placed import known_with_ball, placed, rescaled_targets, with_rolled
 from spheremouse.calibrate.rolling.problem import Rolling, Sightings, _rates, equations_of
@@ -574,3 +577,22 @@ def test_bad_options_are_told_in_a_line(far26, options, said):
     assert result.exit_code != 0
     assert said in str(result.exception)
     assert "\n" not in str(result.exception).strip()
+
+
+@dataclass
+class Negative:
+    """A recording of a dark ball with light discs: of far26, with black and white exchanged."""
+
+    folder: Path
+
+    def frames(self, seconds=None):
+        every = (replace(f, image=255 - f.image) for f in read_frames(open_dataset(self.folder)))
+        return until(every, min(seconds or 5.0, 5.0))
+
+
+def test_light_discs_on_a_dark_ball_are_rolled_as_well(far26):
+    recording = open_dataset(far26)
+    camera, true = recording.rig.camera, recording.pose.to_cam(np.zeros(3))
+    found = solve(Negative(far26), camera, (0.0, 0.0), lambda *_: None, lambda what, frames: frames).rolled.rolling
+    assert abs(found.ratio / (np.linalg.norm(true) / 0.6) - 1.0) < 2e-3
+    assert np.rad2deg(np.linalg.norm(np.cross(found.direction, true)) / np.linalg.norm(true)) < 0.03

@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 
 from spheremouse.ball.detect.appearance import ball_mask
 from spheremouse.ball.detect.discs import DiscSettings
+from spheremouse.ball.detect.projection import NEGATIVE
 from spheremouse.commands.doctor import (
     access,
     computer,
@@ -367,8 +368,12 @@ def test_a_disc_of_the_least_contrast_stands_out_of_the_noise_from_the_limit_on(
         below, above = (np.full((50, 50), round(least + d), np.uint8) for d in (-2, 2))
         assert light.brightness([below], mask, settings, noise).verdict is WARNING
         assert light.brightness([above], mask, settings, noise).verdict is OK
-    inverted = replace(settings, polarity="light")
-    assert light.brightness([np.full((50, 50), 250, np.uint8)], mask, inverted, 1.0).verdict is WRONG
+    dark = np.full((50, 50), 8, np.uint8)
+    assert light.brightness([dark], mask, settings, 1.0).verdict is WRONG
+    assert light.brightness([dark], mask, settings, 1.0, NEGATIVE).verdict is WRONG
+    dark[20:30, 20:30] = 200  # light discs: of theirs the contrast is a part
+    assert light.brightness([dark], mask, settings, 1.0).verdict is WRONG
+    assert light.brightness([dark], mask, settings, 1.0, NEGATIVE).verdict is OK
 
 
 # ---- blur ----

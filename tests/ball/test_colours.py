@@ -1,0 +1,149 @@
+"""Balls and discs of any colour, from simulated films: found by themselves, kept, and black on white as it was."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from spheremouse.ball.build import begin, build
+from spheremouse.ball.detect.discs import DiscSettings
+from spheremouse.ball.detect.projection import GREY, NEGATIVE, normalised
+from spheremouse.ball.events import DiscColours
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.state import Tracking, disc_map
+from spheremouse.ball.track import step, wants_colour, with_pose, with_settings
+from spheremouse.evaluate.metrics import attitude_error
+from spheremouse.simulate.ball.film import SimulationOptions, prepare, simulate
+from spheremouse.tracker import Frame, Status
+
+WHITE, RED, BLUE, DARK, BLACK = (230, 230, 230), (40, 40, 180), (180, 40, 40), (40, 40, 40), (20, 20, 20)
+PAIRS = {"white-black": (None, None), "dark-white": (DARK, WHITE), "red-black": (RED, BLACK), "red-blue": (RED, BLUE),
+         "red-white": (RED, WHITE)}  # fmt: skip
+pairs = pytest.mark.parametrize("pair", PAIRS)
+COLOURED = ("red-black", "red-blue")
+
+
+def film(pair, seed=3, seconds=1.5, **more):
+    """Frames of a ball that turns from the first frame on, as a camera gives them that delivers colour on demand."""
+    ball, disc = PAIRS[pair]
+    options = {"motion": "roll", "turns": 0.2, "noise": 4.0, "seconds": seconds, "seed": seed} | more
+    sim = prepare(SimulationOptions(ball_colour=ball, disc_colour=disc, **options))
+    return sim, list(simulate(sim))
+
+
+def run(sim, frames, settings=None, known=None):
+    """States and events; frames come grey unless colour is wanted, and which did not."""
+    tracker = build(sim.scene.rig(), sim.scene.pose, settings or Settings())
+    state, states, events, coloured = begin(tracker, 0.0, known=known), [], [], []
+    for made in frames:
+        coloured.append(wants_colour(state, made.frame.stamp))
+        image = made.frame.image if coloured[-1] else cv2.cvtColor(made.frame.image, cv2.COLOR_BGR2GRAY)
+        state, _, happened = step(state, replace(made.frame, image=image), tracker)
+        states.append(state)
+        events += happened
+    return states, events, coloured, tracker
+
+
+def worst(states, frames):
+    """rad, largest error of the attitude once the ball is tracked."""
+    found = [k for k, s in enumerate(states) if s.status is Status.TRACKING]
+    assert len(found) >= len(frames) - 1
+    error = attitude_error(
+        np.array([states[k].filter.attitude for k in found]), np.array([frames[k].attitude for k in found])
+    )
+    return np.linalg.norm(error, axis=1).max()
+
+
+@pairs
+def test_a_ball_of_any_colours_is_tracked_from_its_first_frame_on(pair):
+    sim, frames = film(pair)
+    states, events, coloured, _ = run(sim, frames)
+    assert worst(states, frames) < np.radians(0.1)
+    told = [e for e in events if isinstance(e, DiscColours)]
+    if pair == "white-black":
+        assert told == []
+        assert {s.colours.projection for s in states} == {GREY}
+    else:
+        assert told
+        assert told[-1].weights == states[-1].colours.projection.weights
+    assert all(coloured) == (pair in COLOURED)
+    if pair not in COLOURED:
+        assert coloured.index(True) == 0
+        assert sum(coloured) <= 2  # the targets may ask for one, too
+
+
+@pairs
+def test_in_a_quarter_of_the_light_too(pair):
+    sim, frames = film(pair, seconds=1.0)
+    dim = [replace(m, frame=replace(m.frame, image=(0.25 * m.frame.image + 0.5).astype(np.uint8))) for m in frames]
+    states, *_ = run(sim, dim)
+    assert worst(states, frames) < np.radians(0.3)
+
+
+@pytest.mark.parametrize("pair", ["dark-white", "red-white", "red-blue"])
+def test_hands_at_first_do_not_decide(pair):
+    """A blank sheet with spots of skin hides the ball for half a second; the colours are found when it is gone."""
+    sim, frames = film(pair, seconds=2.0, motion="roll", turns=0.1)
+    rng = np.random.default_rng(2)
+    hand = np.full_like(frames[0].frame.image, (140, 160, 200))
+    for x, y in rng.uniform((200, 120), (440, 360), (12, 2)):
+        cv2.circle(hand, (int(x), int(y)), 6, (90, 110, 150), -1, cv2.LINE_AA)
+    hidden = [replace(m, frame=replace(m.frame, image=hand)) if k < 15 else m for k, m in enumerate(frames)]
+    states, *_ = run(sim, hidden)
+    assert states[-1].status is Status.TRACKING
+    assert len(states[-1].filter.used) >= 3
+    after = [s.filter.attitude for s in states[45:]]
+    true = [m.attitude for m in frames[45:]]
+    turned = [a @ after[0].T @ (t @ true[0].T).T for a, t in zip(after, true, strict=True)]
+    assert max(np.arccos(np.clip((np.trace(R) - 1.0) / 2.0, -1.0, 1.0)) for R in turned) < np.radians(0.3)
+
+
+def test_once_the_ball_has_turned_the_colours_are_fisher_s_and_stay():
+    sim, frames = film("red-blue", seconds=2.0)
+    states, events, *_ = run(sim, frames)
+    refined = [s for s in states if s.colours.refined]
+    assert refined
+    assert all(isinstance(s.phase, Tracking) for s in refined)
+    assert len({s.colours.projection for s in refined}) == 1
+    assert len([e for e in events if isinstance(e, DiscColours)]) <= 2
+
+
+@pytest.mark.parametrize("pair", ["dark-white", "red-blue"])
+def test_the_map_keeps_the_colours_and_another_ball_finds_its_own(pair):
+    sim, frames = film(pair, seconds=2.0)
+    states, *_ = run(sim, frames)
+    known = disc_map(states[-1])
+    assert known is not None
+    assert known.projection == states[-1].colours.projection
+    again, events, *_ = run(sim, frames[30:], known=known)
+    assert again[0].absolute
+    assert not any(isinstance(e, DiscColours) for e in events)
+    other, black = film("white-black")
+    states, events, *_ = run(other, black, known=known)
+    assert states[-1].colours.projection == GREY
+    assert sum(isinstance(e, DiscColours) for e in events) == 1
+
+
+def test_settings_fix_the_colours_and_a_change_of_them_is_followed():
+    sim, frames = film("red-blue", seconds=1.0)
+    fixed = Settings(discs=DiscSettings(weights=(-0.5, 0.0, 0.5)))
+    states, events, *_ = run(sim, frames, fixed)
+    assert {s.colours.projection for s in states} == {normalised(np.array([-0.5, 0.0, 0.5]))}
+    assert not any(isinstance(e, DiscColours) for e in events)
+    assert worst(states, frames) < np.radians(0.1)
+    tracker = build(sim.scene.rig(), sim.scene.pose, fixed)
+    light, _ = with_settings(states[-1], tracker, Settings(discs=DiscSettings(polarity="light")))
+    assert light.colours.projection == NEGATIVE
+    auto, _ = with_settings(states[-1], tracker, Settings())
+    assert auto.colours.projection == states[-1].colours.projection  # until there is a reason for others
+    assert not auto.colours.fixed
+
+
+def test_a_camera_that_was_moved_sees_the_same_colours():
+    sim, frames = film("red-blue", seconds=1.0)
+    states, _, _, tracker = run(sim, frames)
+    pose = replace(sim.scene.pose, position=sim.scene.pose.position + 0.01)
+    made = frames[-1].frame
+    after = with_pose(states[-1], Frame(made.image, made.stamp + 1 / 30, made.sequence + 1), tracker, pose).state
+    assert after.colours.projection == states[-1].colours.projection
