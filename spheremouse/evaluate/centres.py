@@ -6,7 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spheremouse.ball.detect.appearance import appearance
+from spheremouse.ball.rig import Rig, directions_at
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth
+from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
 
@@ -23,6 +26,18 @@ class Sight:
 
     disc: NDArray[np.intp]  # (k,) index of the disc
     sigma: Array  # (k,) px, standard deviation of its centre per axis
+
+
+def semi_minor_axes(centre: Array, rig: Rig, pose: Pose) -> Array:
+    """Semi-minor axes, (n,) px, of the images of discs whose centres project to pixels (n, 2).
+
+    nan for a disc that the limb cuts, and for a pixel beside the ball.
+    """
+    axes = np.full(len(centre), np.nan)
+    directions, index = directions_at(centre, rig, pose)
+    seen = appearance(directions, rig, pose)
+    axes[index[seen.whole]] = np.sqrt(np.linalg.eigvalsh(seen.shape[seen.whole])[:, 0])
+    return axes
 
 
 def distances(a: Array, b: Array) -> Array:

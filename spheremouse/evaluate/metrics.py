@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import HIDDEN, VISIBLE, DiscTruth, Truth
 from spheremouse.evaluate.bound import Bound, posterior_bound
-from spheremouse.evaluate.centres import MATCH, distances, measured
+from spheremouse.evaluate.centres import MATCH, distances, measured, semi_minor_axes
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.tracker import Status
 
 MIN_AREA = 12.0  # px², smaller discs are not asked for: 3.9 px across
+MIN_AXIS = 1.25  # px, semi-minor axis: below that both rims of a disc are one blur, however large the picture
 _RANK = 1e-9  # eigenvalues below this part of the largest are none
 
 
@@ -74,7 +75,9 @@ def report(
         rate = run.rate[kept] - true[1]
         speed, true_speed = surface_speeds(run, motion, rig.ball.radius)
         slip = speed - true_speed
-    detection = None if reference.discs is None else detection_quality(run, reference.discs)
+    discs, pose = reference.discs, reference.pose
+    axes = None if discs is None or pose is None else semi_minor_axes(discs.centre, rig, pose)
+    detection = None if discs is None else detection_quality(run, discs, axes)
     bound = run_bound(run, reference, rig)
     attitude_rmse = per_axis(None if attitude is None else np.rad2deg(attitude), "xyz")
     rate_rmse = per_axis(None if rate is None else np.rad2deg(rate), "xyz")
@@ -223,13 +226,15 @@ def mean_discs(run: Run) -> float | None:
     return float(np.mean([len(run.used[i]) for i in kept])) if len(kept) else None
 
 
-def detection_quality(run: Run, truth: DiscTruth) -> dict[str, float | None]:
+def detection_quality(run: Run, truth: DiscTruth, semi_minor: Array | None = None) -> dict[str, float | None]:
     """Detections against the true discs, over all frames that the tracker was given.
 
     recall: share of the wholly visible discs of at least MIN_AREA px² that have a detection within MATCH px of the
     true centre, each detection counted for one disc. false_share: share of the points that the filter used that are
     farther than that from the centre of every disc that is not hidden. centre_rms_px: per axis, over the discs found.
     The same for discs of at least 15 px² (recall_15) and 60 px² (centre_rms_60_px): larger than the slivers.
+    recall_axis: of wholly visible discs whose `semi_minor` axis, (k,) px for the rows of `truth`, is at least MIN_AXIS:
+    the same discs at any size of the picture. None without `semi_minor`.
     """
     wanted = found = points = false = 0
     offsets: list[Array] = [np.zeros((0, 2))]
@@ -254,8 +259,18 @@ def detection_quality(run: Run, truth: DiscTruth) -> dict[str, float | None]:
         "false_share": false / points if points else None,
         "centre_rms_px": _number(np.sqrt(np.mean(offset**2))) if len(offset) else None,
         "recall_15": np.count_nonzero(area >= 15.0) / asked_15 if asked_15 else None,
+        "recall_axis": None if semi_minor is None else _recall(run, truth, semi_minor >= MIN_AXIS),
         "centre_rms_60_px": _number(np.sqrt(np.mean(large**2))) if len(large) else None,
     }
+
+
+def _recall(run: Run, truth: DiscTruth, asked: NDArray[np.bool_]) -> float | None:
+    """Share of the wholly visible discs among the rows `asked`, (k,), that have a detection within MATCH px."""
+    wanted = found = 0
+    for frame, detected in zip(run.frame, run.detected, strict=True):
+        centre = truth.centre[asked & (truth.frame == frame) & (truth.state == VISIBLE)]
+        wanted, found = wanted + len(centre), found + len(assign(distances(centre, detected), MATCH)[0])
+    return found / wanted if wanted else None
 
 
 def pose_error(found: Pose, true: Pose) -> dict[str, list[float | None]]:

@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.table import Table
 
-from spheremouse.evaluate.metrics import MIN_AREA
+from spheremouse.evaluate.metrics import MIN_AREA, MIN_AXIS
 
 
 def ball_table(results: list[dict[str, Any]], title: str) -> Table:
@@ -96,6 +96,7 @@ _ROWS: tuple[tuple[str, Callable[[dict[str, Any]], str]], ...] = (
     ("discs used per frame", lambda r: shown(r["mean_discs"])),
     ("recognised in the map from frame", lambda r: shown(r["identified_from_frame"], "d")),
     (f"recall of whole discs ≥ {MIN_AREA:g} px², %", lambda r: _percent(r, "recall")),
+    (f"  of semi-minor axis ≥ {MIN_AXIS:g} px, %", lambda r: _percent(r, "recall_axis")),
     ("points used that are no disc, %", lambda r: _percent(r, "false_share")),
     ("disc centre RMS per axis, px", lambda r: _each(r, "detection", "centre_rms_px")),
     ("camera position error, mm", lambda r: _list(r, "pose_error", "position_mm")),

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.truth import HIDDEN, PARTLY_HIDDEN, VISIBLE, DiscTruth
-from spheremouse.evaluate.centres import measured
+from spheremouse.evaluate.centres import measured, semi_minor_axes
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import from_euler, tangent_basis
 
 
 def sky(frames, areas, states):
@@ -77,3 +80,24 @@ def test_perfect_centres_still_have_a_noise():
 
 def test_no_frames_no_sights():
     assert measured([], [], sky(1, [100.0], [VISIBLE])) == []
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_the_semi_minor_axis_is_that_of_the_rim(scale):
+    """Of 720 points of the rim, by their moments; at the limb and beside the ball there is none."""
+    camera = InteriorOrientation(
+        round(640 * scale), round(480 * scale), 640 * scale, 640 * scale, 320 * scale, 240 * scale
+    )
+    pose = Pose(from_euler(np.radians([180.0, 0.0, 90.0])), np.array([0.0, 0.0, 2.35]))
+    rig = Rig(camera, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
+    slant, way = np.radians([0.0, 30.0, 60.0, 70.0, 74.5]), np.radians([0.0, 40.0, 170.0, 250.0, 300.0])
+    u = np.stack([np.sin(slant) * np.cos(way), np.sin(slant) * np.sin(way), np.cos(slant)], axis=1)
+    alpha, phase = 0.02 / 0.6, np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    around = np.stack([np.cos(phase), np.sin(phase)], axis=1) @ np.swapaxes(tangent_basis(u), 1, 2)
+    rim = project(pose.to_cam(0.6 * (np.cos(alpha) * u[:, None] + np.sin(alpha) * around)).reshape(-1, 3), camera)[0]
+    off = rim.reshape(5, 720, 2) - rim.reshape(5, 720, 2).mean(axis=1, keepdims=True)
+    true = np.linalg.norm(off, axis=2).min(axis=1)
+    centre = project(pose.to_cam(0.6 * u), camera)[0]
+    axes = semi_minor_axes(np.concatenate([centre, [[2.0, 2.0]]]), rig, pose)
+    assert_allclose(axes[:4], true[:4], rtol=0.02)
+    assert np.isnan(axes[4:]).all()

@@ -40,6 +40,7 @@ from spheremouse.settings import AREA, PART, SHARE, SIGMA_PX, param
 _LENS_BLUR = 0.4  # px, standard deviation of an ordinary lens in focus; the fitted size takes up what differs
 _SHOWN = 4.0  # px of the coarse picture, across a disc that its samples meet: they are 2 px apart, and print is blurred
 _LEARN_EVERY = 16  # frames: noise, and the size of the discs
+_MOST_ROUNDS = 3  # of the search for slivers in one picture: struts that cross the limb offer places, too
 _FINE = 14.0  # px, diameter of a disc that is found as well no finer: larger pictures are searched more coarsely
 
 
@@ -125,6 +126,7 @@ class DiscDetector:
     diameter: float  # px, of the largest disc
     coarse: Image  # 255 on the ball, of the window of the coarse picture
     lattice: Lattice
+    slivers: Lattice  # its part near the limb, where discs are too thin for the coarse picture
     view: View
 
     def seeing(self, projection: Projection) -> "DiscDetector":
@@ -145,7 +147,21 @@ class DiscDetector:
         plausible = np.flatnonzero((share > 0.3) & (share < 2.5))
         best = plausible[np.argsort(np.abs(np.log(share[plausible])), kind="stable")]
         best = best[first_of_each(places[index[best]], 0.3 * self.diameter)]
-        return look_at(_with_channels(image), directions[best], self.view, noise, places[index[best]])[0]
+        found = look_at(_with_channels(image), directions[best], self.view, noise, places[index[best]])[0]
+        return self._with_slivers(found, image, noise) if self.lattice.reduction > 1 else found
+
+    def _with_slivers(self, found: Detections, image: Image, noise: float) -> Detections:
+        """`found` and the discs that a coarse picture does not show: those near the limb, too thin for it.
+
+        It tries each place at most once, and ends when a round of all shifts has none left.
+        """
+        near_limb, state, idle = replace(self, lattice=self.slivers), SearchState(noise=noise), 0
+        shifts = len(self.slivers.places)
+        while idle < shifts and state.turn < _MOST_ROUNDS * shifts:
+            more, after = near_limb.find_new_discs(image, state, found.centre)
+            idle = idle + 1 if len(more) == 0 and len(after.rejected) == len(state.rejected) else 0
+            found, state = found.joined(more), after
+        return found
 
     def follow(
         self, image: Image, directions: Array, rate: Array, readout: float, state: SearchState
@@ -254,8 +270,9 @@ def disc_detector(settings: DiscSettings, rig: Rig, pose: Pose) -> DiscDetector:
     )
     view = view_of(rig, pose, mask, fit, settings.min_area, 0.3 * diameter)
     coarse = cv2.erode(mask, np.ones((2 * f - 1, 2 * f - 1), np.uint8))[window][f // 2 :: f, f // 2 :: f]
-    samples = lattice(mask, _thin(rig, pose, diameter, f), diameter, f)
-    return DiscDetector(settings, rig, pose, window, diameter, coarse, samples, view)
+    thin = _thin(rig, pose, diameter, f)
+    samples = lattice(mask, thin, diameter, f)
+    return DiscDetector(settings, rig, pose, window, diameter, coarse, samples, _part(samples, thin), view)
 
 
 def _thin(rig: Rig, pose: Pose, diameter: float, reduction: int) -> NDArray[np.bool_]:
@@ -276,6 +293,13 @@ def _levels(part: float, offset: float) -> NDArray[np.uint8]:
     """
     ball = np.arange(256.0) - offset
     return np.clip(np.rint(np.minimum(ball * (1.0 - part), ball / (1.0 - part)) + offset), 0, 255).astype(np.uint8)
+
+
+def _part(whole: Lattice, where: NDArray[np.bool_]) -> Lattice:
+    """The samples of a lattice at pixels `where`, (h, w)."""
+    keep = [where[at[:, 1], at[:, 0]] for at in whole.places]
+    places = tuple(at[k] for at, k in zip(whole.places, keep, strict=True))
+    return replace(whole, places=places, sides=tuple(s[k] for s, k in zip(whole.sides, keep, strict=True)))
 
 
 def _with_channels(image: Image) -> Image:

@@ -5,6 +5,7 @@ Around each place the picture is modelled by a sloped background minus a blurred
     I = b0 + b1 x + b2 y - (a0 + a1 x + a2 y) e(x - c; s)
 
 with the background b, the contrast a (gloss lightens print on one side), the centre c and the size s, by Gauss-Newton.
+A disc that moves during the exposure is the mean of its ellipses along its path.
 Pixels that fit neither (a strut, a highlight) are weighted down (Tukey's biweight). The covariance is that of the
 adjustment (Wittich 2017, chapter 5, names it as the next step). Compiled: all per-pixel work is in the functions below.
 """
@@ -20,13 +21,14 @@ from spheremouse.ball.detect.fit_model import (
     BESIDE,
     CLEAR,
     EDGE,
+    PATH,
     UNKNOWNS,
     biweight,
     cut_patch,
-    ellipse_of,
     gauss_newton_step,
     keep_near,
     lighter,
+    moving_ellipse_of,
     normal_equations,
     plane,
     semi_axes,
@@ -37,7 +39,7 @@ from spheremouse.geometry.rotation import Array
 
 _SURROUND = 3.0  # px of background around a disc that take part in the fit: enough for its slope, too few for more
 _UNEVEN = 0.02  # of the contrast: unevenness of print and ball that a good fit leaves
-_GLOSS = 0.3  # of the contrast, from a disc's centre to its rim: gloss lightens print on the side of the light
+_GLOSS = 0.3  # of the contrast, the most that gloss takes of it, and changes it by from a disc's centre to its rim
 _SIZE = 0.02  # discs cut from one sheet differ by this part of their size
 _RIM_OFF = 0.35  # px by which lens blur and gloss may shift a rim: to a sliver's size that is a lot
 _SLIVER = 2.0  # px, semi-minor axis below which both rims are one blur
@@ -79,14 +81,14 @@ def measure(
     shape: Array,
     noise: float,
     settings: FitSettings,
-    smear: Array | None = None,
+    path: Array | None = None,
 ) -> Fits:
     """Fit n discs expected at `place`, (n, 2) px, with `shape`, (n, 2, 2) px², in an image (h, w, c) of uint8.
 
     `mask` (h, w) is not 0 on the ball, `noise` is that of one pixel. First the size is free, which tells discs from
     other things and the size all discs share; then it is held at that, so that a disc cut by a strut is seen as cut,
-    not as smaller. Where fewer than three tell it, 1 is taken. `smear` (n, 2) px is the way of each while the shutter
-    is open.
+    not as smaller. Where fewer than three tell it, 1 is taken. `path` (n, 7) is how each moves during the exposure
+    (`moving_ellipse_of`).
     """
     n = len(place)
     ok, centroid, covariance, rim = np.zeros(n, dtype=np.bool_), np.empty((n, 2)), np.empty((n, 2, 2)), np.zeros(n)
@@ -97,7 +99,7 @@ def measure(
             mask,
             place,
             np.ascontiguousarray(shape),
-            np.zeros((n, 2)) if smear is None else smear,
+            np.zeros((n, PATH)) if path is None else path,
             np.float32(noise),
             weights_of(settings.projection, image.shape[2]),
             settings.kernel,
@@ -118,7 +120,7 @@ def measure(
 
 @njit(cache=True, error_model="numpy")
 def measure_into(
-    image, mask, place, shape, smear, noise, weights, kernel, blur, contrast, size_tolerance, rim_least, sigma,
+    image, mask, place, shape, path, noise, weights, kernel, blur, contrast, size_tolerance, rim_least, sigma,
     size_known, ok, centroid, covariance, rim, cut,
 ):  # fmt: skip
     """`measure` into ok, centroid, covariance, rim and cut; returns the size all discs share, 0 where too few tell.
@@ -128,7 +130,7 @@ def measure_into(
     n = len(place)
     widest = 0.0
     for k in range(n):
-        half_way = 0.5 * np.hypot(smear[k, 0], smear[k, 1])
+        half_way = 0.5 * np.hypot(path[k, 0], path[k, 1])
         widest = max(widest, np.sqrt(max(shape[k, 0, 0], shape[k, 1, 1])) + half_way)
     reach = int(np.ceil(widest + _SURROUND)) + 1
     side = 2 * reach + 1
@@ -140,6 +142,7 @@ def measure_into(
     grey, weight = np.empty((n, most), dtype=np.float32), np.empty((n, most), dtype=np.float32)
     e = np.empty((n, most), dtype=np.float32)
     d = np.empty((n, 3, most), dtype=np.float32)
+    e_part, d_part = np.empty(most, dtype=np.float32), np.empty((3, most), dtype=np.float32)
     A, Aw = np.empty((10, most), dtype=np.float32), np.empty(most, dtype=np.float32)
     count = np.zeros(n, dtype=np.int64)
     x = np.zeros((n, UNKNOWNS))
@@ -157,7 +160,7 @@ def measure_into(
         inverse[k, 0], inverse[k, 1], inverse[k, 2] = syy / det, -sxy / det, sxx / det
         # the ellipse whose axes are longer by the surround: same axes, so a combination of S and I
         lo, hi = minor[k] ** 2, major**2
-        margin = _SURROUND + 0.5 * np.hypot(smear[k, 0], smear[k, 1])
+        margin = _SURROUND + 0.5 * np.hypot(path[k, 0], path[k, 1])
         glo, ghi = (minor[k] + margin) ** 2, (major + margin) ** 2
         slope = (ghi - glo) / (hi - lo) if hi - lo > 1e-9 * hi else 1.0
         gxx, gxy, gyy = glo + slope * (sxx - lo), slope * sxy, glo + slope * (syy - lo)
@@ -186,21 +189,8 @@ def measure_into(
         if m < 2 * UNKNOWNS:
             continue
         q = inverse[k]
-        ellipse_of(
-            m,
-            px[k],
-            py[k],
-            q[0],
-            q[1],
-            q[2],
-            np.float32(0.0),
-            np.float32(0.0),
-            np.float32(1.0),
-            b,
-            smear[k],
-            e[k],
-            d[k],
-        )
+        x[k, 8] = 1.0
+        moving_ellipse_of(m, px[k], py[k], q, x[k, 6:9], path[k], b, e[k], d[k], e_part, d_part)
         # the ball's shade beside the disc to begin with: a plane, twice, the second time without what lies off it
         beside = 0
         for i in range(m):
@@ -220,10 +210,10 @@ def measure_into(
         a = above / max(sum_e, 1e-3)
         if a < max(0.3 * contrast * lighter(x[k, 0], a), 2.0 * noise):
             continue
-        x[k, 3], x[k, 8] = a, 1.0
+        x[k, 3] = a
         scale[k] = max(noise, _UNEVEN * a)
-        # across a sliver a slope of the contrast and a shift of the centre look alike: there it is taken for even
-        gloss[k] = _GLOSS / major * min(max((minor[k] - 2.0 * blur) / 1.5, 0.01), 1.0)
+        # across a sliver a slope of the contrast and a shift of the centre look alike: there gloss is left out
+        gloss[k] = min(max((minor[k] - 2.0 * blur) / 1.5, 0.01), 1.0) / major
         foreign = BESIDE * a + 4.0 * noise
         for i in range(m):
             r = grey[k, i] - x[k, 0] - x[k, 1] * px[k, i] - x[k, 2] * py[k, i]
@@ -236,11 +226,8 @@ def measure_into(
             if turn > 0:
                 biweight(m, px[k], py[k], grey[k], e[k], x[k], np.float32(0.5), np.float32(scale[k]), weight[k])
             normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
-            gauss_newton_step(N, g, x[k], scale[k], gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
-            ellipse_of(
-                m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
-                smear[k], e[k], d[k],
-            )  # fmt: skip
+            gauss_newton_step(N, g, x[k], scale[k], _GLOSS * gloss[k], 1.0, 0.4 * size_tolerance, 1.0)
+            moving_ellipse_of(m, px[k], py[k], q, x[k, 6:9], path[k], b, e[k], d[k], e_part, d_part)
             if turn == 0 and (not _deep(x[k], 0.5 * contrast, noise) or abs(x[k, 8] - 1.0) > 2.0 * size_tolerance):
                 break
             alike = abs(x[k, 8] - 1.0) < max(size_tolerance, _RIM_OFF / minor[k])
@@ -255,6 +242,7 @@ def measure_into(
         part = np.sort(sizes[:tell])
         size = 0.5 * (part[(tell - 1) // 2] + part[tell // 2])
         told = size
+    full = _full_contrast(x, count, minor)
     for k in range(n):
         m = count[k]
         if m == 0:
@@ -265,11 +253,9 @@ def measure_into(
         for turn in range(len(_LIMITS)):
             biweight(m, px[k], py[k], grey[k], e[k], x[k], _LIMITS[turn], np.float32(scale[k]), weight[k])
             normal_equations(m, px[k], py[k], grey[k], e[k], d[k], x[k], weight[k], A, Aw, N, g)
-            moved = gauss_newton_step(N, g, x[k], scale[k], gloss[k], size, size_sigma, 1.0 if turn < 2 else 0.5)
-            ellipse_of(
-                m, px[k], py[k], q[0], q[1], q[2], np.float32(x[k, 6]), np.float32(x[k, 7]), np.float32(x[k, 8]), b,
-                smear[k], e[k], d[k],
-            )  # fmt: skip
+            gleam = gloss[k] * min(max(1.0 - x[k, 3] / lighter(x[k, 0], x[k, 3]) / full, _UNEVEN), _GLOSS)
+            moved = gauss_newton_step(N, g, x[k], scale[k], gleam, size, size_sigma, 1.0 if turn < 2 else 0.5)
+            moving_ellipse_of(m, px[k], py[k], q, x[k, 6:9], path[k], b, e[k], d[k], e_part, d_part)
             if turn > 0 and moved < _STILL:
                 break
         fits, whole, inside, lost = 0.0, 1e-9, 0.0, 0.0
@@ -303,6 +289,20 @@ def measure_into(
             # where both rims are one blur the limb's own shade draws the centre: from experience with rendered limbs
             covariance[k, j, j] += sigma**2 + (_SLIVER_BIAS / minor[k] ** 2) ** 2 + _CUT * cut[k]
     return told
+
+
+@njit(cache=True, error_model="numpy")
+def _full_contrast(x, count, minor):
+    """Contrast over light of discs without gloss: the largest of those measured, 1 where fewer than three tell it.
+
+    Gloss takes from it, and a slope that gloss makes is no steeper than what it takes.
+    """
+    full, tell = 0.0, 0
+    for k in range(len(x)):
+        if count[k] > 0 and minor[k] > _LARGE:
+            full = max(full, x[k, 3] / lighter(x[k, 0], x[k, 3]))
+            tell += 1
+    return full if tell >= 3 else 1.0
 
 
 @njit(cache=True, error_model="numpy")

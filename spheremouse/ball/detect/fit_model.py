@@ -10,6 +10,8 @@ CLEAR = 0.02  # part of a disc's darkness below which a pixel lies beside it
 BESIDE = 0.2  # of the contrast: what is beside a disc and differs more from the ball's shade is not the ball
 _SLOPE = 0.02  # 1/px: slope of the ball's shade, cos falls so fast 60 degrees off the light at 100 px radius
 UNKNOWNS = 9
+PATH = 7  # numbers that describe how a disc moves during the exposure: `moving_ellipse_of`
+_STEP = 1.8  # of the blur, px between the images that make up a smear: the ripple of such a sum is below 1 %
 EDGE = 3  # px around a patch that the smoothing needs
 
 
@@ -131,6 +133,43 @@ def ellipse_of(n, px, py, xx, xy, yy, cx, cy, size, blur, smear, e, d):
         by_size[i] = (bell_ahead + bell_behind) * steep
 
 
+@njit(cache=True, error_model="numpy")
+def moving_ellipse_of(n, px, py, inverse, at, path, blur, e, d, e_part, d_part):
+    """`ellipse_of` for a disc that moves during the exposure: the mean of its images along the path.
+
+    At time t, from -1/2 to 1/2 of the exposure, the centre is c + t s + t² q, with s = path[:2], q = path[2:4] px.
+    The curvature q matters: seen in perspective, a turning ball's discs travel along arcs at a changing speed.
+    Foreshortening changes the shape: S^-1 is `inverse` + t path[4:]. `at` (3,): c and the size. The images are `_STEP`
+    apart and each is blurred by its own part of the way. `e_part` (n,) and `d_part` (3, n) are work space.
+    """
+    parts = max(int(np.ceil(np.hypot(path[0], path[1]) / (_STEP * blur))), 1)
+    step, size, share = path[:2] / parts, np.float32(at[2]), np.float32(1.0 / parts)
+    e_one, d_one = (e, d) if parts == 1 else (e_part, d_part)
+    for k in range(parts):
+        t = (k + 0.5) / parts - 0.5
+        square = t * t + 1.0 / (12.0 * parts * parts)  # mean of t² over this part
+        x, y = at[0] + t * path[0] + square * path[2], at[1] + t * path[1] + square * path[3]
+        xx, xy, yy = inverse[0] + t * path[4], inverse[1] + t * path[5], inverse[2] + t * path[6]
+        ellipse_of(
+            n, px, py, np.float32(xx), np.float32(xy), np.float32(yy), np.float32(x), np.float32(y), size, blur, step,
+            e_one, d_one,
+        )  # fmt: skip
+        if parts > 1:
+            _add_share(n, share, e_part, d_part, k == 0, e, d)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _add_share(n, share, e_part, d_part, first, e, d):
+    """Add `share` of `e_part` and `d_part` to e and d; the first one replaces them."""
+    for i in range(n):
+        if first:
+            e[i], d[0, i], d[1, i], d[2, i] = 0.0, 0.0, 0.0, 0.0
+        e[i] += share * e_part[i]
+        d[0, i] += share * d_part[0, i]
+        d[1, i] += share * d_part[1, i]
+        d[2, i] += share * d_part[2, i]
+
+
 @njit(cache=True, fastmath=True, error_model="numpy")
 def normal_equations(n, px, py, grey, e, d, x, weight, A, Aw, N, g):
     """Of n pixels: columns of the Jacobian into A, (9, n), weighted into Aw; N, (9, 9), and gradient g, (9,)."""
@@ -217,16 +256,22 @@ def gauss_newton_step(N, g, x, scale, gloss, size, size_sigma, damping):
     N becomes its factor. Returns the length of the centre's full step, px.
 
     What is expected of the slopes and the size comes in as observations: a ball's shade slopes little, and what does
-    more is a strut; gloss slopes the contrast; a sliver cannot tell size from contrast, there the known size decides.
+    more is a strut. Print leaves a part of the light, so the contrast slopes as the shade of a light ball does; a dark
+    ball's shade tells nothing of it. Gloss changes that slope by up to `gloss` (of the contrast, 1/px). A sliver cannot
+    tell size from contrast, there the known size decides.
     """
     shade = (scale / (_SLOPE * max(abs(x[0]), 1.0))) ** 2
     gleam = (scale / (gloss * max(x[3], 1.0))) ** 2
     hold = (scale / size_sigma) ** 2
+    as_shade = x[3] * x[0] / max(lighter(x[0], x[3]), 1.0) ** 2
     for k in range(1, 3):
-        N[k, k] += shade
-        g[k] -= shade * x[k]
+        unlike = x[k + 3] - as_shade * x[k]
+        N[k, k] += shade + gleam * as_shade**2
+        N[k, k + 3] -= gleam * as_shade
+        N[k + 3, k] -= gleam * as_shade
         N[k + 3, k + 3] += gleam
-        g[k + 3] -= gleam * x[k + 3]
+        g[k] -= shade * x[k] - gleam * as_shade * unlike
+        g[k + 3] -= gleam * unlike
     N[8, 8] += hold
     g[8] -= hold * (x[8] - size)
     for k in range(UNKNOWNS):

@@ -12,6 +12,7 @@ from numba import njit
 from spheremouse.ball.detect.appearance import appearance_into, seen_into
 from spheremouse.ball.detect.detections import Detections, Image, no_detections
 from spheremouse.ball.detect.fit import FitSettings, measure_into
+from spheremouse.ball.detect.fit_model import PATH
 from spheremouse.ball.detect.projection import weights_of
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose, row_of
@@ -114,15 +115,9 @@ def _look_at(
     appearance_into(
         directions, K, radius, alpha, rotation, P, intrinsic, distortion, centre, centroid, shape, area, whole
     )
-    smear = np.zeros((n, 2))
+    path = np.zeros((n, PATH))
     if exposure > 0.0:
-        ahead = np.empty((n, 3))
-        for i in range(n):
-            d = directions[i]
-            ahead[i, 0] = d[0] + 0.5 * exposure * (rate[1] * d[2] - rate[2] * d[1])
-            ahead[i, 1] = d[1] + 0.5 * exposure * (rate[2] * d[0] - rate[0] * d[2])
-            ahead[i, 2] = d[2] + 0.5 * exposure * (rate[0] * d[1] - rate[1] * d[0])
-        seen_into(ahead, to_centre, radius, rotation, intrinsic, distortion, uv)
+        _paths(directions, exposure, rate, K, radius, alpha, rotation, P, intrinsic, distortion, centre, path)
     index = np.empty(n, dtype=np.int64)
     k = 0
     for i in range(n):
@@ -131,8 +126,6 @@ def _look_at(
         dx, dy = np.sqrt(shape[i, 0, 0]), np.sqrt(shape[i, 1, 1])
         x, y = centroid[i, 0], centroid[i, 1]
         if x - dx > -0.5 and x + dx < width - 0.5 and y - dy > -0.5 and y + dy < height - 0.5:
-            if exposure > 0.0 and np.isfinite(uv[i, 0] + uv[i, 1]):
-                smear[i] = 2.0 * (uv[i] - centre[i])
             index[k] = i
             k += 1
     index = index[:k]
@@ -140,7 +133,7 @@ def _look_at(
     ok, found, covariance = np.zeros(k, dtype=np.bool_), np.empty((k, 2)), np.empty((k, 2, 2))
     rim, cut = np.zeros(k), np.zeros(k)
     told = measure_into(
-        image, mask, start, shape[index], smear[index], np.float32(noise), weights, kernel, blur, contrast,
+        image, mask, start, shape[index], path[index], np.float32(noise), weights, kernel, blur, contrast,
         size_tolerance, rim_least, sigma, size, ok, found, covariance, rim, cut,
     )  # fmt: skip
     kept = np.empty(k, dtype=np.int64)
@@ -163,3 +156,38 @@ def _look_at(
             m += 1
     kept = kept[:m]
     return found[kept], covariance[kept], area[index[kept]], told
+
+
+@njit(cache=True, error_model="numpy")
+def _paths(directions, exposure, rate, K, radius, alpha, rotation, P, intrinsic, distortion, centre, path):
+    """How n discs at `directions` move during the exposure, at a constant `rate`: into `path`, (n, 7).
+
+    `centre` (n, 2) px is where they are at mid-exposure. The ends of the way give what `moving_ellipse_of` needs; of a
+    disc that is not whole at both ends the shape counts as constant.
+    """
+    n = len(directions)
+    turn, R = 0.5 * exposure * rate, np.empty((3, 3))
+    exp_into(turn, R)
+    ends = np.empty((2, n, 3))
+    for i in range(n):
+        ends[0, i] = R.T @ directions[i]
+        ends[1, i] = R @ directions[i]
+    uv, inverse = np.empty((2, n, 2)), np.empty((2, n, 3))
+    at, centroid, shape = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2, 2))
+    area, whole = np.empty(n), np.empty(n, dtype=np.bool_)
+    for end in range(2):
+        seen_into(ends[end], K - P, radius, rotation, intrinsic, distortion, uv[end])
+        appearance_into(
+            ends[end], K, radius, alpha, rotation, P, intrinsic, distortion, at, centroid, shape, area, whole
+        )
+        for i in range(n):
+            det = shape[i, 0, 0] * shape[i, 1, 1] - shape[i, 0, 1] ** 2
+            inverse[end, i, 0], inverse[end, i, 2] = shape[i, 1, 1] / det, shape[i, 0, 0] / det
+            inverse[end, i, 1] = -shape[i, 0, 1] / det
+    for i in range(n):
+        if not np.isfinite(uv[0, i, 0] + uv[1, i, 0]):
+            continue
+        path[i, :2] = uv[1, i] - uv[0, i]
+        path[i, 2:4] = 2.0 * (uv[1, i] + uv[0, i] - 2.0 * centre[i])
+        if np.isfinite(inverse[0, i, 0] + inverse[1, i, 0]):
+            path[i, 4:] = inverse[1, i] - inverse[0, i]

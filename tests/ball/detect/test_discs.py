@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from ray_cast import BALL, CLEAN, DISCS, INK, PLAIN, POSE, RIG, TRUTH, centre_of, errors, match, photo, ray_cast, spread
 from scipy.stats import chi2
 
+from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import DiscSettings, disc_detector
 from spheremouse.errors import ConfigurationError
 from spheremouse.geometry.camera import InteriorOrientation, Pose
@@ -156,6 +157,19 @@ def test_discs_at_the_limb():
         e = seen.centre[i] - truth[j]
         assert np.linalg.norm(e, axis=1).max() < 0.5
         assert np.sqrt(np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e)).max() < 4.0
+
+
+def test_a_large_picture_shows_discs_at_the_limb_as_well_as_a_small_one():
+    """Three times as many pixels across: a sliver is as thin as there, and all but lost in the coarse picture."""
+    camera = InteriorOrientation(1920, 1440, 1920.0, 1920.0, 960.0, 720.0)
+    rig = replace(RIG, camera=camera)
+    way = np.arange(10) * 2.0 * np.pi / 10
+    slant = np.arccos(0.6 / 2.35) - 0.02 / 0.6 - np.linspace(0.042, 0.09, 10)  # from where the limb touches the rim
+    discs = np.stack([np.sin(slant) * np.cos(way), np.sin(slant) * np.sin(way), np.cos(slant)], axis=1)
+    seen = disc_detector(DiscSettings(), rig, POSE).detect(photo(ray_cast(discs, rig), 2.0))
+    axes = np.sqrt(np.linalg.eigvalsh(appearance(discs, rig, POSE).shape)[:, 0])
+    assert np.all((axes > 1.25) & (axes < 2.8))
+    assert len(match(seen, centre_of(discs, rig, POSE), 1.0)) == len(discs)
 
 
 def test_other_marks_are_not_discs():

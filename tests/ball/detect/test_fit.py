@@ -177,19 +177,65 @@ def test_a_highlight_on_the_rim_is_weighted_down():
     assert_allclose(found.centroid[0], c, atol=0.12)
 
 
-@pytest.mark.parametrize("way", [(4.0, 0.0), (3.0, -3.0), (0.0, 6.0)])
-def test_the_centre_of_a_moving_disc_is_that_of_mid_exposure(way):
-    """The mean of 24 pictures along its way; told the way, the fit is as good as for one at rest."""
-    shape, c, way = ellipse(7.0, 5.0, 0.4), np.array([20.2, 19.7]), np.array(way)
-    steps = (np.arange(24) + 0.5) / 24 - 0.5
-    grey = np.mean([disc(40, c + t * way, shape) for t in steps], axis=0)
+STEPS = (np.arange(24) + 0.5) / 24 - 0.5  # of the exposure, of 24 pictures along a way
+
+
+@pytest.mark.parametrize("bend", [(0.0, 0.0), (2.0, 3.0)])
+@pytest.mark.parametrize("way", [(4.0, 0.0), (3.0, -3.0), (0.0, 6.0), (9.0, 9.0)])
+def test_the_centre_of_a_moving_disc_is_that_of_mid_exposure(way, bend):
+    """The mean of 24 pictures along its way, straight or bent; told the way, the fit is as good as for one at rest."""
+    shape, c, way, bend = ellipse(7.0, 5.0, 0.4), np.array([20.2, 19.7]), np.array(way), np.array(bend)
+    grey = np.mean([disc(40, c + t * way + t * t * bend, shape) for t in STEPS], axis=0)
     image = digital(grey, 0.5, np.random.default_rng(17))
-    found = fit(image, c + 0.4, shape, smear=way[None])
+    path = np.concatenate([way, bend, np.zeros(3)])
+    found = fit(image, c + 0.4, shape, path=path[None])
     assert found.ok[0]
-    assert_allclose(found.centroid[0], c, atol=0.05)
-    still = fit(digital(disc(40, c, shape), 0.5, np.random.default_rng(17)), c + 0.4, shape)
+    assert_allclose(found.centroid[0], c, atol=0.04)
+    still, moved = (
+        fit(digital(picture, 4.0, np.random.default_rng(17)), c, shape, 4.0, path=p[None])
+        for picture, p in ((disc(40, c, shape), np.zeros(7)), (grey, path))
+    )
     u = way / np.linalg.norm(way)
-    assert u @ found.covariance[0] @ u > u @ still.covariance[0] @ u  # a blurred rim says less
+    assert u @ moved.covariance[0] @ u > u @ still.covariance[0] @ u  # a blurred rim says less
+
+
+def test_a_moving_disc_that_turns_aslant_is_where_it_is_at_mid_exposure():
+    """It grows by a third along 9 px: the larger end draws the centroid of the darkness by 0.2 px, the fit not."""
+    c, way = np.array([20.2, 19.7]), np.array([9.0, 0.0])
+    shapes = [ellipse(5.0 * (1.0 + t / 3.0), 7.0, 0.0) for t in STEPS]
+    grey = np.mean([disc(40, c + t * way, shape) for t, shape in zip(STEPS, shapes, strict=True)], axis=0)
+    image = digital(grey, 0.5, np.random.default_rng(18))
+    ends = [np.linalg.inv(ellipse(5.0 * (1.0 + t / 3.0), 7.0, 0.0)) for t in (-0.5, 0.5)]
+    turn = (ends[1] - ends[0])[[0, 0, 1], [0, 1, 1]]
+    path = np.concatenate([way, np.zeros(2), turn])
+    found = fit(image, c + 0.4, ellipse(5.0, 7.0, 0.0), path=path[None])
+    assert found.ok[0]
+    assert_allclose(found.centroid[0], c, atol=0.06)
+    u = np.arange(40.0)
+    dark = BALL - grey
+    assert np.sum(dark * u) / np.sum(dark) - c[0] > 0.2
+
+
+def test_a_long_smear_on_a_sloped_shade_does_not_draw_the_centre():
+    """Across a smear a slope of the contrast and a shift of the centre look alike: the ball's shade tells the slope."""
+    shape, way = ellipse(7.0, 6.0, 0.4), np.array([12.0, 0.0])
+    places = np.array([[20.2, 19.7], [58.4, 20.1], [20.0, 58.3], [58.0, 58.0]])
+    x, y = blank(80)
+    shade = 1.0 + 0.006 * (x - 40.0)
+    lit = np.zeros((80, 80))
+    for t in STEPS:
+        ink = np.any([inside(x, y, c + t * way, shape) for c in places], axis=0)
+        lit += seen(np.where(ink, PRINT, BALL) * shade) / len(STEPS)
+    path = np.tile(np.concatenate([way, np.zeros(5)]), (4, 1))
+    mask, shapes = np.full((80, 80), 255, np.uint8), np.repeat(shape[None], 4, axis=0)
+    errors = []
+    for seed in range(8):
+        image = digital(lit, 2.0, np.random.default_rng(seed))
+        found = measure(image, mask, places + 0.4, shapes, 2.0, settings(), path)
+        assert found.ok.all()
+        errors.append(found.centroid - places)
+    assert abs(np.mean(errors, axis=(0, 1))[0]) < 0.02
+    assert np.sqrt(np.mean(np.square(errors))) < 0.04
 
 
 # --- covariance ------------------------------------------------------------------------------------------------------

@@ -95,13 +95,16 @@ def smeared(directions, rate, exposure, n=10):
     return np.mean([ray_cast(directions @ exp(rate * t).T) for t in times], axis=0)
 
 
-@pytest.mark.parametrize("rate", [(0.0, 1.5, 0.0), (3.0, 0.0, 0.0), (2.0, -1.5, 1.5)])
+@pytest.mark.parametrize("rate", [(0.0, 1.5, 0.0), (3.0, 0.0, 0.0), (2.0, -1.5, 1.5), (0.0, 4.0, 3.0)])
 def test_a_moving_disc_is_where_it_is_at_mid_exposure(rate):
-    """15 ms: ways of 4 to 10 px of a disc of 15 px. Told of the exposure the detector finds every one of them."""
+    """15 ms: ways of 4 to 14 px of a disc of 15 px. Told of the exposure the detector finds every one of them.
+
+    The longer ways bend by up to 0.6 px, and shorten as the disc turns aslant: both count.
+    """
     rate, exposure = np.array(rate), 0.015
     discs = spread(8, 3, 0.4, widest=0.8)
     truth = centre_of(discs, RIG, POSE)
-    image = photo(smeared(discs, rate, exposure), 1.0)
+    image = photo(smeared(discs, rate, exposure, 20), 1.0)
     told = disc_detector(DiscSettings(), replace(RIG, exposure_s=exposure), POSE)
     seen = follow(image, discs, rate, detector=told)
     i, j = match(seen, truth).T
@@ -111,7 +114,7 @@ def test_a_moving_disc_is_where_it_is_at_mid_exposure(rate):
     way = ends[0] - ends[1]
     along = np.sum(e * way, axis=1) / np.linalg.norm(way, axis=1)
     assert abs(np.mean(along)) < 0.02
-    assert np.sqrt(np.mean(e**2)) < 0.08
+    assert np.sqrt(np.mean(e**2)) < 0.02
     assert np.einsum("ni,nij,nj->n", e, np.linalg.inv(seen.covariance[i]), e).max() < chi2.ppf(0.9999, 2)
     if np.linalg.norm(way, axis=1).max() > 8.0:
         assert len(follow(image, discs, rate)) < len(discs)  # what it is worth to be told

@@ -214,6 +214,16 @@ def test_slivers_are_told_from_larger_discs():
     assert quality["centre_rms_60_px"] == pytest.approx(0.1 / 2**0.5)
 
 
+def test_recall_by_the_semi_minor_axis_asks_for_the_same_discs_at_any_size():
+    """Rows whose axis is long enough, whatever their area; None where nobody says how long the axes are."""
+    areas, axes = (5.0, 80.0, 80.0, 80.0, np.nan), np.array([1.3, 1.3, 1.2, 1.25, np.nan])
+    truth = disc_truth(*((k, 100.0, 100.0, a, VISIBLE) for k, a in enumerate(areas)))
+    seen = [np.array([[100.0 + e, 100.0]]) for e in (0.5, 50.0, 50.0, 0.5, 0.5)]
+    run = perfect_run(random_motion(5), tuple(seen))
+    assert detection_quality(run, truth, axes)["recall_axis"] == pytest.approx(2 / 3)
+    assert detection_quality(run, truth)["recall_axis"] is None
+
+
 def test_one_detection_is_not_two_discs():
     truth = disc_truth((0, 100.0, 100.0, 20.0, VISIBLE), (0, 104.0, 100.0, 20.0, VISIBLE))
     run = perfect_run(random_motion(1), (np.array([[102.0, 100.0]]),))
@@ -263,7 +273,7 @@ def test_nis_is_per_degree_of_freedom_of_the_discs_used_and_known_before():
 
 # ---- the report ----
 
-DETECTION = ["recall", "false_share", "centre_rms_px", "recall_15", "centre_rms_60_px"]
+DETECTION = ["recall", "false_share", "centre_rms_px", "recall_15", "recall_axis", "centre_rms_60_px"]
 KEYS = {
     "dataset": None,
     "tracker": None,
@@ -313,7 +323,7 @@ def test_report_has_the_keys_of_the_format_and_known_errors():
     assert result["nees"] == pytest.approx({"attitude": error @ error, "rate": np.deg2rad(5.0) ** 2})
     assert result["mean_discs"] == 1.0
     off = 0.1 / 2**0.5
-    assert result["detection"] == pytest.approx(dict(zip(DETECTION, (1.0, 0.0, off, 1.0, off), strict=True)))
+    assert result["detection"] == pytest.approx(dict(zip(DETECTION, (1.0, 0.0, off, 1.0, None, off), strict=True)))
     assert result["frame_us"]["median"] == pytest.approx(4000.0)
     assert result["stages_us"] == pytest.approx({"detect": 3000.0, "filter": 1000.0})
 
