@@ -68,7 +68,7 @@ def lattice(spacing, shift):
 def sheet(t):
     """In front from 1 s on, trembling; gone before 8 s."""
     x = MIDDLE[0] - 700.0 + min(max(t - 1.0, 0.0) * 900.0, 700.0) + max(t - 6.0, 0.0) * 900.0
-    spots = lattice(45.0, (0.0, 0.7 * np.sin(9.0 * t))) + (x - MIDDLE[0], 0.0)
+    spots = lattice(45.0, (0.0, 0.7 * np.sin(9.0 * t))) + np.array([x - MIDDLE[0], 0.0])
     return spots[np.abs(spots[:, 0] - x) < 350.0], (x - 350.0, x + 350.0)
 
 
