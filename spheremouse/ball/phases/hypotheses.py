@@ -43,11 +43,12 @@ def updated_hypotheses(
     if hypotheses[0].log_probability > _CERTAIN:
         alternatives = ()
     supported = _supports(state, filtered, tracker)
+    before = state.supported_at if state.supported_at < stamp else -np.inf  # a clock that starts again
     return replace(
         state,
         filter=filtered,
         alternatives=alternatives,
-        supported_at=stamp if supported else min(state.supported_at, stamp),
+        supported_at=stamp if supported else before,
         confirmed=not alternatives and confirms(filtered, len(points), predicted, tracker),
     )
 
