@@ -11,8 +11,8 @@ from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, Projection
 
 _BETTER = 1.5  # times the information: standard deviations a fifth smaller; less is not worth a change
-_NEARLY = 1.2  # times the information: a tenth of a standard deviation is not worth colour
-_LEAST = 0.1  # discs: less information is that of stains
+_FINEST = 0.25  # of the settings' sigma: at half the contrast a centre is twice as uncertain, in little noise, too
+_LEAST = 0.02  # discs: less information is that of stains
 
 
 def chosen(image: Image, detector: DiscDetector, present: Projection) -> tuple[Projection, float]:
@@ -25,11 +25,12 @@ def chosen(image: Image, detector: DiscDetector, present: Projection) -> tuple[P
     now, most = told.get(present, 0.0), max(told.values())
     if most < _BETTER * now + _LEAST:
         return present, now
-    best = next((p for p in (GREY, NEGATIVE) if told[p] * _NEARLY > most), max(told, key=lambda p: told[p]))
+    best = next((p for p in (GREY, NEGATIVE) if told[p] * _BETTER > most), max(told, key=lambda p: told[p]))
     return best, told[best]
 
 
 def information_of(found: Detections, sigma: float) -> float:
-    """Information about the centres, in that of discs known to `sigma` px, the best there is."""
-    variance = 0.5 * np.trace(found.covariance, axis1=1, axis2=2)
-    return float(np.sum(sigma**2 / variance))
+    """Information about the centres, in that of discs without noise; `sigma` px is what their covariances contain."""
+    noise = np.maximum(0.5 * np.trace(found.covariance, axis1=1, axis2=2) - sigma**2, 0.0)
+    finest = (_FINEST * sigma) ** 2
+    return float(np.sum(finest / (finest + noise)))

@@ -15,7 +15,7 @@ from spheremouse.ball.events import DiscColours
 from spheremouse.ball.state import Colours, Detector, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame, Step
 
-_ENOUGH = 1.0  # discs, from which the wait until the next trial grows
+_ENOUGH = 0.2  # discs without noise, from which the wait until the next trial grows
 _WAIT = (0.5, 64.0)  # s between trials, at first and at most: doubled while the choice stays
 _LOST = 10.0  # s without a disc, after which another ball may be there
 

