@@ -19,6 +19,7 @@ from spheremouse.ball.detect.sharpness import blur_of
 from spheremouse.ball.rig import Rig
 from spheremouse.geometry.camera import Pose
 
+_ONE_CHANNEL = np.ones(1, dtype=np.float32)
 _PRINT = 0.8  # contrast of black print on white
 _CLIPPED = 254  # grey value: the last two hold what is blown out
 _FINE = 14.0  # px, diameter of a disc in the reduced picture: spots are found as well no finer
@@ -72,7 +73,7 @@ def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> A
     grey = image[window] if image.ndim == 2 else cv2.cvtColor(image[window], cv2.COLOR_BGR2GRAY)
     grey, mask, disc = np.ascontiguousarray(grey), mask[window], largest_disc(rig, pose)
     values = grey[mask > 0]
-    middle, noise = float(np.median(values)), noise_of(grey[:, :, None], 0, len(grey), 0, grey.shape[1])
+    middle, noise = float(np.median(values)), noise_of(grey[:, :, None], _ONE_CHANNEL, 0, len(grey), 0, grey.shape[1])
     if np.percentile(values, 95.0) < (4.0 * noise + 1.0) / (0.5 * _PRINT):  # as the detector asks of a disc's edge
         return Absence(Cause.DARK, middle, disc=disc)
     if np.mean(values >= _CLIPPED) > 0.5:
@@ -82,7 +83,9 @@ def why_no_disc(image: Image, rig: Rig, pose: Pose, settings: DiscSettings) -> A
         own, reverse, wrong = light, _discs(dark, settings), Cause.DARKER
     else:
         own, reverse, wrong = dark, _discs(light, settings), Cause.LIGHTER
-    if len(reverse) >= _SOME and len(reverse) > len(_discs(own, settings)):
+    if settings.polarity == "auto" and len(reverse) > len(_discs(own, settings)):
+        own = light  # the detector looks for both
+    elif len(reverse) >= _SOME and len(reverse) > len(_discs(own, settings)):
         return _shown(wrong, reverse, middle, disc)
     blur = blur_of(grey)
     if blur > min(_BLURRED, _BLURRED_PART * disc):

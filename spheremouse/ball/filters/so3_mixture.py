@@ -23,11 +23,15 @@ _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 
 _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
 _WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and the likelihood decides
 _UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
+_FEW_POINTS = 4  # in view, of a ball whose discs may not tell its turn
 _FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
 _DETECTED = 0.95  # probability that a disc is detected again that was detected where it was last expected
 _REAPPEARS = 0.5  # the same of one that was missed: it may lie behind a strut or a hand
 _LIMB = 0.1  # cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
 _LIMB_BLUR = 0.03  # cosine over which that changes
+
+
+AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of it
 
 
 class Hypothesis(NamedTuple):
@@ -81,7 +85,7 @@ def update_hypotheses(
             filter_.keep_map(node.state, points, node.rows, node.columns, (proven | (len(node.rows) < 2)) & extend_map),
             value - total,
         )
-        for _, node, value in kept
+        for state, node, value in kept
     )
 
 
@@ -130,9 +134,15 @@ def _node(
     return _Node(rows, columns, state, evidence + detected + log_unpaired)
 
 
-def _needs_landmarks(filter_: So3Filter, node: _Node) -> bool:
-    """Whether too few discs are paired to tell the turn, and not because something lies before them."""
-    return len(node.rows) < 2 and filter_.expected_missing(node.state, node.columns) <= max(len(node.rows), 1)
+def _needs_landmarks(filter_: So3Filter, predicted: So3State, points: int, node: _Node) -> bool:
+    """Whether too few discs are paired to tell the turn, since the ball has turned others out of view.
+
+    On a ball at rest no disc appears, and many points at once are none of a ball with few discs.
+    """
+    if len(node.rows) >= 2 or points > _FEW_POINTS:
+        return False
+    turns = np.linalg.norm(predicted.rate) >= AT_REST or not predicted.is_placed
+    return bool(turns) and filter_.expected_missing(node.state, node.columns) <= max(len(node.rows), 1)
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:

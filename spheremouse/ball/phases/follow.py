@@ -9,10 +9,11 @@ from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters.so3 import So3Filter
+from spheremouse.ball.filters.so3_mixture import AT_REST
 from spheremouse.ball.filters.so3_state import So3State, augment
 from spheremouse.ball.phases.candidates import all_are_discs, judged
 from spheremouse.ball.phases.colours import seen_in
-from spheremouse.ball.phases.hypotheses import updated_hypotheses
+from spheremouse.ball.phases.hypotheses import is_covered, updated_hypotheses, without_effect
 from spheremouse.ball.phases.recognise import recognised_attitude
 from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import Tracker, Tracking, TrackState
@@ -52,7 +53,9 @@ def follow(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> TrackState[So3State]:
     """Filter the points; candidates that have moved with the ball become discs at once."""
-    state = updated_hypotheses(state, stamp, tracker, predicted)
+    before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
+    if np.linalg.norm(predicted.rate) < AT_REST and is_covered(state.filter, predicted):
+        return without_effect(before, tracker, predicted)  # the discs of a ball that begins to turn do not vanish
     if all_are_discs(state):
         return state
     if not state.confirmed:

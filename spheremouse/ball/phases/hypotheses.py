@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect import lookalikes as static
+from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
-from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.ball.state import F, Tracker, TrackState, no_points
 
+_JUMP = 64.0  # level of the player from which points pair by chance
 _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, something that covers the ball hides more
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude is taken for the only one
 
@@ -42,7 +44,7 @@ def updated_hypotheses(
     filtered, alternatives = hypotheses[0].state, hypotheses[1:]
     if hypotheses[0].log_probability > _CERTAIN:
         alternatives = ()
-    supported = _supports(state, filtered, tracker)
+    supported = _supports(state, filtered, predicted, tracker)
     before = state.supported_at if state.supported_at < stamp else -np.inf  # a clock that starts again
     return replace(
         state,
@@ -53,8 +55,10 @@ def updated_hypotheses(
     )
 
 
-def _supports(state: TrackState[So3State], filtered: So3State, tracker: Tracker[So3Filter]) -> bool:
-    """Whether a frame, filtered, agrees with where the discs of the map should be; `state` is that before it.
+def _supports(
+    state: TrackState[So3State], filtered: So3State, predicted: So3State, tracker: Tracker[So3Filter]
+) -> bool:
+    """Whether a frame, filtered, agrees with where the discs of the map should be; `state` has its points.
 
     It shows as many of them as it hides. Or it shows none, since few are known and those may be out of view; more than
     two do not vanish at once.
@@ -62,6 +66,26 @@ def _supports(state: TrackState[So3State], filtered: So3State, tracker: Tracker[
     used, before = len(filtered.used), len(state.filter.used)
     missing = tracker.filter.expected_missing(filtered, np.flatnonzero(filtered.missed == 0))
     if used > 0:
-        return missing <= max(used, _HIDDEN_BY_CHANCE)
+        points = len(state.points)
+        by_chance = 2 * used < points and not tracker.filter.beyond_chance(predicted, used, points)
+        return missing <= max(used, _HIDDEN_BY_CHANCE) and not by_chance
     went_on = state.supported_at == state.filter.stamp and before <= _HIDDEN_BY_CHANCE
     return went_on and filtered.is_roughly_known and missing <= _HIDDEN_BY_CHANCE
+
+
+def is_covered(filtered: FilterState, predicted: FilterState) -> bool:
+    """Does something lie before most of the established discs, whose places are well known?
+
+    A jump that half of them contradict is no better.
+    """
+    if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
+        return False
+    if filtered.known_missed == 0 or not predicted.is_placed:
+        return False
+    jumped = filtered.manoeuvre_level >= _JUMP
+    return filtered.known_missed + jumped > filtered.known_seen
+
+
+def without_effect(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
+    """The frame without effect: something lies before most of the discs, and what is seen may be part of it."""
+    return replace(state, filter=tracker.filter.update(predicted, no_points(tracker)), alternatives=(), confirmed=False)

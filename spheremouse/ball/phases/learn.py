@@ -11,17 +11,15 @@ from spheremouse.ball.detect import lookalikes as static
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.lookalikes import StaticSettings
 from spheremouse.ball.events import Found, Turned
-from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.phases.first_turn import follow_points, still_while_two_turned, would_move
-from spheremouse.ball.phases.hypotheses import updated_hypotheses
-from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View, no_points
+from spheremouse.ball.phases.hypotheses import is_covered, updated_hypotheses, without_effect
+from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View
 from spheremouse.geometry.rotation import Array, log, rotation_between
 
 _CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
 _FRAME = 1.0 / 30.0  # s, in which a turn about the line of sight is noticed
-_JUMP = 64.0  # level of the player from which points pair by chance
 _MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
 _REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
 
@@ -39,8 +37,8 @@ def learn(
         if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
     naive = _with_all(state, stamp, tracker, predicted, phase.views)
-    if _covered(naive.filter, predicted):
-        return found(_hidden(state, tracker, predicted), phase, stamp)
+    if is_covered(naive.filter, predicted):
+        return found(without_effect(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
     views = (*phase.views, View(stamp, state.detections, state.points, predicted, track))
@@ -93,24 +91,6 @@ def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], t
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
     has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
     return np.full(len(state.points), few or (has_turned and state.filter.known_missed == 0))
-
-
-def _covered(filtered: FilterState, predicted: FilterState) -> bool:
-    """Does something lie before most of the established discs, whose places are well known?
-
-    A jump that half of them contradict is no better.
-    """
-    if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
-        return False
-    if filtered.known_missed == 0 or not predicted.is_placed:
-        return False
-    jumped = filtered.manoeuvre_level >= _JUMP
-    return filtered.known_missed + jumped > filtered.known_seen
-
-
-def _hidden(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
-    """The frame without effect: something lies before most of the discs, and what is seen may be part of it."""
-    return replace(state, filter=tracker.filter.update(predicted, no_points(tracker)), confirmed=False)
 
 
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:

@@ -66,7 +66,7 @@ def test_light_and_focus(change, cause, size):
 @pytest.mark.parametrize("seed", [5, 6, 7])
 def test_spots_of_the_wrong_polarity(seed):
     light = {"ball_colour": (40.0, 40.0, 40.0), "disc_colour": (230.0, 230.0, 230.0)}
-    found = why(seed=seed, **light)
+    found = why(seed=seed, settings=DiscSettings(polarity="dark"), **light)
     assert found.cause is Cause.LIGHTER
     assert found.spots >= 3
     assert why(seed=seed, settings=DiscSettings(polarity="light")).cause is Cause.DARKER
