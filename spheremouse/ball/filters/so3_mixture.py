@@ -80,13 +80,13 @@ def update_hypotheses(
         if not any(_alike(item[1].state, other[1].state) for other in kept):
             kept.append(item)
     total = math.log(sum(math.exp(value - kept[0][2]) for _, _, value in kept)) + kept[0][2]
-    return tuple(
-        Hypothesis(
-            filter_.keep_map(node.state, points, node.rows, node.columns, (proven | (len(node.rows) < 2)) & extend_map),
-            value - total,
+    hypotheses = []
+    for state, node, value in kept:
+        may_start = (proven | _needs_landmarks(state, len(points), node)) & extend_map
+        hypotheses.append(
+            Hypothesis(filter_.keep_map(node.state, points, node.rows, node.columns, may_start), value - total)
         )
-        for state, node, value in kept
-    )
+    return tuple(hypotheses)
 
 
 def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) -> list[_Node]:
@@ -134,15 +134,14 @@ def _node(
     return _Node(rows, columns, state, evidence + detected + log_unpaired)
 
 
-def _needs_landmarks(filter_: So3Filter, predicted: So3State, points: int, node: _Node) -> bool:
+def _needs_landmarks(predicted: So3State, points: int, node: _Node) -> bool:
     """Whether too few discs are paired to tell the turn, since the ball has turned others out of view.
 
     On a ball at rest no disc appears, and many points at once are none of a ball with few discs.
     """
     if len(node.rows) >= 2 or points > _FEW_POINTS:
         return False
-    turns = np.linalg.norm(predicted.rate) >= AT_REST or not predicted.is_placed
-    return bool(turns) and filter_.expected_missing(node.state, node.columns) <= max(len(node.rows), 1)
+    return bool(np.linalg.norm(predicted.rate) >= AT_REST) or not predicted.is_placed
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
