@@ -97,8 +97,9 @@ def test_what_passes_before_a_standing_ball_sends_nothing_and_delays_no_play(pas
     assert np.linalg.norm(counts[:stands], axis=1).max() <= 5.0
     assert not any(isinstance(e, NewMap) or (isinstance(e, Turned) and 0.0 < t < 8.0) for t, e in events)
     assert states[stands + 9].status is Status.TRACKING
-    # each count from the first on: what the play turned by, in 1 s at a constant rate from the frame at 8 s on
-    assert np.abs(counts[-1] - counts[stands - 1] - MATRIX @ TURN * (1.0 - DT)).max() < 8.0
+    # each count from the first on: what the play turned by at a constant rate, up to the last frame that tells it
+    last = max(k for k, state in enumerate(states) if state.confirmed)
+    assert np.abs(counts[last] - counts[stands - 1] - MATRIX @ TURN * (last - stands) * DT).max() < 8.0
     moved = np.linalg.norm(counts[stands:] - counts[stands - 1], axis=1)
     assert np.argmax(moved > 3.0) * DT <= 0.3
 

@@ -179,14 +179,16 @@ class So3Filter:
     ) -> So3State | None:
         """`update` of a frame whose pairs are beyond doubt; None of any other.
 
-        They are if two discs pair and the attitude is known well enough, or chance does not explain so many.
+        They are if two discs pair and most points do about an attitude that is known well, or chance does not explain
+        so many.
         """
         ordinary = self._update_ordinary(state, points, may_start_landmark)
         if ordinary is not None:
             return ordinary
         nearest = self.nearest_pairs(state, points)
         pairs = len(nearest.rows)
-        if pairs < 2 or not (state.is_placed or self.beyond_chance(state, pairs, len(points))):
+        most = state.is_placed and 2 * pairs >= len(points)
+        if pairs < 2 or not (most or self.beyond_chance(state, pairs, len(points))):
             return None
         return self._keep_map(self._correct(state, points, nearest)[0], points, nearest, may_start_landmark)
 
