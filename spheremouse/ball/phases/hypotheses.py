@@ -14,7 +14,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.state import F, Tracker, TrackState, no_points
 
-_JUMP = 64.0  # level of the player from which points pair by chance
+_JUMP = 16.0  # level of the player from which points pair by chance
 _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, something that covers the ball hides more
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude is taken for the only one
 
