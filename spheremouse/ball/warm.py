@@ -20,7 +20,7 @@ from spheremouse.ball.state import Tracker, disc_map
 from spheremouse.ball.track import step
 from spheremouse.compiling import told
 from spheremouse.geometry.camera import InteriorOrientation, Pose, unproject
-from spheremouse.geometry.rotation import Array, exp, log
+from spheremouse.geometry.rotation import Array, exp, left_jacobian, log
 from spheremouse.tracker import Frame
 
 _LENS = np.array([-0.1, 0.02, 0.0, 0.0, 0.0])
@@ -46,6 +46,7 @@ def _warm_up(tracker: Literal["so3", "ekf1", "ekf2"], detector: Literal["default
         _watch(made, discs, known)
     unproject(np.zeros((1, 2)), _CAMERA)  # for a pose
     log(np.eye(3)[None])
+    left_jacobian(np.zeros(3))
 
 
 def _watch(tracker: Tracker, discs: Array, known: DiscMap | None) -> DiscMap | None:

@@ -51,7 +51,11 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
         wait = min(2.0 * before.wait, _WAIT[1]) if information > _ENOUGH else _WAIT[0]
         return replace(state, colours=before._replace(tried=frame.stamp, wait=wait))
     colours = Colours(projection, tried=frame.stamp, wait=_WAIT[0])
-    return replace(state, colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
+    state = replace(state, colours=colours, phase=_in_other_colours(state.phase), search=SearchState())
+    if not isinstance(state.phase, Learning):
+        return state
+    start = tracker.filter.initial(frame.stamp, state.filter.attitude).with_reference_of(state.filter)
+    return replace(state, filter=start, alternatives=())
 
 
 def _in_other_colours(phase: Phase) -> Phase:

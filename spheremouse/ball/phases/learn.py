@@ -78,6 +78,7 @@ def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracke
         predicted = tracker.filter.predict(filtered, view.stamp)
         state = _with_all(state, view.stamp, tracker, predicted, views[:k])
         filtered = state.filter
+        state = replace(state, confirmed_at=view.stamp if state.confirmed else state.confirmed_at)
     return replace(state, confirmed=not state.alternatives and len(state.filter.used) > 1)
 
 
@@ -90,7 +91,8 @@ def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], t
     few = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
     has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
-    return np.full(len(state.points), few or (has_turned and state.filter.known_missed == 0))
+    follows = state.confirmed_at == state.filter.stamp and state.filter.known_missed == 0
+    return np.full(len(state.points), few or (has_turned and follows))
 
 
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
