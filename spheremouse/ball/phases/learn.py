@@ -61,8 +61,11 @@ def _with_all(
 ) -> TrackState[F]:
     """The frame filtered, with every point taken for a disc that may be one."""
     if isinstance(predicted, So3State):
-        known: Any = state, stamp, tracker, predicted
-        return updated_hypotheses(*known, proven=_founders(state, predicted, views, tracker))
+        with_map: Any = state  # of an So3State, as `predicted`
+        updated: Any = updated_hypotheses(
+            with_map, stamp, tracker, predicted, proven=_founders(with_map, predicted, views, tracker)
+        )
+        return updated
     filtered = tracker.filter.update(predicted, state.points)
     return replace(state, filter=filtered, confirmed=confirms(filtered, len(state.points), predicted, tracker))
 
