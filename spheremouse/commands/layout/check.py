@@ -73,6 +73,11 @@ def advice(judgement: Judgement, trials: Trials, radius: float, disc_radius: flo
         first, second = (k + 1 for k in j.closest)
         what = "overlap" if j.apart * radius < 2.0 * disc_radius else "nearly touch"
         lines.append(f"advice: discs {first} and {second} {what}; move one of them {3e3 * disc_radius:.0f} mm away")
+    if j.in_view < 2:
+        lines.append(
+            f"advice: from some sides {'one disc' if j.in_view else 'no disc'} is in view, and there the tracker "
+            "withholds motion; put up 16 discs or more"
+        )
     if j.in_view < ENOUGH:
         lines.append(
             f"advice: somewhere only {j.in_view} discs are in view, and recognising takes {ENOUGH}; add discs where "

@@ -1,0 +1,114 @@
+"""Several attitudes at once: what a frame of few discs leaves possible, weighed and carried on."""
+
+import numpy as np
+import pytest
+from conftest import directions
+
+from spheremouse.ball.build import begin, build
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
+from spheremouse.ball.points import intersect
+from spheremouse.ball.rig import Ball, Rig, Targets
+from spheremouse.ball.settings import Settings
+from spheremouse.ball.track import advance
+from spheremouse.geometry.camera import InteriorOrientation, Pose, project
+from spheremouse.geometry.rotation import exp, log
+from spheremouse.tracker import Status
+
+CAMERA = InteriorOrientation(640, 480, 640.0, 640.0, 320.0, 240.0)
+POSE = Pose(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, 2.35]))
+RIG = Rig(CAMERA, Ball(0.6), Targets((), (), np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(3)), 0.02)
+DT = 1.0 / 30.0
+SIGMA = 0.05  # px
+
+
+def photo(R, discs, rng):
+    """Detections of the discs well on the near side at attitude R."""
+    p = discs @ R.T
+    uv = project(POSE.to_cam(RIG.ball.radius * p[p[:, 2] > 0.35]), CAMERA)[0]
+    uv = uv + SIGMA * rng.normal(size=uv.shape)
+    return Detections(uv, np.tile(SIGMA**2 * np.eye(2), (len(uv), 1, 1)), np.full(len(uv), 50.0))
+
+
+def known_ball(discs, rng):
+    """The filter, and its state after each of the discs was seen from many sides."""
+    tracker = build(RIG, POSE, Settings())
+    state = begin(tracker, 0.0)
+    for k in range(241):
+        turn = exp(np.array([2.0 * np.pi, 0.0, 0.0]) * min(k / 120.0, 1.0))
+        R = exp(np.array([0.0, 2.0 * np.pi, 0.0]) * max(k / 120.0 - 1.0, 0.0)) @ turn
+        state = advance(state, k * DT, photo(R, discs, rng), tracker).state
+    return tracker, state
+
+
+def doubtful(state, axis, sigma, stamp):
+    """A state whose attitude is uncertain by `sigma` rad about `axis`."""
+    joint = state.joint.copy()
+    joint[:3] = joint[:, :3] = 0.0
+    joint[:3, :3] = 1e-6 * np.eye(3) + sigma**2 * np.outer(axis, axis)
+    return type(state)(**{n: getattr(state, n) for n in state.__dataclass_fields__} | {"joint": joint, "stamp": stamp})
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_probabilities_sum_to_one_and_the_most_probable_comes_first(seed):
+    rng = np.random.default_rng(seed)
+    discs = directions(26, seed)
+    tracker, state = known_ball(discs, rng)
+    prior = doubtful(state.filter, np.array([0.0, 0.0, 1.0]), 0.5, state.filter.stamp)
+    points = intersect(photo(exp(np.array([0.0, 0.0, 0.4])), discs, rng).take(np.array([0])), RIG, POSE)
+    made = update_hypotheses(tracker.filter, (Hypothesis(prior, 0.0),), points, np.zeros(1, dtype=bool))
+    logs = np.array([h.log_probability for h in made])
+    assert np.exp(logs).sum() == pytest.approx(1.0, abs=1e-9)
+    assert np.all(np.diff(logs) <= 0.0)
+    assert len(made) > 1  # one disc of 26, half a radian of doubt: no single answer
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_doubt_about_one_axis_ends_when_three_discs_are_seen(seed):
+    rng = np.random.default_rng(seed)
+    discs = directions(12, seed)
+    tracker, state = known_ball(discs, rng)
+    true = exp(np.array([0.0, 0.0, 0.6]))
+    seen = photo(true, discs, rng)
+    if len(seen) < 3:
+        pytest.skip("this ball shows fewer than three discs here")
+    prior = doubtful(state.filter, np.array([0.0, 0.0, 1.0]), 0.5, state.filter.stamp)
+    points = intersect(seen, RIG, POSE)
+    made = update_hypotheses(tracker.filter, (Hypothesis(prior, 0.0),), points, np.zeros(len(points), dtype=bool))
+    assert made[0].log_probability > np.log(0.99)
+    assert np.linalg.norm(log(made[0].state.attitude @ true.T)) < 0.03
+
+
+def test_a_certain_frame_keeps_one_hypothesis():
+    rng = np.random.default_rng(1)
+    discs = directions(26, 1)
+    tracker, state = known_ball(discs, rng)
+    for k in range(30):
+        R = exp(np.array([0.3, 0.2, 0.5]) * k * DT)
+        state = advance(state, (241 + k) * DT, photo(R, discs, rng), tracker).state
+        assert state.alternatives == ()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_ball_with_ten_discs_is_followed_by_what_is_in_view(seed):
+    """Two discs and fewer for much of the time; the attitude stays the right one, and its covariance says how well."""
+    rng = np.random.default_rng(seed)
+    discs = directions(10, seed)
+    tracker = build(RIG, POSE, Settings())
+    state, errors, lost = begin(tracker, 0.0), [], 0
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    start = None
+    for k in range(300):
+        t = k * DT
+        R = exp(axis * 1.2 * np.sin(0.9 * t)) @ exp(np.roll(axis, 1) * 0.6 * np.sin(0.5 * t))
+        seen = photo(R, discs, rng)
+        state = advance(state, t, seen, tracker).state
+        if state.status is Status.TRACKING and start is None:
+            start = state.filter.attitude.T @ R
+        if start is not None:
+            lost += state.status is not Status.TRACKING and len(seen) >= 2
+            errors.append(log(state.filter.attitude @ start @ R.T))
+    P = state.filter.covariance[:3, :3] + 1e-8 * np.eye(3)
+    assert lost <= 3
+    assert errors[-1] @ np.linalg.solve(P, errors[-1]) < 25.0
