@@ -22,6 +22,7 @@ class Doubt(StrEnum):
     UNKNOWN = "unknown"  # none of those seen is where a disc of the map should be
     ONE_DISC = "one disc"  # the rotation about it is free
     UNCERTAIN = "uncertain"  # chance explains the matches, or the rate is one that no hand gives
+    SEVERAL = "several"  # more than one attitude explains the discs in view
     CAMERA = "camera"  # the camera is moving
 
 

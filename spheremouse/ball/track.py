@@ -379,6 +379,8 @@ def _doubt(state: TrackState) -> Doubt:
         return Doubt.CAMERA
     if len(state.points) == 0:
         return Doubt.NO_DISC
+    if state.alternatives:
+        return Doubt.SEVERAL
     if used == 0:
         return Doubt.UNKNOWN
     return Doubt.ONE_DISC if used == 1 else Doubt.UNCERTAIN

@@ -107,6 +107,8 @@ def _doubt(doubt: Doubt) -> str:
             return "one known disc in view does not tell the turn about it"
         case Doubt.UNCERTAIN:
             return "the discs in view do not agree on one turn of the ball"
+        case Doubt.SEVERAL:
+            return "the discs in view leave more than one attitude possible"
         case Doubt.CAMERA:
             return "the camera is moving"
         case _:

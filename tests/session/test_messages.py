@@ -31,6 +31,7 @@ SENTENCES = {
     events.MotionWithheld(Doubt.UNKNOWN): "motion withheld: no disc in view is where one of the map should be",
     events.MotionWithheld(Doubt.ONE_DISC): ("motion withheld: one known disc in view does not tell the turn about it"),
     events.MotionWithheld(Doubt.UNCERTAIN): ("motion withheld: the discs in view do not agree on one turn of the ball"),
+    events.MotionWithheld(Doubt.SEVERAL): "motion withheld: the discs in view leave more than one attitude possible",
     events.MotionWithheld(Doubt.CAMERA): "motion withheld: the camera is moving",
     events.MotionReleased(0.23, 0.6): "motion goes on: the 34° of 0.2 s are made up for at a hand's pace",
     events.NewMap(): (
