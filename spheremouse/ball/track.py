@@ -345,7 +345,7 @@ def _reported(state: TrackState, stamp: float, events: Events) -> Step[TrackStat
     attitude = state.filter.attitude
     rotation = rotation_between(state.reported_attitude, attitude)
     covariance, rate, since = np.zeros((12, 12)), np.zeros(6), state.filter.covariance_since(rotation)
-    if np.linalg.eigvalsh(since[:3, :3])[-1] > PLACED**2:  # what the ball did unseen is a guess, and in no motion
+    if since[0, 0] + since[1, 1] + since[2, 2] > PLACED**2:  # a motion unseen is a guess, and none is sent
         rotation, since[:3], since[:, :3] = np.zeros(3), 0.0, 0.0
     covariance[:3, :3], covariance[:3, 6:9], covariance[6:9, :3] = since[:3, :3], since[:3, 3:], since[3:, :3]
     covariance[6:9, 6:9], rate[:3] = since[3:, 3:], state.filter.rate

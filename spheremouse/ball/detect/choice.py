@@ -1,7 +1,7 @@
-"""Which projection of colours shows the discs best in a picture.
+"""Selection of the colour projection that shows the discs best in a picture.
 
-What counts is the information that the fits of all discs give of their centres: many fits of good contrast. A fit of a
-stain or a highlight gives little.
+The criterion is the total information about the discs' centres from all fits. Many fits of good contrast give much
+information; a fit of a stain or a highlight gives little.
 """
 
 import numpy as np
@@ -10,15 +10,16 @@ from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.projection import CANDIDATES, GREY, NEGATIVE, Projection
 
-_BETTER = 1.5  # times the information: standard deviations a fifth smaller; less is not worth a change
-_FINEST = 0.25  # of the settings' sigma: at half the contrast a centre is twice as uncertain, in little noise, too
-_LEAST = 0.02  # discs: less information is that of stains
+_BETTER = 1.5  # least gain in information for a change: standard deviations a fifth smaller
+_FINEST = 0.25  # of the settings' sigma: so the contrast still counts when the picture has little noise
+_LEAST = 0.02  # discs: stains give less information
 
 
 def chosen(image: Image, detector: DiscDetector, present: Projection) -> tuple[Projection, float]:
-    """The projection that shows the discs in a picture best, and its information, in discs; grey where nearly as good.
+    """Return the projection that shows the discs best, and its information in noise-free discs.
 
-    The `present` one stays unless another one is clearly better.
+    `image` is (h, w, 3) BGR or (h, w). The `present` projection stays unless another one is clearly better. Grey or its
+    negative takes precedence over colours if it is nearly as good.
     """
     tried = (GREY, NEGATIVE) if image.ndim == 2 else dict.fromkeys((present, *CANDIDATES))
     told = {p: information_of(detector.seeing(p).detect(image), detector.settings.sigma) for p in tried}
@@ -30,7 +31,10 @@ def chosen(image: Image, detector: DiscDetector, present: Projection) -> tuple[P
 
 
 def information_of(found: Detections, sigma: float) -> float:
-    """Information about the centres, in that of discs without noise; `sigma` px is what their covariances contain."""
+    """Return the information about the discs' centres, in noise-free discs.
+
+    `sigma` px is the constant standard deviation per axis that the covariances of `found` include.
+    """
     noise = np.maximum(0.5 * np.trace(found.covariance, axis1=1, axis2=2) - sigma**2, 0.0)
     finest = (_FINEST * sigma) ** 2
     return float(np.sum(finest / (finest + noise)))

@@ -1,8 +1,9 @@
-"""From colours to the one value by which discs are told from the ball: a linear projection in which discs are darker.
+"""Linear projection of colours to one value, in which discs are darker than the ball.
 
-Its value is w·(B, G, R) without an offset: no light gives 0, and a contrast can be stated as a part of the light.
-Black discs on a white ball take grey; light discs its negative; a coloured ball one channel or a difference of two.
-Once discs are known, Fisher's linear discriminant (Fisher 1936) gives the weights that part disc from ball best.
+The value is w·(B, G, R) without an offset. No light gives 0, so a contrast is a fraction of the light.
+Black discs on a white ball need grey, and light discs its negative. A coloured ball needs one channel or a difference
+of two. Once discs are known, Fisher's linear discriminant (Fisher 1936) gives the weights that separate disc and ball
+best.
 """
 
 from dataclasses import dataclass
@@ -15,22 +16,22 @@ from numpy.typing import NDArray
 from spheremouse.ball.detect.detections import Detections, Image
 from spheremouse.geometry.rotation import Array
 
-_CORE, _AROUND = 0.5, (1.5, 2.2)  # of a disc's radius: pixels of the disc, and of the ball around it, without the rim
-_FEWEST_PIXELS = 6  # of a disc and of the ball around it: fewer are mixed pixels
+_CORE, _AROUND = 0.5, (1.5, 2.2)  # in radii of a disc: pixels of the disc and of the ball around it, without the rim
+_FEWEST_PIXELS = 6  # per disc, and per ring around it: smaller discs have mostly mixed pixels
 _FEWEST_DISCS = 3
-_EVERY = 4  # rows of a picture, between those whose noise is measured
-_FACING = 0.5  # of the largest disc's area: what is more aslant has no round core
+_EVERY = 4  # the noise is measured in every fourth row
+_FACING = 0.5  # of the largest disc's area: a disc seen more obliquely has no round core
 
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """Weights of blue, green and red; their absolute values sum to 1, so that the values keep to -255..255."""
+    """Weights of blue, green and red. Their absolute values sum to 1, so the projected values stay in -255..255."""
 
     weights: tuple[float, float, float]
 
     @property
     def needs_colour(self) -> bool:
-        """Do grey frames not show it?"""
+        """True if grey frames cannot give this projection."""
         return self not in (GREY, NEGATIVE)
 
 
@@ -39,7 +40,7 @@ NEGATIVE = Projection((-0.114, -0.587, -0.299))
 
 
 def normalised(weights: Array) -> Projection:
-    """The projection with weights in proportion to `weights`, (3,), not all of them 0."""
+    """Return the projection with weights proportional to `weights`, (3,), of which at least one is not 0."""
     blue, green, red = (weights / np.abs(weights).sum() + 0.0).tolist()  # no -0
     return Projection((blue, green, red))
 
@@ -51,12 +52,12 @@ def _candidates() -> tuple[Projection, ...]:
     return (GREY, NEGATIVE, *(normalised(w) for w in single + apart))
 
 
-CANDIDATES = _candidates()  # grey, its negative, each channel and each difference of two, in both senses
+CANDIDATES = _candidates()  # grey, each channel and each difference of two channels, with both signs
 
 
 @lru_cache(maxsize=64)
 def weights_of(projection: Projection, channels: int) -> NDArray[np.float32]:
-    """Weights of a picture's channels, (channels,): 3, or 1 of a grey one, which shows grey or its negative."""
+    """Return the weights of a picture's channels, (channels,): 3 of BGR, or 1 or -1 for a grey picture."""
     if channels == 3:
         return np.array(projection.weights, dtype=np.float32)
     return np.array([1.0 if sum(projection.weights) >= 0.0 else -1.0], dtype=np.float32)
@@ -64,7 +65,10 @@ def weights_of(projection: Projection, channels: int) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=64)
 def sample_weights_of(projection: Projection, channels: int) -> NDArray[np.float32]:
-    """Weights for single pixels, (channels,): of grey the green alone, which weighs most, and costs a third."""
+    """Return the weights for samples of single pixels, (channels,).
+
+    For grey and its negative they select green alone, which has the largest weight. This takes a third of the time.
+    """
     if channels == 3 and not projection.needs_colour:
         return np.array([0.0, np.sign(projection.weights[1]), 0.0], dtype=np.float32)
     return weights_of(projection, channels)
@@ -72,19 +76,19 @@ def sample_weights_of(projection: Projection, channels: int) -> NDArray[np.float
 
 @lru_cache(maxsize=64)
 def sampled_channel(projection: Projection, channels: int) -> tuple[int, int] | None:
-    """The only channel that `sample_weights_of` gives a weight, and its sign; None where it gives several one."""
+    """Return the only channel with a weight in `sample_weights_of`, and its sign; None if several have one."""
     weights = sample_weights_of(projection, channels)
     used = np.flatnonzero(weights)
     return (int(used[0]), int(np.sign(weights[used[0]]))) if len(used) == 1 else None
 
 
 def offset_of(projection: Projection, channels: int) -> float:
-    """Value of no light in `projected`: what makes the least value 0."""
+    """Return the offset of `projected`, which makes its least value 0. It is the value of no light."""
     return -255.0 * float(np.minimum(weights_of(projection, channels), 0.0).sum())
 
 
 def projected(image: Image, projection: Projection) -> Image:
-    """A picture (h, w, 3) BGR or (h, w) as (h, w) uint8, with the offset of `offset_of`."""
+    """Return the projection of a picture, (h, w, 3) BGR or (h, w), as (h, w) uint8, plus the offset of `offset_of`."""
     if projection == GREY:
         return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     channels = 1 if image.ndim == 2 else 3
@@ -93,11 +97,11 @@ def projected(image: Image, projection: Projection) -> Image:
 
 
 def fisher_projection(image: Image, mask: Image, found: Detections, diameter: float) -> Projection | None:
-    """The projection that parts the discs `found` in a picture (h, w, 3) from the ball around them best.
+    """Return the projection that separates the discs `found` in a picture, (h, w, 3) BGR, from the ball best.
 
-    Fisher's linear discriminant: w = S^-1 (m_ball - m_disc), with the covariance S of the channels' noise alone, for
-    the fit takes care of a slope of the light. `mask`, (h, w), is not 0 on the ball; `diameter` px is that of a disc
-    seen from in front. None where fewer than three discs face the camera.
+    It is Fisher's linear discriminant (Fisher 1936): w = S^-1 (m_ball - m_disc). S is the covariance of the channels'
+    noise alone, because the fit of a disc models a gradient of the light. `mask`, (h, w), is not 0 on the ball, and
+    `diameter` px is that of a disc seen from in front. Returns None if fewer than three discs face the camera.
     """
     differences = []
     facing = found.take(found.area > _FACING * 0.25 * np.pi * diameter**2)
@@ -108,15 +112,15 @@ def fisher_projection(image: Image, mask: Image, found: Detections, diameter: fl
     difference = np.sum(differences, axis=0)
     if len(differences) < _FEWEST_DISCS or not difference.any():
         return None
-    # a twelfth of a square grey value is what rounding leaves: the least that any channel has
+    # rounding to integers gives each channel a variance of at least 1/12
     weights = np.linalg.solve(_noise_covariance(image, mask) + np.eye(3) / 12.0, difference)
     return normalised(np.asarray(weights, dtype=np.float64))
 
 
 def _noise_covariance(image: Image, mask: Image) -> Array:
-    """Covariance of a pixel's blue, green and red, (3, 3), from second differences along rows on the ball.
+    """Return the noise covariance of a pixel's blue, green and red, (3, 3), on the ball.
 
-    Without those that are large in any channel: edges.
+    It comes from second differences along rows. Differences that are large in any channel are edges and do not count.
     """
     rows = image[::_EVERY].astype(np.int16)
     second = (2 * rows[:, 1:-1] - rows[:, :-2] - rows[:, 2:])[mask[::_EVERY, 1:-1] > 0].astype(float)
@@ -126,7 +130,7 @@ def _noise_covariance(image: Image, mask: Image) -> Array:
 
 
 def _pixels(image: Image, mask: Image, centre: Array, radius: float) -> tuple[Array, Array]:
-    """Colours of a disc, (n, 3), and of the ball around it, (m, 3)."""
+    """Return the colours of a disc's pixels, (n, 3), and of the ball around it, (m, 3)."""
     half = int(np.ceil(_AROUND[1] * radius)) + 1
     u, v = round(centre[0]), round(centre[1])
     top, left = max(v - half, 0), max(u - half, 0)

@@ -1,30 +1,38 @@
-"""Steps of the angular acceleration, and what the innovations of one frame tell of them.
+"""Estimation of steps of the angular acceleration from the innovations of one frame.
 
-A hand takes hold of the ball, pushes, lets go and stops it: between such events the acceleration is nearly constant,
-and at each it jumps. The events are a Poisson process; each draws a new acceleration about zero, independent of the one
-before (compound Poisson jumps; their second moments are those of Singer 1970). When within the interval between two
-frames it jumps is unknown, and so is how far: both are hypotheses, (instant, level), weighed by their likelihood.
+A hand takes hold of the ball, pushes it, lets it go and stops it. The acceleration jumps at each of these events and is
+nearly constant between them. The events are a Poisson process. Each event draws a new acceleration about zero,
+independent of the last one (compound Poisson jumps). The second moments are those of Singer (1970). The instant of a
+step between two frames and its size are unknown. Each pair (instant, level) is a hypothesis, and its likelihood is its
+weight.
 """
 
 import numpy as np
 from numba import njit
 
-_EVENTS = (0.25, 0.75, 1.25)  # intervals before the frame: the middles of the last three half intervals
-_WINDOW = 1.5  # intervals in which they lie: an event just before the last frame moved nothing yet that could be seen
+_EVENTS = (0.25, 0.75, 1.25)  # frame intervals before the frame: the middles of the last three half intervals
+_WINDOW = 1.5  # frame intervals they cover: the last frame did not yet show an event shortly before it
 
 
 @njit(cache=True, error_model="numpy")
 def posterior(A, v, acceleration, steps, weights):
-    """The moments of what steps add to rotation, rate and acceleration, after innovations with these moments.
+    """Return the posterior moments of the change that steps make to rotation, rate and acceleration.
 
-    `A` = H' S^-1 H, (9, 9), and `v` = H' S^-1 z, (9,), where no step is made, at an `acceleration` (3,). `steps` holds
-    the interval since the last frame, s (0: no step), the mean time between two events, s, and the variances, (l,)
-    (rad/s²)² per axis, of the levels; the first is that of a ball left alone, which makes no steps. Their probabilities
-    `weights` (l,) become those after the innovations.
+    `A` = H' S^-1 H, (9, 9), and `v` = H' S^-1 z, (9,), are the information without a step, for innovations z with
+    covariance S. `acceleration` (3,), rad/s², is the predicted one. `steps` holds three values:
+    - the interval since the last frame, s (0: no step),
+    - the mean time between two events, s,
+    - the variances of the levels, (l,), (rad/s²)² per axis; the first level is a ball left to roll, without steps.
 
-    Returns mean (9,), covariance (9, 9), the mean G of the hypotheses' covariances, (9, 9), so that G H' S^-1 is their
-    mean gain, the rms level of the steps (1 of none), the log likelihood ratio of z to no step, and its mean normalised
-    square less z' S^-1 z.
+    `weights` (l,) are the probabilities of the levels; the call replaces them by the posterior ones.
+
+    Returns six values:
+    - the mean, (9,),
+    - the covariance, (9, 9),
+    - the mean G of the hypotheses' covariances, (9, 9), so that G H' S^-1 is their mean gain,
+    - the rms level of the steps, relative to the first level (1 without a step),
+    - the log likelihood ratio of z to no step,
+    - the mean normalised square of z, less z' S^-1 z.
     """
     interval, between, variances = steps
     instants, levels = len(_EVENTS), len(variances) - 1
@@ -49,9 +57,10 @@ def posterior(A, v, acceleration, steps, weights):
 
 @njit(cache=True, error_model="numpy")
 def _effect(before, interval, g):
-    """What a unit step `before` s before a frame adds to rotation, rate and acceleration by then: into g, (3,).
+    """Write the effect of a unit step, `before` s before a frame, on rotation, rate and acceleration into g, (3,).
 
-    Of a step before the last frame the rotation until then is in the state already.
+    `interval` s is the time since the last frame. If the step precedes that frame, the state already includes the
+    rotation until then.
     """
     g[0] = 0.5 * before * before if before < interval else interval * (before - 0.5 * interval)
     g[1], g[2] = before, 1.0
@@ -59,7 +68,10 @@ def _effect(before, interval, g):
 
 @njit(cache=True, error_model="numpy")
 def _seen(A, v, g, B, c):
-    """Information on a step whose effect is g, (3,): B, (3, 3), and c, (3,), from those on the state."""
+    """Write the information on a step with effect g, (3,), into B, (3, 3), and c, (3,).
+
+    `A`, (9, 9), and `v`, (9,), are the information on the state.
+    """
     for a in range(3):
         c[a] = g[0] * v[a] + g[1] * v[3 + a] + g[2] * v[6 + a]
         for b in range(3):
@@ -71,11 +83,12 @@ def _seen(A, v, g, B, c):
 
 @njit(cache=True, error_model="numpy")
 def _one_step(B, c, acceleration, variance, mean, covariance):
-    """A step from `acceleration` (3,) to one of that variance about zero: its mean, (3,), and covariance, (3, 3).
+    """Write the mean, (3,), and covariance, (3, 3), of a step from `acceleration` (3,), rad/s².
 
-    Returns z' S^-1 z if it is made, less that if it is not, and the log likelihood ratio of the two. By the matrix
-    inversion lemma nothing is larger than 3x3 (Willsky and Jones 1976, "A generalized likelihood ratio approach to the
-    detection and estimation of jumps in linear systems").
+    The new acceleration has mean zero and `variance`, (rad/s²)² per axis. `B`, (3, 3), and `c`, (3,), are the
+    information on the step. Returns z' S^-1 z with the step less that without it, and the log likelihood ratio of the
+    two. With the matrix inversion lemma no matrix is larger than 3x3 (Willsky and Jones 1976, "A generalized likelihood
+    ratio approach to the detection and estimation of jumps in linear systems").
     """
     M, y = np.empty((3, 3)), np.empty(3)
     square = 0.0
@@ -97,7 +110,7 @@ def _one_step(B, c, acceleration, variance, mean, covariance):
 
 @njit(cache=True, error_model="numpy")
 def _inverse(M, out):
-    """The inverse of a symmetric positive definite (3, 3) into `out`; returns the determinant."""
+    """Write the inverse of M, (3, 3), symmetric and positive definite, into `out`; return the determinant."""
     for i in range(3):
         a, b = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -112,10 +125,10 @@ def _inverse(M, out):
 
 @njit(cache=True, error_model="numpy")
 def _normalise(log, quiet, weights):
-    """Probabilities of the hypotheses, in place of `log` (i, l - 1), and of the levels, in place of `weights` (l,).
+    """Replace `log` (i, l - 1) by probabilities of the hypotheses, and `weights` (l,) by those of the levels.
 
-    `quiet` is the probability that a level which makes steps makes none. Returns the probability of no step, and the
-    log likelihood ratio of all hypotheses to that.
+    `log` holds the log of prior times likelihood ratio. `quiet` is the probability that a level with steps has none in
+    the window. Returns the probability of no step, and the log likelihood ratio of all hypotheses to no step.
     """
     none = weights[0] + quiet * (1.0 - weights[0])
     most = np.log(max(none, 1e-300))
@@ -139,7 +152,11 @@ def _normalise(log, quiet, weights):
 
 @njit(cache=True, error_model="numpy")
 def _merged(g, p, mean, covariance):
-    """Mean, (9,), covariance, (9, 9), and mean covariance, (9, 9), of the mixture with probabilities p, (i, l - 1)."""
+    """Return the mean, (9,), covariance, (9, 9), and mean covariance, (9, 9), of the mixture of hypotheses.
+
+    `g`, (i, 3), are the effects of a unit step at each instant, and `p`, (i, l - 1), the probabilities. `mean`,
+    (i, l - 1, 3), and `covariance`, (i, l - 1, 3, 3), are those of each step.
+    """
     total, spread, gain = np.zeros(9), np.zeros((9, 9)), np.zeros((9, 9))
     for s in range(len(p)):
         first, within, outer = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))

@@ -1,7 +1,8 @@
-"""The projection of colours found in which discs are darker than the ball, while nothing is known to turn with it.
+"""Choice of the colour projection in which discs are darker than the ball.
 
-All candidates are tried on one picture (detect.choice), again and again until the ball turns. Once three of its discs
-are known, Fisher's discriminant of their pixels takes the place of the candidate. From then on it is fixed.
+Until the ball turns, the tracker repeatedly tries all candidates on one picture (detect.choice). Once three
+discs are known, Fisher's discriminant of their pixels replaces the candidate if it gives more information. After that
+the projection stays the same, unless the ball is lost for 10 s.
 """
 
 from dataclasses import replace
@@ -15,18 +16,18 @@ from spheremouse.ball.events import DiscColours
 from spheremouse.ball.state import Colours, Detector, Learning, Lost, Phase, Recognising, Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame, Step
 
-_ENOUGH = 0.2  # discs without noise, from which the wait until the next trial grows
-_WAIT = (0.5, 64.0)  # s between trials, at first and at most: doubled while the choice stays
-_LOST = 10.0  # s without a disc, after which another ball may be there
+_ENOUGH = 0.2  # noise-free discs: with more information, the wait until the next trial doubles
+_WAIT = (0.5, 64.0)  # s between trials: first and longest; it doubles while the choice stays the same
+_LOST = 10.0  # s without a disc, after which the user may have placed another ball
 
 
 def seen_in(detector: Detector, colours: Colours) -> Detector:
-    """The detector that sees the discs in these colours."""
+    """Return the detector that uses the projection of `colours`."""
     return detector.seeing(colours.projection) if isinstance(detector, DiscDetector) else detector
 
 
 def is_trial_due(state: TrackState, stamp: float) -> bool:
-    """Should all projections be tried on the frame of `stamp`?"""
+    """Return True if the tracker must try all projections on the frame of `stamp` (s)."""
     colours, phase = state.colours, state.phase
     if colours.fixed or isinstance(phase, Tracking) or colours.tried <= stamp < colours.tried + colours.wait:
         return False
@@ -36,12 +37,15 @@ def is_trial_due(state: TrackState, stamp: float) -> bool:
 
 
 def wants_colour(state: TrackState, stamp: float) -> bool:
-    """Do the discs, or the choice of how to see them, need the frame of `stamp` in colour?"""
+    """Return True if the projection, or a trial that is due, needs the frame of `stamp` (s) in colour."""
     return state.colours.projection.needs_colour or is_trial_due(state, stamp)
 
 
 def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
-    """The state with the projection that shows the discs best, where a trial is due; begun anew where it is another."""
+    """Return the state after a trial of all projections on `frame`, if one is due.
+
+    If another projection shows the discs better, the search and an unfinished phase start again with it.
+    """
     detector = tracker.detector
     if not (isinstance(detector, DiscDetector) and is_trial_due(state, frame.stamp)):
         return state
@@ -59,7 +63,7 @@ def with_trial(state: TrackState, frame: Frame, tracker: Tracker) -> TrackState:
 
 
 def _in_other_colours(phase: Phase) -> Phase:
-    """The phase without what was seen in the colours before."""
+    """Return the phase without the views and times from the previous projection."""
     match phase:
         case Learning(found):
             return Learning(found)
@@ -72,7 +76,10 @@ def _in_other_colours(phase: Phase) -> Phase:
 
 
 def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[TrackState]:
-    """The step with the projection that parts the pixels of the discs from those of the ball best, once, if it does."""
+    """Return the step with Fisher's projection, if that gives more information than the present projection.
+
+    The comparison takes place once, when a confirmed frame in colour shows enough discs and the ball has turned.
+    """
     state, detector = done.state, tracker.detector
     colours = state.colours
     if colours.fixed or colours.refined or not colours.projection.needs_colour or frame.image.ndim != 3:
@@ -94,7 +101,7 @@ def refined(done: Step[TrackState], frame: Frame, tracker: Tracker) -> Step[Trac
 
 
 def told(done: Step[TrackState], before: Colours) -> Step[TrackState]:
-    """The step with an event where the discs are seen in other colours than `before`."""
+    """Return the step, with a `DiscColours` event if its projection differs from that of `before`."""
     projection = done.state.colours.projection
     if projection == before.projection:
         return done

@@ -44,14 +44,15 @@ def updated_hypotheses(
     filtered, alternatives = hypotheses[0].state, hypotheses[1:]
     if hypotheses[0].log_probability > _CERTAIN:
         alternatives = ()
-    supported = _supports(state, filtered, predicted, tracker)
+    confirmed = not alternatives and confirms(filtered, len(points), predicted, tracker)
+    supported = confirmed or _supports(state, filtered, predicted, tracker)
     before = state.supported_at if state.supported_at < stamp else -np.inf  # a clock that starts again
     return replace(
         state,
         filter=filtered,
         alternatives=alternatives,
         supported_at=stamp if supported else before,
-        confirmed=not alternatives and confirms(filtered, len(points), predicted, tracker),
+        confirmed=confirmed,
     )
 
 

@@ -1,4 +1,4 @@
-"""The first turn of the ball, from which discs are told from look-alikes."""
+"""Learning phase: the first turn of the ball separates discs from look-alikes."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,21 +18,24 @@ from spheremouse.ball.phases.hypotheses import is_covered, updated_hypotheses, w
 from spheremouse.ball.state import Events, F, Learning, Tracker, Tracking, TrackState, View
 from spheremouse.geometry.rotation import Array, log, rotation_between
 
-_CERTAIN = 9.0  # nats: odds of 8000 to 1 that it is the ball that moves
-_FRAME = 1.0 / 30.0  # s, in which a turn about the line of sight is noticed
-_MODEL_ERROR = 0.1  # px, of where a disc is seen, by errors of pose and ball
-_REPLAY = 30  # frames kept while nothing has moved yet, to be filtered again without the look-alikes
+_CERTAIN = 9.0  # nats: odds of 8000 to 1 for a motion of the ball
+_FRAME = 1.0 / 30.0  # s, frame interval within which a turn about the line of sight is detected
+_MODEL_ERROR = 0.1  # px, error of a disc's predicted centre from errors of pose and ball
+_REPLAY = 30  # frames kept until the ball moves, for filtering again without the look-alikes
 
 
 def learn(
     state: TrackState[F], phase: Learning, stamp: float, tracker: Tracker, predicted: F
 ) -> tuple[TrackState[F], Events]:
-    """Nothing has turned yet: every candidate may be a disc or a look-alike. Take all, until some turn alike.
+    """Return the state and events after a frame in which the ball may not have turned yet.
 
-    Then those that stayed are masked, and the frames since are filtered again without them, as if they had been known.
-    A candidate that appears once discs are established may be anything: it founds a disc when it has turned.
+    Before the first turn, every candidate may be a disc or a look-alike, so the filter uses all of them. When most of
+    them turn together, the tracker masks the static ones and filters the kept frames again without them. Once discs are
+    established, a new candidate adds a disc to the map only after the ball has turned.
+
+    `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
     """
-    if not phase.views and len(state.filter.discs) == 0:  # where two are first seen, it is known as well as ever
+    if not phase.views and len(state.filter.discs) == 0:  # no uncertainty accumulates before the first two discs
         predicted = tracker.filter.initial(stamp, state.filter.attitude).with_reference_of(state.filter)
         if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
@@ -43,7 +46,7 @@ def learn(
     track, next_track = follow_points(phase.views, centre, phase.next_track)
     views = (*phase.views, View(stamp, state.detections, state.points, predicted, track))
     if len(views) > _REPLAY:
-        views = (views[0], *views[2:])  # the first frame is the anchor: slow motion shows against it
+        views = (views[0], *views[2:])  # the first frame stays as the anchor, so that slow motion adds up against it
     still = _still_since(views[0], views[-1], tracker)
     if still is None:
         still = still_while_two_turned(views, tracker)
@@ -59,9 +62,9 @@ def learn(
 def _with_all(
     state: TrackState[F], stamp: float, tracker: Tracker, predicted: F, views: tuple[View, ...]
 ) -> TrackState[F]:
-    """The frame filtered, with every point taken for a disc that may be one."""
+    """Return the state after filtering a frame with every point as a possible disc."""
     if isinstance(predicted, So3State):
-        with_map: Any = state  # of an So3State, as `predicted`
+        with_map: Any = state  # it holds an So3State, as `predicted` is one
         updated: Any = updated_hypotheses(
             with_map, stamp, tracker, predicted, proven=_founders(with_map, predicted, views, tracker)
         )
@@ -71,7 +74,7 @@ def _with_all(
 
 
 def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracker: Tracker) -> TrackState[F]:
-    """The frames of all views filtered again, without the look-alikes at `still`, (k, 2) px."""
+    """Return the state after filtering all views again, without the look-alikes at `still`, (k, 2) px."""
     stamp = views[-1].stamp
     state = replace(state, lookalikes=static.mask(state.lookalikes, still, stamp), alternatives=())
     filtered = tracker.filter.initial(views[0].stamp, views[0].attitude).with_reference_of(state.filter)
@@ -86,10 +89,11 @@ def _without(state: TrackState[F], still: Array, views: tuple[View, ...], tracke
 
 
 def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], tracker: Tracker) -> NDArray[np.bool_]:
-    """Which points may found a disc, (n,).
+    """Return a mask, (n,), of the points that may add a disc to the map.
 
-    All may while fewer than two discs are established, and once those have turned by a disc's width: new discs come
-    into view then. While the ball stands, what appears is not on it, or was hidden.
+    All points may if fewer than two discs are established. All may if the ball has turned by a disc's width and the
+    last frame confirmed its attitude, because new discs come into view then. If the ball stands, a new point is not on
+    the ball, or is a disc that was hidden.
     """
     few = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
@@ -99,7 +103,7 @@ def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], t
 
 
 def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackState[F], Events]:
-    """The ball is tracked from where two discs are seen."""
+    """Return the state in `phase`, with a `Found` event when the map first has two discs."""
     if phase.found:
         return replace(state, phase=phase), ()
     state = replace(state, confirmed_at=stamp)
@@ -109,9 +113,9 @@ def found(state: TrackState[F], phase: Learning, stamp: float) -> tuple[TrackSta
 
 
 def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
-    """Places, (k, 2) px, that stayed while most of the others turned alike, as on a ball; None while that is uncertain.
+    """Return the places, (k, 2) px, of points that stayed while most others turned together like a ball.
 
-    What is flat, and passes, moves otherwise.
+    Returns None while that is uncertain, and if the motion also fits a flat object that passes.
     """
     s = tracker.settings.static
     if len(anchor.points) < 3 or len(now.points) < 3:
@@ -135,16 +139,17 @@ def _still_since(anchor: View, now: View, tracker: Tracker) -> Array | None:
 
 
 def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tracker: Tracker) -> bool:
-    """Is a flat thing that shifts, turns and grows in the picture nearly as good an explanation as the ball?
+    """Return True if a flat object that shifts, turns and grows in the picture fits nearly as well as the ball.
 
-    `pairs` (k, 2) index the points of `anchor` and `now`. A turn about the line of sight looks flat, but a flat thing
-    hardly ever turns about the ball's middle.
+    `pairs` (k, 2) index the points of `anchor` and `now`, and `rotation`, (3, 3), takes one to the other. A turn about
+    the line of sight also fits a flat object. But such an object hardly ever turns about the centre of the ball's
+    picture, so the function then returns False.
     """
     rig, pose, (before, after) = tracker.rig, tracker.pose, pairs.T
     towards = pose.position - rig.ball.centre
     towards = towards / np.linalg.norm(towards)
     middle = seen_at(np.stack([towards, rotation @ towards]), rig, pose)
-    at_once = np.linalg.norm(log(rotation)) < tracker.settings.loss.fastest * _FRAME  # rows of spots match far turns
+    at_once = np.linalg.norm(log(rotation)) < tracker.settings.loss.fastest * _FRAME  # large turns match rows of spots
     if at_once and np.linalg.norm(middle[1] - middle[0]) < 0.5 * tracker.settings.static.moved:
         return False
     off = now.centre[after] - seen_at(anchor.points.direction[before] @ rotation.T, rig, pose)
@@ -157,12 +162,12 @@ def _flat(anchor: View, now: View, pairs: NDArray[np.intp], rotation: Array, tra
 
 
 def _variance(view: View, which: NDArray[np.intp]) -> Array:
-    """Variance per axis, (k,) px², of the centres of some points."""
+    """Return the variance per axis, (k,) px², of the centres of the points `which`, (k,)."""
     return 0.5 * np.trace(view.detections.covariance[view.points.index[which]], axis1=1, axis2=2)
 
 
 def _changed(anchor: View, since: tuple[View, ...], settings: StaticSettings) -> bool:
-    """Is most of the anchor's picture missing from all later views, without a common rotation?"""
+    """Return True if more than half of the anchor's points are missing from all later views."""
     later = np.concatenate([view.centre for view in since])
     if len(anchor.points) == 0 or len(later) == 0:
         return len(later) > 0

@@ -1,4 +1,4 @@
-"""A ball found by its map: one that was lost, or one whose map was made earlier."""
+"""Recovery of the attitude from the map of discs, for a lost ball or a saved map."""
 
 from dataclasses import replace
 
@@ -28,12 +28,15 @@ from spheremouse.ball.state import (
     unused,
 )
 
-_RESTS = 0.05  # rad/s, standard deviation of the rate of a ball that is where it was
-_SPEAKS = 4  # discs in view: fewer say nothing against a map
+_RESTS = 0.05  # rad/s, standard deviation of the rate of a ball at rest
+_SPEAKS = 4  # discs in view: fewer are no evidence against a map
 
 
 def lost_in_a_gap(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
-    """No frame came for so long that the prediction is a guess: the map says where the ball is, or nothing does."""
+    """Return the ball as lost if no frame came for more than `loss.lost_after` s.
+
+    After such a gap the prediction is unreliable, so only the map can give the attitude.
+    """
     gap = stamp - state.filter.stamp
     if not isinstance(state.phase, Tracking) or gap <= tracker.settings.loss.lost_after:
         return state, ()
@@ -41,17 +44,22 @@ def lost_in_a_gap(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple
 
 
 def seen_since(phase: Lost, points: int, stamp: float) -> Lost:
-    """Lost, and since when discs are in view again."""
+    """Return the phase with the time (s) since which at least two discs are in view, or None with fewer."""
     if points < 2:
         return phase._replace(in_view_since=None)
-    since = stamp if phase.in_view_since is None else min(phase.in_view_since, stamp)  # a clock that starts again
+    since = stamp if phase.in_view_since is None else min(phase.in_view_since, stamp)  # the clock may start again
     return phase._replace(in_view_since=since)
 
 
 def recover(
     state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
-    """Lost: find the attitude again by the map, or begin anew at the last one. Either way nothing is invented."""
+    """Return the state and events after a frame in which the ball is lost.
+
+    The map can give the attitude again: at rest, by recognition, or by a search near the prediction. Otherwise the
+    tracker tries a new map once discs have been in view for `loss.reset_after` s. In no case does it report motion
+    that the discs do not show. `stamp` is in s, and `predicted` is the filter's state predicted for this frame.
+    """
     phase = seen_since(phase, len(state.points), stamp)
     state = replace(state, phase=phase, filter=unused(state.filter))
     resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
@@ -76,7 +84,7 @@ def recover(
         or stamp - max(phase.in_view_since, state.supported_at) < tracker.settings.loss.reset_after
     ):
         return state, ()
-    if np.count_nonzero(state.filter.hits >= tracker.settings.so3.trial) < 2:  # no map that could be recognised
+    if np.count_nonzero(state.filter.hits >= tracker.settings.so3.trial) < 2:  # too few for recognition
         return begin_anew(state, stamp, tracker)
     return try_new_map(state, phase, stamp, tracker)
 
@@ -84,10 +92,11 @@ def recover(
 def _where_it_was(
     state: TrackState[So3State], stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[So3State, int] | None:
-    """The filter at rest where the ball was last, and by how many discs; None where they do not show it.
+    """Return the filter's state at rest at the last reported attitude, and the number of discs that confirm it.
 
-    Most balls that are hidden for a while are. Two discs in their places are enough then, if chance does not put them
-    there. What little the attitude differs counts as motion: else errors of the camera's pose would add up.
+    Most balls that are hidden for a while do not turn meanwhile. Then two discs in their places are enough, if chance
+    does not explain them. The small attitude difference counts as motion. Otherwise errors of the camera's pose would
+    add up. Returns None if the discs do not confirm the attitude.
     """
     filter_, s = tracker.filter, tracker.settings.loss
     placed = relocate(state.filter, state.reported_attitude, s.identify_sigma, tracker.settings.so3, stamp, np.zeros(3))
@@ -102,9 +111,11 @@ def _where_it_was(
 def try_new_map(
     state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[TrackState[So3State], Events]:
-    """What is in view on trial as a new map, beside the old one, until it has turned as only a ball turns.
+    """Return the state and events after a frame of a new map's trial, beside the old map.
 
-    What passes before a ball that stands does not: nothing is sent, and the old map is recognised when it is gone.
+    The new map replaces the old one once its points have turned like a ball. An object that passes in front of a ball
+    at rest does not turn so. Meanwhile the tracker sends no motion, and it recognises the old map when the object is
+    gone.
     """
     if phase.trial is None:
         filtered, view = _new_map(state, stamp, tracker)
@@ -122,10 +133,10 @@ def try_new_map(
 def _followed(
     state: TrackState[So3State], phase: Lost, stamp: float, tracker: Tracker[So3Filter], predicted: So3State
 ) -> tuple[TrackState[So3State], Events]:
-    """Lost, or found by the discs that are where the ball may have turned since.
+    """Return the ball as tracked if discs near their predicted places confirm its attitude, or else as lost.
 
-    Most of what is in view must be discs of the map, each in a place that the time since allows, and only one attitude
-    may explain it.
+    More than half of the points in view must be discs of the map. Each must lie within reach of the ball's motion since
+    the loss, and only one attitude may explain them.
     """
     updated = updated_hypotheses(state, stamp, tracker, predicted, extend_map=False)
     pairs = len(updated.filter.used)
@@ -137,7 +148,7 @@ def _followed(
 
 
 def begin_anew(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[TrackState[F], Events]:
-    """A lost ball tracked from its last attitude on, with a new map."""
+    """Return a lost ball as tracked from its last attitude, with a new map."""
     attitude = state.filter.attitude
     filtered, view = _new_map(state, stamp, tracker)
     state = replace(state, lookalikes=forget(state.lookalikes))
@@ -147,7 +158,11 @@ def begin_anew(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[Tr
 def recognise(
     state: TrackState[So3State], phase: Recognising, stamp: float, tracker: Tracker[So3Filter]
 ) -> tuple[TrackState[So3State], Events]:
-    """The ball is where the saved map says, once that is certain; never recognised, it is another ball's map."""
+    """Return the state and events after a frame in which the attitude on a saved map is unknown.
+
+    If recognition is certain, the attitude becomes absolute. If it fails for `loss.reset_after` s with enough discs in
+    view, the map belongs to another ball, and a new map begins.
+    """
     recognised = recognised_attitude(state, stamp, tracker)
     if recognised is not None:
         filtered, pairs = recognised
@@ -164,7 +179,7 @@ def recognise(
 
 
 def _new_map(state: TrackState[F], stamp: float, tracker: Tracker) -> tuple[F, View]:
-    """A new map, begun at the last attitude by this frame's points: any of them may be a look-alike."""
+    """Return a new map at the last attitude from this frame's points, and the view. It may include look-alikes."""
     start = tracker.filter.initial(stamp, state.filter.attitude)
     filtered = tracker.filter.update(start, state.points)
     return filtered, View(stamp, state.detections, state.points, start)

@@ -1,4 +1,4 @@
-"""The ball in words: what status and log have of its events, of motion withheld, and of a ball that shows no discs."""
+"""Status and log texts about the ball: its events, withheld motion, and missing discs."""
 
 from concurrent.futures import Future
 
@@ -10,22 +10,25 @@ from spheremouse.session import messages
 from spheremouse.session.ball.looking import Elsewhere, begun
 from spheremouse.tracker import Frame, Status, Step
 
-_FEW = 3  # discs: with as many in view the picture is not what is wrong
-_AFTER = 1.0  # s without them until the picture is looked at: hands pass within less
-_EVERY = 2.0  # s between two looks
+_FEW = 3  # discs: with this many in view, the picture is not the cause
+_AFTER = 1.0  # s without tracking before the first diagnosis: hands pass in less
+_EVERY = 2.0  # s between two diagnoses
 
 
 class BallNews:
-    """Called by one thread with each tracked frame; `reason` may be read by others."""
+    """Texts about the ball for status and log.
+
+    One thread calls the methods. Other threads may read `reason`.
+    """
 
     def __init__(self, elsewhere: Elsewhere) -> None:
-        """`elsewhere` has pictures looked at by another thread."""
-        self.reason = ""  # what is known of the ball
+        """Create the texts; `elsewhere` runs the diagnosis of a picture in another thread."""
+        self.reason = ""  # for the status: the state of the ball; empty if there is nothing to report
         self._known, self._log = "", ""
         self._missing = MissingDiscs(elsewhere)
 
     def add(self, made: Step[TrackState], frame: Frame, tracker: Tracker) -> None:
-        """One more frame, and what the tracker made of it."""
+        """Update the texts from one frame and the tracker's step for it."""
         state, events = made.state, made.events
         lines = [messages.line(events)] if events else []
         if lasting := [e for e in events if not isinstance(e, MotionWithheld | MotionReleased)]:
@@ -42,24 +45,27 @@ class BallNews:
             self.reason = missing or self._known
 
     def restart(self, reason: str) -> None:
-        """The ball is looked for anew."""
+        """Set `reason` when the search for the ball starts again."""
         self.reason = self._known = reason
 
     def take(self) -> str:
-        """What is to be logged since this was last asked; empty where nothing is."""
+        """Return the last log line since the previous call, and clear it; empty if there is none."""
         log, self._log = self._log, ""
         return log
 
 
 class MissingDiscs:
-    """Why the ball shows no discs: asked of a picture now and then, while the ball is not tracked."""
+    """Periodic diagnosis of the picture while the ball is not tracked."""
 
     def __init__(self, elsewhere: Elsewhere) -> None:
         self._elsewhere = elsewhere
         self._forget()
 
     def look(self, state: TrackState, frame: Frame, tracker: Tracker) -> tuple[str, bool]:
-        """Why, in words, and whether that is new; empty while discs are seen, or not known yet."""
+        """Return the reason for the missing discs, and True if it is new.
+
+        The reason is empty while discs are in view, and until the first diagnosis is complete.
+        """
         points, stamp = len(state.points), frame.stamp
         if state.status is Status.TRACKING:
             self._forget()
@@ -81,8 +87,8 @@ class MissingDiscs:
 
     def _forget(self) -> None:
         self._since: float | None = None  # s, stamp of the first frame in which the ball was not tracked
-        self._looked = -float("inf")  # s, stamp of the last frame that was looked at
+        self._looked = -float("inf")  # s, stamp of the last frame with a diagnosis
         self._looking: Future[Absence] | None = None
-        self._seen = 0  # discs in it
+        self._seen = 0  # discs in that frame
         self._absence: Absence | None = None
         self._told = ""
