@@ -63,10 +63,6 @@ def update_hypotheses(
     landmark that are `proven` (n,) to turn with the ball. If fewer than two discs are paired, all do: whatever is in
     view tells the turn from here on. None does unless the map may be extended, `extend_map`.
     """
-    if len(predicted) == 1:
-        certain = filter_.update_if_certain(predicted[0].state, points, proven & extend_map)
-        if certain is not None:
-            return (Hypothesis(certain, 0.0),)
     extended: list[tuple[So3State, _Node, float]] = []
     for state, log_probability in predicted:
         for node in _assignments(filter_, state, points):

@@ -54,7 +54,7 @@ def follow(
 ) -> TrackState[So3State]:
     """Filter the points; candidates that have moved with the ball become discs at once."""
     before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
-    if np.linalg.norm(predicted.rate) < AT_REST and is_covered(state.filter, predicted):
+    if is_covered(state.filter, predicted) and np.linalg.norm(predicted.rate) < AT_REST:
         return without_effect(before, tracker, predicted)  # the discs of a ball that begins to turn do not vanish
     if all_are_discs(state):
         return state

@@ -38,12 +38,15 @@ def updated_hypotheses(
         proven = static.known_before_to_turn(
             state.lookalikes, centre, predicted.attitude, tracker.rig, tracker.pose, tracker.settings.static
         )
-    rest = tuple(Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
-    best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
-    hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, extend_map)
-    filtered, alternatives = hypotheses[0].state, hypotheses[1:]
-    if hypotheses[0].log_probability > _CERTAIN:
-        alternatives = ()
+    certain = None if state.alternatives else f.update_if_certain(predicted, points, proven & extend_map)
+    if certain is not None:
+        filtered, alternatives = certain, ()
+    else:
+        rest = tuple(Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
+        best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
+        hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, extend_map)
+        filtered = hypotheses[0].state
+        alternatives = () if hypotheses[0].log_probability > _CERTAIN else hypotheses[1:]
     confirmed = not alternatives and confirms(filtered, len(points), predicted, tracker)
     supported = confirmed or _supports(state, filtered, predicted, tracker)
     before = state.supported_at if state.supported_at < stamp else -np.inf  # a clock that starts again
@@ -81,10 +84,9 @@ def is_covered(filtered: FilterState, predicted: FilterState) -> bool:
     """
     if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
         return False
-    if filtered.known_missed == 0 or not predicted.is_placed:
-        return False
     jumped = filtered.manoeuvre_level >= _JUMP
-    return filtered.known_missed + jumped > filtered.known_seen
+    most_missing = 0 < filtered.known_missed and filtered.known_missed + jumped > filtered.known_seen
+    return most_missing and predicted.is_placed
 
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
