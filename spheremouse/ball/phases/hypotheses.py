@@ -85,7 +85,7 @@ def is_covered(filtered: FilterState, predicted: FilterState) -> bool:
     if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
         return False
     jumped = filtered.manoeuvre_level >= _JUMP
-    most_missing = 0 < filtered.known_missed and filtered.known_missed + jumped > filtered.known_seen
+    most_missing = filtered.known_missed > 0 and filtered.known_missed + jumped > filtered.known_seen
     return most_missing and predicted.is_placed
 
 
