@@ -107,7 +107,7 @@ def test_a_rate_that_does_not_divide_the_film_is_refused():
 
 
 def test_a_readout_that_is_not_considered_costs_attitude():
-    found = viewing.with_film(1, 1.2, {"readout": 0.03})
+    found = viewing.with_film(1, 4.0, {"readout": 0.03})
     assert found["pose"] is None  # nothing was amiss
     off = {
         name: found["rows"][name]["attitude"]
