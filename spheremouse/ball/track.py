@@ -151,7 +151,9 @@ def with_settings(state: TrackState, tracker: Tracker, settings: Settings) -> tu
     if settings.tracker != tracker.settings.tracker:
         return begin(anew, state.filter.stamp, state.filter.attitude), anew
     if settings.so3.levels != tracker.settings.so3.levels and not anew.classic:
-        state = replace(state, filter=replace(state.filter, weights=np.zeros(0)))  # they were those of other levels
+        others = tuple(h._replace(state=replace(h.state, weights=np.zeros(0))) for h in state.alternatives)
+        filtered = replace(state.filter, weights=np.zeros(0))  # they were those of other levels
+        state = replace(state, filter=filtered, alternatives=others)
     seen = colours_of(settings, state.colours)
     return replace(state, rebuilt=None, search=SearchState(), colours=seen), anew
 

@@ -1,9 +1,9 @@
 """Several attitudes at once, while the discs in view leave more than one possible.
 
 A hypothesis is a filter state with its probability. Each frame extends every hypothesis by the assignments of points to
-discs that remain likely, weighs them by all that is and is not seen, and keeps the best (hypothesis-oriented multiple
-hypothesis tracking: Reid 1979, "An algorithm for tracking multiple targets"; gated one point at a time as in the joint
-compatibility test of Neira and Tardós 2001). In ordinary frames one hypothesis remains and costs nothing.
+discs that remain likely, weighs them by the discs seen and missed, and keeps the best. This is hypothesis-oriented
+multiple hypothesis tracking (Reid 1979, "An algorithm for tracking multiple targets"). Assignments grow point by point,
+as in the joint compatibility test of Neira and Tardós 2001. In ordinary frames one hypothesis remains.
 """
 
 import math
@@ -17,7 +17,7 @@ from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 
-_MAX_HYPOTHESES = 6
+_MAX_HYPOTHESES = 6  # a disc in view is one of a few: each of them costs a millisecond in such a frame
 _MAX_NODES = 8  # assignments carried on from point to point
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
 _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree

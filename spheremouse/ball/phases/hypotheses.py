@@ -1,4 +1,4 @@
-"""The filter updated by a frame under every attitude that the discs in view leave possible."""
+"""Update of the filter by a frame, under every attitude that the discs in view leave possible."""
 
 import math
 from dataclasses import replace
@@ -62,10 +62,10 @@ def updated_hypotheses(
 def _supports(
     state: TrackState[So3State], filtered: So3State, predicted: So3State, tracker: Tracker[So3Filter]
 ) -> bool:
-    """Whether a frame, filtered, agrees with where the discs of the map should be; `state` has its points.
+    """Return whether a frame agrees with the places of the discs on the map; `state` has its points.
 
-    It shows as many of them as it hides. Or it shows none, since few are known and those may be out of view; more than
-    two do not vanish at once.
+    A frame that shows discs agrees if it shows as many as it hides. A frame that shows none agrees if at most two are
+    expected in view and no more than two were seen before: more do not vanish at once.
     """
     used, before = len(filtered.used), len(state.filter.used)
     missing = tracker.filter.expected_missing(filtered, np.flatnonzero(filtered.missed == 0))

@@ -1,5 +1,7 @@
 """Several attitudes at once: what a frame of few discs leaves possible, weighed and carried on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import directions
@@ -10,7 +12,7 @@ from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.points import intersect
 from spheremouse.ball.rig import Ball, Rig, Targets
 from spheremouse.ball.settings import Settings
-from spheremouse.ball.track import advance
+from spheremouse.ball.track import advance, with_settings
 from spheremouse.geometry.camera import InteriorOrientation, Pose, project
 from spheremouse.geometry.rotation import exp, log
 from spheremouse.tracker import Status
@@ -112,3 +114,16 @@ def test_a_ball_with_ten_discs_is_followed_by_what_is_in_view(seed):
     P = state.filter.covariance[:3, :3] + 1e-8 * np.eye(3)
     assert lost <= 3
     assert errors[-1] @ np.linalg.solve(P, errors[-1]) < 25.0
+
+
+def test_other_levels_keep_the_alternatives():
+    """Settings change between two frames while several attitudes are possible."""
+    rng = np.random.default_rng(2)
+    discs = directions(12, 2)
+    tracker, state = known_ball(discs, rng)
+    state = replace(state, alternatives=(Hypothesis(state.filter, np.log(0.3)),))
+    settings = Settings(so3=replace(Settings().so3, levels=(1.0, 8.0, 64.0)))
+    state, tracker = with_settings(state, tracker, settings)
+    for k in range(3):
+        state = advance(state, (241 + k) * DT, photo(np.eye(3), discs, rng), tracker).state
+    assert state.status is Status.TRACKING
