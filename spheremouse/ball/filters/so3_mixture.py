@@ -18,7 +18,9 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 
 _MAX_HYPOTHESES = 6  # a disc in view is one of a few: each of them costs a millisecond in such a frame
-_MAX_NODES = 8  # assignments carried on from point to point
+_MAX_NODES = 8  # assignments carried on from point to point, of the most probable hypothesis
+_MAX_NODES_OF_OTHERS = 3
+_MAX_SEARCHED = 6  # points: with more in view the nearest pairs, or the whole constellation, tell the attitude
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
 _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
 _WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and the likelihood decides
@@ -64,8 +66,8 @@ def update_hypotheses(
     view tells the turn from here on. None does unless the map may be extended, `extend_map`.
     """
     extended: list[tuple[So3State, _Node, float]] = []
-    for state, log_probability in predicted:
-        for node in _assignments(filter_, state, points):
+    for k, (state, log_probability) in enumerate(predicted):
+        for node in _assignments(filter_, state, points, _MAX_NODES if k == 0 else _MAX_NODES_OF_OTHERS):
             value = log_probability + node.log_likelihood + _log_missed(filter_, node.state, node.columns)
             extended.append((state, node, value))
     extended.sort(key=lambda item: -item[2])
@@ -85,22 +87,26 @@ def update_hypotheses(
     return tuple(hypotheses)
 
 
-def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) -> list[_Node]:
+def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, most: int) -> list[_Node]:
     """The likely assignments of a frame's points to the discs of one predicted state.
 
-    Points join one by one, those with the fewest candidates first. Each pair narrows what the next ones may be.
+    Points join one by one, those with the fewest candidates first. Each pair narrows what the next ones may be. No more
+    than `most` assignments are carried on, over a few points, so that the time is bounded.
     """
     density = math.log(new_density(filter_, predicted, len(points)))
     gate = _WIDE_GATE * filter_.settings.gate
     distance, which = filter_.candidate_distances(predicted, points, gate, widest=True)
     choices = np.count_nonzero(distance < gate, axis=1)
+    choices[np.argsort(np.where(choices > 0, choices, len(which) + 1), kind="stable")[_MAX_SEARCHED:]] = 0
     nodes = [_Node((), (), filter_.correct(predicted, points, (), ())[0], 0.0)]
     for done, row in enumerate(np.argsort(choices, kind="stable"), 1):
         grown: list[_Node] = []
         for node in nodes:
             grown.append(node._replace(log_likelihood=node.log_likelihood + density))
+            if choices[row] == 0:
+                continue
             near, among = distance[row], which
-            if len(node.rows) > 0 and choices[row] > 0:
+            if len(node.rows) > 0:
                 one, among = filter_.candidate_distances(node.state, points.take(np.array([row])), gate)
                 near = one[0]
             for column in among[near < gate]:
@@ -108,7 +114,7 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints) 
                     rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
                     grown.append(_node(filter_, predicted, points, rows, columns, (done - len(rows)) * density))
         grown.sort(key=lambda node: -node.log_likelihood)
-        nodes = [n for n in grown[:_MAX_NODES] if n.log_likelihood > grown[0].log_likelihood - 2.0 * _MARGIN]
+        nodes = [n for n in grown[:most] if n.log_likelihood > grown[0].log_likelihood - 2.0 * _MARGIN]
     nearest = filter_.nearest_pairs(predicted, points)  # of many points, paired all at once: what the search may miss
     pairs = dict(zip(nearest.rows.tolist(), nearest.columns.tolist(), strict=True))
     if all(dict(zip(node.rows, node.columns, strict=True)) != pairs for node in nodes):

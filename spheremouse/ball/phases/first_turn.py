@@ -48,8 +48,8 @@ def still_while_two_turned(views: tuple[View, ...], tracker: Tracker) -> Array |
         _, first, last = np.intersect1d(view.track, now.track, return_indices=True)
         path = np.linalg.norm(now.centre[last] - view.centre[first], axis=1)
         moved, still = path > _PATH * s.moved, path < s.still
-        if np.count_nonzero(moved) != 2 or np.count_nonzero(still) > 1:
-            continue
+        if np.count_nonzero(moved) != 2 or np.count_nonzero(still) > (view is views[0]):
+            continue  # what stays and what moves must have been seen together from the first: else it came by
         pair = view.points.take(first[moved]), now.points.take(last[moved])
         rotation = align(pair[0].direction, pair[1].direction)
         turned = pair[0].direction @ rotation.T - pair[1].direction
