@@ -33,9 +33,6 @@ _LIMB = 0.1  # cosine above the horizon at which half of all discs are detected:
 _LIMB_BLUR = 0.03  # cosine over which that changes
 
 
-AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of it
-
-
 class Hypothesis(NamedTuple):
     """A possible state, and the logarithm of its probability."""
 
@@ -57,13 +54,14 @@ def update_hypotheses(
     predicted: tuple[Hypothesis, ...],
     points: SpherePoints,
     proven: NDArray[np.bool_],
+    has_turned: bool = False,
     extend_map: bool = True,
 ) -> tuple[Hypothesis, ...]:
     """Return the hypotheses after a frame's points, most probable first; their probabilities sum to one.
 
     `predicted` holds states carried on to the frame's stamp. Of the points that are paired with no disc those start a
-    landmark that are `proven` (n,) to turn with the ball. If fewer than two discs are paired, all do: whatever is in
-    view tells the turn from here on. None does unless the map may be extended, `extend_map`.
+    landmark that are `proven` (n,) to turn with the ball. If fewer than two discs are paired and the ball `has_turned`
+    since two were, all do: they tell the turn from here on. None does unless the map may be extended, `extend_map`.
     """
     extended: list[tuple[So3State, _Node, float]] = []
     for k, (state, log_probability) in enumerate(predicted):
@@ -79,8 +77,9 @@ def update_hypotheses(
             kept.append(item)
     total = math.log(sum(math.exp(value - kept[0][2]) for _, _, value in kept)) + kept[0][2]
     hypotheses = []
-    for state, node, value in kept:
-        may_start = (proven | _needs_landmarks(state, len(points), node)) & extend_map
+    few = has_turned and len(points) <= _FEW_POINTS  # many points at once are none of a ball with few discs
+    for _, node, value in kept:
+        may_start = (proven | (few and len(node.rows) < 2)) & extend_map
         hypotheses.append(
             Hypothesis(filter_.keep_map(node.state, points, node.rows, node.columns, may_start), value - total)
         )
@@ -134,16 +133,6 @@ def _node(
     state, evidence = filter_.correct(predicted, points, rows, columns)
     detected = float(np.sum(np.log(detection_probability(filter_, state, np.array(columns, dtype=np.intp)))))
     return _Node(rows, columns, state, evidence + detected + log_unpaired)
-
-
-def _needs_landmarks(predicted: So3State, points: int, node: _Node) -> bool:
-    """Whether too few discs are paired to tell the turn, since the ball has turned others out of view.
-
-    On a ball at rest no disc appears, and many points at once are none of a ball with few discs.
-    """
-    if len(node.rows) >= 2 or points > _FEW_POINTS:
-        return False
-    return bool(np.linalg.norm(predicted.rate) >= AT_REST) or not predicted.is_placed
 
 
 def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:

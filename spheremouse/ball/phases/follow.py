@@ -9,7 +9,6 @@ from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import DiscDetector
 from spheremouse.ball.detect.search import SearchState
 from spheremouse.ball.filters.so3 import So3Filter
-from spheremouse.ball.filters.so3_mixture import AT_REST
 from spheremouse.ball.filters.so3_state import So3State, augment
 from spheremouse.ball.phases.candidates import all_are_discs, judged
 from spheremouse.ball.phases.colours import seen_in
@@ -19,6 +18,7 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.ball.state import Tracker, Tracking, TrackState
 from spheremouse.tracker import Frame
 
+_AT_REST = 0.05  # rad/s, below which a ball brings no disc into view or out of it
 _SECURE = 3  # discs in use of which one may vanish: with fewer, all of the picture is searched for more
 
 
@@ -54,7 +54,7 @@ def follow(
 ) -> TrackState[So3State]:
     """Filter the points; candidates that have moved with the ball become discs at once."""
     before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
-    if is_covered(state.filter, predicted) and np.linalg.norm(predicted.rate) < AT_REST:
+    if is_covered(state.filter, predicted) and np.linalg.norm(predicted.rate) < _AT_REST:
         return without_effect(before, tracker, predicted)  # the discs of a ball that begins to turn do not vanish
     if all_are_discs(state):
         return state

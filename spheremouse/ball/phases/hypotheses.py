@@ -13,6 +13,7 @@ from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.phases.candidates import confirms
 from spheremouse.ball.state import F, Tracker, TrackState, no_points
+from spheremouse.geometry.rotation import rotation_between
 
 _JUMP = 16.0  # level of the player from which points pair by chance
 _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, something that covers the ball hides more
@@ -44,7 +45,9 @@ def updated_hypotheses(
     else:
         rest = tuple(Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
         best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
-        hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, extend_map)
+        turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
+        has_turned = float(turned @ turned) > (2.0 * f.disc_angle) ** 2
+        hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, has_turned, extend_map)
         filtered = hypotheses[0].state
         alternatives = () if hypotheses[0].log_probability > _CERTAIN else hypotheses[1:]
     confirmed = not alternatives and confirms(filtered, len(points), predicted, tracker)
