@@ -17,6 +17,7 @@ from spheremouse.geometry.rotation import rotation_between
 
 _JUMP = 16.0  # level of the player from which points pair by chance
 _HIDDEN_BY_CHANCE = 2.0  # discs: struts hide so many, something that covers the ball hides more
+_TURNS = 0.15  # rad/s, from which a disc may come into view with any frame
 _CERTAIN = math.log(0.999)  # log probability from which the most probable attitude is taken for the only one
 
 
@@ -46,7 +47,8 @@ def updated_hypotheses(
         rest = tuple(Hypothesis(f.predict(h.state, stamp), h.log_probability) for h in state.alternatives)
         best = math.log1p(-sum(math.exp(h.log_probability) for h in rest))
         turned = rotation_between(state.reported_attitude, predicted.attitude)  # new discs come into view by that alone
-        has_turned = float(turned @ turned) > (2.0 * f.disc_angle) ** 2
+        turns = float(predicted.rate @ predicted.rate) > _TURNS**2
+        has_turned = turns or float(turned @ turned) > (2.0 * f.disc_angle) ** 2
         hypotheses = update_hypotheses(f, (Hypothesis(predicted, best), *rest), points, proven, has_turned, extend_map)
         filtered = hypotheses[0].state
         alternatives = () if hypotheses[0].log_probability > _CERTAIN else hypotheses[1:]
