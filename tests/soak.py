@@ -314,8 +314,9 @@ class Judge:
             self.fail(frame, f"motion {counts} while {state.status}")
         self.exact += self.pointer.matrix @ motion.rotation
         self.counts += counts
-        if np.abs(self.exact - self.counts).max() > 1.0 + 1e-6:
-            self.fail(frame, f"counts {self.counts} are not the integral {self.exact} of the rotations sent")
+        sent = self.exact - self.pointer.matrix @ self.pointer.withheld
+        if np.abs(sent - self.counts).max() > 1.0 + 1e-6:
+            self.fail(frame, f"counts {self.counts} are not the integral {sent} of the rotations sent")
             self.exact = self.counts.copy()
         if events:
             self.report.events[_kind(messages.line(events))] += 1

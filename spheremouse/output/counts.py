@@ -161,6 +161,11 @@ class Counter:
         """`matrix` (3, 3), counts per radian, as of `MotionSettings`."""
         self.matrix, self._remainder, self._pace = matrix, Remainder(), Pace()
 
+    @property
+    def withheld(self) -> Array:
+        """Rotation vector, (3,) rad, that was confirmed and is not released yet."""
+        return np.array(self._pace.pending)
+
     def report(self, motion: Motion) -> Report:
         """The next one; a motion that is not confirmed gives no counts: the next ones that are make up for it.
 
