@@ -197,8 +197,7 @@ class So3Filter:
     ) -> So3State | None:
         """`update` of a frame that shows each disc where it was expected and leaves no choice; None of any other."""
         noise_scales = squared_levels(self.settings.levels)
-        weights = (state.weights if len(state.weights) else prior_of_levels(self.settings.levels)).copy()
-        joint, s = state.joint.copy(), self.settings
+        weights, joint, s = self._level_probabilities(state).copy(), state.joint.copy(), self.settings
         ordinary, rows, columns, dx, level, nis = kernel.update(
             state.attitude,
             state.rate,
@@ -259,14 +258,30 @@ class So3Filter:
         slack = 2.0 * self.place_sigma(state, np.arange(len(state.discs)))
         cosine = state.discs @ (self.towards_camera @ state.attitude)
         which = np.flatnonzero(cosine > self.horizon - np.minimum(slack, 0.5))
-        distance = np.full((len(points), len(which)), np.inf)
-        if distance.size == 0:
-            return distance, which
+        if len(points) == 0 or len(which) == 0:
+            return np.full((len(points), len(which)), np.inf), which
         scale = max(squared_levels(self.settings.levels)) if widest else 1.0
         added_process_noise = (scale - 1.0) * state.process
         spread = float(np.trace(state.joint[:3, :3] + added_process_noise[:3, :3]))
+        distance, _ = self._distances(state, points, which, gate, added_process_noise, min(spread, 0.25) ** 2)
+        return distance, which
+
+    def _distances(
+        self,
+        state: So3State,
+        points: SpherePoints,
+        which: NDArray[np.intp],
+        gate: float,
+        added_process_noise: Array,
+        curvature: float,
+    ) -> tuple[Array, bool]:
+        """Squared Mahalanobis distances, (n, k), of points to the discs `which`, exact below `gate`.
+
+        Also whether no point and no disc has two partners below it. `curvature` is in rad².
+        """
+        distance = np.empty((len(points), len(which)))
         distance[0, 0] = gate
-        so3_match.distances(
+        plain = so3_match.distances(
             state.attitude,
             state.rate,
             state.acceleration,
@@ -275,7 +290,7 @@ class So3Filter:
             state.joint,
             which,
             added_process_noise[:3, :3],
-            min(spread, 0.25) ** 2,
+            curvature,
             points.direction,
             points.image_covariance / self.radius**2,
             delays(points, state),
@@ -285,7 +300,7 @@ class So3Filter:
             self.radius,
             distance,
         )
-        return distance, which
+        return distance, plain
 
     def _log_likelihood(self, state: So3State, points: SpherePoints, pairing: Pairing, noise_scale: float) -> float:
         """Log likelihood ratio of a pairing at a level of process noise, to that of no pair at the expected level.
@@ -297,8 +312,7 @@ class So3Filter:
         level = 0.0
         if noise_scale > expected:
             nearest = np.argmin(np.abs(squared_levels(self.settings.levels) - noise_scale))
-            weights = state.weights if len(state.weights) else prior_of_levels(self.settings.levels)
-            level = math.log(max(float(weights[nearest]), 1e-12))
+            level = math.log(max(float(self._level_probabilities(state)[nearest]), 1e-12))
         k = len(pairing.rows)
         if k == 0:
             return level
@@ -313,26 +327,13 @@ class So3Filter:
         if len(points) == 0 or len(visible) == 0:
             return Pairing(_NONE, _NONE, True, True)
         added_process_noise = (noise_scale - 1.0) * state.process
-        distance = np.empty((len(points), len(visible)))
-        distance[0, 0] = self.settings.gate
-        plain = so3_match.distances(
-            state.attitude,
-            state.rate,
-            state.acceleration,
-            state.discs,
-            state.basis,
-            state.joint,
+        distance, plain = self._distances(
+            state,
+            points,
             visible,
-            added_process_noise[:3, :3],
+            self.settings.gate,
+            added_process_noise,
             self._curvature(state, added_process_noise),
-            points.direction,
-            points.image_covariance / self.radius**2,
-            delays(points, state),
-            points.row,
-            points.dposition_dpose,
-            points.dposition_dball,
-            self.radius,
-            distance,
         )
         if plain:
             rows, columns = np.nonzero(distance < self.settings.gate)
@@ -354,6 +355,10 @@ class So3Filter:
         """Mean square of the level, before the innovations are seen."""
         return float(state.weights @ squared_levels(self.settings.levels)) if len(state.weights) else 1.0
 
+    def _level_probabilities(self, state: So3State) -> Array:
+        """Probability of each level, (l,), before the innovations are seen."""
+        return state.weights if len(state.weights) else prior_of_levels(self.settings.levels)
+
     def _steps(self, state: So3State) -> tuple[float, float, Array]:
         """What `so3_steps` asks of the interval since the last frame and of the player."""
         return state.interval, self.settings.persistence, variances(self.settings)
@@ -363,9 +368,7 @@ class So3Filter:
         rows, columns = pairing.rows, pairing.columns
         if len(rows) == 0:
             return self._coasted(state), 0.0
-        joint, weights, dx = state.joint.copy(), state.weights.copy(), np.empty(len(state.joint))
-        if len(weights) == 0:
-            weights = prior_of_levels(self.settings.levels).copy()
+        joint, weights, dx = state.joint.copy(), self._level_probabilities(state).copy(), np.empty(len(state.joint))
         H, HP, z, S = pairing.innovation or self._innovation(state, points, rows, columns, _STILL)
         learn = kernel.rate_is_significant(state.rate, joint)
         log_likelihood, nis, level = kernel.correct(
@@ -400,9 +403,7 @@ class So3Filter:
             about[READOUT] = 0.0  # the innovation is linear in it, and what is added back below leaves it out
             there = inject(state, about, state.joint)
             H, HP, z, S = self._innovation(there, points, rows, columns, _STILL)
-            joint, weights, step = state.joint.copy(), state.weights.copy(), np.empty(len(dx))
-            if len(weights) == 0:
-                weights = prior_of_levels(self.settings.levels).copy()
+            joint, weights, step = state.joint.copy(), self._level_probabilities(state).copy(), np.empty(len(dx))
             learn = kernel.rate_is_significant(state.rate, joint)
             log_likelihood, nis, level = kernel.correct(
                 joint,
