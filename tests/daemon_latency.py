@@ -50,7 +50,7 @@ def measure(folder: Path, seconds: float, realtime: str) -> tuple[list[str], dic
     """Cells of a row, and the last status."""
     with tempfile.TemporaryDirectory() as name:
         config = Path(name) / "config.yaml"
-        config.write_text(f'schema: 1\nrealtime: "{realtime}"\ncontrol: {{socket: {name}/s}}\n')
+        config.write_text(f'schema: 2\nrealtime: "{realtime}"\ncontrol: {{socket: {name}/s}}\n')
         command = [sys.executable, "-m", "spheremouse", "run", "--config", str(config), "--no-map", "--no-table"]
         command += ["--source", f"dataset:{folder}", "--realtime", "--output", "null"]
         client = Client(Path(name) / "s")

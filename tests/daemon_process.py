@@ -13,7 +13,7 @@ from spheremouse.files.rig import rig_text
 from spheremouse.tracker import Frame
 
 CONFIG = """\
-schema: 1
+schema: 2
 source: v4l2:{folder}/video0
 output: "null"
 rig: rig.yaml

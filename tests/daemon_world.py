@@ -35,7 +35,7 @@ DT = 1.0 / 30.0  # s between two stamps
 PATIENCE = 30.0  # s, for what takes a fraction of one
 
 CONFIG = """\
-schema: 1
+schema: 2
 source: film:played
 output: sink:quiet
 rig: rig.yaml

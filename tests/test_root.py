@@ -21,8 +21,7 @@ from typer.testing import CliRunner
 from spheremouse.commands.service import app
 from spheremouse.commands.service import systemd as service
 from spheremouse.errors import ConfigurationError, ControlError, DatasetError, OutputError, ServiceError
-from spheremouse.files import lookup, migrate
-from spheremouse.files.as_owner import as_owner
+from spheremouse.files import lookup
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.dataset.ball import open_dataset
 from spheremouse.files.folders import NewFolder
@@ -151,53 +150,11 @@ def as_user(user, work):
 # ---- `service install` ----
 
 
-@pytest.fixture(autouse=True)
-def one_schema(monkeypatch):
-    """A program that reads configurations of schema 1, whatever this one reads."""
-    monkeypatch.setitem(migrate.STEPS, "configuration", ())
-
-
-@pytest.mark.parametrize("trap", ["link", "second name"])
-def test_no_secret_comes_back_as_the_original_of_a_converted_file(root, state, secret, planted, linked, trap):
-    file = planted(state / "x.yaml", NEW)
-    backup = migrate.backup_path(file, 1)
-    if trap == "link":
-        linked(backup, secret)
-    else:
-        os.link(secret, backup)
-    assert "did not work" in install(root)
-    assert file.read_text() == NEW
-    assert secret.stat().st_mode & 0o777 == 0o600
-
-
-@pytest.mark.parametrize("kind", ["device", "file"])
-def test_nothing_is_written_where_a_planted_link_leads(root, state, secret, planted, linked, kind):
-    aim = secret
-    if kind == "device":
-        aim = root / "node"
-        os.mknod(aim, 0o600 | stat.S_IFCHR, os.makedev(1, 3))  # as /dev/null: what is written does no harm
+def test_a_temporary_exchanged_before_it_gets_its_mode_gives_no_file_away(root, state, secret, planted, monkeypatch):
+    """The exchange takes place between writing and chmod."""
     file = planted(state / "x.yaml", NEW)
     file.chmod(0o666)
-    planted(migrate.backup_path(file, 1), OLD)
-    linked(migrate.backup_path(file, 2), aim)
-    install(root)
-    assert file.read_text() == OLD
-    assert migrate.backup_path(file, 2).read_text() == NEW
-    assert aim.stat().st_mode & 0o777 == 0o600
-    assert kind == "device" or aim.read_text() == SECRET
-
-
-@pytest.mark.parametrize("way", ["install", "write"])
-def test_a_temporary_exchanged_before_it_gets_its_mode_gives_no_file_away(
-    root, state, secret, planted, monkeypatch, way
-):
-    """The moment is between writing and chmod: whoever asks for fsync there finds the exchange done."""
-    file = planted(state / "x.yaml", NEW)
-    file.chmod(0o666)
-    planted(migrate.backup_path(file, 1), OLD)
     real, swapped = os.fsync, root / "swapped"
-    swapped.touch()
-    swapped.chmod(0o666)
 
     def exchanged(descriptor):
         real(descriptor)
@@ -207,55 +164,19 @@ def test_a_temporary_exchanged_before_it_gets_its_mode_gives_no_file_away(
             swapped.write_text("yes")
 
     monkeypatch.setattr(os, "fsync", exchanged)
-    if way == "install":
-        install(root)
-    else:
-        write_atomically(file, "schema: 1\n")
+    write_atomically(file, "schema: 1\n")
     assert swapped.read_text() == "yes"
     assert secret.stat().st_mode & 0o777 == 0o600
     assert secret.stat().st_uid == 0
 
 
-@pytest.mark.parametrize("name", ["x.yaml", "y.yaml.schema1.bak"])
-def test_a_pipe_among_the_files_does_not_hold_the_installation_up(root, state, own, planted, name):
-    planted(state / "y.yaml", NEW)
-    os.mkfifo(state / name)
-    own(state / name)
+def test_the_installation_leaves_the_folders_of_the_services_user_alone(root, state, own, secret, linked):
+    os.mkfifo(state / "x.yaml")
+    own(state / "x.yaml")
+    linked(state / "y.yaml", secret)
+    before = {path: path.lstat() for path in state.iterdir()}
     install(root)
-
-
-def test_files_are_converted_and_stay_their_users(root, state, nobody, planted, monkeypatch):
-    monkeypatch.setitem(migrate.STEPS, "configuration", (lambda data: None,))
-    (root / "etc/spheremouse").mkdir(parents=True)
-    roots = root / "etc/spheremouse/config.yaml"
-    roots.write_text(OLD)
-    theirs = planted(state / "x.yaml", OLD)
-    theirs.chmod(0o640)
-    said = install(root)
-    for path, owner in ((roots, 0), (theirs, nobody.pw_uid)):
-        backup = migrate.backup_path(path, 1)
-        assert f"convert {path} (from schema 1 to 2" in said
-        assert path.read_text() == OLD.replace("schema: 1", "schema: 2")
-        assert backup.read_text() == OLD
-        assert {p.stat().st_uid for p in (path, backup)} == {owner}
-    assert {p.stat().st_mode & 0o777 for p in (theirs, migrate.backup_path(theirs, 1))} == {0o640}
-
-
-def test_where_the_owner_is_no_user_here_nothing_is_converted_and_that_is_said(root, state):
-    """As in an image of another system."""
-    unknown = next(n for n in range(3_000_000, 3_001_000) if not known(n))
-    (state / "x.yaml").write_text(NEW)
-    migrate.backup_path(state / "x.yaml", 1).write_text(OLD)
-    os.chown(state, unknown, unknown)
-    assert f"belongs to user {unknown}, whom this system does not know" in install(root)
-    assert (state / "x.yaml").read_text() == NEW
-
-
-def known(uid):
-    try:
-        return bool(pwd.getpwuid(uid))
-    except KeyError:
-        return False
+    assert {path: path.lstat() for path in state.iterdir()} == before
 
 
 def test_an_edited_unit_is_kept_beside_a_link_not_where_it_leads(root, secret):
@@ -266,50 +187,6 @@ def test_an_edited_unit_is_kept_beside_a_link_not_where_it_leads(root, secret):
     install(root)
     assert not (root / "not there").exists()
     assert unit.with_name(f"{unit.name}.bak1").read_text() == "# mine\n"
-
-
-@pytest.mark.parametrize("trap", ["link", "second name"])
-def test_a_group_that_may_write_the_configuration_gets_nothing_by_it(root, secret, nobody, planted, linked, trap):
-    """Its files are root's to convert; a trap among them ends the installation in a line."""
-    place = root / "etc/spheremouse"
-    place.mkdir(parents=True)
-    os.chown(place, 0, nobody.pw_gid)
-    place.chmod(0o775)
-    file = planted(place / "x.yaml", NEW)
-    backup = migrate.backup_path(file, 1)
-    if trap == "link":
-        linked(backup, secret)
-    else:
-        os.link(secret, backup)
-    with pytest.raises(ServiceError, match=r"root does not follow x\.yaml\.schema1\.bak|has a second name"):
-        CliRunner().invoke(app, ["install", "--root", str(root)], catch_exceptions=False)
-    assert file.read_text() == NEW
-
-
-# ---- as the owner ----
-
-
-def test_work_in_a_users_folder_has_that_users_rights_and_no_others(state, nobody, secret):
-    told = as_owner(state, lambda: [*os.getresuid(), *os.getresgid(), os.getgroups()])
-    assert told == [nobody.pw_uid] * 3 + [nobody.pw_gid] * 3 + [[]]
-    if Path("/proc/sys/fs/suid_dumpable").read_text().strip() != "1":  # and that user may not look into it
-        assert as_owner(state, lambda: Path("/proc/self/environ").stat().st_uid) == 0
-    with pytest.raises(ServiceError, match="Permission denied"):
-        as_owner(state, secret.read_text)
-    assert as_owner(secret.parent, secret.read_text) == SECRET  # root's own folder
-    assert os.geteuid() == 0
-
-
-def test_a_user_who_stops_or_kills_that_work_does_not_stop_root(state, monkeypatch):
-    children, fork = [], os.fork
-    monkeypatch.setattr(os, "fork", lambda: children.append(fork()) or children[-1])
-    for number in (signal.SIGSTOP, signal.SIGKILL):
-        with limited(30), pytest.raises(ServiceError, match="did not come to an end"):
-            as_owner(state, lambda number=number: os.kill(os.getpid(), number), patience=0.5)
-    assert len(children) == 2
-    for child in children:
-        with pytest.raises(ChildProcessError):
-            os.waitpid(child, os.WNOHANG)  # none is left
 
 
 # ---- `service uninstall` ----
@@ -347,7 +224,6 @@ def test_an_image_of_another_user_does_not_lead_out_of_itself(root, own, linked,
 
 def test_names_that_a_user_gave_do_not_steer_roots_terminal(root, state, planted):
     planted(state / "\x1b[2Jnothing\nshadow", "")
-    planted(state / "\x1b[2J.yaml", NEW)
     said = install(root) + CliRunner().invoke(app, ["uninstall", "--root", str(root)]).output
     assert "\x1b" not in said
     assert "\nshadow" not in said

@@ -203,10 +203,10 @@ def section(settings: "MotionSettings") -> str:
 def fragment(settings: "MotionSettings", source: str, verdict: str) -> str:
     """A configuration file with scale and axes of a trackball, and nothing else."""
     from spheremouse.files.config import KIND
-    from spheremouse.files.migrate import newest
+    from spheremouse.files.yaml import SCHEMAS
 
     lines = [f"# {' '.join(text.split())}" for text in (f"Scale and axes of the trackball in {source}.", verdict)]
-    return "\n".join([*lines, f"schema: {newest(KIND)}", section(settings)])
+    return "\n".join([*lines, f"schema: {SCHEMAS[KIND]}", section(settings)])
 
 
 def _print(found: "Match", verdict: "Verdict", radius: float | None, title: str) -> None:

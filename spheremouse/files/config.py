@@ -17,9 +17,18 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.migrate import newest, without_schema
 from spheremouse.files.validate import GONE, gone, nearest, validated
-from spheremouse.files.yaml import Document, Key, Problem, dotted, parse_document, parse_value, read_document
+from spheremouse.files.yaml import (
+    SCHEMAS,
+    Document,
+    Key,
+    Problem,
+    dotted,
+    parse_document,
+    parse_value,
+    read_document,
+    without_schema,
+)
 
 S = TypeVar("S")
 
@@ -96,7 +105,7 @@ def dump_commented(settings: Any) -> str:
     """A configuration file with every parameter, its unit, bounds, default and reason; loads back to equal settings."""
     lines = [
         "# Configuration of spheremouse. What is left out keeps its default.",
-        f"schema: {newest(KIND)}",
+        f"schema: {SCHEMAS[KIND]}",
         *_commented(settings, ""),
     ]
     return "\n".join(lines) + "\n"
@@ -105,7 +114,7 @@ def dump_commented(settings: Any) -> str:
 def dump(settings: S, default: S) -> str:
     """The effective configuration without reasons; what differs from `default` is marked with the default's value."""
     before = dict(parameters(default))
-    lines = [f"schema: {newest(KIND)}"]
+    lines = [f"schema: {SCHEMAS[KIND]}"]
     section: Key = ()
     for key, value in parameters(settings):
         for depth in range(len(key) - 1):

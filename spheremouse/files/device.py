@@ -15,10 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 from spheremouse.ball.device import Axes, Device, Distance
 from spheremouse.ball.rig import CODES
 from spheremouse.files.bounded import read_bytes
-from spheremouse.files.migrate import newest, without_schema
 from spheremouse.files.rig.models import Code
 from spheremouse.files.validate import validated
-from spheremouse.files.yaml import MAX_BYTES, Document, Problem, read_document
+from spheremouse.files.yaml import MAX_BYTES, SCHEMAS, Document, Problem, read_document, without_schema
 
 UNTOUCHED = "# NOT FILLED IN YET: delete this line when all below is true of your device."
 
@@ -209,7 +208,7 @@ _TEMPLATE = f"""\
 {UNTOUCHED}
 # What you know of the device and measured with a tape. All lengths in metres: 750 mm is 0.750, 12 mm is 0.012.
 # Read by `spheremouse calibrate device PHOTOS... --device device.yaml`.
-schema: {newest("device")}
+schema: {SCHEMAS["device"]}
 
 # The ring targets on the frame: 3 to 6, each with another code. Number and code are printed on the target. The code is
 # its three colours from the inside to the outside: C cyan, M magenta, Y yellow. The id names the target in the rest of

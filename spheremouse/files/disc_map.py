@@ -21,9 +21,8 @@ from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.rig import MOST_DISCS, Rig
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.migrate import newest, without_schema
 from spheremouse.files.validate import validated
-from spheremouse.files.yaml import Document, Problem, read_document, shown
+from spheremouse.files.yaml import SCHEMAS, Document, Problem, read_document, shown, without_schema
 from spheremouse.geometry.rotation import Array
 
 _UNIT = 100_000  # of the Cholesky factor's digits: a standard deviation keeps four of them in any combination
@@ -136,7 +135,7 @@ def map_text(saved: SavedMap) -> str:
     lines = [
         "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",
         "# is made as the ball turns. Unit vectors in `ball`; rad along the axes of rotation.tangent_basis.",
-        f"schema: {newest('map')}",
+        f"schema: {SCHEMAS['map']}",
         f'spheremouse: "{saved.version}"',
         f'saved: "{saved.saved.isoformat()}"',
         f"ball_radius: {float(saved.ball_radius)!r}  # m",

@@ -1,6 +1,6 @@
-"""Settings put into a configuration file by the program: every other character of what a person wrote stays.
+"""Write settings into a configuration file and leave every other character as it is.
 
-A value is exchanged where it stands; a new key is the first of its section, a new section the last of the file.
+A value is replaced in its place. A new key becomes the first of its section, a new section the last of the file.
 """
 
 from codecs import BOM_UTF8
@@ -14,24 +14,21 @@ from ruamel.yaml.nodes import MappingNode, ScalarNode
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.atomic import replace
-from spheremouse.files.migrate import copied, migrate_file, newest
-from spheremouse.files.yaml import Key, parse_document
+from spheremouse.files.yaml import SCHEMAS, Key, parse_document
 
 
 def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[Any]) -> None:
-    """Write settings into a configuration file, made where it is missing; whole or not at all.
+    """Write settings into a configuration file, whole or not at all; a missing file is made.
 
-    One of an older schema is converted, its original kept. Raises ConfigurationError where the file cannot be read or
-    written, is a link, or would be wrong.
+    Raises ConfigurationError if the file is a link, cannot be read or written, or would become invalid.
     """
     check_place(path)
     try:
         if path.exists():
-            config.load(path, root)  # its own mistakes, with their lines
-            migrate_file(path)
-        raw = path.read_bytes() if path.exists() else f"schema: {newest(config.KIND)}\n".encode()
+            config.load(path, root)  # reports the mistakes that are there already, with their lines
+        raw = path.read_bytes() if path.exists() else f"schema: {SCHEMAS[config.KIND]}\n".encode()
         mark, text = raw[: len(BOM_UTF8)] if raw.startswith(BOM_UTF8) else b"", raw.removeprefix(BOM_UTF8).decode()
-        wanted = copied(parse_document(text, str(path)).data)
+        wanted = _copied(parse_document(text, str(path)).data)
         for key, value in values.items():
             text = _with(text, key, value)
             _put(wanted, key, value)
@@ -46,7 +43,7 @@ def save_settings(path: Path, values: Mapping[tuple[str, ...], Any], root: type[
 
 
 def check_place(path: Path) -> None:
-    """Raise ConfigurationError where a configuration would not be saved: a link, or no such folder."""
+    """Raise ConfigurationError if `path` is a link, or its folder does not exist."""
     if path.is_symlink():
         raise ConfigurationError(f"{path}: is a link; name the file itself, {path.resolve()}")
     if not path.parent.is_dir():
@@ -54,10 +51,10 @@ def check_place(path: Path) -> None:
 
 
 def _with(text: str, key: tuple[str, ...], value: Any) -> str:
-    """A text with one setting."""
+    """Return the text with one setting replaced or added."""
     end = "\r\n" if "\r\n" in text else "\n"
     node: Any = YAML(typ="safe", pure=True).compose(text)
-    indent, after = "", None  # of what is in the section; the line of its key
+    indent, after = "", None  # indentation within the section; end of the section's own key
     for depth, name in enumerate(key):
         pair = next(((k, v) for k, v in node.value if k.value == name), None)
         if pair is None:
@@ -65,7 +62,7 @@ def _with(text: str, key: tuple[str, ...], value: Any) -> str:
         name_node, node = pair
         if depth == len(key) - 1:
             return text[: node.start_mark.index] + config.to_yaml(value) + text[node.end_mark.index :]
-        if isinstance(node, ScalarNode):  # all of it is commented out, or `null`
+        if isinstance(node, ScalarNode):  # the section is null, or all its keys are commented out
             whole = text[: node.start_mark.index] + text[node.end_mark.index :] if node.value else text
             return _inserted(whole, None, key[depth + 1 :], value, indent + "  ", name_node.end_mark.index, end)
         if not node.flow_style and node.value:
@@ -77,7 +74,7 @@ def _with(text: str, key: tuple[str, ...], value: Any) -> str:
 def _inserted(
     text: str, node: MappingNode | None, key: tuple[str, ...], value: Any, indent: str, after: int | None, end: str
 ) -> str:
-    """A text with a key, and sections that it needs, in a section that is there: `node`, whose own key ends `after`."""
+    """Return the text with a new key and the sections it needs, in the section `node` whose own key ends at `after`."""
     if node is not None and node.flow_style:
         inner = config.to_yaml(value)
         for name in reversed(key[1:]):
@@ -90,6 +87,13 @@ def _inserted(
         return text + ("" if text.endswith("\n") or not text else end) + block
     line = text.find("\n", after)
     return text + end + block if line < 0 else text[: line + 1] + block + text[line + 1 :]
+
+
+def _copied(value: Any) -> Any:
+    """Return plain data whose sections may be changed; lists stay tuples."""
+    if isinstance(value, dict):
+        return {k: _copied(v) for k, v in value.items()}
+    return tuple(_copied(v) for v in value) if isinstance(value, tuple) else value
 
 
 def _put(data: Any, key: Key, value: Any) -> None:

@@ -14,9 +14,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.migrate import newest
 from spheremouse.files.validate import read_checked
-from spheremouse.files.yaml import Document, Problem
+from spheremouse.files.yaml import SCHEMAS, Document, Problem
 from spheremouse.geometry.rotation import Array, align, log
 from spheremouse.wand.ball import WandBall, WandDisc, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
@@ -109,7 +108,7 @@ def wand_text(
     lines = [
         "# A hand-held ball. Lengths in m, angles in degrees. Frame: origin at the centre, pole away from the stick,",
         "# azimuth counter-clockwise seen from above. A disc's diameter is measured straight across its rim.",
-        f"schema: {newest('wand')}",
+        f"schema: {SCHEMAS['wand']}",
     ]
     if provenance:
         lines += ["provenance:", *(f"  {key}: {json.dumps(value)}" for key, value in provenance.items())]

@@ -1,7 +1,7 @@
-"""A YAML file a person wrote, and what is wrong with it: text in, plain data with line numbers out, problems by line.
+"""Read a YAML text as plain data with line numbers, and report problems by line.
 
-Only plain data is read: mappings, lists, text, numbers, true/false, null. Tags, anchors and aliases are refused, so
-that no file can run code or blow up in memory. Problems read `FILE:LINE: key: what is wrong; what to do`.
+Plain data are mappings, lists, text, numbers, true, false and null. The reader refuses tags, anchors and aliases, so
+that no file can run code or fill the memory. A problem reads `FILE:LINE: key: what is wrong; what to do`.
 """
 
 import re
@@ -19,10 +19,13 @@ from spheremouse.errors import ConfigurationError, one_line
 from spheremouse.files.bounded import read_bytes
 from spheremouse.files.plain_json import MAX_DEPTH
 
-MAX_BYTES = 1_000_000  # the map of 260 discs has them
+# The schema of each kind of file that this program reads and writes. No older schema was ever released.
+SCHEMAS = {"map": 1, "rig": 1, "device": 1, "wand": 1, "configuration": 2}
+
+MAX_BYTES = 1_000_000  # the map of 260 discs has this size
 MAX_NODES = 20_000  # keys, values, sections and lists; a map of 260 discs has 4,000, a rig 1,000
-MAX_PROBLEMS = 20  # told of a file; each is looked up among all known names
-_MAX_DIGITS = 1_000  # of a whole number: Python shows none of more than 4,300
+MAX_PROBLEMS = 20  # reported of one file; each one is compared with all known names
+_MAX_DIGITS = 1_000  # of a whole number; Python prints at most 4,300
 
 Key = tuple[str | int, ...]
 
@@ -39,42 +42,45 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """Content of a YAML text: dicts, tuples and scalars, and the line (from 1) of every key and item."""
+    """Content of a YAML text as dicts, tuples and scalars, with the line (from 1) of every key and item."""
 
-    name: str  # how messages call it: the path
+    name: str  # in messages; usually the path
     data: Any
     lines: dict[Key, int]
 
     def line(self, key: Key) -> int:
-        """Line of a key, or of the nearest thing around it."""
+        """Return the line of a key, or of the nearest section around it."""
         while key not in self.lines and key:
             key = key[:-1]
         return self.lines.get(key, 1)
 
     def error(self, problems: Sequence[Problem], more: int = 0) -> ConfigurationError:
-        """The problems as one error, a line each, in the order of the file; the first of many, and how many `more`."""
+        """Return one error with a line for each problem, in the order of the file.
+
+        After MAX_PROBLEMS lines the last one gives the number of further problems, `more` among them.
+        """
         ordered = sorted(problems, key=lambda p: self.line(p.key))
-        told, more = ordered[:MAX_PROBLEMS], more + len(ordered[MAX_PROBLEMS:])
-        lines = [f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in told]
+        listed, more = ordered[:MAX_PROBLEMS], more + len(ordered[MAX_PROBLEMS:])
+        lines = [f"{self.name}:{self.line(p.key)}: {dotted(p.key)}{': ' if p.key else ''}{p.text}" for p in listed]
         if more:
-            lines.append(f"{self.name}:{self.line(told[-1].key)}: and {more} more problems from here on")
+            lines.append(f"{self.name}:{self.line(listed[-1].key)}: and {more} more problems from here on")
         return ConfigurationError("\n".join(" ".join(line.splitlines()) for line in lines))
 
 
 def dotted(key: Key) -> str:
-    """`a.b[2].c` of ("a", "b", 2, "c")."""
+    """Return a key as text: ("a", "b", 2, "c") becomes `a.b[2].c`."""
     text = "".join(f"[{k}]" if isinstance(k, int) else f".{_word(k)}" for k in key)
     return text.removeprefix(".")
 
 
 def _word(key: str) -> str:
-    """A key as a message shows it: on one line, and not endless."""
+    """Return a key on one line of at most 60 characters."""
     text = key if key.isprintable() else repr(key)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def read_document(path: Path) -> Document:
-    """The document in a file; anything that is not plain YAML is a ConfigurationError with its line."""
+    """Read the document in a file. Raise ConfigurationError, with the line, for anything but plain YAML."""
     try:
         raw = read_bytes(path, MAX_BYTES, "file of spheremouse", pipe=True)
     except FileNotFoundError:
@@ -89,7 +95,7 @@ def read_document(path: Path) -> Document:
 
 
 def parse_bytes(raw: bytes, name: str) -> Document:
-    """The document in the bytes of a file; `name` is what messages call it."""
+    """Return the document in the bytes of a file; messages call it `name`."""
     if len(raw) > MAX_BYTES:
         raise ConfigurationError(f"{name}: larger than {MAX_BYTES} bytes; this is not a file of spheremouse")
     try:
@@ -101,13 +107,13 @@ def parse_bytes(raw: bytes, name: str) -> Document:
 
 
 def parse_document(text: str, name: str) -> Document:
-    """The document in a text; `name` is what messages call it."""
+    """Return the document in a text; messages call it `name`."""
     try:
         root = _compose(text, name)
     except YAMLError as e:
         raise _syntax_error(e, text, name) from None
     except (ValueError, TypeError, AttributeError, IndexError, KeyError, AssertionError, RecursionError) as e:
-        # ruamel.yaml lets a few of its own slips out on garbage; to the user they are all the same
+        # ruamel.yaml raises these on some malformed texts
         raise ConfigurationError(f"{name}:1: not readable as YAML ({type(e).__name__}: {one_line(str(e))})") from None
     if root is None:
         raise ConfigurationError(f"{name}:1: empty; the first line says its `schema`")
@@ -121,12 +127,35 @@ def parse_document(text: str, name: str) -> Document:
 
 
 def parse_value(text: str, name: str) -> Any:
-    """One plain value, as in `--set KEY=VALUE`; an empty text is null."""
+    """Return one plain value, as in `--set KEY=VALUE`; an empty text is null."""
     return parse_document(text, name).data if text.strip() and not text.lstrip().startswith("#") else None
 
 
+def without_schema(document: Document, kind: str) -> Document:
+    """Return a document of this kind without its key `schema`.
+
+    Raises ConfigurationError if the document is no mapping, or if its schema is missing or differs from ours.
+    """
+    wanted, data = SCHEMAS[kind], document.data
+    if not isinstance(data, dict):
+        raise document.error([Problem((), f"must be `key: value` lines; the first is `schema: {wanted}`")])
+    version = data.get("schema")
+    if version is None:
+        raise document.error([Problem((), f"schema: missing; write `schema: {wanted}` as the first line")])
+    if type(version) is not int or version < 1:
+        reason = f"is {shown(version)}; this program reads version {wanted}: update one of the two"
+    elif version > wanted:
+        reason = f"is {version}, of a newer spheremouse; this one reads {wanted}: update it"
+    elif version < wanted:
+        remedy = "copy your values into a file that `spheremouse config init FILE` writes"
+        reason = f"is {version}, of an older spheremouse; this one reads {wanted}: {remedy}"
+    else:
+        return Document(document.name, {k: v for k, v in data.items() if k != "schema"}, document.lines)
+    raise document.error([Problem(("schema",), reason)])
+
+
 def shown(value: Any) -> str:
-    """A value as a message quotes it."""
+    """Return a value as a message quotes it, in at most 40 characters."""
     if value is None:
         return "empty"
     if isinstance(value, bool):
@@ -140,7 +169,7 @@ def shown(value: Any) -> str:
 
 
 def _compose(text: str, name: str) -> Node | None:
-    """Node graph of the only document in the text, after a look at its events for what is not plain."""
+    """Return the nodes of the only document in a text, after its events have shown nothing but plain data."""
     depth = documents = nodes = 0
     for event in _yaml().parse(text):
         at = f"{name}:{event.start_mark.line + 1}"
@@ -168,7 +197,7 @@ def _syntax_error(e: YAMLError, text: str, name: str) -> ConfigurationError:
     mark = getattr(e, "problem_mark", None) or getattr(e, "context_mark", None)
     if mark is not None:
         where, what = mark.line + 1, f"column {mark.column + 1}: {one_line(getattr(e, 'problem', '') or 'not YAML')}"
-    else:  # a character YAML does not allow: the reader gives its position only
+    else:  # for a character that YAML does not allow, the reader gives the position alone
         position = getattr(e, "position", None)
         where = text.count("\n", 0, position) + 1 if isinstance(position, int) else 1
         what = "a character that YAML does not allow"

@@ -106,13 +106,13 @@ def problems(tmp_path, check):
 
 
 def test_a_file_that_says_nothing_gives_the_defaults(check):
-    assert check("schema: 1\n") == Root()
-    assert check("schema: 1\nso3:\n  # all commented out\nouter: {inner: }\n") == Root()
+    assert check("schema: 2\n") == Root()
+    assert check("schema: 2\nso3:\n  # all commented out\nouter: {inner: }\n") == Root()
 
 
 def test_what_a_file_says_replaces_only_that(check):
     settings = check(
-        "schema: 1\nso3: {acceleration_sigma: 2, gains: [1, 2.5], gate: null, masks: [{lower: 9}]}\n"
+        "schema: 2\nso3: {acceleration_sigma: 2, gains: [1, 2.5], gate: null, masks: [{lower: 9}]}\n"
         "outer:\n  inner: {}\n  text: 'no'\n"
     )
     expected = replace(
@@ -237,7 +237,7 @@ def test_a_wrong_override_that_is_no_yaml():
 
 def test_every_problem_gets_its_line_and_advice(problems):
     text = """\
-schema: 1
+schema: 2
 so3:
   aceleration_sigma: 3
   acceleration_sigma: "1"
@@ -276,20 +276,20 @@ foo: {a: 1}
 
 
 def test_a_dataclass_that_checks_itself_is_heard(problems):
-    assert problems("schema: 1\nso3:\n  masks:\n    - {lower: 1}\n    - {lower: 5,\n       upper: 3}\n") == [
+    assert problems("schema: 2\nso3:\n  masks:\n    - {lower: 1}\n    - {lower: 5,\n       upper: 3}\n") == [
         "5: so3.masks[1]: lower 5 is above upper 3; exchange them"
     ]
 
 
 @pytest.mark.parametrize("value", ["true", "'1'", "1.5", "1e400", "[]", "{}", "2020-01-01", "0x1g", "-1", "~"])
 def test_no_value_becomes_a_whole_number_by_surprise(problems, value):
-    (line,) = problems(f"schema: 1\nouter: {{inner: {{count: {value}}}}}\n")
+    (line,) = problems(f"schema: 2\nouter: {{inner: {{count: {value}}}}}\n")
     assert line.startswith("2: outer.inner.count: must be ")
 
 
 @pytest.mark.parametrize("value", ["true", "'1'", ".inf", "-.inf", ".nan", "1e400", "9" * 400, "[1.0]", "yes"])
 def test_no_value_becomes_a_number_by_surprise(problems, value):
-    (line,) = problems(f"schema: 1\nso3: {{acceleration_sigma: {value}}}\n")
+    (line,) = problems(f"schema: 2\nso3: {{acceleration_sigma: {value}}}\n")
     assert line.startswith("2: so3.acceleration_sigma: must be ")
     assert len(line) < 200
 
@@ -301,27 +301,31 @@ def test_no_value_becomes_a_number_by_surprise(problems, value):
         ("# only a comment\n", "1: empty;"),
         ("so3: {}\n", "1: schema: missing;"),
         ("schema: 3\n", "1: schema: is 3, of a newer spheremouse; this one reads 2"),
+        (
+            "schema: 1\n",
+            "1: schema: is 1, of an older spheremouse; this one reads 2: copy your values into a file that",
+        ),
         ("so3: {}\nschema: '1'\n", "2: schema: is '1';"),
         ("schema: true\n", "1: schema: is true;"),
         ("[1]\n", "1: must be `key: value` lines"),
         ("word", "1: must be `key: value` lines"),
-        ("schema: 1\nso3:\n  mode: on\n  mode: fast\n", "3: so3.mode: stands here and in line 4; remove one"),
-        ("schema: 1\nso3: [1\n", "3: not YAML: column 1: "),
-        ("schema: 1\nso3: a: b\n", "2: not YAML: column 7: mapping values are not allowed here;"),
-        ("schema: 1\n\tso3: 1\n", "2: not YAML: column 1: "),
-        ("schema: 1\nso3: \x00\n", "2: not YAML: a character that YAML does not allow"),
-        (b"schema: 1\n\xff\xfe\n", "2: not UTF-8 text"),
+        ("schema: 2\nso3:\n  mode: on\n  mode: fast\n", "3: so3.mode: stands here and in line 4; remove one"),
+        ("schema: 2\nso3: [1\n", "3: not YAML: column 1: "),
+        ("schema: 2\nso3: a: b\n", "2: not YAML: column 7: mapping values are not allowed here;"),
+        ("schema: 2\n\tso3: 1\n", "2: not YAML: column 1: "),
+        ("schema: 2\nso3: \x00\n", "2: not YAML: a character that YAML does not allow"),
+        (b"schema: 2\n\xff\xfe\n", "2: not UTF-8 text"),
         (b"\x89PNG\r\n\x1a\n" + bytes(range(256)), "1: not UTF-8 text"),
-        ("schema: 1\n--- \nschema: 1\n", "2: a second document begins here"),
-        ("schema: 1\na: &a [*a]\n", "2: aliases (*a) are not read; write the value out"),
-        ("schema: 1\na: &a {b: 1}\nc: {<<: *a}\n", "3: aliases"),
-        ("schema: 1\na: !!python/object/apply:os.system [echo]\n", "2: tags "),
-        ("schema: 1\n? [a]\n: 1\n", "2: ?: a key must be a word"),
-        ('schema: 1\n"a\\nb": 1\n', "2: 'a\\nb': unknown key"),
-        ("schema: 1\n" + "k" * 500 + ": 1\n", f"2: {'k' * 57}...: unknown key"),
-        ("schema: 1\na: " + "[" * 5000, "2: nested deeper than 20 levels"),
+        ("schema: 2\n--- \nschema: 2\n", "2: a second document begins here"),
+        ("schema: 2\na: &a [*a]\n", "2: aliases (*a) are not read; write the value out"),
+        ("schema: 2\na: &a {b: 1}\nc: {<<: *a}\n", "3: aliases"),
+        ("schema: 2\na: !!python/object/apply:os.system [echo]\n", "2: tags "),
+        ("schema: 2\n? [a]\n: 1\n", "2: ?: a key must be a word"),
+        ('schema: 2\n"a\\nb": 1\n', "2: 'a\\nb': unknown key"),
+        ("schema: 2\n" + "k" * 500 + ": 1\n", f"2: {'k' * 57}...: unknown key"),
+        ("schema: 2\na: " + "[" * 5000, "2: nested deeper than 20 levels"),
         (
-            "schema: 1\nball: {}\nso3: {}\ndiscs: 3\ntargets: []\n",
+            "schema: 2\nball: {}\nso3: {}\ndiscs: 3\ntargets: []\n",
             "2: ball: is this a configuration? ball, discs, targets",
         ),
     ],
@@ -332,12 +336,12 @@ def test_a_file_that_is_no_configuration_is_refused_with_its_line(problems, text
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_no_fault(check):
-    assert check(b"\xef\xbb\xbfschema: 1\r\ntracker: ekf1\r\n").tracker == "ekf1"
+    assert check(b"\xef\xbb\xbfschema: 2\r\ntracker: ekf1\r\n").tracker == "ekf1"
 
 
 def test_what_is_not_a_readable_file_is_refused(tmp_path):
     big = tmp_path / "big.yaml"
-    big.write_text("schema: 1\n" + "#" * yaml_file.MAX_BYTES)
+    big.write_text("schema: 2\n" + "#" * yaml_file.MAX_BYTES)
     cases = {
         tmp_path: "is a directory",
         tmp_path / "none.yaml": "no such file",
@@ -355,7 +359,7 @@ def test_what_is_not_a_readable_file_is_refused(tmp_path):
             config.load(yaml_file.Path("/dev/zero"), Root)
 
 
-PIECES = "schema: 1\n|so3:|\n|  |- |{|}|[|]|:| |'|\"|&a|*a|!!int|#|>|? |%YAML 1.1\n|---|...|0x|1_0|1e9|.nan|~|\t|é|<<|@"
+PIECES = "schema: 2\n|so3:|\n|  |- |{|}|[|]|:| |'|\"|&a|*a|!!int|#|>|? |%YAML 1.1\n|---|...|0x|1_0|1e9|.nan|~|\t|é|<<|@"
 pieces = st.sampled_from([*PIECES.split("|"), "|", ",", "\u2028", "gains"])
 
 
@@ -439,7 +443,7 @@ def test_init_does_not_replace_a_file_unless_told(run, tmp_path):
 
 
 def test_check_and_show_print_problems_and_fail(run, tmp_path):
-    (tmp_path / "my.yaml").write_text("schema: 1\ntraker: so3\nso3: {gate: 7}\n")
+    (tmp_path / "my.yaml").write_text("schema: 2\ntraker: so3\nso3: {gate: 7}\n")
     expected = (
         "my.yaml:2: traker: unknown key; did you mean tracker?\n"
         "my.yaml:3: so3.gate: must be at most 1, is 7; the default is null\n"

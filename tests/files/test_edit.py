@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import config
 from spheremouse.files.edit import save_settings
-from spheremouse.files.migrate import backup_path
 from spheremouse.session.settings import Configuration
 
 MINE = """\
@@ -58,16 +57,6 @@ def test_a_section_is_begun_where_there_is_none(tmp_path, text):
     assert ("# player: right" in path.read_text()) == ("#" in text)
 
 
-def test_a_file_of_an_older_schema_is_converted_and_its_original_kept(tmp_path):
-    path = tmp_path / "config.yaml"
-    path.write_text("schema: 1\nmotion: {swap_xy: true, scale_y: 2}  # odd\n")
-    save_settings(path, {("motion", "invert_y"): False}, Configuration)
-    motion = config.load(path, Configuration).motion
-    assert (motion.player, motion.invert_y, motion.scale_y) == ("left", False, 2.0)
-    assert "# odd" in path.read_text()
-    assert backup_path(path, 1).read_text().startswith("schema: 1")
-
-
 @pytest.mark.parametrize(
     ("text", "values", "said"),
     [
@@ -75,6 +64,7 @@ def test_a_file_of_an_older_schema_is_converted_and_its_original_kept(tmp_path):
         (MINE, {("motion", "player"): "above"}, r"config.yaml:7: motion.player: must be 'far-side'"),
         (MINE, {("motion", "scale_x"): -1.0}, r"motion.scale_x: must be at least 0.001, is -1"),
         ("schema: 9\n", SEAT, r"config.yaml:1: schema: is 9, of a newer spheremouse"),
+        ("schema: 1\n", SEAT, r"config.yaml:1: schema: is 1, of an older spheremouse.*`spheremouse config init FILE`"),
     ],
 )
 def test_what_would_be_wrong_is_refused_and_the_file_left(file, text, values, said):

@@ -18,8 +18,8 @@ from tests.fuzz.texts import whole
 
 ROOT = Path(__file__).parents[2]
 SEEDS: dict[str, Callable[[], list[str]]] = {
-    "configuration": lambda: [config.dump(Settings(), Settings()), "schema: 1\nso3: {acceleration_sigma: 1}\n"],
-    "daemon's configuration": lambda: [config.dump(whole()(), whole()()), "schema: 1\n"],
+    "configuration": lambda: [config.dump(Settings(), Settings()), "schema: 2\nso3: {acceleration_sigma: 1}\n"],
+    "daemon's configuration": lambda: [config.dump(whole()(), whole()()), "schema: 2\n"],
     "control messages": lambda: list(MESSAGES),
     "rig": lambda: [rig_text(small_rig())],
 }

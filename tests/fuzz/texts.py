@@ -27,7 +27,7 @@ from tests.fuzz.targets import file, refused, target
     lambda: st.one_of(
         st.binary(max_size=60),
         st.text(max_size=60),
-        st.text("schema: 1\n-{}[]#&*!|>'\"%@`,?tracker so3.", max_size=40),
+        st.text("schema: 2\n-{}[]#&*!|>'\"%@`,?tracker so3.", max_size=40),
         mutated(config.dump_commented(Settings())),
         mutated(config.dump(Settings(), Settings())),
     ),
@@ -40,7 +40,7 @@ def check_configuration(content: str | bytes) -> None:
 
 @target(
     "daemon's configuration",
-    lambda: st.one_of(st.text("schema: 1\n-{}[]null.controlcord'/", max_size=60), mutated(whole_configuration())),
+    lambda: st.one_of(st.text("schema: 2\n-{}[]null.controlcord'/", max_size=60), mutated(whole_configuration())),
 )
 def check_whole_configuration(content: str | bytes) -> None:
     path = file(content)

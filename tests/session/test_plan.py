@@ -22,7 +22,7 @@ def rig():
 def folder(tmp_path, rig):
     """A configuration with its rig."""
     (tmp_path / "rig.yaml").write_text(rig_text(rig))
-    (tmp_path / "config.yaml").write_text("schema: 1\nsource: v4l2:/dev/video9\noutput: uinput\nrig: rig.yaml\n")
+    (tmp_path / "config.yaml").write_text("schema: 2\nsource: v4l2:/dev/video9\noutput: uinput\nrig: rig.yaml\n")
     return tmp_path
 
 

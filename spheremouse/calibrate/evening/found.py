@@ -9,9 +9,8 @@ from typing import Any
 from spheremouse.calibrate.board_file import options_made_of
 from spheremouse.calibrate.photos import Photo, check_size, read_photos
 from spheremouse.errors import CalibrationError, ConfigurationError
-from spheremouse.files.migrate import without_schema
 from spheremouse.files.rig import load_camera, load_rig
-from spheremouse.files.yaml import read_document
+from spheremouse.files.yaml import read_document, without_schema
 
 BOARD, DEVICE = "board", "device"  # folders of photos
 CAMERA_FILE, DEVICE_FILE, RIG_FILE, CONFIG_FILE = "camera.yaml", "device.yaml", "rig.yaml", "config.yaml"

@@ -6,8 +6,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -38,14 +36,13 @@ def install(
 ) -> None:
     """Place the unit, its user, udev rules and a configuration to begin with; safe to repeat.
 
-    A file that was edited is kept as FILE.bak; a configuration that is there is not touched, but brought to the form
-    this version reads where it is of an older one (the original stays as FILE.schemaN.bak).
+    If you have edited a file, the command keeps yours as FILE.bak. It never changes an existing configuration.
     """
     place = _place(root, user)
     program, trouble = service.executable(place)
     if trouble and not dry_run:
         raise ServiceError(trouble)
-    actions = [*service.install(place, program, _systemd_version()), *_conversions(place)]
+    actions = list(service.install(place, program, _systemd_version()))
     if dry_run:
         _would(actions)
     else:
@@ -159,25 +156,6 @@ def _place(root: Path, user: bool) -> Place:
     if exchangeable(root):
         raise ServiceError(f"--root: another user may change what is in {root}; do it as that user, or on a copy")
     return Place(root.resolve(), user)
-
-
-def _conversions(place: Place) -> Iterator[service.FileAction]:
-    """Files of an older schema, to be brought to this one's: each as the owner of its folder, who may lay traps there.
-
-    What another user's folder refuses is no reason to stop.
-    """
-    from spheremouse.files import migrate
-    from spheremouse.files.as_owner import as_owner
-
-    for folder in (place.configuration, place.state):
-        try:
-            found = as_owner(folder, partial(migrate.due_in, folder)) if folder.is_dir() else []
-        except (OSError, ServiceError) as e:
-            typer.echo(f"nothing converted: {printable(e)}")
-            continue
-        for name, words in found:
-            do = partial(as_owner, folder, partial(migrate.migrate_file, folder / name))
-            yield service.FileAction("convert", folder / name, do, words, must=folder == place.configuration)
 
 
 def _again(place: Place, command: str) -> str:

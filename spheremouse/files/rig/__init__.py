@@ -15,10 +15,10 @@ from ruamel.yaml import YAML
 
 from spheremouse.ball.rig import UNKNOWN_READOUT, Ball, Rig, Targets
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.migrate import newest
 from spheremouse.files.rig.checks import camera_problems, rig_problems
 from spheremouse.files.rig.models import CameraFile, CameraPart, RigFile, Vector3, matrix, of_each, targets_covariance
 from spheremouse.files.validate import read_checked
+from spheremouse.files.yaml import SCHEMAS
 from spheremouse.geometry.camera import InteriorOrientation, Pose, pose_from_matrix
 from spheremouse.geometry.rotation import Array
 
@@ -69,7 +69,7 @@ def save_rig(path: Path, rig: Rig, provenance: Mapping[str, Any] | None = None) 
 
 def save_camera(path: Path, camera: InteriorOrientation, provenance: Mapping[str, Any] | None = None) -> None:
     """Write a camera file that reads back to the same interior orientation; whole or not at all."""
-    write_atomically(path, f"schema: {newest('rig')}\n{_provenance_text(provenance)}{_camera_text(camera)}")
+    write_atomically(path, f"schema: {SCHEMAS['rig']}\n{_provenance_text(provenance)}{_camera_text(camera)}")
 
 
 def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
@@ -80,7 +80,7 @@ def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
     units = "Pixels, and lengths in a unit of their own" if rig.scale_free else "Metres and pixels"
     lines = [
         f"# A device as calibrated. {units}; obj: ball centre, X right, Y up, Z towards the camera.",
-        f"schema: {newest('rig')}",
+        f"schema: {SCHEMAS['rig']}",
         *_provenance_text(provenance).splitlines(),
         *(["scale: free  # nobody measured a length: counts are per radian"] if rig.scale_free else []),
         _camera_text(rig.camera).rstrip(),

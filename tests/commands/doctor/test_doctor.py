@@ -152,7 +152,7 @@ def test_before_there_is_a_rig_it_says_how_to_begin(tmp_path):
 def test_one_thing_wrong_hides_nothing_else(tmp_path, far26):
     config = tmp_path / "config.yaml"
     config.write_text(
-        f"schema: 1\nsource: dataset:{far26}\nrig: gone.yaml\noutput: teleport\ndiscs: {{contrast: 0.3}}\n"
+        f"schema: 2\nsource: dataset:{far26}\nrig: gone.yaml\noutput: teleport\ndiscs: {{contrast: 0.3}}\n"
     )
     found = examined(file=config)
     said = one(found, "configuration", "configuration")
@@ -169,7 +169,7 @@ def test_one_thing_wrong_hides_nothing_else(tmp_path, far26):
 
 def test_a_configuration_that_cannot_be_read_is_told_with_its_line_and_the_rest_goes_on(tmp_path, far26):
     config = tmp_path / "config.yaml"
-    config.write_text("schema: 1\ndiscs:\n  contrast: much\n")
+    config.write_text("schema: 2\ndiscs:\n  contrast: much\n")
     found = examined(file=config, source=f"dataset:{far26}")
     assert f"{config}:3: discs.contrast" in one(found, "configuration", "configuration").text
     assert one(found, "picture", "discs").verdict is OK
@@ -177,7 +177,7 @@ def test_a_configuration_that_cannot_be_read_is_told_with_its_line_and_the_rest_
 
 def test_each_problem_of_a_file_is_a_line_with_its_advice(tmp_path):
     config = tmp_path / "config.yaml"
-    config.write_text("schema: 1\ndiscs:\n  contrast: much\n  contrst: 1\nrig: gone.yaml\n")
+    config.write_text("schema: 2\ndiscs:\n  contrast: much\n  contrst: 1\nrig: gone.yaml\n")
     _, found = files.read(Request(config, source="null", output="null"), None)
     assert [f.text.partition(": ")[0] for f in found] == [f"{config}:3", f"{config}:4"]
     assert all(str(config) not in f.advice for f in found)
@@ -265,7 +265,7 @@ def test_the_command_says_words_beside_every_sign_and_ends_with_1_where_somethin
 def test_the_report_for_others_is_json_without_the_home_folder(tmp_path, far26, monkeypatch):
     config = tmp_path / "home" / "cabinet" / "config.yaml"
     config.parent.mkdir(parents=True)
-    config.write_text(f"schema: 1\nsource: dataset:{far26}\nrecord: {{folder: {tmp_path}/home/films}}\n")
+    config.write_text(f"schema: 2\nsource: dataset:{far26}\nrecord: {{folder: {tmp_path}/home/films}}\n")
     done = invoke("--config", config, "--json")
     told = json.loads(done.stdout)
     assert told["format"] == report.FORMAT
@@ -654,10 +654,10 @@ def test_without_a_word_the_daemons_or_the_services_configuration_is_looked_at(t
     config = Place(tmp_path).configuration / "config.yaml"
     assert files.usual(Request(), None) == Request()
     config.parent.mkdir(parents=True)
-    config.write_text("schema: 1\n")
+    config.write_text("schema: 2\n")
     assert files.usual(Request(), None).file == config
     other = tmp_path / "other.yaml"
-    other.write_text("schema: 1\n")
+    other.write_text("schema: 2\n")
     assert files.usual(Request(), {"config": str(other)}).file == other
     assert files.usual(Request(source="null"), {"config": str(other)}).file is None
 
@@ -666,7 +666,7 @@ def test_what_the_daemon_was_told_on_its_command_line_is_looked_at(tmp_path, mon
     """From whatever folder it was started, and whatever the service's configuration says."""
     config = Place(tmp_path).configuration / "config.yaml"
     config.parent.mkdir(parents=True)
-    config.write_text("schema: 1\n")
+    config.write_text("schema: 2\n")
     cabinet = tmp_path / "cabinet"
     cabinet.mkdir()
     monkeypatch.chdir(cabinet)
@@ -693,12 +693,12 @@ def test_map_and_recordings_of_the_service_are_where_the_service_keeps_them(tmp_
     rig, config = place.configuration / "rig.yaml", place.configuration / "config.yaml"
     config.parent.mkdir(parents=True)
     save_rig(rig, open_dataset(far26).rig)
-    config.write_text("schema: 1\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\n")
+    config.write_text("schema: 2\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\n")
     assert map_read(config) == place.state / "rig.map.yaml"
-    config.write_text("schema: 1\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\nmap: mine.yaml\n")
+    config.write_text("schema: 2\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\nmap: mine.yaml\n")
     assert map_read(config) == place.configuration / "mine.yaml"
     own = config.with_name("own.yaml")
-    own.write_text("schema: 1\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\n")
+    own.write_text("schema: 2\nsource: v4l2:0\noutput: uinput\nrig: rig.yaml\n")
     assert map_read(own) == place.configuration / "rig.map.yaml"
     assert f"in {place.state}/recordings" in computer.disk(RecordSettings(), place.state).text
     assert str(place.state) not in computer.disk(RecordSettings(folder=str(tmp_path)), place.state).text

@@ -59,7 +59,7 @@ def test_a_camera_without_a_file_and_a_ball_file_that_is_missing_are_lines(hand,
     assert found["camera file"].verdict is Verdict.UNCHECKED
     assert "give --camera FILE" in found["camera file"].advice
     file = tmp_path / "config.yaml"
-    file.write_text("schema: 1\ntracker: wand\nwand: {balls: [mine.yaml]}\n")
+    file.write_text("schema: 2\ntracker: wand\nwand: {balls: [mine.yaml]}\n")
     found = examined(Request(file, (), f"dataset:{hand}"))
     assert found["ball"].verdict is Verdict.WRONG
     assert "mine.yaml: no such file" in found["ball"].text
@@ -70,7 +70,7 @@ def test_balls_may_be_named_on_the_command_line(spheremouse, hand, tmp_path, mon
     save_wand(tmp_path / "my ball.yaml", replace(grzonka_ball(), name="mine"))
     (tmp_path / "else").mkdir()
     file = tmp_path / "else" / "config.yaml"  # whose own ball does not count, nor its folder
-    file.write_text("schema: 1\ntracker: wand\nwand: {balls: [none.yaml]}\n")
+    file.write_text("schema: 2\ntracker: wand\nwand: {balls: [none.yaml]}\n")
     monkeypatch.chdir(tmp_path)
     words = ("--tracker", "wand", "--source", f"dataset:{hand}", "--json", "--config", file)
     code, out, err = spheremouse("doctor", *words, "--ball", "my ball.yaml", "--ball", "my ball.yaml")

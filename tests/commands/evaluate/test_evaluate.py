@@ -549,7 +549,7 @@ def test_with_a_saved_map_the_first_frame_is_identified_and_the_map_stays_as_it_
 def test_the_whole_configuration_file_of_a_run_is_taken(run_command, filmed, tmp_path):
     """What names source, output and files is no parameter of the tracker, and does no harm."""
     file = tmp_path / "spheremouse.yaml"
-    text = "schema: 1\nsource: v4l2:0\nrig: none.yaml\npointer: {rate: 500}\ntracker: ekf2\n"
+    text = "schema: 2\nsource: v4l2:0\nrig: none.yaml\npointer: {rate: 500}\ntracker: ekf2\n"
     file.write_text(text, encoding="utf-8")
     done = run_command(filmed, "--config", file, "--json", "-")
     assert done.exit_code == 0, done.stderr

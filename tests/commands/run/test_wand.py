@@ -123,7 +123,7 @@ def test_axes_may_go_beside_the_pointer_and_the_configuration_may_say_all(sphere
     save_wand(tmp_path / "ball.yaml", grzonka_ball())
     file = tmp_path / "config.yaml"
     file.write_text(
-        f"schema: 1\ntracker: wand\nsource: dataset:{hand}\noutput: null\ncamera_file: {camera}\n"
+        f"schema: 2\ntracker: wand\nsource: dataset:{hand}\noutput: null\ncamera_file: {camera}\n"
         f"wand: {{balls: [ball.yaml], axes: {log}, pointing: {{by: shift}}}}\n".replace("output: null\n", "")
     )
     assert spheremouse("run", "--config", file, "--frames", 5)[0] == 0

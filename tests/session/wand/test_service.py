@@ -33,7 +33,7 @@ from spheremouse.wand.warm import warm_up
 
 DT = 1.0 / 30.0
 CONFIG = """\
-schema: 1
+schema: 2
 tracker: wand
 source: film:played
 output: sink:quiet
