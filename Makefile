@@ -77,7 +77,7 @@ test-oldest test-newest: $(STAMP)
 	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 
 # Three lists from one resolution: all that make installs; what a machine gets as wheels; and what there are no wheels
-# of, which service/install.sh builds without root's rights. No address of an index is in them.
+# of, which service/install.sh builds. No address of an index is in them.
 define LOCK
 set -euo pipefail
 lock() { $(BIN)/uv pip compile --quiet --universal --generate-hashes --fork-strategy fewest --no-annotate \

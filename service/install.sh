@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Installs spheremouse on Debian, Ubuntu and Raspberry Pi OS, or another version of it beside the one that is there:
+# Install spheremouse on Debian, Ubuntu and Raspberry Pi OS, or upgrade it:
 #     sudo bash service/install.sh
-# A virtual environment per version under /opt/spheremouse, `current` leads to the one in use, and the service runs from
-# there. A version that does not come up is switched back. See --help.
+# Each version has a virtual environment of its own below /opt/spheremouse. The link `current` leads to the one in use.
+# If a new version does not start, the script switches back. See --help.
 #
-# As root it runs no code but its own and what it installs: packages come as wheels, by the hashes of the release's
-# service/*.lock, and what there are no wheels of is built by a user who exists for that alone (as_builder).
+# Packages come by the hashes in service/*.lock. Root refuses a source, a wheelhouse or a target that others may change
+# (private_to_root), and builds packages in a folder that only root may enter.
 set -euo pipefail
-umask 022 # the service's user reads all of it, whoever installs
+umask 022 # the service's user must be able to read all of it
 unset PYTHONPATH PYTHONHOME
 
 here=$(cd "$(dirname "$0")" && pwd)
@@ -20,7 +20,7 @@ extras=
 action=install
 purge=
 service=yes
-patience=${SPHEREMOUSE_PATIENCE:-300} # s that a version may take to come up: the first start compiles
+patience=${SPHEREMOUSE_PATIENCE:-300} # s until a version must have started; the first start compiles
 python=${PYTHON:-python3}
 
 usage() {
@@ -39,7 +39,7 @@ usage: install.sh [options]
 END
 }
 say() { echo "install.sh: $*"; }
-printable() { LC_ALL=C.UTF-8 sed -u 's/[^[:print:]]/?/g'; } # what others than root wrote may steer a terminal
+printable() { LC_ALL=C.UTF-8 sed -u 's/[^[:print:]]/?/g'; } # removes escape characters
 fail() {
     echo "install.sh: $*" >&2
     exit 1
@@ -75,7 +75,7 @@ prefix=$(absolute "$prefix") bin=$(absolute "$bin") wheelhouse=$(absolute "$whee
 from=$(absolute "$from") build=$(absolute "$build")
 case $python in */*) python=$(absolute "$python") ;; esac
 exec </dev/null
-cd / # Python imports from the folder it is called in, which may be anybody's
+cd / # Python would import modules from the current folder
 
 # ---- what the system must have ----
 
@@ -85,7 +85,7 @@ check_python() {
         "$python is $("$python" -V): take Debian 12, Ubuntu 24.04, Raspberry Pi OS 12 or newer, or PYTHON=/path install.sh"
 }
 
-# A Python that makes virtual environments, and what evdev, which comes as source, is compiled with.
+# Install a Python that makes virtual environments, and a compiler for evdev, which has no wheels.
 system_packages() {
     local missing=() name=python3
     [ "$(command -v "$python")" = /usr/bin/python3 ] || [ "$python" = python3 ] || name=$(basename "$python")
@@ -102,7 +102,7 @@ system_packages() {
         "${missing[@]}" >/dev/null || fail "apt-get could not install ${missing[*]}"
 }
 
-# The tray's menu, where there is a desktop: by the distribution, since pip would have to compile it.
+# Install the packages of the tray's menu if there is a desktop. pip would have to compile them.
 tray() {
     local packages=(python3-gi gir1.2-ayatanaappindicator3-0.1)
     [ -n "$service" ] && compgen -G '/usr/share/*sessions/*.desktop' >/dev/null || return 0
@@ -112,39 +112,55 @@ tray() {
         DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y --no-install-recommends \
             "${packages[@]}" >/dev/null 2>&1 && return 0
     fi
-    say "the tray has no menu before: apt-get install ${packages[*]}"
+    say "the tray has no menu; to add it: apt-get install ${packages[*]}"
 }
 
-# roots_own FOLDER: whoever may write it, or a folder above it, decides in the end what root runs from there. It may not
-# be there yet. /usr/local is of the group staff on older systems, whose members are as good as root.
-roots_own() {
+# private_to_root FOLDER [caller]: fail if this is root and others may change the folder, one above it, or a link on the
+# way: they could decide what root runs. With `caller`, the user who has called sudo counts as root. The folder need not
+# exist. The members of group staff, to whom /usr/local belongs on older systems, count as root too.
+private_to_root() {
     [ "$(id -u)" = 0 ] || return 0
-    local path mode owner group writes
-    for path in "$1" "$(realpath -m "$1")"; do # with links, and where they lead
+    local path mode owner group gid writes users=" 0 " groups=" 0 "
+    if [ "${2-}" = caller ]; then users+="${SUDO_UID-} " groups+="${SUDO_GID-} "; fi
+    for path in "$1" "$(realpath -m "$1")"; do # the path with its links, and without
         writes=022
         while :; do
             if [ -e "$path" ]; then
-                read -r mode owner group < <(stat -Lc '%a %u %G' "$path")
-                [[ $group != @(root|staff) ]] || writes=$((writes & 002))
-                [ "$owner" = 0 ] && (((0$mode & writes) == 0)) ||
+                read -r mode owner group gid < <(stat -Lc '%a %u %G %g' "$path")
+                if [[ $groups = *" $gid "* || $group = staff ]]; then writes=$((writes & 002)); fi
+                [[ $users = *" $owner "* ]] && (((0$mode & writes) == 0)) ||
                     fail "$1: others than root may change what is in $path;" \
-                    "take a folder that is root's alone, or install without sudo and with --no-service"
-                [ -z "$service" ] || ((0$mode & 1)) || fail "$path: the service's user may not enter it; chmod 755 $path"
+                    "take a folder that only root may write, or install without sudo and with --no-service"
+                if [ "${2-}" != caller ] && [ -n "$service" ] && ! ((0$mode & 1)); then
+                    fail "$path: the service's user may not enter it; chmod 755 $path"
+                fi
+                if [ -L "$path" ]; then
+                    owner=$(stat -c %u "$path")
+                    [[ $users = *" $owner "* ]] || fail "$1: others than root may change the link $path"
+                fi
             fi
             [ "$path" != / ] || break
             path=$(dirname "$path")
             writes=022
-            # in /tmp and the like nobody can move what is another's
-            if [ -k "$path" ]; then writes=0; fi
+            if [ -k "$path" ]; then writes=0; fi # in /tmp nobody can exchange the files of others
         done
     done
+}
+
+# private_content PATH...: fail if this is root and others may change a file in one of the paths
+private_content() {
+    [ "$(id -u)" = 0 ] || return 0
+    local found
+    found=$(find "$@" ! -type l \( \( ! -uid 0 ! -uid "${SUDO_UID:-0}" \) -o -perm /002 -o \
+        \( -perm /020 ! -gid 0 ! -gid "${SUDO_GID:-0}" \) \) -print -quit)
+    [ -z "$found" ] || fail "$(printable <<<"$found"): others than root may change it; copy the release as root"
 }
 
 kind() { "$python" -c 'import sys, platform; print(f"Python {sys.version_info[0]}.{sys.version_info[1]}, {platform.machine()}")'; }
 
 # ---- versions ----
 
-# What in the prefix is ours: folders with a virtual environment that has the program.
+# List the installed versions: folders of the prefix with a virtual environment that has the program.
 versions() {
     local path
     for path in "$prefix"/*; do
@@ -154,7 +170,7 @@ versions() {
 # in_use NAME: the folder that the link NAME (current or previous) leads to, or nothing
 in_use() { if [ -L "$prefix/$1" ]; then basename "$(readlink "$prefix/$1")"; fi; }
 share=$(dirname "$bin")/share # where shells and man look for what belongs to the command
-point() { # point LINK TARGET: at any moment there is the old link or the new one
+point() { # point LINK TARGET: replace the link in one step
     ln -sfn "$2" "$1.new"
     mv -Tf "$1.new" "$1"
 }
@@ -169,40 +185,39 @@ point_shared() {
 systemd_runs() { [ -n "$service" ] && [ -d /run/systemd/system ]; }
 program() { printf %s "$prefix/current/bin/spheremouse"; }
 
-# Does the service answer? What was not started (no rig yet) need not.
+# Does the service answer? Without a rig it does not start, and need not answer.
 healthy() {
     systemd_runs || return 0
     local until=$((SECONDS + patience))
     if ! systemctl is-enabled -q spheremouse.service || [ ! -e /etc/spheremouse/rig.yaml ]; then
-        say "not started: there is no calibrated device yet (/etc/spheremouse/rig.yaml), or it is disabled"
+        say "the service is not started: /etc/spheremouse/rig.yaml is missing, or the service is disabled"
         return 0
     fi
-    timeout "$patience" systemctl restart spheremouse.service || true # returns when it is ready, or did not get so far
+    timeout "$patience" systemctl restart spheremouse.service || true # returns once the service is ready or has failed
     until [ "$(systemctl is-active spheremouse.service)" = active ] &&
         timeout 20 "$(program)" ctl status >/dev/null 2>&1; do
         if [ $SECONDS -ge $until ]; then return 1; fi
         sleep 2
     done
-    sleep 3 # one that comes up and falls is not healthy
+    sleep 3 # it must still run then
     [ "$(systemctl is-active spheremouse.service)" = active ] && timeout 20 "$(program)" ctl status
 }
 
-# Make a version the one in use; its files of the service in place of the others'.
+# Make a version the one in use, and place its service files.
 switch() { # switch NAME
     point "$prefix/current" "$1"
     [ -z "$service" ] || "$(program)" service install --no-start
 }
 
-# Compile beforehand as the service's user, into its cache, while the version before still runs.
+# Compile as the service's user, into its cache, while the old version still runs.
 warm() {
     [ -n "$service" ] && id spheremouse >/dev/null 2>&1 && [ -d /var/cache/spheremouse ] || return 0
     command -v runuser >/dev/null || return 0
-    # what it finds in its cache is its own affair; without our terminal it cannot type there
-    # and what it leaves behind can hold up neither us (a pipe, a clock) nor the next installation (the lock, 9)
+    # That user must not reach root's terminal (setsid), nor delay this installation or the next one (timeout, lock 9).
     timeout -k 10 "$patience" setsid -w runuser -u spheremouse -- env NUMBA_CACHE_DIR=/var/cache/spheremouse \
         "$prefix/$1/bin/python" -m spheremouse.ball.warm </dev/null >"$work/said" 2>&1 9>&- &
     tail -f -s 1 -n +1 --pid=$! "$work/said" | printable
-    wait $! || say "compiling beforehand did not work; the first start will do it"
+    wait $! || say "compiling failed; the first start will compile"
 }
 
 back_to() { # back_to NAME
@@ -214,63 +229,30 @@ back_to() { # back_to NAME
 
 # ---- packages ----
 
-# as_owner PATH COMMAND...: with the rights of whoever owns a path; root reads and writes nothing in others' folders
-as_owner() {
-    local uid gid groups=--init-groups
-    read -r uid gid < <(stat -Lc '%u %g' "$1")
-    shift
-    if [ "$(id -u)" != 0 ] || [ "$uid" = 0 ]; then
-        "$@"
-    else
-        getent passwd "$uid" >/dev/null || groups=--clear-groups
-        setsid -w setpriv --reuid "$uid" --regid "$gid" "$groups" "$@" 9>&-
-    fi
-}
-
-# With the rights of a user whom nothing belongs to and nobody else is, as systemd's DynamicUser makes them; where one is
-# not root, with one's own. Without a terminal: what runs could type into it.
-builder=
-as_builder() {
-    local drop=()
-    if [ "$(id -u)" = 0 ]; then
-        drop=(setsid -w setpriv --reuid "$builder" --regid "$builder" --clear-groups --no-new-privs
-            env "HOME=$room/build" "TMPDIR=$room/build")
-    fi
-    (cd "$room/build" && "${drop[@]}" "$@" 9>&-)
-}
-
-# The room, in the temporary folder, since a builder need not be able to enter the prefix: a virtual environment of root's
-# that is built with, and a folder of the builder's that is built in.
+# Make the folder to build in, which only its user may enter, with a virtual environment that has what builds.
 make_room() {
     room=$(mktemp -d)
-    chmod 711 "$room"
     "$python" -m venv "$room/venv"
-    mkdir -m 700 "$room/build"
-    [ "$(id -u)" = 0 ] || return 0
-    local _
-    for _ in {1..100}; do
-        builder=$((61184 + RANDOM % 4336))
-        getent passwd "$builder" >/dev/null || [ -n "$(find /proc -maxdepth 1 -uid "$builder")" ] || break
-    done
-    chown "$builder:$builder" "$room/build"
-    as_builder "$room/venv/bin/python" -c 'import os; assert os.getuid()' 2>/dev/null ||
-        fail "packages are not built as root, and others cannot run $python: PYTHON=/usr/bin/python3 bash install.sh"
+    mkdir "$room/build" "$room/home"
 }
+in_room() { (cd "$room/build" && env "HOME=$room/home" "TMPDIR=$room/home" "$@" 9>&-); }
 
-# run WORDS COMMAND...: where it does not work, one line with what it called errors
+# run WORDS COMMAND...: if the command fails, fail with its lines about errors in one line
 run() {
     local words=$1
     shift
     "$@" >"$work/said" 2>&1 || fail "$words: $( (grep -iE '^ *error' "$work/said" ||
         tail -n1 "$work/said") | paste -sd' ' | tr -s ' ' | printable)"
 }
-text_of() { [ -f "$1" ] && as_owner "$1" cat "$1"; }
+text_of() { [ -f "$1" ] && [ ! -L "$1" ] && cat "$1"; } # a release has no links
 
-# Fill $work/wheels with the program and all it may need: wheels that the release's lock names, or that are made here
-# from the source that it names.
+# Fill $work/wheels with the program and its packages: the wheels that the release's lock names, and those built here
+# from the sources that it names.
 fetch() {
     local what lock one pip name_ok='^[A-Za-z0-9][A-Za-z0-9._+-]*[.]whl$'
     what=$(source_of)
+    private_to_root "${from:-$what}" caller
+    if [ -d "$what" ]; then private_content "$what"/{pyproject.toml,README.md,LICENSE,spheremouse,service}; fi
     system_packages
     if [ -f "$what" ]; then
         [[ ${what##*/} =~ $name_ok ]] || fail "$what is no wheel and no checkout"
@@ -282,44 +264,42 @@ fetch() {
         else
             "$python" -c 'import sys, zipfile; print(zipfile.ZipFile(sys.argv[1]).read(sys.argv[2]).decode())' \
                 "$work/wheels/${what##*/}" "spheremouse/_service/$lock"
-        fi >"$work/$lock" 2>/dev/null || fail "$what has no $lock, which says what to install: take a whole release"
+        fi >"$work/$lock" 2>/dev/null || fail "$what has no $lock, the list of packages: take a whole release"
     done
     make_room
-    cp "$work/sources.lock" "$room/"
     pip=("$room/venv/bin/python" -m pip -q --disable-pip-version-check)
-    say "fetching what requirements.lock names"
-    run "what $what/service/requirements.lock names is not to be had" \
+    say "fetching the packages of requirements.lock"
+    run "packages of $what/service/requirements.lock could not be fetched" \
         "${pip[@]}" download --no-deps --require-hashes --only-binary :all: -d "$work/wheels" \
         -r "$work/requirements.lock"
-    run "requirements.lock lacks what builds" \
+    run "requirements.lock lacks a build package" \
         "${pip[@]}" install --upgrade --no-index --find-links "$work/wheels" pip hatchling hatch-fancy-pypi-readme setuptools
-    say "building what comes as source"
+    say "building the packages of sources.lock, and spheremouse"
     pip+=(wheel --no-deps --no-build-isolation -w wheels)
-    run "what $what/service/sources.lock names is not to be had" \
-        as_builder "${pip[@]}" --require-hashes -r "$room/sources.lock"
+    run "packages of $what/service/sources.lock could not be built" \
+        in_room "${pip[@]}" --require-hashes -r "$work/sources.lock"
     if [ -d "$what" ]; then
-        as_builder mkdir source
-        as_owner "$what" tar -C "$what" --exclude=__pycache__ -c pyproject.toml README.md LICENSE spheremouse service |
-            as_builder tar -C source -x
-        run "$what: no wheel can be made of it" as_builder "${pip[@]}" --no-index ./source
+        mkdir "$room/build/source"
+        tar -C "$what" --exclude=__pycache__ -c pyproject.toml README.md LICENSE spheremouse service |
+            tar -C "$room/build/source" --no-same-owner -x
+        run "$what: no wheel can be built from it" in_room "${pip[@]}" --no-index ./source
     fi
-    for one in $(as_builder find wheels -type f -printf '%f\n'); do
-        [[ $one =~ $name_ok ]] || fail "$one: no wheel was asked for by that name"
-        as_builder cat "wheels/$one" >"$work/wheels/$one" # the builder reads: a link that it left leads it nowhere new
-    done
+    mv "$room"/build/wheels/*.whl "$work/wheels/"
 }
 
-# Fill $work/wheels from a folder that --build-wheelhouse made: what SHA256SUMS names there, if it is that.
+# Fill $work/wheels from a folder of --build-wheelhouse with the files that SHA256SUMS names, if their hashes agree.
 take() {
     local kinds name sum
+    private_to_root "$wheelhouse" caller
+    private_content "$wheelhouse"
     kinds=$(text_of "$wheelhouse/BUILT-FOR") && text_of "$wheelhouse/SHA256SUMS" >"$work/SHA256SUMS" ||
         fail "$wheelhouse: no BUILT-FOR and SHA256SUMS in it; make the folder with --build-wheelhouse"
     [ "$kinds" = "$(kind)" ] ||
         fail "$wheelhouse was built for $kinds, this is $(kind): build it on a machine like this"
     while read -r sum name; do
-        [[ $name =~ ^[A-Za-z0-9][A-Za-z0-9._+-]*[.]whl$ ]] || fail "$wheelhouse/SHA256SUMS: $name is no name of a wheel"
+        [[ $name =~ ^[A-Za-z0-9][A-Za-z0-9._+-]*[.]whl$ ]] || fail "$wheelhouse/SHA256SUMS: a line names no wheel; copy the folder again"
         text_of "$wheelhouse/$name" >"$work/wheels/$name" && [ "$(sha256sum <"$work/wheels/$name")" = "$sum  -" ] ||
-            fail "$wheelhouse/$name is not the file that SHA256SUMS names; carry the folder over anew"
+            fail "$wheelhouse/$name is not the file that SHA256SUMS names; copy the folder again"
     done <"$work/SHA256SUMS"
     say "$wheelhouse is as it was built; its SHA256SUMS has $(sha256sum "$work/SHA256SUMS" | cut -d' ' -f1)"
 }
@@ -328,6 +308,7 @@ take() {
 
 build_wheelhouse() {
     check_python
+    private_to_root "$build" caller
     work=$(mktemp -d)
     trap 'rm -rf "$work" ${room:+"$room"}' EXIT
     mkdir "$work/wheels"
@@ -335,13 +316,8 @@ build_wheelhouse() {
     (cd "$work/wheels" && sha256sum -- *.whl >SHA256SUMS)
     kind >"$work/wheels/BUILT-FOR"
     cp "$here/install.sh" "$work/wheels/"
-    local to there
-    to=$(realpath -m "$build") # a link leads nowhere that its owner may not write
-    there=$to
-    while [ ! -e "$there" ]; do there=$(dirname "$there"); done
-    if [ "$(stat -c %u "$there")" = 0 ]; then service='' roots_own "$build"; fi
-    as_owner "$there" mkdir -p "$to"
-    tar -C "$work/wheels" -c . | as_owner "$there" tar -C "$to" --no-same-owner -x
+    mkdir -p "$build"
+    tar -C "$work/wheels" -c . | tar -C "$build" --no-same-owner --no-overwrite-dir -x
     say "$build: $(grep -c . "$work/wheels/SHA256SUMS") wheels, $(du -sh "$work/wheels" | cut -f1), for $(kind)"
     say "its SHA256SUMS has $(sha256sum "$work/wheels/SHA256SUMS" | cut -d' ' -f1)"
     say "carry it to the other machine, then there: sudo bash $(basename "$build")/install.sh"
@@ -383,12 +359,12 @@ install() {
     done
     new=$name
     say "installing $version into $prefix/$name"
-    # pip from its own wheel, which needs no ensurepip; no setting of pip's brings in what was not looked at
+    # pip runs from its own wheel, which needs no ensurepip, and reads no settings, which could name other packages
     "$python" -m venv --without-pip "$prefix/$name"
     PIP_CONFIG_FILE=/dev/null run "$version was not installed" "$prefix/$name/bin/python" \
         "$(find "$work/wheels" -name 'pip-*.whl')/pip" --isolated -q --disable-pip-version-check install --no-cache-dir \
         --no-index --find-links "$work/wheels" --only-binary :all: "$wheel${extras:+[$extras]}"
-    "$prefix/$name/bin/python" -m compileall -q "$prefix/$name/lib" >/dev/null || true # the service may not write there
+    "$prefix/$name/bin/python" -m compileall -q "$prefix/$name/lib" >/dev/null || true # the service cannot write there
     chmod -R go+rX "$prefix/$name"
     "$prefix/$name/bin/spheremouse" --version >/dev/null || fail "$version does not start; nothing was changed"
     "$prefix/$name/bin/python" -c 'import cv2, numba, scipy' || fail "$version lacks a library; nothing was changed"
@@ -396,8 +372,8 @@ install() {
 
     local before
     before=$(in_use current)
-    new= # from here on it stays
-    if ! switch "$name" || { [ -z "$before" ] && ! warm "$name"; } || ! healthy; then # warm: now there is its user
+    new= # keep it from here on
+    if ! switch "$name" || { [ -z "$before" ] && ! warm "$name"; } || ! healthy; then # `switch` has made the service's user, whom `warm` needs
         say "$version does not come up"
         if [ -n "$before" ] && [ -d "$prefix/$before" ]; then
             ! systemd_runs || journalctl -u spheremouse -n 15 --no-pager -o cat | printable | sed 's/^/    /' || true
@@ -411,7 +387,7 @@ install() {
     point_shared || say "no man page and no completion: $share may not be written"
     tray
     if [ -n "$before" ]; then point "$prefix/previous" "$before"; fi
-    if [ "$here" != "$(realpath "$prefix")" ]; then # for --rollback and --uninstall
+    if [ "$here" != "$(realpath "$prefix")" ]; then # --rollback and --uninstall use it
         text_of "$here/install.sh" >"$prefix/.install.sh"
         chmod 755 "$prefix/.install.sh"
         mv -f "$prefix/.install.sh" "$prefix/install.sh"
@@ -453,8 +429,8 @@ uninstall() {
 if [ -n "$build" ]; then
     action=build_wheelhouse
 else
-    roots_own "$prefix"
-    roots_own "$bin"
+    private_to_root "$prefix"
+    private_to_root "$bin"
 fi
 "$action"
 exit

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from spheremouse.errors import CalibrationError
-from spheremouse.files.bounded import opened
+from spheremouse.files.safe_open import open_to_read
 
 
 def check_outputs(outputs: Sequence[Path | None], inputs: Iterable[Path | None], force: bool) -> None:
@@ -41,7 +41,7 @@ def note(text: str) -> None:
 def sha256(path: Path) -> str:
     """Of a file, by which what was made from it is known again; CalibrationError where it is none."""
     try:
-        with opened(path) as file:
+        with open_to_read(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as e:
         raise CalibrationError(f"{path}: cannot be read: {e.strerror or e}") from None

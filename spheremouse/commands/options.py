@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.bounded import FRAME_PIXELS
+from spheremouse.files.pictures import FRAME_PIXELS
 from spheremouse.simulate.ball.options import option_name
 
 _LARGEST = 8192  # px, a side

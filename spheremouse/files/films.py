@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.files.bounded import FRAME_PIXELS
-from spheremouse.files.pictures import Size, px
+from spheremouse.files.pictures import FRAME_PIXELS, Size, px
 
 
 def open_capture(what: str | int, backend: int = cv2.CAP_ANY) -> cv2.VideoCapture | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from spheremouse.errors import DatasetError
 from spheremouse.files.atomic import NewFile
-from spheremouse.files.bounded import lines, opened
+from spheremouse.files.safe_open import lines, open_to_read
 
 if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
     pass
@@ -116,7 +116,7 @@ def read_log(path: Path) -> "MouseLog":
     places: list[int] = []
     width = 0
     try:
-        with opened(path) as file:
+        with open_to_read(path) as file:
             if os.fstat(file.fileno()).st_size > _MOST_BYTES:
                 raise DatasetError(f"{path}: larger than {_MOST_BYTES} bytes; cut the log to what was recorded")
             reader = csv.reader(_bare(lines(file)))

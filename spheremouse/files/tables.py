@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from spheremouse.errors import DatasetError
-from spheremouse.files.bounded import lines, opened
+from spheremouse.files.safe_open import lines, open_to_read
 from spheremouse.geometry.rotation import Array
 
 MOST_NUMBERS = 50_000_000  # of the columns that are wanted
@@ -28,7 +28,7 @@ def read_columns(
     """
     fit = MOST_NUMBERS // len(columns)
     try:
-        with opened(path) as file:
+        with open_to_read(path) as file:
             reader = csv.reader(lines(file))
             header = next(reader, [])
             missing = [c for c in columns if c not in header]

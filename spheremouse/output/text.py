@@ -1,8 +1,8 @@
 """`text:-` and `text:FILE`: one line per report, after a header line that begins with `#`.
 
 A line is `stamp dx dy dz rx ry rz wx wy wz`: s, counts, rotation vector since the last line (rad, obj), rate (rad/s,
-obj), with all digits. Every line is flushed. FILE is begun anew like after the shell's `>`, with one guard: an existing
-file that holds anything but such a log is refused, so that a slip does not cost a recording or a rig.
+obj), with all digits. Every line is flushed. The output appends to FILE, so that neither a second run nor a full disk
+costs a line; each opening writes the header line again. It refuses an existing file that holds anything but such a log.
 """
 
 import contextlib
@@ -15,11 +15,13 @@ from types import TracebackType
 from typing import Self, TextIO
 
 from spheremouse.errors import OutputError
-from spheremouse.files.lookup import open_to_write
+from spheremouse.files.safe_open import is_stream, open_to_append
 from spheremouse.output import OutputClosed, Report
 
 NAMES = "# stamp dx dy dz rx ry rz wx wy wz"
 HEADER = f"{NAMES} (s, counts, rotation since the last line in rad and rate in rad/s, both in obj)"
+
+_MAX_LINE_BYTES = 65_536  # a line of a wand has 600
 
 
 class Text:
@@ -84,13 +86,15 @@ def check(argument: str) -> None:
 
 
 def begin(argument: str, names: str) -> tuple[TextIO, str]:
-    """The file to write lines to, and what messages call it; one that is there must begin with `names`."""
+    """Open the file to append lines to; return it with its name in messages. Its first line must begin with `names`."""
     if argument in ("", "-"):
         return sys.stdout, "standard output"
     path = Path(argument)
     try:
         _refuse_something_else(path, names)
-        return TextIOWrapper(open_to_write(path), encoding="utf-8"), str(path)
+        file = open_to_append(path)
+        _drop_unfinished_line(path, file.fileno())
+        return TextIOWrapper(file, encoding="utf-8"), str(path)
     except (OSError, ValueError) as e:
         reason = (e.strerror if isinstance(e, OSError) else None) or e
         raise OutputError(f"{path}: cannot be written: {reason}") from None
@@ -108,8 +112,22 @@ def _refuse_something_else(path: Path, names: str) -> None:
         raise OutputError(f"{path}: exists and is no log of motions; choose another name or remove it")
 
 
+def _drop_unfinished_line(path: Path, descriptor: int) -> None:
+    """Remove the last line of a file if its end is missing, as on a full disk: its last number may be cut."""
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_size == 0 or is_stream(path):
+        return
+    with path.open("rb") as file:
+        start = max(0, status.st_size - _MAX_LINE_BYTES)
+        file.seek(start)
+        end = file.read(_MAX_LINE_BYTES)
+    kept = end.rfind(b"\n") + 1
+    if kept < len(end) and (kept or start == 0):
+        os.ftruncate(descriptor, start + kept)
+
+
 def _is_something_else(path: Path, names: str) -> bool:
-    """Whether overwriting would destroy a file of another kind; pipes and devices cannot be destroyed."""
+    """Is there a file of another kind? Pipes and devices do not count."""
     try:
         status = path.stat()
     except FileNotFoundError:

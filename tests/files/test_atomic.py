@@ -10,8 +10,7 @@ import pytest
 
 from spheremouse.ball.warm import _RIG
 from spheremouse.files import atomic
-from spheremouse.files.atomic import write_atomically
-from spheremouse.files.folders import clear_left_folders
+from spheremouse.files.atomic import NewFolder, clear_left_folders, write_atomically
 from spheremouse.session.ball.map_keeper import MapKeeper
 from spheremouse.session.record.places import tidy
 
@@ -151,7 +150,6 @@ def test_empty_folders_of_killed_recordings_are_removed_once_they_are_old(tmp_pa
 @posix
 def test_the_names_that_are_removed_are_the_names_that_are_made(tmp_path):
     from spheremouse.errors import DatasetError
-    from spheremouse.files.folders import NewFolder
 
     NewFolder(tmp_path / "r.1", DatasetError).make()
     (made,) = tmp_path.iterdir()

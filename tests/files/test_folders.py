@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import pytest
 
 from spheremouse.errors import DatasetError
-from spheremouse.files import folders
-from spheremouse.files.folders import NewFolder
+from spheremouse.files import atomic
+from spheremouse.files.atomic import NewFolder
 from spheremouse.session.overlay.file import OverlayFile
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.options import SimulationOptions
@@ -24,7 +24,7 @@ def interrupted_at(step, within):
     left, done = [step], []
 
     def trace(frame, event, _):
-        if frame.f_code.co_filename != folders.__file__ or frame.f_code.co_name not in within:
+        if frame.f_code.co_filename != atomic.__file__ or frame.f_code.co_name not in within:
             return None
         frame.f_trace_opcodes = True
         if event == "opcode":

@@ -72,16 +72,26 @@ def test_standard_output(capsys):
     assert capsys.readouterr().out == "still open\n"
 
 
-def test_a_log_is_begun_anew_but_nothing_else_is_overwritten(tmp_path):
-    log, rig, empty = tmp_path / "log.txt", tmp_path / "rig.yaml", tmp_path / "empty"
+def test_a_log_is_continued_and_nothing_else_is_written_to(tmp_path):
+    log, rig = tmp_path / "log.txt", tmp_path / "rig.yaml"
     rig.write_text("schema: 1\n")
-    empty.touch()
-    for path in (log, log, empty):
-        with open_output(f"text:{path}") as output:
-            output.send(turned())
-        assert path.read_text().count("\n") == 2
+    log.touch()
+    for runs in (1, 2, 3):
+        with open_output(f"text:{log}") as output:
+            output.send(turned(runs))
+        assert log.read_text() == "".join(f"{text.HEADER}\n{text.line(turned(n + 1))}\n" for n in range(runs))
     assert refused(f"text:{rig}") == f"{rig}: exists and is no log of motions; choose another name or remove it"
     assert rig.read_text() == "schema: 1\n"
+
+
+def test_a_log_on_a_full_disk_keeps_its_whole_lines_when_it_is_opened_again(tmp_path):
+    log = tmp_path / "log.txt"
+    for cut in (f"{text.line(turned(2))}\n1.5 0 0", "1.5 0 0"):  # what a full disk leaves
+        log.write_text(f"{text.HEADER}\n{text.line(turned(1))}\n{cut}")
+        whole = log.read_text().rpartition("\n")[0]
+        with open_output(f"text:{log}") as output:
+            output.send(turned(3))
+        assert log.read_text() == f"{whole}\n{text.HEADER}\n{text.line(turned(3))}\n"
 
 
 def test_files_that_cannot_be_written(tmp_path):

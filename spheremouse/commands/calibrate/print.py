@@ -10,7 +10,7 @@ import typer
 from spheremouse.calibrate.lengths import parse_board, parse_length
 from spheremouse.errors import CalibrationError
 from spheremouse.files.atomic import replace
-from spheremouse.files.bounded import read_bytes
+from spheremouse.files.safe_open import read_bytes
 
 EXAMPLE = "Example: spheremouse calibrate print --paper letter --only boards --square 20mm"
 

@@ -11,7 +11,7 @@ from spheremouse.calibrate.layout.limits import DISC_RADIUS, FEWEST, MOST, RADIU
 from spheremouse.errors import ConfigurationError
 from spheremouse.files import plain_json
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.bounded import read_text
+from spheremouse.files.safe_open import read_text
 
 
 def layout(

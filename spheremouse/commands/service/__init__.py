@@ -14,7 +14,6 @@ import typer
 from spheremouse.commands.service import systemd as service
 from spheremouse.commands.service.systemd import UNIT, USER, Place
 from spheremouse.errors import ServiceError, printable
-from spheremouse.files.lookup import exchangeable
 from spheremouse.files.service import service_files
 
 app = typer.Typer(no_args_is_help=True, help="Start with the computer: install, uninstall, status.")
@@ -153,9 +152,9 @@ def _place(root: Path, user: bool) -> Place:
         raise ServiceError("--user is for your own account: repeat it without sudo")
     if not root.is_dir():
         raise ServiceError(f"--root: {root} is no directory; make it first")
-    if exchangeable(root):
-        raise ServiceError(f"--root: another user may change what is in {root}; do it as that user, or on a copy")
-    return Place(root.resolve(), user)
+    place = Place(root.resolve(), user)
+    service.refuse_unsafe(place)
+    return place
 
 
 def _again(place: Place, command: str) -> str:

@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import os
 import re
+import shutil
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from typing import Literal
 
 from spheremouse.errors import ConfigurationError, ServiceError, printable
 from spheremouse.files.atomic import replace
-from spheremouse.files.lookup import open_to_read, remove_tree
+from spheremouse.files.safe_open import open_to_read, others_may_change
 from spheremouse.files.service import service_files
 
 UNIT = "spheremouse.service"
@@ -173,6 +174,23 @@ def _unseen(path: Path) -> str:
     return ""
 
 
+def refuse_unsafe(place: Place) -> None:
+    """Raise ServiceError if a link leads out of the root, or if this is root and others may change a folder."""
+    folders = [place.root, place.link.parent, place.changes.parent, place.configuration, place.state.parent]
+    folders += [place.cache.parent, *(path.parent for _, path in place.files())]
+    there = (next(p for p in (folder, *folder.parents) if os.path.lexists(p)) for folder in folders)
+    for folder in dict.fromkeys(there):
+        try:
+            if not folder.resolve().is_relative_to(place.root):
+                raise ServiceError(f"{folder}: leads out of {place.root}; make it a folder there")
+            if others_may_change(folder):
+                raise ServiceError(
+                    f"{folder}: others than root may change what is in it; make it root's alone, or do it as its owner"
+                )
+        except OSError as e:
+            raise ServiceError(f"{folder}: cannot be examined: {e.strerror or e}") from None
+
+
 # ---- what is to be done ----
 
 
@@ -206,13 +224,13 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
         for backup in sorted(path.parent.glob(f"{path.name}.bak*")) if purge else ():
             yield FileAction("remove", backup, backup.unlink)
     if place.cache.exists():
-        yield FileAction("remove", place.cache, partial(remove_tree, place.cache), "compiled code")
+        yield FileAction("remove", place.cache, partial(_remove, place.cache), "compiled code", must=False)
     config = place.configuration / "config.yaml"
     if not purge and config.exists() and config.read_text(encoding="utf-8") == configuration(place):
         yield FileAction("remove", config, config.unlink, "as it was placed")
     for path in (place.configuration, place.state, place.changes) if purge else ():
         if path.exists():
-            yield FileAction("remove", path, partial(remove_tree, path))
+            yield FileAction("remove", path, partial(_remove, path), must=False)
 
 
 def left(place: Place) -> list[Path]:
@@ -332,6 +350,14 @@ def _copy(path: Path, free: Path) -> None:
         return
     with open_to_read(path) as file:
         replace(free, file.read(), os.fstat(file.fileno()).st_mode & 0o777)
+
+
+def _remove(path: Path) -> None:
+    """Remove a folder with its content, or a link to one; what links lead to stays."""
+    if path.is_symlink():
+        path.unlink()
+    else:
+        shutil.rmtree(path)
 
 
 def _below(folder: Path) -> list[Path]:

@@ -19,7 +19,7 @@ import spheremouse
 from spheremouse.experiments.kit.job import Job, Result
 from spheremouse.files import plain_json
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.bounded import read_text
+from spheremouse.files.safe_open import read_text
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _MOST_BYTES = 100_000_000  # of a job's result

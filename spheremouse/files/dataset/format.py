@@ -12,10 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from spheremouse.errors import DatasetError
 from spheremouse.files import plain_json
-from spheremouse.files.bounded import FRAME_PIXELS, read_bytes, read_text
 from spheremouse.files.films import film_images, film_size, open_film
+from spheremouse.files.pictures import FRAME_PIXELS, decoded, px, read_header
 from spheremouse.files.pictures import MOST_BYTES as PICTURE_BYTES
-from spheremouse.files.pictures import decoded, px, read_header
+from spheremouse.files.safe_open import read_bytes, read_text
 from spheremouse.geometry.camera import InteriorOrientation
 from spheremouse.geometry.rotation import Array
 

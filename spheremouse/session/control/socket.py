@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from spheremouse.errors import ControlError
-from spheremouse.files.lookup import exchangeable
+from spheremouse.files.safe_open import others_may_change
 
 _SO_PEERGROUPS = 59  # Linux; Python has no name for it
 _LONGEST = 107 if sys.platform == "linux" else 103  # bytes of a path, what the kernel has room for
@@ -50,7 +50,7 @@ def lock(path: Path) -> int:
         mode = folder.stat().st_mode
         if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
             raise ControlError(f"{folder}: anybody may write there; set control.socket to a path in a safer folder")
-        if exchangeable(folder):  # the socket's mode and group are set by its path
+        if others_may_change(folder):  # the socket's mode and group are set by its path
             raise ControlError(f"{folder}: is another user's; set control.socket to a path in a folder of root's")
         while True:
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from spheremouse.errors import DatasetError, SpheremouseError
-from spheremouse.files.atomic import clear_left
-from spheremouse.files.folders import clear_left_folders
+from spheremouse.files.atomic import clear_left, clear_left_folders
 from spheremouse.session.settings.record import RecordSettings
 
 try:

@@ -14,7 +14,7 @@ import typer
 from spheremouse.commands.options import with_fields
 from spheremouse.commands.terminal import progress_bar
 from spheremouse.errors import CalibrationError
-from spheremouse.files.folders import NewFolder
+from spheremouse.files.atomic import NewFolder
 from spheremouse.simulate.ball.options import StillsOptions
 
 EXAMPLE = "Example: spheremouse calibrate practice evening --photos 8 --seed 1"
