@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, pdtrc
 
-from spheremouse.ball.filters import so3_match, so3_predict
+from spheremouse.ball.filters import so3_match, so3_predict, so3_visibility
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CONSIDER, CORE, FIRST, READOUT, REFERENCE
 from spheremouse.ball.filters.so3_settings import (
@@ -32,6 +32,7 @@ from spheremouse.geometry.rotation import Array
 _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow, and the covariance must stay finite
 _LINEAR = 0.02  # rad: a correction larger than that is made again about where it led
 _NONE = np.zeros(0, dtype=np.intp)
+_RARE = 1e-3  # probability per frame below which chance does not explain the pairs
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _STILL = np.zeros((CORE, CORE))
 _DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
@@ -104,6 +105,7 @@ class So3Filter:
             joint,
             state.hits,
             state.missed,
+            so3_visibility.carry_hidden(attitude, rate, state.discs, state.hidden, dt, self.disc_angle),
             _NONE,
             stay * weights + (1.0 - stay) * usual,
             process,
@@ -114,6 +116,12 @@ class So3Filter:
     def visible(self, state: So3State) -> NDArray[np.intp]:
         """Indices of the discs that face the camera."""
         return np.flatnonzero(state.discs @ (self.towards_camera @ state.attitude) > self.horizon)
+
+    def detection_probability(self, state: So3State) -> Array:
+        """Return the probability, (m,), that each disc is detected at a predicted state."""
+        return so3_visibility.detection_probability(
+            state.attitude, state.discs, state.hidden, self.towards_camera, self.horizon
+        )
 
     def expected_missing(self, state: So3State, seen: NDArray[np.intp] | tuple[int, ...]) -> float:
         """Number of discs beyond their trial that are to be expected well in view, without those of `seen`.
@@ -131,17 +139,17 @@ class So3Filter:
 
         Each point lies in each disc's gate by chance with that gate's share of what the camera sees of the ball.
         """
-        which = self.visible(predicted)
-        areas = self.settings.gate * np.pi * (self.place_sigma(predicted, which) ** 2 + _POINT_SIGMA**2)
-        chance = points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - self.horizon))  # pairs to be expected
-        return bool(pdtrc(used - 1, chance) < 1e-3)
+        sigma = self.place_sigma(predicted, self.visible(predicted))
+        return bool(pdtrc(used - 1, self._expected_by_chance(sigma, points)) < _RARE)
+
+    def _expected_by_chance(self, sigma: Array, points: int) -> float:
+        """Return how many of the points, anywhere on the ball, are expected in the gates of discs known to `sigma` rad."""
+        areas = self.settings.gate * np.pi * (sigma**2 + _POINT_SIGMA**2)
+        return points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - self.horizon))
 
     def place_sigma(self, state: So3State, which: NDArray[np.intp]) -> Array:
         """Standard deviation, (k,) rad, along its worse axis, of where each of the discs `which` is predicted."""
-        sigma = np.empty(len(which))
-        added_process_noise = (self._expected(state) - 1.0) * state.process[:3, :3]
-        so3_match.places(state.attitude, state.discs, state.basis, state.joint, which, added_process_noise, sigma)
-        return sigma
+        return _place_sigma(state, which, (self._expected(state) - 1.0) * state.process[:3, :3])
 
     def update(
         self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None = None
@@ -179,8 +187,9 @@ class So3Filter:
     ) -> So3State | None:
         """`update` of a frame whose pairs are beyond doubt; None of any other.
 
-        They are if two discs pair and most points do about an attitude that is known well, or chance does not explain
-        so many.
+        They are if two discs pair and most points do about an attitude that is known well, or if chance does not explain
+        so many. They are also if two discs fix the attitude and chance does not explain that so many others lie where
+        it puts them.
         """
         ordinary = self._update_ordinary(state, points, may_start_landmark)
         if ordinary is not None:
@@ -188,9 +197,22 @@ class So3Filter:
         nearest = self.nearest_pairs(state, points)
         pairs = len(nearest.rows)
         most = state.is_placed and 2 * pairs >= len(points)
-        if pairs < 2 or not (most or self.beyond_chance(state, pairs, len(points))):
+        if pairs < 2:
             return None
-        return self._keep_map(self._correct(state, points, nearest)[0], points, nearest, may_start_landmark)
+        corrected, _ = self._correct(state, points, nearest)
+        if not (most or self.beyond_chance(state, pairs, len(points)) or self._others_agree(corrected, len(points))):
+            return None
+        return self._keep_map(corrected, points, nearest, may_start_landmark)
+
+    def _others_agree(self, corrected: So3State, points: int) -> bool:
+        """Return whether chance does not explain that the pairs beyond two lie where those two put them.
+
+        Any two points may be taken for any two discs.
+        """
+        which = self.visible(corrected)
+        others = self._expected_by_chance(_place_sigma(corrected, which, _STILL[:3, :3]), points)
+        ways = 0.5 * points * (points - 1) * len(which) * (len(which) - 1)
+        return ways * pdtrc(len(corrected.used) - 3, others) < _RARE
 
     def _update_ordinary(
         self, state: So3State, points: SpherePoints, may_start_landmark: NDArray[np.bool_] | None
@@ -339,16 +361,17 @@ class So3Filter:
             rows, columns = np.nonzero(distance < self.settings.gate)
         else:
             rows, columns = assign(distance, self.settings.gate)
-        innovation = None
+        innovation, agree = None, True
         if len(rows):
             innovation = self._innovation(state, points, rows, visible[columns], added_process_noise)
             H, _, z, S = innovation
             keep = so3_match.consistent(z, S + H @ added_process_noise @ H.T, 1.5 * self.settings.gate)
-            if not keep.all():
+            agree = bool(keep.all())
+            if not agree:
                 rows, columns, innovation = rows[keep], columns[keep], None
         fits = float(distance[rows, columns].sum()) < 4.0 * max(len(rows), 1) + 10.0
         expected = min(len(points), len(visible))
-        complete = len(rows) >= self.settings.keep_share * expected and fits
+        complete = len(rows) >= self.settings.keep_share * expected and fits and agree
         return Pairing(rows, visible[columns], complete, fits, innovation)
 
     def _expected(self, state: So3State) -> float:
@@ -511,7 +534,12 @@ class So3Filter:
             keep,
             found,
         )
-        state = replace(state, hits=hits, missed=missed, known_seen=known_seen, known_missed=known_missed)
+        hidden = so3_visibility.update_hidden(
+            state.attitude, state.discs, state.hidden, pairing.columns, self.towards_camera, self.horizon
+        )
+        state = replace(
+            state, hits=hits, missed=missed, hidden=hidden, known_seen=known_seen, known_missed=known_missed
+        )
         if dropped:
             state = drop(state, keep)
         room = max(s.most_discs - len(state.discs), 0)
@@ -552,3 +580,10 @@ def relocate(
         weights=np.zeros(0),
         process=np.zeros((CORE, CORE)),
     )
+
+
+def _place_sigma(state: So3State, which: NDArray[np.intp], added_process_noise: Array) -> Array:
+    """Return the standard deviation, (k,) rad, along its worse axis, of where each of the discs `which` lies."""
+    sigma = np.empty(len(which))
+    so3_match.places(state.attitude, state.discs, state.basis, state.joint, which, added_process_noise, sigma)
+    return sigma

@@ -18,8 +18,8 @@ from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array
 
 _MAX_HYPOTHESES = 6  # a disc in view is one of a few: each of them costs a millisecond in such a frame
-_MAX_NODES = 8  # assignments carried on from point to point, of the most probable hypothesis
-_MAX_NODES_OF_OTHERS = 3
+_MAX_NODES = 5  # assignments carried on from point to point, of the most probable hypothesis
+_MAX_NODES_OF_OTHERS = 2
 _MAX_SEARCHED = 6  # points: with more in view the nearest pairs, or the whole constellation, tell the attitude
 _MARGIN = 9.0  # nats behind the best at which a hypothesis is dropped: odds of 1 to 8000
 _SAME = 2e-3  # rad, between attitudes that are one: a tenth of a degree
@@ -27,10 +27,6 @@ _WIDE_GATE = 3.0  # times the gate: a prior may be off by more than it says, and
 _UNKNOWN_DISCS = 4.0  # at least, on the side that has not been seen: a ball has eight discs and more
 _FEW_POINTS = 4  # in view, of a ball whose discs may not tell its turn
 _FALSE_POINTS = 0.5  # expected in view that are no disc, once look-alikes are masked
-_DETECTED = 0.95  # probability that a disc is detected again that was detected where it was last expected
-_REAPPEARS = 0.5  # the same of one that was missed: it may lie behind a strut or a hand
-_LIMB = 0.1  # cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
-_LIMB_BLUR = 0.03  # cosine over which that changes
 
 
 class Hypothesis(NamedTuple):
@@ -112,14 +108,27 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
                 if column not in node.columns:
                     rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
                     grown.append(_node(filter_, predicted, points, rows, columns, (done - len(rows)) * density))
-        grown.sort(key=lambda node: -node.log_likelihood)
-        nodes = [n for n in grown[:most] if n.log_likelihood > grown[0].log_likelihood - 2.0 * _MARGIN]
+        nodes = _distinct(grown, most)
     nearest = filter_.nearest_pairs(predicted, points)  # of many points, paired all at once: what the search may miss
     pairs = dict(zip(nearest.rows.tolist(), nearest.columns.tolist(), strict=True))
     if all(dict(zip(node.rows, node.columns, strict=True)) != pairs for node in nodes):
         unpaired = (len(points) - len(pairs)) * density
         nodes.append(_node(filter_, predicted, points, tuple(pairs), tuple(pairs.values()), unpaired))
     return nodes
+
+
+def _distinct(nodes: list[_Node], most: int) -> list[_Node]:
+    """Return at most `most` nodes near the best, of different attitudes.
+
+    An assignment that leaves out a pair of another one leads to the same attitude. Only the likelier one is kept.
+    """
+    kept: list[_Node] = []
+    for node in sorted(nodes, key=lambda node: -node.log_likelihood):
+        if len(kept) == most or (kept and node.log_likelihood < kept[0].log_likelihood - 2.0 * _MARGIN):
+            break
+        if not any(_alike(node.state, other.state) for other in kept):
+            kept.append(node)
+    return kept
 
 
 def _node(
@@ -131,7 +140,7 @@ def _node(
     log_unpaired: float,
 ) -> _Node:
     state, evidence = filter_.correct(predicted, points, rows, columns)
-    detected = float(np.sum(np.log(detection_probability(filter_, state, np.array(columns, dtype=np.intp)))))
+    detected = float(np.sum(np.log(filter_.detection_probability(state)[list(columns)])))
     return _Node(rows, columns, state, evidence + detected + log_unpaired)
 
 
@@ -143,19 +152,11 @@ def new_density(filter_: So3Filter, state: So3State, seen: int) -> float:
     return (unknown + _FALSE_POINTS / in_view) / (4.0 * math.pi)
 
 
-def detection_probability(filter_: So3Filter, state: So3State, which: NDArray[np.intp]) -> Array:
-    """Probability, (k,), that each of the discs `which` is detected at a state."""
-    cosine = state.discs[which] @ (filter_.towards_camera @ state.attitude)
-    turned_to = 1.0 / (1.0 + np.exp(np.clip((filter_.horizon + _LIMB - cosine) / _LIMB_BLUR, -30.0, 30.0)))
-    return np.maximum(turned_to * np.where(state.missed[which] == 0, _DETECTED, _REAPPEARS), 1e-6)
-
-
 def _log_missed(filter_: So3Filter, state: So3State, columns: tuple[int, ...]) -> float:
     """Log probability that all discs but those of `columns` are missed."""
-    others = np.delete(np.arange(len(state.discs)), np.array(columns, dtype=np.intp))
-    if len(others) == 0:
-        return 0.0
-    return float(np.sum(np.log1p(-detection_probability(filter_, state, others))))
+    missed = 1.0 - filter_.detection_probability(state)
+    missed[list(columns)] = 1.0
+    return float(np.sum(np.log(missed)))
 
 
 def _alike(a: So3State, b: So3State) -> bool:

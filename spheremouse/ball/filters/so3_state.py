@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from spheremouse.ball.disc_map import DiscMap
 from spheremouse.ball.filters import so3_update as kernel
 from spheremouse.ball.filters.so3_predict import CORE, FIRST, READOUT, REFERENCE
+from spheremouse.ball.filters.so3_visibility import HIDDEN_SHARE
 from spheremouse.ball.points import SpherePoints
 from spheremouse.geometry.rotation import Array, exp, hat, left_jacobian, tangent_basis
 
@@ -31,6 +32,7 @@ class So3State:
     joint: Array  # (23 + 2m, 23 + 2m): rotation rad (obj), rate, acceleration, pose, ball, readout, discs, reference
     hits: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) sightings
     missed: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (m,) in a row
+    hidden: Array = field(default_factory=lambda: np.zeros(0))  # (m,) probability that something lies before the disc
     used: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # into the last points
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (l,) probability of each level; empty: as usual
     process: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # of the last prediction, at the first level
@@ -92,6 +94,7 @@ class So3State:
             kernel.with_reference(self.joint),
             self.hits,
             self.missed,
+            self.hidden,
             self.used,
             self.weights,
             self.process,
@@ -140,6 +143,7 @@ def inject(
         state.joint if joint is None else joint,
         state.hits,
         state.missed,
+        state.hidden,
         state.used if used is None else used,
         state.weights if weights is None else weights,
         _NO_PROCESS,
@@ -161,6 +165,7 @@ def drop(state: So3State, keep: NDArray[np.bool_]) -> So3State:
         joint=state.joint[np.ix_(rows, rows)],
         hits=state.hits[keep],
         missed=state.missed[keep],
+        hidden=state.hidden[keep],
     )
 
 
@@ -206,6 +211,7 @@ def augment(state: So3State, points: SpherePoints, index: NDArray[np.intp], radi
         joint=joint,
         hits=np.concatenate([state.hits, none + 1]),
         missed=np.concatenate([state.missed, none]),
+        hidden=np.concatenate([state.hidden, np.zeros(k)]),
     )
 
 
@@ -248,6 +254,7 @@ def with_map(state: So3State, known: DiscMap, most: int) -> So3State:
         joint=joint,
         hits=np.minimum(known.sightings, most),
         missed=np.zeros(m, dtype=np.intp),
+        hidden=np.full(m, HIDDEN_SHARE),
     )
 
 

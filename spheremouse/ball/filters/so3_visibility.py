@@ -1,0 +1,73 @@
+"""Probability that a disc is detected: it faces the camera, nothing hides it, and the detector finds it.
+
+A disc is hidden or not, as a Markov chain of two states with an observation in each frame (Thrun, Burgard and Fox 2005,
+section 4.2, the binary Bayes filter). A strut or a hand hides a disc until one of them moves. So a disc that is missed
+again and again while the ball rests counts once: repeated views of a still scene are not independent.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from spheremouse.geometry.rotation import Array
+
+HIDDEN_SHARE = 0.2  # of the discs that face the camera: struts and hands before them
+_DETECTED = 0.95  # probability that a disc is detected that nothing hides
+_LIMB = 0.1  # cosine above the horizon at which half of all discs are detected: foreshortened to a tenth
+_LIMB_BLUR = 0.03  # cosine over which that changes
+_HANDS_STAY = 1.0  # s, after which a hand has moved
+_LEAST = 1e-6  # probability: no model is as sure as nought
+
+
+@njit(cache=True, error_model="numpy")
+def detection_probability(attitude: Array, discs: Array, hidden: Array, towards: Array, horizon: float) -> Array:
+    """Return the probability, (m,), that each disc is detected.
+
+    `hidden` (m,) is the probability that something hides it. `towards` (3,) points to the camera, obj. The camera sees
+    what lies above the cosine `horizon` with it.
+    """
+    probability = np.empty(len(discs))
+    for k in range(len(discs)):
+        probability[k] = max(_in_sight(attitude, discs[k], towards, horizon) * (1.0 - hidden[k]), _LEAST)
+    return probability
+
+
+@njit(cache=True, error_model="numpy")
+def carry_hidden(attitude: Array, rate: Array, discs: Array, hidden: Array, dt: float, disc_angle: float) -> Array:
+    """Return the probabilities, (m,), that something hides each disc, `dt` s later.
+
+    What is known of it fades as the disc travels by its own diameter, 2 `disc_angle` rad, or as hands move.
+    """
+    carried = np.empty(len(discs))
+    for k in range(len(discs)):
+        d = discs[k]
+        x = attitude[0, 0] * d[0] + attitude[0, 1] * d[1] + attitude[0, 2] * d[2]
+        y = attitude[1, 0] * d[0] + attitude[1, 1] * d[1] + attitude[1, 2] * d[2]
+        z = attitude[2, 0] * d[0] + attitude[2, 1] * d[1] + attitude[2, 2] * d[2]
+        u, v, w = rate[1] * z - rate[2] * y, rate[2] * x - rate[0] * z, rate[0] * y - rate[1] * x
+        speed = math.sqrt(u * u + v * v + w * w)
+        kept = math.exp(-dt * (speed / (2.0 * disc_angle) + 1.0 / _HANDS_STAY))
+        carried[k] = HIDDEN_SHARE + (hidden[k] - HIDDEN_SHARE) * kept
+    return carried
+
+
+@njit(cache=True, error_model="numpy")
+def update_hidden(attitude: Array, discs: Array, hidden: Array, seen: Array, towards: Array, horizon: float) -> Array:
+    """Return the probabilities, (m,), that something hides each disc, after a frame that shows the discs `seen`."""
+    updated = np.empty(len(discs))
+    for k in range(len(discs)):
+        missed_in_sight = 1.0 - _in_sight(attitude, discs[k], towards, horizon)
+        updated[k] = hidden[k] / (hidden[k] + (1.0 - hidden[k]) * missed_in_sight)
+    for k in seen:
+        updated[k] = 0.0
+    return updated
+
+
+@njit(cache=True, error_model="numpy")
+def _in_sight(attitude, disc, towards, horizon):
+    """Return the probability that a disc is detected if nothing hides it."""
+    cosine = 0.0
+    for i in range(3):
+        cosine += towards[i] * (attitude[i, 0] * disc[0] + attitude[i, 1] * disc[1] + attitude[i, 2] * disc[2])
+    return _DETECTED / (1.0 + math.exp(min((horizon + _LIMB - cosine) / _LIMB_BLUR, 30.0)))
