@@ -45,7 +45,7 @@ class Pairing:
 
     rows: NDArray[np.intp]  # into the points
     columns: NDArray[np.intp]  # into the discs
-    complete: bool  # enough of what should pair does
+    complete: bool  # all that could pair does
     fits: bool  # and what pairs does so within its standard deviations
     innovation: tuple[Array, Array, Array, Array] | None = None  # of _innovation, where it is known
 
@@ -143,7 +143,7 @@ class So3Filter:
         return bool(pdtrc(used - 1, self._expected_by_chance(sigma, points)) < _RARE)
 
     def _expected_by_chance(self, sigma: Array, points: int) -> float:
-        """Return how many of the points, anywhere on the ball, are expected in the gates of discs known to `sigma` rad."""
+        """Return how many of the points fall by chance into the gates of discs known to `sigma`, (k,) rad."""
         areas = self.settings.gate * np.pi * (sigma**2 + _POINT_SIGMA**2)
         return points * float(np.sum(areas)) / (2.0 * np.pi * (1.0 - self.horizon))
 
@@ -187,9 +187,8 @@ class So3Filter:
     ) -> So3State | None:
         """`update` of a frame whose pairs are beyond doubt; None of any other.
 
-        They are if two discs pair and most points do about an attitude that is known well, or if chance does not explain
-        so many. They are also if two discs fix the attitude and chance does not explain that so many others lie where
-        it puts them.
+        They are if two discs pair and one of three holds. The attitude is known well and most points pair. Chance does
+        not explain so many pairs. Two pairs fix the attitude, and chance does not explain the others about it.
         """
         ordinary = self._update_ordinary(state, points, may_start_landmark)
         if ordinary is not None:
@@ -233,7 +232,6 @@ class So3Filter:
             weights,
             self.visible(state),
             s.gate,
-            s.keep_share,
             _WIDE,
             points.direction,
             points.image_covariance,
@@ -370,8 +368,7 @@ class So3Filter:
             if not agree:
                 rows, columns, innovation = rows[keep], columns[keep], None
         fits = float(distance[rows, columns].sum()) < 4.0 * max(len(rows), 1) + 10.0
-        expected = min(len(points), len(visible))
-        complete = len(rows) >= self.settings.keep_share * expected and fits and agree
+        complete = len(rows) == min(len(points), len(visible)) and fits and agree
         return Pairing(rows, visible[columns], complete, fits, innovation)
 
     def _expected(self, state: So3State) -> float:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_state import So3State
 from spheremouse.ball.points import SpherePoints
-from spheremouse.geometry.rotation import Array
 
 _MAX_HYPOTHESES = 6  # a disc in view is one of a few: each of them costs a millisecond in such a frame
 _MAX_NODES = 5  # assignments carried on from point to point, of the most probable hypothesis

@@ -7,7 +7,7 @@ import numpy as np
 
 from spheremouse.ball.rig import MOST_DISCS
 from spheremouse.geometry.rotation import Array
-from spheremouse.settings import FACTOR, FRAMES, HAND_TURN, SECONDS, SHARE, SIGMAS, param
+from spheremouse.settings import FACTOR, FRAMES, HAND_TURN, SECONDS, SIGMAS, param
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,6 @@ class So3Settings:
         most=12,  # a factor of two apart; each takes its time
     )
     dwell: float = param(1.0, "s", "mean time the player stays at a level: a gesture takes about a second", **SECONDS)
-    keep_share: float = param(0.6, "-", "part of the discs that must fit before the next level is not tried", **SHARE)
     trial: int = param(3, "frames", "sightings until a disc is kept for good", **FRAMES)
     misses: int = param(3, "frames", "a disc on trial is dropped when it is not seen where it should be", **FRAMES)
     patience: float = param(

@@ -261,7 +261,7 @@ def move(attitude, discs, basis, dx, new_attitude, new_discs, new_basis):
 
 @njit(cache=True, error_model="numpy")
 def update(
-    attitude, rate, acceleration, discs, basis, P, process, noise_scales, steps, weights, visible, gate, keep_share,
+    attitude, rate, acceleration, discs, basis, P, process, noise_scales, steps, weights, visible, gate,
     wide, seen, image_covariance, delay, row, by_pose, by_ball, radius,
 ):  # fmt: skip
     """The whole of an ordinary update in one call: pairs, levels, correction. P and `weights` (l,) are changed.
@@ -297,7 +297,7 @@ def update(
                 total += distance[i, j]
                 k += 1
     rows, columns = rows[:k], columns[:k]
-    if k < 2 or total > 4.0 * k + 10.0 or k < keep_share * min(n, m):
+    if k < 2 or total > 4.0 * k + 10.0 or 2 * k < min(n, m):
         return False, nothing, nothing, empty, 1.0, 0.0
     H, HP, z, S = np.empty((2 * k, CORE)), np.empty((2 * k, len(P))), np.empty(2 * k), np.empty((2 * k, 2 * k))
     innovation(
@@ -308,7 +308,9 @@ def update(
         return False, nothing, nothing, empty, 1.0, 0.0
     dx = np.empty(len(P))
     _, nis, level = correct(P, H, HP, S, z, acceleration, steps, weights, rate_is_significant(rate, P), dx)
-    return True, rows, columns, dx, level, nis
+    # where a point and a disc are left over, they may be a pair at a higher level, and the others contradict this one
+    plain = k == min(n, m) or nis < 2.0 * k + 6.0 * np.sqrt(k)
+    return plain, rows, columns, dx, level, nis
 
 
 @njit(cache=True, error_model="numpy")

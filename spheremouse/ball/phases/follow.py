@@ -55,7 +55,7 @@ def follow(
     """Filter the points; candidates that have moved with the ball become discs at once."""
     before, state = state, updated_hypotheses(state, stamp, tracker, predicted)
     rests = np.linalg.norm(predicted.rate) < _AT_REST
-    if rests and state.filter.known_seen < _SECURE and is_covered(state.filter, predicted):
+    if rests and state.filter.known_seen < _SECURE and is_covered(state, predicted, tracker):
         return without_effect(before, tracker, predicted)  # the discs of a ball that begins to turn do not vanish
     if all_are_discs(state):
         return state

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spheremouse.ball.detect import lookalikes as static
-from spheremouse.ball.filters import FilterState
 from spheremouse.ball.filters.so3 import So3Filter
 from spheremouse.ball.filters.so3_mixture import Hypothesis, update_hypotheses
 from spheremouse.ball.filters.so3_state import So3State
@@ -82,16 +81,19 @@ def _supports(
     return went_on and filtered.is_roughly_known and missing <= _HIDDEN_BY_CHANCE
 
 
-def is_covered(filtered: FilterState, predicted: FilterState) -> bool:
-    """Does something lie before most of the established discs, whose places are well known?
+def is_covered(state: TrackState[F], predicted: F, tracker: Tracker) -> bool:
+    """Return whether something lies before most of the established discs, whose places are well known.
 
-    A jump that half of them contradict is no better.
+    A jump that half of them contradict is no better. Discs in their places that are not there by chance still count.
     """
+    filtered = state.filter
     if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
         return False
     jumped = filtered.manoeuvre_level >= _JUMP
     most_missing = filtered.known_missed > 0 and filtered.known_missed + jumped > filtered.known_seen
-    return most_missing and predicted.is_placed
+    used = len(filtered.used)
+    in_place = used > 0 and not jumped and tracker.filter.beyond_chance(predicted, used, len(state.points))
+    return most_missing and predicted.is_placed and not in_place
 
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:

@@ -40,7 +40,7 @@ def learn(
         if len(state.points) < 2:
             return found(replace(state, filter=predicted), phase, stamp)
     naive = _with_all(state, stamp, tracker, predicted, phase.views)
-    if is_covered(naive.filter, predicted):
+    if is_covered(naive, predicted, tracker):
         return found(without_effect(state, tracker, predicted), phase, stamp)
     centre = state.detections.centre[state.points.index]
     track, next_track = follow_points(phase.views, centre, phase.next_track)
