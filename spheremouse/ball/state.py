@@ -97,6 +97,7 @@ class Learning(NamedTuple):
     found: bool = False  # two discs were seen: the ball is tracked
     views: tuple[View, ...] = ()  # since the ball was seen, to be filtered again without the look-alikes
     next_track: int = 0  # number of the next point that no view has shown yet
+    beside_map: bool = False  # an older map exists, which outweighs what two points show
 
 
 class Roundness(NamedTuple):
@@ -152,6 +153,7 @@ class TrackState(Generic[F]):
     detections: Detections  # all of the last frame
     points: SpherePoints  # of the last frame, look-alikes left out; filter.used indexes these
     alternatives: tuple[Hypothesis, ...] = ()  # to `filter`, while the discs in view leave more than one possible
+    older: F | None = None  # with the map before the last new one, in case that was of an object before the ball
     confirmed: bool = False  # the last frame's discs confirm the attitude
     supported_at: float = -np.inf  # s, of the last frame that showed a disc of the map, or should have shown none
     withheld: Withheld | None = None  # None: the last frame confirms the attitude, or the ball is not tracked

@@ -33,6 +33,7 @@ _LONGEST = 10.0  # s: after a longer gap nothing is known of the attitude anyhow
 _LINEAR = 0.02  # rad: a correction larger than that is made again about where it led
 _NONE = np.zeros(0, dtype=np.intp)
 _RARE = 1e-3  # probability per frame below which chance does not explain the pairs
+_FASTEST = 6.0  # rad/s, of a turn by hand
 _POINT_SIGMA = 2e-3  # rad, of a seen direction: a tenth of a pixel on a ball 200 px across
 _STILL = np.zeros((CORE, CORE))
 _DETECTED = 0.8  # probability that a disc in view is seen: hands and struts hide some
@@ -397,7 +398,7 @@ class So3Filter:
         updated = inject(state, dx, joint, weights, level, rows, float(nis))
         if float(np.abs(dx[:3]).max()) > _LINEAR:
             updated, log_likelihood = self._again(state, updated, dx, points, columns)
-        return updated, log_likelihood
+        return (_twist_as_swing(updated, columns[0]) if len(columns) == 1 else updated), log_likelihood
 
     def _coasted(self, state: So3State) -> So3State:
         """The state of a frame without pairs: nothing tells of steps. On the average they let the acceleration fade."""
@@ -518,6 +519,7 @@ class So3Filter:
             self.horizon,
             state.hits,
             state.missed,
+            self.detection_probability(state),
             pairing.columns,
             s.trial,
             s.misses,
@@ -584,3 +586,24 @@ def _place_sigma(state: So3State, which: NDArray[np.intp], added_process_noise: 
     sigma = np.empty(len(which))
     so3_match.places(state.attitude, state.discs, state.basis, state.joint, which, added_process_noise, sigma)
     return sigma
+
+
+def _twist_as_swing(state: So3State, column: int) -> So3State:
+    """Return the state after a frame of one disc, `column`, with a twist about that disc as large as the swing.
+
+    One disc tells the swing, the two components of the rate across its direction, and nothing of the twist. The axis of
+    a turn is no likelier to point at the disc than elsewhere. So the twist is the swing times the cotangent of an angle
+    whose cosine is uniform, up to the fastest turn of a hand. A ball whose one disc stands still is thus at rest. A
+    twist that is known better is left alone.
+    """
+    axis = state.attitude @ state.discs[column]
+    along = state.joint[:, 3:6] @ axis
+    twist, variance = float(axis @ state.rate), float(axis @ along[3:6])
+    swing = float(state.rate @ state.rate) - twist**2 + float(np.trace(state.joint[3:6, 3:6])) - variance
+    most = _FASTEST / math.sqrt(max(swing, 1e-12))
+    expected = swing * (math.asinh(most) - most / math.hypot(1.0, most))
+    if variance <= expected:
+        return state
+    gain = along * (1.0 - expected / variance) / variance  # leaves the twist with the expected variance
+    joint = state.joint - np.outer(gain, along)
+    return inject(state, -gain * twist, joint, state.weights, state.manoeuvre_level, state.used, state.nis)

@@ -103,7 +103,8 @@ def _assignments(filter_: So3Filter, predicted: So3State, points: SpherePoints, 
             if len(node.rows) > 0:
                 one, among = filter_.candidate_distances(node.state, points.take(np.array([row])), gate)
                 near = one[0]
-            for column in among[near < gate]:
+            nearest = np.argsort(near)[:most]
+            for column in among[nearest[near[nearest] < gate]]:
                 if column not in node.columns:
                     rows, columns = (*node.rows, int(row)), (*node.columns, int(column))
                     grown.append(_node(filter_, predicted, points, rows, columns, (done - len(rows)) * density))

@@ -40,7 +40,7 @@ class So3State:
     nis: float = 0.0  # normalised innovation squared of the last update, chi-square with 2 len(used) degrees
     readout: float = 0.0  # s, by which the rolling shutter takes longer than the rig says
     known_seen: int = 0  # discs beyond their trial that took part in the last update
-    known_missed: int = 0  # discs beyond their trial, well visible, that did not
+    known_missed: float = 0.0  # discs beyond their trial that should have been detected and were not, expected number
     interval: float = 0.0  # s, of the last prediction, where no update has used it yet
 
     @property

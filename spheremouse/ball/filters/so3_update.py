@@ -315,13 +315,13 @@ def update(
 
 @njit(cache=True, error_model="numpy")
 def keep_map(
-    attitude, discs, towards, horizon, hits, missed, columns, trial, misses, patience, seen, rows, may_start_landmark,
-    apart, new_hits, new_missed, keep, found,
+    attitude, discs, towards, horizon, hits, missed, probability, columns, trial, misses, patience, seen,
+    rows, may_start_landmark, apart, new_hits, new_missed, keep, found,
 ):  # fmt: skip
     """Sightings counted: into new_hits, new_missed, keep (m,), and into found (n,) the points that found a disc.
 
     Returns how many discs are dropped and how many found; and of those beyond their trial, how many were seen and how
-    many missed. See `So3Filter._keep_map`.
+    many missed, each of these by its `probability` (m,) of detection. See `So3Filter._keep_map`.
     """
     m, n = len(discs), len(seen)
     for k in range(m):
@@ -329,7 +329,7 @@ def keep_map(
     for i in range(len(columns)):
         new_hits[columns[i]] += 1
         new_missed[columns[i]] = -1
-    dropped, known_seen, known_missed = 0, 0, 0
+    dropped, known_seen, known_missed = 0, 0, 0.0
     p = np.empty((m, 3))
     # a frame that shows nothing says nothing of any one disc
     # a disc near the horizon is often too thin to be detected: only the well visible are missed
@@ -342,7 +342,7 @@ def keep_map(
             known_seen += hits[k] >= trial
         elif n > 0 and p[k, 0] * towards[0] + p[k, 1] * towards[1] + p[k, 2] * towards[2] > well:
             new_missed[k] += 1
-            known_missed += hits[k] >= trial
+            known_missed += probability[k] if hits[k] >= trial else 0.0
         limit = misses if new_hits[k] < trial else patience * new_hits[k]
         keep[k] = new_missed[k] < limit
         dropped += not keep[k]

@@ -90,7 +90,8 @@ def is_covered(state: TrackState[F], predicted: F, tracker: Tracker) -> bool:
     if not isinstance(filtered, So3State) or not isinstance(predicted, So3State):
         return False
     jumped = filtered.manoeuvre_level >= _JUMP
-    most_missing = filtered.known_missed > 0 and filtered.known_missed + jumped > filtered.known_seen
+    missing = filtered.known_missed
+    most_missing = missing > 0.5 and missing + jumped > filtered.known_seen
     used = len(filtered.used)
     in_place = used > 0 and not jumped and tracker.filter.beyond_chance(predicted, used, len(state.points))
     return most_missing and predicted.is_placed and not in_place
@@ -98,4 +99,7 @@ def is_covered(state: TrackState[F], predicted: F, tracker: Tracker) -> bool:
 
 def without_effect(state: TrackState[F], tracker: Tracker, predicted: F) -> TrackState[F]:
     """The frame without effect: something lies before most of the discs, and what is seen may be part of it."""
-    return replace(state, filter=tracker.filter.update(predicted, no_points(tracker)), alternatives=(), confirmed=False)
+    filtered = tracker.filter.update(predicted, no_points(tracker))
+    if isinstance(filtered, So3State) and isinstance(predicted, So3State):
+        filtered = replace(filtered, hidden=predicted.hidden)
+    return replace(state, filter=filtered, alternatives=(), confirmed=False)

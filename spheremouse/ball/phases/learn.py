@@ -48,7 +48,7 @@ def learn(
     if len(views) > _REPLAY:
         views = (views[0], *views[2:])  # the first frame stays as the anchor, so that slow motion adds up against it
     still = _still_since(views[0], views[-1], tracker)
-    if still is None:
+    if still is None and not phase.beside_map:
         still = still_while_two_turned(views, tracker)
     if still is None:
         if len(views) == _REPLAY and _changed(views[0], views[1:], tracker.settings.static):
@@ -98,7 +98,7 @@ def _founders(state: TrackState, predicted: So3State, views: tuple[View, ...], t
     few = np.count_nonzero(predicted.hits >= tracker.settings.so3.trial) < 2
     turned = rotation_between(views[0].attitude, predicted.attitude) if views else np.zeros(3)
     has_turned = np.linalg.norm(turned) > 2.0 * tracker.rig.disc_radius / tracker.rig.ball.radius
-    follows = state.confirmed_at == state.filter.stamp and state.filter.known_missed == 0
+    follows = state.confirmed_at == state.filter.stamp and state.filter.known_missed < 0.5
     return np.full(len(state.points), few or (has_turned and follows))
 
 

@@ -64,6 +64,9 @@ def recover(
     state = replace(state, phase=phase, filter=unused(state.filter))
     resting = None if phase.in_view_since is None else _where_it_was(state, stamp, tracker)
     recognised = resting or recognised_attitude(state, stamp, tracker)
+    if recognised is None and state.older is not None:
+        recognised = recognised_attitude(replace(state, filter=state.older), stamp, tracker)
+        state = state if recognised is None else replace(state, older=None)
     if recognised is not None and back_on_bearings(state, phase, recognised[0], tracker):
         filtered, pairs = recognised
         last, reported = phase.last, state.reported_attitude
@@ -114,12 +117,12 @@ def try_new_map(
     """Return the state and events after a frame of a new map's trial, beside the old map.
 
     The new map replaces the old one once its points have turned like a ball. An object that passes in front of a ball
-    at rest does not turn so. Meanwhile the tracker sends no motion, and it recognises the old map when the object is
-    gone.
+    at rest hardly ever turns so. Meanwhile the tracker sends no motion, and it recognises the old map when the object
+    is gone. It keeps the old map in case the ball is lost again.
     """
     if phase.trial is None:
         filtered, view = _new_map(state, stamp, tracker)
-        trial = Trial(filtered, Learning(found=True, views=(view,)))
+        trial = Trial(filtered, Learning(found=True, views=(view,), beside_map=True))
         return replace(state, phase=phase._replace(trial=trial)), ()
     trial = phase.trial
     predicted = tracker.filter.predict(trial.filter, stamp)
@@ -127,7 +130,10 @@ def try_new_map(
     if isinstance(tried.phase, Learning):
         return replace(state, phase=phase._replace(trial=Trial(tried.filter, tried.phase))), ()
     filtered = tried.filter.with_reference()
-    return tracked(tried, Tracking(), filtered, filtered.attitude, stamp), (NewMap(), *events)
+    maps = [state.filter] if state.older is None else [state.filter, state.older]
+    older = max(maps, key=lambda filter_state: int(np.sum(filter_state.hits)))
+    tried = replace(tracked(tried, Tracking(), filtered, filtered.attitude, stamp), older=older)
+    return tried, (NewMap(), *events)
 
 
 def _followed(
