@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, pdtrc
+from scipy.special import pdtrc
 
 from spheremouse.ball.filters import so3_match, so3_predict, so3_visibility
 from spheremouse.ball.filters import so3_update as kernel
@@ -123,17 +123,6 @@ class So3Filter:
         return so3_visibility.detection_probability(
             state.attitude, state.discs, state.hidden, self.towards_camera, self.horizon
         )
-
-    def expected_missing(self, state: So3State, seen: NDArray[np.intp] | tuple[int, ...]) -> float:
-        """Number of discs beyond their trial that are to be expected well in view, without those of `seen`.
-
-        Each counts with the probability that the uncertainty of its place leaves.
-        """
-        which = np.setdiff1d(np.flatnonzero(state.hits >= self.settings.trial), seen)
-        cosine = np.clip(state.discs[which] @ (self.towards_camera @ state.attitude), -1.0, 1.0)
-        well = self.horizon + 0.5 * (1.0 - self.horizon)  # nearer the limb a disc is often too thin
-        sigma = np.maximum(self.place_sigma(state, which), _POINT_SIGMA) * np.sqrt(1.0 - cosine**2 + 1e-6)
-        return float(np.sum(ndtr((cosine - well) / sigma)))
 
     def beyond_chance(self, predicted: So3State, used: int, points: int) -> bool:
         """Would so many of the points meet a predicted disc by chance in less than one frame of a thousand?
@@ -606,4 +595,6 @@ def _twist_as_swing(state: So3State, column: int) -> So3State:
         return state
     gain = along * (1.0 - expected / variance) / variance  # leaves the twist with the expected variance
     joint = state.joint - np.outer(gain, along)
+    joint[CORE:READOUT, CORE:READOUT] = state.joint[CORE:READOUT, CORE:READOUT]
+    gain[CORE:READOUT] = 0.0  # what is only considered stays (Schmidt 1966)
     return inject(state, -gain * twist, joint, state.weights, state.manoeuvre_level, state.used, state.nis)

@@ -72,7 +72,7 @@ def _supports(
     expected in view and no more than two were seen before: more do not vanish at once.
     """
     used, before = len(filtered.used), len(state.filter.used)
-    missing = tracker.filter.expected_missing(filtered, np.flatnonzero(filtered.missed == 0))
+    missing = filtered.known_missed
     if used > 0:
         points = len(state.points)
         by_chance = 2 * used < points and not tracker.filter.beyond_chance(predicted, used, points)

@@ -43,6 +43,14 @@ def known_ball(discs, rng):
     return tracker, state
 
 
+def at_rest(tracker, state, discs, rng):
+    """The state after a second of rest."""
+    start = state.filter.stamp
+    for k in range(30):
+        state = advance(state, start + (k + 1) * DT, photo(np.eye(3), discs, rng), tracker).state
+    return state
+
+
 def doubtful(state, axis, sigma, stamp):
     """A state whose attitude is uncertain by `sigma` rad about `axis`."""
     joint = state.joint.copy()
@@ -127,3 +135,49 @@ def test_other_levels_keep_the_alternatives():
     for k in range(3):
         state = advance(state, (241 + k) * DT, photo(np.eye(3), discs, rng), tracker).state
     assert state.status is Status.TRACKING
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_slow_camera_leaves_no_doubt_about_a_resting_ball_that_shows_five_discs(seed):
+    """At three frames/s the prediction is a guess. The constellation is none."""
+    rng = np.random.default_rng(seed)
+    discs = directions(26, seed)
+    tracker, state = known_ball(discs, rng)
+    state, seen = at_rest(tracker, state, discs, rng), photo(np.eye(3), discs, rng)
+    assert len(seen) >= 5
+    predicted = tracker.filter.predict(state.filter, state.filter.stamp + 0.4)
+    certain = tracker.filter.update_if_certain(predicted, intersect(seen, RIG, POSE), np.zeros(len(seen), dtype=bool))
+    assert certain is not None
+    assert np.linalg.norm(log(certain.attitude)) < 0.005
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_ball_whose_one_disc_stands_still_is_at_rest(seed):
+    """For seconds: a turn hardly ever goes about the one disc in view."""
+    rng = np.random.default_rng(seed)
+    discs = directions(12, seed)
+    tracker, state = known_ball(discs, rng)
+    state = at_rest(tracker, state, discs, rng)
+    stamp = state.filter.stamp
+    for k in range(150):
+        seen = photo(np.eye(3), discs, rng)
+        seen = seen.take(np.arange(max(len(seen) - k // 10, 1)))  # the others go one by one
+        state = advance(state, stamp + (k + 1) * DT, seen, tracker).state
+    error, P = log(state.filter.attitude), state.filter.joint[:3, :3]
+    assert state.filter.is_placed
+    assert error @ np.linalg.solve(P, error) < 16.3  # chi-square, 99.9 % of three
+    assert state.status is Status.TRACKING
+
+
+def test_one_disc_leaves_a_known_twist_alone():
+    rng = np.random.default_rng(2)
+    discs = directions(12, 2)
+    tracker, state = known_ball(discs, rng)
+    axis = state.filter.attitude @ discs[np.argmax(discs @ state.filter.attitude[2])]
+    turning = replace(state.filter, rate=2.0 * axis)
+    column = int(np.argmax(turning.discs @ (turning.attitude.T @ axis)))
+    predicted = tracker.filter.predict(turning, turning.stamp + DT)
+    points = intersect(photo(predicted.attitude, discs, rng), RIG, POSE)
+    which = int(np.argmax(points.direction @ axis))
+    corrected, _ = tracker.filter.correct(predicted, points, (which,), (column,))
+    assert abs(corrected.rate @ axis - 2.0) < 0.1
