@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from spheremouse.geometry.rotation import Array
 
@@ -53,7 +54,9 @@ def carry_hidden(attitude: Array, rate: Array, discs: Array, hidden: Array, dt: 
 
 
 @njit(cache=True, error_model="numpy")
-def update_hidden(attitude: Array, discs: Array, hidden: Array, seen: Array, towards: Array, horizon: float) -> Array:
+def update_hidden(
+    attitude: Array, discs: Array, hidden: Array, seen: NDArray[np.intp], towards: Array, horizon: float
+) -> Array:
     """Return the probabilities, (m,), that something hides each disc, after a frame that shows the discs `seen`."""
     updated = np.empty(len(discs))
     for k in range(len(discs)):
