@@ -1,9 +1,16 @@
-"""Errors a user can act on: one line that says what is wrong and what to do. The command line prints them bare."""
+"""Errors that the user can mend: a line with problem and remedy, which the command line prints without a traceback."""
+
+import unicodedata
 
 
 def printable(thing: object) -> str:
-    """Text of a thing for a message: names that others gave to files and devices do not steer the terminal."""
+    """Return the text of a thing without control characters, which could steer the terminal."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(thing))
+
+
+def has_control_characters(text: str) -> bool:
+    """Could the text steer a terminal or break a line: has it a control character or a line separator?"""
+    return not text.isprintable() and any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in text)
 
 
 def one_line(text: str) -> str:

@@ -65,12 +65,16 @@ def param(
     le: float | None = None,
     most: int | None = None,
     refused: str = "",
+    null: str | None = None,
+    pair: str = "",
 ) -> Any:
     """A dataclass field with its unit ("-" for none), its meaning with the reason for the default, and its bounds.
 
-    `most` is the greatest length of a list; `refused` says what to do in place of a value that is refused. A class says
-    of settings that it had once what stands in their place: `GONE`.
+    `most` bounds the length of a list. `refused` is the remedy for a rejected value. `null` is the value that a written
+    `null` means, if that differs from leaving the key out. `pair` is a sign between two numbers: with "x", 640x480 is
+    [640, 480]. A class names its former settings in `GONE`, each with its replacement.
     """
     bounds = {k: v for k, v in {"gt": gt, "ge": ge, "lt": lt, "le": le}.items() if v is not None}
     metadata = {"unit": unit, "meaning": meaning, "bounds": bounds, "most": most, "refused": refused}
+    metadata |= {"null": null, "pair": pair}
     return field(default=default, metadata=metadata)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from spheremouse.calibrate.lengths import parse_board, parse_length
-from spheremouse.errors import CalibrationError, ConfigurationError
+from spheremouse.errors import CalibrationError, ConfigurationError, printable
 from spheremouse.files.atomic import write_atomically
-from spheremouse.files.yaml import Problem, read_document
+from spheremouse.files.yaml import Problem, read_document, refuse_control_characters
 
 NAME = "board.yaml"
 PRINTED = Path("calibration/print")  # where `calibrate print` puts its sheets
@@ -61,6 +61,7 @@ def load_board(path: Path) -> BoardFile:
     data = document.data
     if not isinstance(data, dict):
         raise document.error([Problem((), "must be lines like `square: 20mm`")])
+    refuse_control_characters(document)
     problems = [Problem((key,), "is not known here") for key in data if key not in BoardFile.__dataclass_fields__]
     for key, parse in (("board", parse_board), ("square", parse_length), ("marker", parse_length)):
         try:
@@ -107,7 +108,9 @@ def options_made_of(provenance: dict[str, Any]) -> tuple[str, ...]:
         columns, rows = parse_board(board) if isinstance(board, str) else board
         made = BoardFile(f"{int(columns)}x{int(rows)}", f"{square:g}m")
         if "marker" in provenance:
-            made = replace(made, marker=f"{float(provenance['marker']):g}m", dictionary=str(provenance["dictionary"]))
+            made = replace(
+                made, marker=f"{float(provenance['marker']):g}m", dictionary=printable(provenance["dictionary"])
+            )
         return tuple(made.options)
     except (CalibrationError, KeyError, TypeError, ValueError):
         return ()

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -116,6 +117,19 @@ class Stream:
     ) -> None:
         if self.close is not None:
             self.close()
+
+
+def full_spec(spec: str) -> str:
+    """Return `KIND:ARGUMENT` for a path that needs no kind: a camera's node, a folder with a recording, or a film.
+
+    For example, /dev/video0 becomes v4l2:/dev/video0, and demo/play becomes dataset:demo/play.
+    """
+    if spec.startswith(("/dev/video", "/dev/v4l/")):
+        return f"v4l2:{spec}"
+    if "\0" in spec or spec in KINDS:
+        return spec
+    path = Path(spec)
+    return f"dataset:{spec}" if (path / "scene.json").is_file() else f"video:{spec}" if path.is_file() else spec
 
 
 def open_source(spec: str, *, realtime: bool = False) -> Source:

@@ -19,9 +19,10 @@ class CameraSettings:
     size: tuple[int, int] | None = param(
         None,
         "px",
-        "width and height; the size that the camera was calibrated with. None: as the camera stands",
+        "width and height, as 640x480 or [640, 480]; the size of the calibration. null leaves it as the camera has it",
         ge=16,
         le=MAX_SIDE,
+        pair="x",
     )
     fps: float | None = param(
         None,

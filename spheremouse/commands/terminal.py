@@ -3,6 +3,7 @@
 import sys
 from typing import TYPE_CHECKING
 
+from spheremouse.errors import printable
 from spheremouse.session.process.standard_error import unhurried
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ def error(message: str) -> None:
     """Every line of a message, with the program's name before it; who does not listen keeps nobody."""
     with unhurried():
         for line in message.splitlines():
-            print(f"spheremouse: {line}", file=sys.stderr)
+            print(f"spheremouse: {printable(line)}", file=sys.stderr)
 
 
 def table_console(*, stderr: bool = False, markup: bool = True) -> "Console":

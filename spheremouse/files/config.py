@@ -7,6 +7,7 @@ meaning and bounds. A file names what differs from the defaults; `override` does
 import contextlib
 import dataclasses
 import functools
+import re
 import textwrap
 import types
 import typing
@@ -113,7 +114,7 @@ def dump_commented(settings: Any) -> str:
 
 def dump(settings: S, default: S) -> str:
     """The effective configuration without reasons; what differs from `default` is marked with the default's value."""
-    before = dict(parameters(default))
+    before, nulls = dict(parameters(default)), set(_with_null(settings))
     lines = [f"schema: {SCHEMAS[KIND]}"]
     section: Key = ()
     for key, value in parameters(settings):
@@ -122,7 +123,8 @@ def dump(settings: S, default: S) -> str:
                 lines.append(f"{'  ' * depth}{key[depth]}:")
         section = key[:-1]
         mark = "" if value == before.get(key) else f"  # default: {to_yaml(before.get(key))}"
-        lines.append(f"{'  ' * len(section)}{key[-1]}: {to_yaml(value)}{mark}")
+        unset = "# " if value is None and key in nulls else ""  # a written null would mean a value
+        lines.append(f"{'  ' * len(section)}{unset}{key[-1]}: {to_yaml(value)}{mark}")
     return "\n".join(lines) + "\n"
 
 
@@ -134,6 +136,15 @@ def parameters(settings: Any, prefix: Key = ()) -> Iterator[tuple[Key, Any]]:
             yield from parameters(value, (*prefix, field.name))
         else:
             yield (*prefix, field.name), value
+
+
+def _with_null(settings: Any, prefix: Key = ()) -> Iterator[Key]:
+    """Yield the keys for which a written null means a value."""
+    for field in _ordered(type(settings)):
+        if _is_section(type(settings), field):
+            yield from _with_null(getattr(settings, field.name), (*prefix, field.name))
+        elif field.metadata.get("null") is not None:
+            yield (*prefix, field.name)
 
 
 @functools.cache
@@ -210,20 +221,35 @@ def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) ->
 
 
 def _applied(document: Document, settings: S) -> S:
-    document = Document(document.name, _without_empty_sections(document.data, settings), document.lines)
+    document = Document(document.name, _with_meant_values(document.data, settings), document.lines)
     checked = validated(document, model_of(type(settings)))
     return _updated(settings, checked, document, ())
 
 
-def _without_empty_sections(data: Any, settings: Any) -> Any:
-    """A section whose keys are all commented out reads as null; it means: nothing to say."""
+def _with_meant_values(data: Any, settings: Any) -> Any:
+    """Return data with an empty section for null, and the values that `null` and 640x480 mean by `settings.param`."""
     if not isinstance(data, dict):
         return data
-    sections = {f.name for f in dataclasses.fields(settings) if _is_section(type(settings), f)}
-    return {
-        k: ({} if v is None else _without_empty_sections(v, getattr(settings, k))) if k in sections else v
-        for k, v in data.items()
-    }
+    fields = {field.name: field for field in dataclasses.fields(settings)}
+    meant = {}
+    for name, value in data.items():
+        field = fields.get(name)
+        if field is None:
+            meant[name] = value
+        elif _is_section(type(settings), field):
+            meant[name] = {} if value is None else _with_meant_values(value, getattr(settings, name))
+        else:
+            meant[name] = _meant(value, field)
+    return meant
+
+
+def _meant(value: Any, field: "dataclasses.Field[Any]") -> Any:
+    sign = field.metadata.get("pair")
+    if value is None:
+        return field.metadata.get("null")
+    if sign and isinstance(value, str) and (found := re.fullmatch(rf"(\d{{1,9}}) ?{sign} ?(\d{{1,9}})", value)):
+        return int(found[1]), int(found[2])
+    return value
 
 
 def _updated(settings: S, checked: BaseModel, document: Document, key: Key) -> S:
@@ -328,7 +354,8 @@ def _commented(settings: Any, indent: str) -> Iterator[str]:
             yield f"{indent}{field.name}:"
             yield from (f"{indent}  - {to_yaml(v)}" for v in value)
         else:
-            yield f"{indent}{field.name}: {to_yaml(value)}"
+            unset = "# " if value is None and field.metadata.get("null") is not None else ""
+            yield f"{indent}{unset}{field.name}: {to_yaml(value)}"
 
 
 def _about(field: "dataclasses.Field[Any]", hint: Any) -> str:

@@ -1,9 +1,8 @@
-"""`KIND:ARGUMENT`, as the command line names a source or an output; a kind is a module of a package, or a plug-in.
+"""Open a source or an output that is named as `KIND:ARGUMENT`; a kind is a module of a package, or a plug-in.
 
-Adding one is a new file with a function `open`, one `check` where slips in an argument can be told without opening
-anything, and its name in the package's `KINDS`; or a module of another
-distribution, named by an entry point in the group `spheremouse.source` or `spheremouse.output`. Only the module asked
-for is imported.
+To add one, write a module with a function `open` and put its name into the package's `KINDS`. A function `check` may
+report mistakes in the argument without opening anything. Another distribution adds a module by an entry point in the
+group `spheremouse.source` or `spheremouse.output`. Only the module that is needed is imported.
 """
 
 import importlib
@@ -19,11 +18,12 @@ _REMEDY = "update it, or uninstall it"
 
 
 def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> tuple[ModuleType, str]:
-    """Module and argument of `KIND:ARGUMENT`, a `what`.
+    """Return module and argument of `KIND:ARGUMENT`, a source or an output as `what` says.
 
-    Raises `error`, which lists the kinds where there is none of that name, and names a plug-in that is of no use.
+    A package may complete a shorter form by its function `full_spec`. Raises `error` with the known kinds if there is
+    no such kind, or with the name of a plug-in that cannot be used.
     """
-    kind, _, argument = spec.partition(":")
+    kind, _, argument = _full(package, spec).partition(":")
     if kind in package.KINDS:
         return importlib.import_module(f"{package.__name__}.{kind}"), argument
     plugged = {entry.name: entry for entry in entry_points(group=f"spheremouse.{what}")}
@@ -35,7 +35,7 @@ def resolve(package: ModuleType, what: str, spec: str, error: type[SpheremouseEr
 
 
 def check(package: ModuleType, what: str, spec: str, error: type[SpheremouseError]) -> None:
-    """Raise as `resolve` does, and where the module has a function `check` that refuses the argument; opens nothing."""
+    """Raise as `resolve` and the module's function `check`, if it has one, do; open nothing."""
     module, argument = resolve(package, what, spec, error)
     if callable(look := getattr(module, "check", None)):
         look(argument)
@@ -44,23 +44,27 @@ def check(package: ModuleType, what: str, spec: str, error: type[SpheremouseErro
 def opened(
     package: ModuleType, what: str, spec: str, error: type[SpheremouseError], members: Iterable[str], *more: Any
 ) -> Any:
-    """What the module of `KIND:ARGUMENT` opens, given the argument and `more`.
+    """Open `KIND:ARGUMENT`: call the module's `open` with the argument and `more`, and return its result.
 
-    Raises `error` as `resolve` does, and where what a plug-in opened lacks some of the `members` of a `what`.
+    Raises `error` as `resolve` does, and if the object that a plug-in returns lacks some of the `members`.
     """
     module, argument = resolve(package, what, spec, error)
-    made, kind = module.open(argument, *more), spec.partition(":")[0]
+    made, kind = module.open(argument, *more), _full(package, spec).partition(":")[0]
     missing = [name for name in members if kind not in package.KINDS and not hasattr(made, name)]
     if missing:
         raise error(f"{what} {kind}: breaks the contract: has no {', '.join(missing)}; {_REMEDY}")
     return made
 
 
+def _full(package: ModuleType, spec: str) -> str:
+    return package.full_spec(spec) if hasattr(package, "full_spec") else spec
+
+
 def _loaded(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> ModuleType:
     whose = f"{what} {entry.name}: the plug-in {entry.value}"
     try:
         module = entry.load()
-    except Exception as e:  # whatever a stranger's module does
+    except Exception as e:  # a plug-in may raise anything
         why = " ".join(f"{type(e).__name__}: {e}".split())[:200]
         raise error(f"{whose} cannot be loaded ({why}); {_REMEDY}") from None
     if not callable(getattr(module, "open", None)):
@@ -71,7 +75,7 @@ def _loaded(entry: EntryPoint, what: str, error: type[SpheremouseError]) -> Modu
 def options(
     text: str, known: dict[str, type[int] | type[float] | type[str]], name: str, error: type[SpheremouseError]
 ) -> dict[str, int | float | str]:
-    """`KEY=VALUE,KEY=VALUE` as values of the `known` types; `name` is what messages call the whole."""
+    """Return `KEY=VALUE,KEY=VALUE` as values of the `known` types; messages call the whole `name`."""
     found: dict[str, int | float | str] = {}
     for item in filter(None, (part.strip() for part in text.split(","))):
         key, equals, value = (s.strip() for s in item.partition("="))

@@ -6,7 +6,7 @@ that no file can run code or fill the memory. A problem reads `FILE:LINE: key: w
 
 import re
 from codecs import BOM_UTF8
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from ruamel.yaml import YAML, YAMLError
 from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, DocumentStartEvent, NodeEvent
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode
 
-from spheremouse.errors import ConfigurationError, one_line
+from spheremouse.errors import ConfigurationError, has_control_characters, one_line
 from spheremouse.files.plain_json import MAX_DEPTH
 from spheremouse.files.safe_open import read_bytes
 
@@ -150,8 +150,33 @@ def without_schema(document: Document, kind: str) -> Document:
         remedy = "copy your values into a file that `spheremouse config init FILE` writes"
         reason = f"is {version}, of an older spheremouse; this one reads {wanted}: {remedy}"
     else:
+        if kind != "configuration":  # people make their own configuration, and pass the other files on
+            refuse_control_characters(document)
         return Document(document.name, {k: v for k, v in data.items() if k != "schema"}, document.lines)
     raise document.error([Problem(("schema",), reason)])
+
+
+def refuse_control_characters(document: Document) -> None:
+    """Raise ConfigurationError for text that could steer the terminal on which it is printed; not for provenance."""
+    problems = [
+        Problem(key, "has a control character; write it in letters, digits and signs")
+        for key, text in _texts(document.data, ())
+        if has_control_characters(text) and key[:1] != ("provenance",)
+    ]
+    if problems:
+        raise document.error(problems)
+
+
+def _texts(data: Any, key: Key) -> Iterator[tuple[Key, str]]:
+    if isinstance(data, str):
+        yield key, data
+    elif isinstance(data, dict):
+        for name, value in data.items():
+            yield (*key, name), name
+            yield from _texts(value, (*key, name))
+    elif isinstance(data, tuple):
+        for i, value in enumerate(data):
+            yield from _texts(value, (*key, i))
 
 
 def shown(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""Balls of wand files, and the bounds of their colours."""
+"""Read the balls of wand files, and the bounds of their colours."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -12,19 +12,27 @@ from spheremouse.wand.rims import ColourSettings
 
 @dataclass(frozen=True, slots=True)
 class Balls:
-    """Balls in the order they are counted, and how to see their colours."""
+    """Balls in the order of their numbers, and the bounds of their colours."""
 
     balls: tuple[WandBall, ...] = ()
     colours: dict[str, ColourSettings] = field(default_factory=dict)
 
 
 def read_balls(files: Iterable[Path]) -> Balls:
-    """Balls of wand files. ConfigurationError where a file is wrong, or two have other bounds for a colour."""
+    """Read balls from wand files.
+
+    Raises ConfigurationError if a file is invalid, two balls share a name, or two files differ in a colour's bounds.
+    """
+    named: dict[str, Path] = {}
     balls: list[WandBall] = []
     colours: dict[str, ColourSettings] = {}
     said_by: dict[str, Path] = {}
     for path in files:
         file = load_wand(path)
+        name = file.ball.name
+        if name in named:
+            raise ConfigurationError(f"{path}: name: {name} is also the ball of {named[name]}; give each its own name")
+        named[name] = path
         balls.append(file.ball)
         for name, bounds in file.colours.items():
             if colours.setdefault(name, bounds) != bounds:
@@ -37,7 +45,7 @@ def read_balls(files: Iterable[Path]) -> Balls:
 
 
 def told_apart(balls: tuple[WandBall, ...]) -> tuple[WandBall, ...]:
-    """Balls of the same name get numbers, for messages."""
+    """Number the balls of a recording that share a name, for messages."""
     names = [ball.name for ball in balls]
     return tuple(
         replace(ball, name=f"{ball.name} {names[: k + 1].count(ball.name)}") if names.count(ball.name) > 1 else ball

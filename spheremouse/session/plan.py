@@ -68,6 +68,7 @@ def read_plan(request: Request) -> Plan:
     if c.record.folder is not None:
         c = replace(c, record=replace(c.record, folder=str(beside(request.file, c.record.folder))))
     source, output = request.source or c.source, request.output or c.output
+    source = None if source is None else sources.full_spec(source)
     if output is None and c.tracker == "wand" and c.wand.axes is not None:
         output = "null"
     if source is None:

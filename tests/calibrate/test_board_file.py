@@ -27,6 +27,7 @@ def test_what_is_written_is_read(tmp_path, board):
         ("- 1\n", "must be lines"),
         ("square: [\n", "board.yaml:"),
         ("marker: wide\n", "marker"),
+        ('marker: 20mm\ndictionary: "\\e[31mx"\n', "board.yaml:2: dictionary: has a control character"),
     ],
 )
 def test_slips_are_told_with_their_line(tmp_path, text, said):

@@ -452,3 +452,29 @@ def test_check_and_show_print_problems_and_fail(run, tmp_path):
         result = run(*arguments)
         assert (result.exit_code, result.stdout, result.stderr) == (2, "", expected)
     assert run("show", "--set", "x=1").exit_code == 2
+
+
+# ---- values with more than one form ----
+
+
+def test_a_written_null_output_is_the_output_null_and_none_is_written_as_a_comment(tmp_path):
+    path = tmp_path / "c.yaml"
+    for text, output in (("output: null", "null"), ("output:", "null"), ('output: "null"', "null"), ("", None)):
+        path.write_text(f"schema: 2\n{text}\n")
+        settings = config.load(path, Configuration)
+        assert settings.output == output
+        for written in (config.dump(settings, Configuration()), config.dump_commented(settings)):
+            path.write_text(written)
+            assert config.load(path, Configuration) == settings
+    assert config.override(Configuration(), "output=null").output == "null"
+
+
+@pytest.mark.parametrize("size", ["640x480", "640 x 480", "[640, 480]"])
+def test_a_size_may_be_written_as_people_write_it(size):
+    assert config.override(Configuration(), f"camera.size={size}").camera.size == (640, 480)
+
+
+@pytest.mark.parametrize("size", ["640", "640x", "640*480", "640x480x3", "0x0", "99999999999x480"])
+def test_another_size_is_refused(size):
+    with pytest.raises(ConfigurationError, match=r"--set camera\.size: must be "):
+        config.override(Configuration(), f"camera.size={size}")

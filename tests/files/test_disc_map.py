@@ -242,3 +242,9 @@ def test_a_map_of_another_ball_than_the_rigs_is_refused(tmp_path):
         check_fits(saved, replace(RIG, ball=Ball(0.03)), tmp_path)
     with pytest.raises(ConfigurationError, match=re.escape("with discs of radius 0.02 m, the rig says 0.01 m")):
         check_fits(saved, replace(RIG, disc_radius=0.01), tmp_path)
+
+
+def test_a_version_that_could_steer_a_terminal_is_refused(good, refusal):
+    said = refusal(re.sub(r'spheremouse: ".*"', r'spheremouse: "\\e]0;mine\\a"', good))
+    assert "spheremouse: has a control character" in said
+    assert said.isprintable()

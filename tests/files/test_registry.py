@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from spheremouse.capture import open_source
+from spheremouse.capture import full_spec, open_source
 from spheremouse.errors import OutputError, SourceError
 from spheremouse.output import no_report, open_output
 
@@ -46,6 +46,26 @@ def test_an_output_of_another_distribution_is_opened_by_its_name(installed):
     assert (lamp.argument, len(lamp.sent)) == ("red", 1)
     with pytest.raises(OutputError, match=r"'lmap'; .*; did you mean lamp\?"):
         open_output("lmap")
+
+
+@pytest.mark.parametrize(
+    ("given", "full"),
+    [
+        ("/dev/video0", "v4l2:/dev/video0"),
+        ("/dev/v4l/by-id/usb-x-index0", "v4l2:/dev/v4l/by-id/usb-x-index0"),
+        ("{}/play", "dataset:{}/play"),
+        ("{}/film.mkv", "video:{}/film.mkv"),
+        ("dataset:{}/play", "dataset:{}/play"),
+        ("{}", "{}"),
+        ("synthetic", "synthetic"),
+        ("a\0b", "a\0b"),
+    ],
+)
+def test_a_path_names_a_source_without_its_kind(tmp_path, given, full):
+    (tmp_path / "play").mkdir()
+    (tmp_path / "play/scene.json").write_text("{}")
+    (tmp_path / "film.mkv").write_text("")
+    assert full_spec(given.format(tmp_path)) == full.format(tmp_path)
 
 
 def test_so_is_a_source(installed):

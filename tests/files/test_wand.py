@@ -9,6 +9,7 @@ import pytest
 from spheremouse.errors import ConfigurationError
 from spheremouse.files.wand import load_wand, save_wand, symmetry, wand_text
 from spheremouse.geometry.rotation import exp
+from spheremouse.session.balls import read_balls
 from spheremouse.wand.ball import WandBall, contrast_ball, grzonka_ball, led_ball, wand_disc
 from spheremouse.wand.colour import DEFAULT_COLOURS
 from spheremouse.wand.rims import ColourSettings
@@ -117,3 +118,20 @@ def test_two_discs_are_too_few(tmp_path):
         load_wand(path)
     with pytest.raises(ConfigurationError, match="no such file"):
         load_wand(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("name", ['"\\e[31mred"', '"two\\nlines"', '"\\x9b2J"', '"\\u2028"'])
+def test_a_name_that_could_steer_a_terminal_is_refused(file, name):
+    edited(file, "name: grzonka", f"name: {name}")
+    with pytest.raises(ConfigurationError, match=r"wand\.yaml:\d+: name: has a control character") as e:
+        load_wand(file)
+    assert str(e.value).isprintable()
+
+
+def test_two_balls_of_one_name_are_refused(tmp_path, file):
+    second = tmp_path / "second.yaml"
+    save_wand(second, grzonka_ball())
+    with pytest.raises(ConfigurationError, match=r"second\.yaml: name: grzonka is also the ball of .*wand\.yaml; give"):
+        read_balls([file, second])
+    edited(second, "name: grzonka", "name: other")
+    assert [ball.name for ball in read_balls([file, second]).balls] == ["grzonka", "other"]

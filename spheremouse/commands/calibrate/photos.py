@@ -64,10 +64,12 @@ def photos(
     from spheremouse.calibrate.evening.proposed import camera_command, default_folder, device_command, photos_command
     from spheremouse.calibrate.photographing.screen import ENOUGH, Screen
     from spheremouse.calibrate.photographing.session import take_photos
+    from spheremouse.capture import full_spec
     from spheremouse.capture.stopping import Stopping
     from spheremouse.commands.config import root
     from spheremouse.files.config import in_force
 
+    source = None if source is None else full_spec(source)
     folder = default_folder() if folder is None else folder
     if folder.exists() and not folder.is_dir():
         raise CalibrationError(f"{folder}: is a file; name the folder that `spheremouse calibrate init` made")
@@ -147,10 +149,11 @@ def _opened(
     source: str | None, configured: "Configuration", folder: Path, place: Path, screen: "Screen"
 ) -> Iterator["Source"]:
     """The camera, in the mode of the photos there are."""
+    from spheremouse.capture import full_spec
     from spheremouse.capture.usual import in_size, usual_camera
     from spheremouse.session.cameras import looked_through, node_of_source
 
-    spec = source or configured.source or usual_camera()
+    spec = full_spec(source or configured.source or usual_camera())
     kind, _, argument = spec.partition(":")
     size = _size_there(place, folder / "camera.yaml") or configured.camera.size
     if kind == "v4l2" and size is None and "width=" not in spec:

@@ -68,6 +68,7 @@ def rolling(
     """
     from spheremouse.calibrate.lengths import parse_length
     from spheremouse.calibrate.rolling.lengths import Lengths
+    from spheremouse.capture import full_spec
 
     lengths = [None if text is None else parse_length(text) for text in (radius, circumference, disc_radius)]
     if radius is not None and circumference is not None:
@@ -76,7 +77,7 @@ def rolling(
         raise ConfigurationError("--forward and --right: give both, or none")
     ball = lengths[0] if lengths[1] is None else lengths[1] / 6.283185307179586
     given = _Given(
-        source,
+        full_spec(source),
         camera,
         device,
         rig,

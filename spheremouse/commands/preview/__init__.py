@@ -55,6 +55,7 @@ def preview(
     No rig and no calibration are needed: use it to place the camera, to focus it and to light the ball. Says how sharp
     and how bright the picture is. The whole picture is kept, with whoever is in it.
     """
+    from spheremouse.capture import full_spec
     from spheremouse.capture.usual import usual_camera
     from spheremouse.commands.preview.show import Wanted, film, pictures
 
@@ -62,7 +63,7 @@ def preview(
         raise ConfigurationError(
             f"--every: goes with a picture, {out} is none; end its name in .png, or leave --every out"
         )
-    wanted = Wanted(source or usual_camera(), out, at, rig, config, tuple(assignments or ()), as_json)
+    wanted = Wanted(full_spec(source or usual_camera()), out, at, rig, config, tuple(assignments or ()), as_json)
     if out.suffix.lower() in _PICTURES:
         pictures(wanted, every)
     else:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from spheremouse.errors import DatasetError
+from spheremouse.errors import DatasetError, has_control_characters
 from spheremouse.files import plain_json
 from spheremouse.files.films import film_images, film_size, open_film
 from spheremouse.files.pictures import FRAME_PIXELS, decoded, px, read_header
@@ -89,8 +89,19 @@ def read_json(path: Path) -> Any:
         raise DatasetError(f"{path}{line}: not valid JSON ({plain_json.said(e)})") from None
 
 
+def _has_plain_texts(content: Any) -> bool:
+    """Can every text in plain data be printed without steering the terminal?"""
+    if isinstance(content, dict):
+        return all(_has_plain_texts(key) and _has_plain_texts(value) for key, value in content.items())
+    if isinstance(content, list):
+        return all(map(_has_plain_texts, content))
+    return not isinstance(content, str) or not has_control_characters(content)
+
+
 def described(path: Path, content: Any, kind: type[Scene]) -> Scene:
     """The content of scene.json as a description of that kind; DatasetError says which key is wrong."""
+    if isinstance(content, dict) and not _has_plain_texts(content):
+        raise DatasetError(f"{path}: has text with a control character; write it in letters, digits and signs")
     try:
         # Through JSON once more, so that lists count as tuples while "640" still does not count as a number.
         return kind.model_validate_json(json.dumps(content))

@@ -26,7 +26,10 @@ class Configuration(Settings):
         None, "-", "where frames come from, as --source: v4l2:/dev/v4l/by-id/... or opencv:INDEX for live cameras"
     )
     output: str | None = param(
-        None, "-", "where motion goes, as --output: auto, uinput, serial:auto, desktop, text:FILE"
+        None,
+        "-",
+        "where motion goes, as --output: auto, uinput, serial:auto, desktop, text:FILE; null: nowhere",
+        null="null",
     )
     rig: str | None = param(None, "-", "rig file, the device as calibrated; relative to this file's folder")
     camera_file: str | None = param(None, "-", "camera file in place of the rig's interior orientation; likewise")

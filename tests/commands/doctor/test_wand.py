@@ -73,9 +73,10 @@ def test_balls_may_be_named_on_the_command_line(spheremouse, hand, tmp_path, mon
     file.write_text("schema: 2\ntracker: wand\nwand: {balls: [none.yaml]}\n")
     monkeypatch.chdir(tmp_path)
     words = ("--tracker", "wand", "--source", f"dataset:{hand}", "--json", "--config", file)
-    code, out, err = spheremouse("doctor", *words, "--ball", "my ball.yaml", "--ball", "my ball.yaml")
+    save_wand(tmp_path / "hers.yaml", replace(grzonka_ball(), name="hers"))
+    code, out, err = spheremouse("doctor", *words, "--ball", "my ball.yaml", "--ball", "hers.yaml")
     found = {f["name"]: f for f in json.loads(out)["checks"]}
-    assert found["ball"]["text"] == "mine 1, 100 mm across, 8 discs; mine 2, 100 mm across, 8 discs", err
+    assert found["ball"]["text"] == "mine, 100 mm across, 8 discs; hers, 100 mm across, 8 discs", err
     code, _, err = spheremouse("doctor", "--ball", "my ball.yaml")
     assert (code, err) == (2, "spheremouse: --ball: goes with --tracker wand; add that, or leave it out\n")
 

@@ -1,6 +1,7 @@
 """`evaluate` of wands as a user meets it: balls that look alike, balls that are not there, recordings without truth."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -59,11 +60,13 @@ def test_a_ball_that_is_never_found_is_a_line_with_the_reason(spheremouse, two, 
     assert err.count(said) == 1
     assert "no ball like grzonka in view: hold it into the picture" in err.split(said)[1]
     one = film(tmp_path / "one", seconds=0.2)
-    found, out, err = figures(spheremouse, one, "--ball", ball, "--ball", ball)
+    second = tmp_path / "second.yaml"
+    save_wand(second, replace(grzonka_ball(), name="second"))
+    found, out, err = figures(spheremouse, one, "--ball", ball, "--ball", second)
     assert [f["tracked"] for f in found] == [6, 0]
     assert [f["lost_runs"] for f in found] == [0, None]  # there is no truth of a second one
-    assert f"{one}: grzonka 2 was never found: " in err
-    assert "grzonka 1 was never found" not in err
+    assert f"{one}: second was never found: " in err
+    assert "grzonka was never found" not in err
     (one / "truth.csv").unlink()
     found, out, err = figures(spheremouse, one)
     assert "one" in out

@@ -258,6 +258,14 @@ def test_a_wrong_key_is_named(folder, key, value):
     assert one_line(e, "scene.json", key)
 
 
+def test_a_name_that_could_steer_a_terminal_is_refused(folder):
+    scene = json.loads((folder / "scene.json").read_text())
+    (folder / "scene.json").write_text(json.dumps(scene | {"name": "\x1b[31mred"}))
+    with pytest.raises(DatasetError, match=r"scene\.json: has text with a control character") as e:
+        open_dataset(folder)
+    assert str(e.value).isprintable()
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"width": 1e999}', "\xff"], ids=repr)
 def test_a_scene_that_is_none(folder, text):
     (folder / "scene.json").write_bytes(text.encode("latin-1"))
