@@ -16,7 +16,7 @@ SHORT_TESTS := $(patsubst %,tests/%.py,test_imports files/test_config geometry/t
     tests/commands/doctor/test_doctor.py::test_a_source_that_gives_no_frame_is_an_error_that_says_so \
     tests/commands/test_run.py::test_the_demo_writes_what_it_names_and_its_counts_are_the_true_ones
 # Optional parts that a cabinet may have.
-CABINET := metrics lab
+CABINET := metrics
 # What there are no wheels of.
 SOURCES := cobs evdev sdnotify
 TEST_ARGS ?=
@@ -47,7 +47,7 @@ help:
 	@echo "make docs         the documentation as a site in docs/_build/html; its examples are run"
 	@echo "make picture      the picture of the README, made anew from the demo"
 	@echo "make dist         a release in dist: sdist, wheel, site, man page, and a folder of all wheels for a machine without network"
-	@echo "make experiments  docs/experiments.md anew (an hour); EXPERIMENTS_ARGS='--datasets DIR' adds the recordings"
+	@echo "make experiments  the experiments of the theses, into build/experiments (an hour); EXPERIMENTS_ARGS='--datasets DIR'"
 	@echo "make system-test  tests on real kernel devices, in a QEMU guest"
 	@echo "make soak         hours of tracking; SOAK_ARGS=... chooses how long"
 	@echo "make fuzz         broken input of every kind; FUZZ_ARGS=... chooses how much"
@@ -72,7 +72,7 @@ test-newest: OTHER := --python $(BIN)/python
 test-newest: RESOLUTION := highest
 test-oldest test-newest: $(STAMP)
 	$(BIN)/uv venv --quiet --clear --no-python-downloads $(OTHER) $(VENV)/$@
-	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[metrics,lab]'
+	$(BIN)/uv pip install --quiet --python $(VENV)/$@ --resolution $(RESOLUTION) --editable '.[metrics]'
 	$(BIN)/uv pip install --quiet --python $(VENV)/$@ pytest pytest-xdist hypothesis packaging
 	NUMBA_CACHE_DIR=$(VENV)/$@/numba $(VENV)/$@/bin/python -m pytest --numprocesses $(PROCESSES) --dist loadfile --max-worker-restart 0 $(SHORT_TESTS)
 
@@ -123,7 +123,7 @@ dist: docs
 	@cd dist && ls -sh
 
 experiments: $(STAMP)
-	$(BIN)/spheremouse experiments --out docs $(EXPERIMENTS_ARGS)
+	$(BIN)/python docs/experiments --out build/experiments $(EXPERIMENTS_ARGS)
 
 system-test: $(STAMP)
 	@test -x tests/system/run || { echo "make: tests/system/run does not exist: no system test yet" >&2; exit 2; }

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from spheremouse.experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
 from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import log
 

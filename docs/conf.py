@@ -18,7 +18,7 @@ import reference  # noqa: E402
 project = "spheremouse"
 release = importlib.metadata.version("spheremouse")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.doctest", "sphinx.ext.viewcode"]
-exclude_patterns = ["_build", "figures.md"]  # figures.md is included by accuracy
+exclude_patterns = ["_build", "figures.md", "experiments"]  # figures.md is included by accuracy
 source_suffix = {".md": "markdown"}
 myst_enable_extensions = ["deflist", "colon_fence"]
 myst_heading_anchors = 3

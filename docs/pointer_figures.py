@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from experiments.report.plot import Drawing, save
 
 from spheremouse.ball.build import build
 from spheremouse.ball.settings import Settings
-from spheremouse.experiments.report.plot import Drawing, save
 from spheremouse.files.atomic import write_atomically
 from spheremouse.geometry.rotation import Array
 from spheremouse.output.counts import Counter, MotionSettings

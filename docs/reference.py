@@ -22,7 +22,7 @@ COMPLETIONS = {
     "fish": "fish/vendor_completions.d/spheremouse.fish",
 }
 # The program's shell is not in the module reference, which is for those who call the core.
-_OUTER = {"__main__", "commands", "experiments", "session", "capture", "files"}
+_OUTER = {"__main__", "commands", "session", "capture", "files"}
 _MADE = "<!-- Made by `make reference`. -->\n"
 
 

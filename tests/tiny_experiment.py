@@ -4,9 +4,9 @@ import os
 import time
 from pathlib import Path
 
-from spheremouse.experiments.kit.job import Job
-from spheremouse.experiments.report.page import Page, fixed, table
-from spheremouse.experiments.report.plot import Drawing
+from experiments.kit.job import Job
+from experiments.report.page import Page, fixed, table
+from experiments.report.plot import Drawing
 
 
 def square(n, made):

@@ -1,7 +1,11 @@
-"""`spheremouse experiments`: repeat the experiments of the theses, and those that they left open, on all cores."""
+"""Repeat the experiments of the theses, and those that they left open, on all cores.
+
+python docs/experiments NAME --quick --out DIR
+"""
 
 import os
 import re
+import sys
 from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
@@ -11,11 +15,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from spheremouse.commands.terminal import progress_bar
-from spheremouse.errors import ConfigurationError
-from spheremouse.experiments import NAMES
+from spheremouse.errors import ConfigurationError, SpheremouseError
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # a folder that is run finds its own modules alone
+
+from experiments import NAMES
 
 if TYPE_CHECKING:
-    from spheremouse.experiments.kit.job import Job, Result
+    from experiments.kit.job import Job, Result
 
 _FIGURES = re.compile(r"^```\{figure\}.*?^```$\n", re.MULTILINE | re.DOTALL)
 
@@ -45,23 +52,23 @@ def experiments(
     from rich.console import Console
     from rich.markdown import Markdown
 
-    from spheremouse.experiments.kit.job import Request
-    from spheremouse.experiments.report.page import numbers_of, said, write_report
+    from experiments.kit.job import Request
+    from experiments.report.page import numbers_of, said, write_report
 
     chosen = _chosen(names)
     _check(cores, datasets)
     folder = _made(out)
     request = Request(quick, None if datasets is None else datasets.resolve())
-    modules = {name: import_module(f"spheremouse.experiments.{name}") for name in chosen}
+    modules = {name: import_module(f"experiments.{name}") for name in chosen}
     jobs = {name: module.jobs(request) for name, module in modules.items()}
     results = _worked(jobs, folder, cores or os.cpu_count() or 1, again)
-    reports = {name: import_module(f"spheremouse.experiments.report.{name}") for name in chosen}
+    reports = {name: import_module(f"experiments.report.{name}") for name in chosen}
     sections = {name: said(name, report.page, results[name]) for name, report in reports.items()}
     numbers = {name: numbers_of(report, results[name]) for name, report in reports.items()}
     console = Console(highlight=False)
     for section in sections.values():
         console.print(Markdown(_FIGURES.sub("", section.text)))
-    words = ["spheremouse experiments", *(names or ()), *(["--quick"] if quick else [])]
+    words = ["python docs/experiments", *(names or ()), *(["--quick"] if quick else [])]
     written = write_report(
         out, sections, numbers, " ".join([*words, *(["--datasets DIR"] if datasets else []), "--out DIR"])
     )
@@ -89,7 +96,7 @@ def _check(cores: int | None, datasets: Path | None) -> None:
     if datasets is not None and not datasets.is_dir():
         raise ConfigurationError(f"--datasets: {datasets}: no such folder")
     if find_spec("pandas") is None:
-        raise ConfigurationError("experiments need pandas: pip install 'spheremouse[lab]'")
+        raise ConfigurationError("the experiments need pandas: pip install pandas, or use make experiments")
 
 
 def _made(out: Path) -> Path:
@@ -104,10 +111,19 @@ def _made(out: Path) -> Path:
 
 def _worked(jobs: "dict[str, list[Job]]", folder: Path, cores: int, again: bool) -> "dict[str, dict[str, Result]]":
     """All jobs in one queue; results by experiment and key."""
-    from spheremouse.experiments.kit.run import work_all
+    from experiments.kit.run import work_all
 
     wanted = [replace(job, key=f"{name}/{job.key}") for name, of in jobs.items() for job in of]
     with progress_bar() as bar:
         task = bar.add_task("experiments", total=len(wanted))
         found = work_all(wanted, folder, cores, again, lambda job: bar.update(task, advance=1, description=job.key))
     return {name: {job.key: found[f"{name}/{job.key}"] for job in of} for name, of in jobs.items()}
+
+
+if __name__ == "__main__":
+    app = typer.Typer(add_completion=False)
+    app.command()(experiments)
+    try:
+        app()
+    except SpheremouseError as e:
+        sys.exit(f"experiments: {e}")

@@ -5,11 +5,11 @@ Wittich 2017, section 4.7, table 20: 26, 50 and 74 discs (sets S1, S2, S3); here
 
 import numpy as np
 
+from experiments.kit import sights
+from experiments.kit.film import TRACKERS, bound_rms, film_of, options_of, settings_of, tracked
+from experiments.kit.job import Job, Request, Result
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.metrics import Run, run_bound
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.film import TRACKERS, bound_rms, film_of, options_of, settings_of, tracked
-from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.simulate.ball.film import prepare
 
 COUNTS = (6, 10, 16, 26, 36, 50, 74, 100)

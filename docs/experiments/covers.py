@@ -6,12 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from spheremouse.ball.detect.detections import Detections
-from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.ball.track import advance, step
-from spheremouse.experiments.kit.film import TRACKERS
-from spheremouse.experiments.kit.job import Result
-from spheremouse.experiments.kit.world import (
+from experiments.kit.film import TRACKERS
+from experiments.kit.job import Result
+from experiments.kit.world import (
     DISCS,
     NOISE,
     WHO,
@@ -25,6 +22,9 @@ from spheremouse.experiments.kit.world import (
     tracker_for,
     world,
 )
+from spheremouse.ball.detect.detections import Detections
+from spheremouse.ball.state import Tracker, TrackState
+from spheremouse.ball.track import advance, step
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Renderer, RenderOptions

@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from experiments.kit import film as kit
+from experiments.kit import sights
+from experiments.kit.job import Job, Request, Result
 from spheremouse.ball.truth import VISIBLE
 from spheremouse.calibrate.layout import search as layout
 from spheremouse.errors import PoseError
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.geometry.rotation import Array, exp
 from spheremouse.simulate.ball.film import HandVisit, Simulation, prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures

@@ -9,12 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from spheremouse.ball.truth import Truth
-from spheremouse.evaluate.metrics import Run, surface_speeds
-from spheremouse.evaluate.trackball.lag import travel
-from spheremouse.evaluate.trackball.match import match, turning
-from spheremouse.experiments.kit import r1, sights
-from spheremouse.experiments.kit.film import (
+from experiments.kit import r1, sights
+from experiments.kit.film import (
     TRACKERS,
     Film,
     film_from_dataset,
@@ -23,7 +19,11 @@ from spheremouse.experiments.kit.film import (
     settings_of,
     tracked,
 )
-from spheremouse.experiments.kit.job import Job, Request, Result
+from experiments.kit.job import Job, Request, Result
+from spheremouse.ball.truth import Truth
+from spheremouse.evaluate.metrics import Run, surface_speeds
+from spheremouse.evaluate.trackball.lag import travel
+from spheremouse.evaluate.trackball.match import match, turning
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import prepare

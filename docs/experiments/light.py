@@ -12,10 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from spheremouse.errors import PoseError
-from spheremouse.evaluate.metrics import Run, attitude_error, run_bound
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.film import (
+from experiments.kit import sights
+from experiments.kit.film import (
     TRACKERS,
     Film,
     bound_rms,
@@ -25,7 +23,9 @@ from spheremouse.experiments.kit.film import (
     settings_of,
     tracked,
 )
-from spheremouse.experiments.kit.job import Job, Request, Result
+from experiments.kit.job import Job, Request, Result
+from spheremouse.errors import PoseError
+from spheremouse.evaluate.metrics import Run, attitude_error, run_bound
 from spheremouse.geometry.rotation import Array, to_euler
 from spheremouse.simulate.ball.degrade import degraded
 from spheremouse.simulate.ball.film import prepare

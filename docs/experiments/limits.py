@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spheremouse.ball.state import Tracker, TrackState
-from spheremouse.experiments.covers import (
+from experiments.covers import (
     COUNTS,
     COVERS,
     FILMED,
@@ -21,9 +20,9 @@ from spheremouse.experiments.covers import (
     found_again,
     shown,
 )
-from spheremouse.experiments.kit.film import TRACKERS
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.world import (
+from experiments.kit.film import TRACKERS
+from experiments.kit.job import Job, Request, Result
+from experiments.kit.world import (
     DISCS,
     HOLD,
     RATES,
@@ -37,6 +36,7 @@ from spheremouse.experiments.kit.world import (
     tracker_for,
     world,
 )
+from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.profile import Profile
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from experiments.kit import film as kit
+from experiments.kit import sights
+from experiments.kit.job import Job, Request, Result
+from experiments.kit.tour import SHARE, brief, filmed, least, moved, suited
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.metrics import Run, surface_travel
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.tour import SHARE, brief, filmed, least, moved, suited
 from spheremouse.geometry.conics import project_sphere
 from spheremouse.geometry.rotation import Array, log
 

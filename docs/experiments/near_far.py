@@ -8,10 +8,10 @@ from itertools import product
 
 import numpy as np
 
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.thesis import THESIS_TABLES
+from experiments.kit import film as kit
+from experiments.kit import sights
+from experiments.kit.job import Job, Request, Result
+from experiments.kit.thesis import THESIS_TABLES
 from spheremouse.geometry.rotation import exp
 from spheremouse.session.offline import initialise
 from spheremouse.simulate.ball.film import View, prepare

@@ -7,10 +7,10 @@ like S1, compared with the truth. `so3` has neither parameter: a line beside the
 from pathlib import Path
 from typing import Any
 
+from experiments.kit import r1, sights
+from experiments.kit.film import Film, bound, film_from_dataset, film_of, options_of, settings_of, tracked
+from experiments.kit.job import Job, Request, Result
 from spheremouse.evaluate.metrics import Run
-from spheremouse.experiments.kit import r1, sights
-from spheremouse.experiments.kit.film import Film, bound, film_from_dataset, film_of, options_of, settings_of, tracked
-from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.simulate.ball.film import prepare
 
 SIGMA_W = (0.001, 0.01, 0.1, 1.0)  # rad/s², those of the thesis

@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.kit import film as kit
+from experiments.kit.job import Job, Request, Result
 from spheremouse.ball.detect.appearance import appearance
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.truth import VISIBLE, Truth
 from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import posterior_bound
 from spheremouse.evaluate.centres import MATCH, Sight, distances
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.geometry.camera import project
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, tangent_basis

@@ -9,13 +9,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from experiments.kit.film import settings_of
+from experiments.kit.job import Job, Request, Result
+from experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance, step
 from spheremouse.evaluate.trackball.lag import Turning, search, travel
-from spheremouse.experiments.kit.film import settings_of
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.world import DISCS, NOISE, RATES, World, known_ball, world
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.output.counts import Counter, MotionSettings, Remainder, to_counts

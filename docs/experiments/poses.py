@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from experiments.kit import film as kit
+from experiments.kit.job import Job, Request, Result
+from experiments.kit.thesis import calibrated_rig
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.pose import PoseSettings, Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import Rig
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.thesis import calibrated_rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import euler_rate_matrix, exp, log, to_euler
 from spheremouse.simulate.ball.degrade import degraded

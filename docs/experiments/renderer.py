@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.kit import film as kit
+from experiments.kit.job import Job, Request, Result
 from spheremouse.ball.detect.appearance import Appearance, appearance
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import disc_detector
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import VISIBLE, DiscTruth, Truth
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball.film import Renderer, RenderOptions, Scene, default_scene

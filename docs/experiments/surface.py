@@ -10,6 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.kit import film as kit
+from experiments.kit.job import Job, Request, Result
+from experiments.kit.thesis import THESIS_TABLES, calibrated_rig
 from spheremouse.ball.detect.appearance import seen_at
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.detect.discs import disc_detector
@@ -17,9 +20,6 @@ from spheremouse.ball.points import SpherePoints, intersect
 from spheremouse.ball.pose import PoseSettings, Sighting, predict_targets, resect
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import VISIBLE
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.thesis import THESIS_TABLES, calibrated_rig
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.matching import assign
 from spheremouse.geometry.rotation import Array, euler_rate_matrix, tangent_basis, to_euler

@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.kit import film as kit
+from experiments.kit.job import Job, Request, Result
 from spheremouse.ball.detect.rings import TargetDetections, detect_targets
 from spheremouse.ball.pose import Sighting, gather, predict_targets, resect
 from spheremouse.ball.rig import CODES, Rig, Targets
 from spheremouse.errors import PoseError
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Job, Request, Result
 from spheremouse.geometry.camera import Pose, project
 from spheremouse.geometry.rotation import Array, exp, log
 from spheremouse.simulate.ball.backdrop import render_backdrop

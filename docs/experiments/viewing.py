@@ -7,12 +7,10 @@ the other; each film has other places of the discs and another order of the axes
 from dataclasses import dataclass, replace
 from typing import Any
 
-from spheremouse.ball.rig import UNKNOWN_READOUT
-from spheremouse.errors import PoseError
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.job import Job, Request, Result
-from spheremouse.experiments.kit.tour import (
+from experiments.kit import film as kit
+from experiments.kit import sights
+from experiments.kit.job import Job, Request, Result
+from experiments.kit.tour import (
     CLASSIC,
     ESTIMATED,
     IGNORED,
@@ -23,6 +21,8 @@ from spheremouse.experiments.kit.tour import (
     followed,
     thinned,
 )
+from spheremouse.ball.rig import UNKNOWN_READOUT
+from spheremouse.errors import PoseError
 
 FASTEST = 240  # frames per second, of the film from which the slower ones are taken
 

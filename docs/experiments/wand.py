@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from spheremouse.experiments import wand_films as wand
-from spheremouse.experiments.kit.job import Job, Request, Result
+from experiments import wand_films as wand
+from experiments.kit.job import Job, Request, Result
 
 SPEEDS = "speeds"
 

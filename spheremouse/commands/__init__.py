@@ -37,7 +37,6 @@ _COMMANDS = {
     "ctl": ("ctl", "app", "Exit codes: 0 done, 1 the daemon refuses, 2 wrong usage, 3 no daemon."),
     "service": ("service", "app", "Example: sudo spheremouse service install"),
     "wand": ("wand", "app", "Example: spheremouse wand simulate demo/drive --seed 1"),
-    "experiments": ("experiments", "experiments", "Example: spheremouse experiments wand --quick --out out"),
     "config": ("config", "app", "Example: spheremouse config init spheremouse.yaml"),
     "axes": ("axes", "axes", "Example: spheremouse axes --config cabinet/config.yaml"),
     "calibrate": ("calibrate", "app", "Begin with: spheremouse calibrate next"),

@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 import typer
+from experiments import wand_films as wand_experiments
+from experiments.report.wand_rows import Row, rows, verdicts
+from experiments.wand_films import Film, Job, Variant, films, jobs
 from typer.testing import CliRunner
 
 from spheremouse.commands import wand as cli_wand
 from spheremouse.commands.evaluate import evaluate
 from spheremouse.errors import ConfigurationError, SpheremouseError
 from spheremouse.evaluate.wand import errors
-from spheremouse.experiments import wand_films as wand_experiments
-from spheremouse.experiments.report.wand_rows import Row, rows, verdicts
-from spheremouse.experiments.wand_films import Film, Job, Variant, films, jobs
 from spheremouse.files.wand import load_wand, save_wand
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand, simulate_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball, led_ball

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiments.wand_films import kept_of
 from scipy.stats import chi2
 
 from spheremouse.evaluate.wand import WandRun, alike, errors, followed, found_from, is_lost, off, wand_report
-from spheremouse.experiments.wand_films import kept_of
 from spheremouse.geometry.rotation import exp
 from spheremouse.simulate.wand.film import WandOptions, prepare_wand
 from spheremouse.wand.ball import contrast_ball, grzonka_ball

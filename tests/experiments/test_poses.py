@@ -4,15 +4,15 @@ import json
 
 import numpy as np
 import pytest
+from experiments import poses
+from experiments.kit import thesis
+from experiments.kit.job import Request
+from experiments.report.page import said
+from experiments.report.plot import save
+from experiments.report.poses import page
 from scipy.stats import chi2
 
 from spheremouse.ball.pose import Sighting, predict_targets
-from spheremouse.experiments import poses
-from spheremouse.experiments.kit import thesis
-from spheremouse.experiments.kit.job import Request
-from spheremouse.experiments.report.page import said
-from spheremouse.experiments.report.plot import save
-from spheremouse.experiments.report.poses import page
 from spheremouse.geometry.camera import Pose
 from spheremouse.geometry.rotation import from_euler, to_euler
 from spheremouse.simulate.ball.scene import default_scene
@@ -173,7 +173,7 @@ def test_what_more_views_bring_is_beside_what_noise_alone_would_give(tmp_path):
         ["", "from noise alone, were views independent", f"{alone:.2f}", f"{alone / 10.0:.2f}"],
         ["near", "targets exact", "–", "–"],
     ]
-    assert all(path.stat().st_size > 5000 for path in save(found.drawings[0], tmp_path))
+    assert save(found.drawings[0], tmp_path).stat().st_size > 5000
 
 
 def doubted(results, sentence):
@@ -207,4 +207,4 @@ def test_any_part_of_a_run_is_a_page(results, tmp_path):
     for key, result in results.items():
         alone = said("poses", page, {key: result})
         assert len(alone.drawings) == (key != "drawn-far")
-        assert all(path.stat().st_size > 5000 for drawing in alone.drawings for path in save(drawing, tmp_path))
+        assert all(save(drawing, tmp_path).stat().st_size > 5000 for drawing in alone.drawings)

@@ -5,18 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiments import viewing
+from experiments.kit import film as kit
+from experiments.kit import sights
+from experiments.kit import tour as tour_module
+from experiments.kit.job import Request
+from experiments.kit.tour import thinned, tour
+from experiments.report.page import said
+from experiments.report.plot import save
+from experiments.report.viewing import page
+from experiments.viewing import KINDS, jobs
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.experiments import viewing
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit import tour as tour_module
-from spheremouse.experiments.kit.job import Request
-from spheremouse.experiments.kit.tour import thinned, tour
-from spheremouse.experiments.report.page import said
-from spheremouse.experiments.report.plot import save
-from spheremouse.experiments.report.viewing import page
-from spheremouse.experiments.viewing import KINDS, jobs
 from spheremouse.geometry.rotation import log
 
 QUICK, WHOLE = Request(True, None), Request(False, None)
@@ -231,7 +231,7 @@ def test_claims_are_marked_where_the_films_contradict_them():
 def test_any_part_of_a_run_is_a_page(tmp_path):
     for key, result in results().items():
         found = said("viewing", page, {key: result})
-        assert all(path.stat().st_size > 5000 for drawing in found.drawings for path in save(drawing, tmp_path))
+        assert all(save(drawing, tmp_path).stat().st_size > 5000 for drawing in found.drawings)
     failed = {job.key: {"error": "no film"} for job in jobs(QUICK)}
     assert said("viewing", page, failed).text.count("no film") == len(failed)
 
@@ -242,7 +242,7 @@ def test_a_figure_is_drawn_where_a_filter_or_the_bound_has_no_value(tmp_path):
     broken["bound"] = None
     found = said("viewing", page, {**results(), "blur-16-1": broken})
     blur = next(drawing for drawing in found.drawings if drawing.name == "viewing-blur")
-    assert all(path.stat().st_size > 5000 for path in save(blur, tmp_path))
+    assert save(blur, tmp_path).stat().st_size > 5000
     table = rows(found.text, "**Motion blur: median of the combined RMSE**")
     assert table[4:8:3] == [["16", "`ekf1`", "lost", "lost", "1 of 1"], ["", "bound", "–", "–", ""]]
 

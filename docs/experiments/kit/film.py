@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.kit.job import Result
 from spheremouse.ball.build import build
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.settings import Settings
@@ -15,7 +16,6 @@ from spheremouse.errors import PoseError
 from spheremouse.evaluate.bound import Bound
 from spheremouse.evaluate.history import History
 from spheremouse.evaluate.metrics import Reference, Run, per_axis, report, run_bound
-from spheremouse.experiments.kit.job import Result
 from spheremouse.files import config
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.geometry.camera import Pose

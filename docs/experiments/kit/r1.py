@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from experiments.kit.film import Film, film_of, options_of
 from spheremouse.ball.truth import Truth
 from spheremouse.evaluate.metrics import Run, pearson, surface_travel
 from spheremouse.evaluate.trackball.lag import travel
-from spheremouse.experiments.kit.film import Film, film_of, options_of
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import Array, log
 from spheremouse.simulate.ball.film import prepare

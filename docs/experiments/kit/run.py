@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import spheremouse
-from spheremouse.experiments.kit.job import Job, Result
+from experiments.kit.job import Job, Result
 from spheremouse.files import plain_json
 from spheremouse.files.atomic import write_atomically
 from spheremouse.files.safe_open import read_text
@@ -28,7 +28,6 @@ _WAND = "wand/"  # how keys of its jobs begin
 _SHELL = (
     "capture",
     "commands",
-    "experiments/report",
     "output/serial",
     "session/control",
     "session/process",
@@ -42,9 +41,10 @@ def program(wand: bool = False) -> str:
 
     That of the hand-held ball, which nothing else knows of, belongs to its own experiment alone.
     """
-    root = Path(spheremouse.__file__).parent
+    root, ours = Path(spheremouse.__file__).parent, Path(__file__).parents[1]
     files = [p for p in sorted(root.rglob("*.py")) if not p.relative_to(root).as_posix().startswith(_SHELL)]
-    kept = [p for p in files if wand or "wand" not in str(p.relative_to(root))]
+    files += [p for p in sorted(ours.rglob("*.py")) if p.parent.name != "report"]
+    kept = [p for p in files if wand or "wand" not in f"{p.parent.name}/{p.name}"]
     return hashlib.sha256(b"".join(p.read_bytes() for p in kept)).hexdigest()[:16]
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from experiments.kit.film import Film
+from experiments.kit.job import Result
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
@@ -29,8 +31,6 @@ from spheremouse.evaluate.metrics import (
     per_axis,
     surface_speeds,
 )
-from spheremouse.experiments.kit.film import Film
-from spheremouse.experiments.kit.job import Result
 from spheremouse.geometry.camera import Pose
 from spheremouse.session.offline import initialise
 

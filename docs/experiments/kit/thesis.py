@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.ball.rig import Rig
-from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.geometry.camera import InteriorOrientation
 
 # Correlations row by row below the diagonal, standard deviations and errors (mm, deg), as printed.

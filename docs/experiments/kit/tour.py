@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from experiments.kit import film as kit
+from experiments.kit import sights
+from experiments.kit.job import Result
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.truth import DiscTruth, Truth
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.job import Result
 from spheremouse.simulate.ball.film import prepare
 from spheremouse.simulate.ball.profile import Gesture, Gestures
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.kit.film import TRACKERS, settings_of
 from spheremouse.ball.build import begin, build
 from spheremouse.ball.detect.detections import Detections
 from spheremouse.ball.rig import Rig
 from spheremouse.ball.state import Tracker, TrackState
 from spheremouse.ball.track import advance
-from spheremouse.experiments.kit.film import TRACKERS, settings_of
 from spheremouse.geometry.camera import project, unproject
 from spheremouse.geometry.rotation import Array, exp, tangent_basis
 from spheremouse.simulate.ball.film import Scene, default_scene

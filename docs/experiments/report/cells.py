@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.kit.tour import ESTIMATED, IGNORED, KNOWN, PUBLISHED
-from spheremouse.experiments.kit.world import (
+from experiments.kit.job import Result, Results
+from experiments.kit.tour import ESTIMATED, IGNORED, KNOWN, PUBLISHED
+from experiments.kit.world import (
     NEW,
     WHO,
 )
-from spheremouse.experiments.report.page import MISSING
-from spheremouse.experiments.report.plot import decades
+from experiments.report.page import MISSING
+from experiments.report.plot import decades
 
 COLOURS = {"ekf1": "C0", "ekf2": "C1", PUBLISHED: "C5", KNOWN: "C2", ESTIMATED: "C3", IGNORED: "C5", "bound": "0.5"}
 MARKS = {"ekf1": "s", "ekf2": "D", PUBLISHED: "d", KNOWN: "o", ESTIMATED: "v", IGNORED: "^"}

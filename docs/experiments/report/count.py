@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.count import ATTITUDE, RATE, STORED
-from spheremouse.experiments.kit.film import TRACKERS
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.report.frames import by, markdown, rms, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
+from experiments.count import ATTITUDE, RATE, STORED
+from experiments.kit.film import TRACKERS
+from experiments.kit.job import Results
+from experiments.report.frames import by, markdown, rms, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
 from spheremouse.simulate.ball.film import SimulationOptions
 
 _WHO = (*TRACKERS, "bound")

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.covers import AFTER, ATTITUDE, COUNTS, COVERED, FPS, GROWS, RATE, STAYS, TURNING
-from spheremouse.experiments.kit.film import TRACKERS
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.kit.world import DISCS
-from spheremouse.experiments.limits import in_degrees
-from spheremouse.experiments.report.cells import (
+from experiments.covers import AFTER, ATTITUDE, COUNTS, COVERED, FPS, GROWS, RATE, STAYS, TURNING
+from experiments.kit.film import TRACKERS
+from experiments.kit.job import Results
+from experiments.kit.world import DISCS
+from experiments.limits import in_degrees
+from experiments.report.cells import (
     BESIDE,
     LOOK,
     banded,
@@ -22,9 +22,9 @@ from spheremouse.experiments.report.cells import (
     spread,
     trials,
 )
-from spheremouse.experiments.report.frames import markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing
+from experiments.report.frames import markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, Drawing
 from spheremouse.files.report.labels import End, label_ends, label_level
 
 _HIDDEN = ["discs", "ball", "sight", "cover", "filter", "hidden"]

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.discs import DISCS, HANDS, LAYOUTS, MISSING, NEARLY, NOISE, SETTLE, SIZES, SURE
+from experiments.kit.film import TRACKERS
+from experiments.kit.job import Results
+from experiments.kit.tour import FAR_OFF, FOLLOWED
+from experiments.report.frames import by, markdown, tidy
+from experiments.report.page import Page, fixed
+from experiments.report.plot import BOUND, Drawing, decades
 from spheremouse.evaluate.metrics import MIN_AREA
-from spheremouse.experiments.discs import DISCS, HANDS, LAYOUTS, MISSING, NEARLY, NOISE, SETTLE, SIZES, SURE
-from spheremouse.experiments.kit.film import TRACKERS
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.kit.tour import FAR_OFF, FOLLOWED
-from spheremouse.experiments.report.frames import by, markdown, tidy
-from spheremouse.experiments.report.page import Page, fixed
-from spheremouse.experiments.report.plot import BOUND, Drawing, decades
 
 _RECOGNISED = 99.0  # % of the pictures: good enough
 _CASES = {"size": [str(mm) for mm in SIZES], "layout": list(LAYOUTS), "hands": list(HANDS)}

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.filters import ENOUGH, PACES, PUBLISHED, THESIS
-from spheremouse.experiments.kit import r1
-from spheremouse.experiments.kit.film import TRACKERS, settings_of
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.report.frames import markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import Drawing
+from experiments.filters import ENOUGH, PACES, PUBLISHED, THESIS
+from experiments.kit import r1
+from experiments.kit.film import TRACKERS, settings_of
+from experiments.kit.job import Result, Results
+from experiments.report.frames import markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import Drawing
 from spheremouse.geometry.rotation import Array
 from spheremouse.simulate.ball import profile
 from spheremouse.simulate.ball.film import SimulationOptions

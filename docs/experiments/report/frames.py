@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.report.page import fixed, table
+from experiments.report.page import fixed, table
 
 
 def tidy(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:

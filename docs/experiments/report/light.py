@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit.film import TRACKERS
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.light import SIGMAS, THESIS_24, WORST, decoded, key_of
-from spheremouse.experiments.report.frames import markdown, rms, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing
+from experiments.kit.film import TRACKERS
+from experiments.kit.job import Result, Results
+from experiments.light import SIGMAS, THESIS_24, WORST, decoded, key_of
+from experiments.report.frames import markdown, rms, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, THESIS, Drawing
 from spheremouse.files.report.labels import label_points
 
 LARGE = ("shown",)  # what the figures are drawn from

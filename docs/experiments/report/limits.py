@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit.film import TRACKERS
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.kit.world import DISCS, HOLD, NEW, NOISE, RATES, WHO, WRONG
-from spheremouse.experiments.limits import (
+from experiments.kit.film import TRACKERS
+from experiments.kit.job import Results
+from experiments.kit.world import DISCS, HOLD, NEW, NOISE, RATES, WHO, WRONG
+from experiments.limits import (
     ACCELERATIONS,
     EXPOSURES,
     FASTEST,
@@ -20,7 +20,7 @@ from spheremouse.experiments.limits import (
     WHOLE,
     in_degrees,
 )
-from spheremouse.experiments.report.cells import (
+from experiments.report.cells import (
     BESIDE,
     LOOK,
     banded,
@@ -31,10 +31,10 @@ from spheremouse.experiments.report.cells import (
     spread,
     trials,
 )
-from spheremouse.experiments.report.covers import finding_again, hiding
-from spheremouse.experiments.report.frames import by, markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing
+from experiments.report.covers import finding_again, hiding
+from experiments.report.frames import by, markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, Drawing
 from spheremouse.files.report.labels import End, label_ends, label_level
 from spheremouse.simulate.ball.film import default_scene
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.kit.tour import FAR_OFF, FOLLOWED
-from spheremouse.experiments.mistakes import (
+from experiments.kit.job import Results
+from experiments.kit.tour import FAR_OFF, FOLLOWED
+from experiments.mistakes import (
     ALONE,
     EVENING,
     FREE,
@@ -21,10 +21,10 @@ from spheremouse.experiments.mistakes import (
     TRACKERS,
     Kind,
 )
-from spheremouse.experiments.report.cells import COLOURS
-from spheremouse.experiments.report.frames import by, markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing, plain_numbers
+from experiments.report.cells import COLOURS
+from experiments.report.frames import by, markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, Drawing, plain_numbers
 from spheremouse.files.report.labels import End, label_ends
 
 _WHO = (*TRACKERS, FREE)

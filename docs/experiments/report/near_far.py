@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.near_far import DISCS, NOISE, THESIS, VARIANTS, VIEWS
-from spheremouse.experiments.report.frames import by, markdown, rms, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing, plain_numbers
+from experiments.kit.job import Result, Results
+from experiments.near_far import DISCS, NOISE, THESIS, VARIANTS, VIEWS
+from experiments.report.frames import by, markdown, rms, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, Drawing, plain_numbers
 
 _QUANTITIES = {"attitude": ("attitude_rmse_deg", "°"), "rate": ("rate_rmse_deg_s", "°/s")}
 _ERRORS = {f"{what} {a}, {unit}": f"{key}.{a}" for what, (key, unit) in _QUANTITIES.items() for a in "xyz"}

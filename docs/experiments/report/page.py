@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from experiments.kit.job import Result, Results
+from experiments.report.plot import Drawing, save
 from spheremouse import __version__
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.report.plot import Drawing, save
 from spheremouse.files.atomic import write_atomically, write_json
 
 MISSING = "–"
@@ -47,7 +47,7 @@ def said(name: str, page: Callable[[Results], Page], results: Results) -> Said:
     drawn, doubts = {drawing.name for drawing in drawings}, 0
 
     def figure(which: str, caption: str) -> str:
-        return "\n".join(_figure(which, caption)) if which in drawn else ""
+        return f"![{caption}](experiments/{which}.svg)" if which in drawn else ""
 
     def shown(claim: Any) -> str:
         nonlocal doubts
@@ -71,7 +71,7 @@ def write_report(out: Path, sections: Mapping[str, Said], numbers: Mapping[str, 
     `sections` and `numbers` by the experiments' names, in their order; `command` is what was typed.
     """
     drawings = [drawing for section in sections.values() for drawing in section.drawings]
-    written = [path for drawing in drawings for path in save(drawing, out / "experiments")]
+    written = [save(drawing, out / "experiments") for drawing in drawings]
     front = _TEMPLATES.get_template("front.md").render(
         command=command, version=__version__, quick="--quick" in command.split(), missing=MISSING
     )
@@ -111,14 +111,6 @@ def failures(results: Mapping[str, Result]) -> list[str]:
     return [f"- {key}: {result['error']}" for key, result in results.items() if "error" in result]
 
 
-def _figure(name: str, caption: str) -> list[str]:
-    """Both forms of it: the page shows the one that suits."""
-    lines: list[str] = []
-    for kind in ("light", "dark"):
-        lines += [f"```{{figure}} experiments/{name}-{kind}.svg", f":class: only-{kind}", "", caption, "```"]
-    return lines
-
-
-_LOADER = PackageLoader("spheremouse.experiments.report", "")
+_LOADER = PackageLoader("experiments.report", "")
 _TEMPLATES = Environment(loader=_LOADER, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
 _TEMPLATES.filters["fixed"] = fixed

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit import r1
-from spheremouse.experiments.kit.film import settings_of
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.parameters import EXACT, SIGMA_B, SIGMA_W, key_of
-from spheremouse.experiments.parameters import THESIS as TYPED
-from spheremouse.experiments.report.frames import by, markdown, tidy
-from spheremouse.experiments.report.page import MISSING, Page
-from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
+from experiments.kit import r1
+from experiments.kit.film import settings_of
+from experiments.kit.job import Results
+from experiments.parameters import EXACT, SIGMA_B, SIGMA_W, key_of
+from experiments.parameters import THESIS as TYPED
+from experiments.report.frames import by, markdown, tidy
+from experiments.report.page import MISSING, Page
+from experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
 from spheremouse.files.report.labels import label_level
 from spheremouse.simulate.ball.film import SimulationOptions
 

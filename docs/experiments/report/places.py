@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.places import DISCS, FAR, FOCAL, LENSES, NEAR_BEST, NOISE, TOP, Place, Size
-from spheremouse.experiments.report.frames import markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing
+from experiments.kit.job import Results
+from experiments.places import DISCS, FAR, FOCAL, LENSES, NEAR_BEST, NOISE, TOP, Place, Size
+from experiments.report.frames import markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, Drawing
 from spheremouse.files.report.labels import label_points
 
 _POSED = 3  # targets that make a pose

@@ -1,4 +1,4 @@
-"""How figures look: quiet axes, colours that colour-blind eyes tell apart, on light pages and on dark ones.
+"""Style of the figures: quiet axes, and colours that colour-blind eyes tell apart.
 
 matplotlib is loaded when something is drawn. The style is that of `files/report`; the colours of curves
 are those of Okabe and Ito (2008), and they differ in their dashes as well.
@@ -25,31 +25,28 @@ _OVER = {
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure that is drawn twice, for light and for dark pages."""
+    """A figure and the function that draws it."""
 
     name: str  # of its file
-    draw: Callable[[Any], None]  # on a matplotlib figure, in the colours of the style in force
+    draw: Callable[[Any], None]  # on a matplotlib figure
     size: tuple[float, float] = (7.2, 3.4)  # inches
 
 
-def save(figure: Drawing, folder: Path) -> list[Path]:
-    """NAME-light.svg and NAME-dark.svg; the same data give the same bytes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for kind in ("light", "dark"):
-        with styled(kind, _OVER):
-            from matplotlib.backends.backend_svg import FigureCanvasSVG
-            from matplotlib.figure import Figure as Canvas
+def save(figure: Drawing, folder: Path) -> Path:
+    """Write NAME.svg into a folder. The same data give the same bytes."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure as Canvas
 
-            canvas = Canvas(figsize=figure.size, layout="constrained")
-            FigureCanvasSVG(canvas)
-            figure.draw(canvas)
-            text = io.StringIO()
-            canvas.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
-        path = folder / f"{figure.name}-{kind}.svg"
-        write_atomically(path, re.sub(r"[ \t]+$", "", text.getvalue(), flags=re.MULTILINE))
-        written.append(path)
-    return written
+    folder.mkdir(parents=True, exist_ok=True)
+    with styled("light", _OVER):
+        canvas = Canvas(figsize=figure.size, layout="constrained")
+        FigureCanvasSVG(canvas)
+        figure.draw(canvas)
+        text = io.StringIO()
+        canvas.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    path = folder / f"{figure.name}.svg"
+    write_atomically(path, re.sub(r"[ \t]+$", "", text.getvalue(), flags=re.MULTILINE))
+    return path
 
 
 def plain_numbers(axis: Any) -> None:

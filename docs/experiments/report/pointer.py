@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.kit.world import DISCS, RATES
-from spheremouse.experiments.pointer import (
+from experiments.kit.job import Result, Results
+from experiments.kit.world import DISCS, RATES
+from experiments.pointer import (
     DEFAULT,
     EXACT,
     FIXED,
@@ -25,10 +25,10 @@ from spheremouse.experiments.pointer import (
     TRACKED,
     latency,
 )
-from spheremouse.experiments.report.cells import banded, plain, rate_axis, spread, trials
-from spheremouse.experiments.report.frames import markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing
+from experiments.report.cells import banded, plain, rate_axis, spread, trials
+from experiments.report.frames import markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, Drawing
 from spheremouse.files.report.labels import End, label_ends, label_level
 from spheremouse.output.pointer import PointerSettings
 

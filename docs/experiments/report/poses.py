@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 from scipy.special import gammaincinv
 
+from experiments.kit.job import Result, Results
+from experiments.kit.thesis import THESIS_TABLES
+from experiments.poses import NAMES, NOISE, STRONG, VIEWS, VIEWS_USED
+from experiments.report.frames import markdown, rms, tidy
+from experiments.report.page import Page, fixed, table
+from experiments.report.plot import BOUND, THESIS, Drawing
 from spheremouse.ball.pose import PoseSettings
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.kit.thesis import THESIS_TABLES
-from spheremouse.experiments.poses import NAMES, NOISE, STRONG, VIEWS, VIEWS_USED
-from spheremouse.experiments.report.frames import markdown, rms, tidy
-from spheremouse.experiments.report.page import Page, fixed, table
-from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing
 from spheremouse.geometry.rotation import Array
 
 LARGE = ("correlation", "entries")  # of the poses, for which the page has the figures

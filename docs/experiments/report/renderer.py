@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.renderer import AREAS, ASKED, GREY, LINEAR, REACH, RINGS, STEP
-from spheremouse.experiments.report.frames import markdown
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
+from experiments.kit.job import Results
+from experiments.renderer import AREAS, ASKED, GREY, LINEAR, REACH, RINGS, STEP
+from experiments.report.frames import markdown
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, THESIS, Drawing, plain_numbers
 
 LARGE = ("rows", "levels", "edges")  # of each disc and edge
 _DISC = ["place", "area", "true u", "true v", "ours u", "ours v", "", "Blender u", "Blender v", "claimed"]

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.report.frames import markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import THESIS, Drawing, plain_numbers
-from spheremouse.experiments.surface import (
+from experiments.kit import film as kit
+from experiments.kit.job import Result, Results
+from experiments.report.frames import markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import THESIS, Drawing, plain_numbers
+from experiments.surface import (
     FIGURE_39,
     LEVELS,
     RADIUS,

@@ -5,13 +5,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from spheremouse.ball.pose import PoseSettings
-from spheremouse.ball.rig import CODES
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.report.frames import by, markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, THESIS, Drawing, decades
-from spheremouse.experiments.targets import (
+from experiments.kit.job import Results
+from experiments.report.frames import by, markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, THESIS, Drawing, decades
+from experiments.targets import (
     ABOUT,
     CONDITIONS,
     FAMILIES,
@@ -26,6 +24,8 @@ from spheremouse.experiments.targets import (
     SURE,
     USUAL,
 )
+from spheremouse.ball.pose import PoseSettings
+from spheremouse.ball.rig import CODES
 
 _VECTORS = {
     "position_mm": "position, mm",

@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.kit import film as kit
+from experiments.kit.job import Results
+from experiments.kit.tour import AXES, FAR_OFF, FOLLOWED, KNOWN, NEAR, NOISE, SHARE, USUAL, is_lost
+from experiments.report.cells import COLOURS, DASHES, MARKS
+from experiments.report.frames import by, markdown, tidy
+from experiments.report.page import Page
+from experiments.report.plot import BOUND, Drawing, plain_numbers
+from experiments.viewing import FASTEST, KINDS, Kind
 from spheremouse.ball.rig import UNKNOWN_READOUT
-from spheremouse.experiments.kit import film as kit
-from spheremouse.experiments.kit.job import Results
-from spheremouse.experiments.kit.tour import AXES, FAR_OFF, FOLLOWED, KNOWN, NEAR, NOISE, SHARE, USUAL, is_lost
-from spheremouse.experiments.report.cells import COLOURS, DASHES, MARKS
-from spheremouse.experiments.report.frames import by, markdown, tidy
-from spheremouse.experiments.report.page import Page
-from spheremouse.experiments.report.plot import BOUND, Drawing, plain_numbers
-from spheremouse.experiments.viewing import FASTEST, KINDS, Kind
 from spheremouse.files.report.labels import End, label_ends
 
 _UNITS = {"attitude": "°", "rate": "°/s"}

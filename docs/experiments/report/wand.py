@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments import wand_films as wand
+from experiments.kit.job import Result, Results
+from experiments.report.frames import markdown
+from experiments.report.page import Page, fixed
+from experiments.report.plot import Drawing, plain_numbers
+from experiments.report.wand_rows import ENOUGH, SOME, Row, rows, verdicts
+from experiments.wand import SPEEDS
 from spheremouse.evaluate.table import axes, shown
 from spheremouse.evaluate.wand import OFF_ANGLE, RECOVERED
-from spheremouse.experiments import wand_films as wand
-from spheremouse.experiments.kit.job import Result, Results
-from spheremouse.experiments.report.frames import markdown
-from spheremouse.experiments.report.page import Page, fixed
-from spheremouse.experiments.report.plot import Drawing, plain_numbers
-from spheremouse.experiments.report.wand_rows import ENOUGH, SOME, Row, rows, verdicts
-from spheremouse.experiments.wand import SPEEDS
 from spheremouse.files.report.labels import label_points
 from spheremouse.geometry.rotation import log
 

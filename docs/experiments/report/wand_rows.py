@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from experiments import wand_films as wand
+from experiments.kit.job import Result, Results
 from spheremouse.evaluate.wand import RECOVERED, errors
-from spheremouse.experiments import wand_films as wand
-from spheremouse.experiments.kit.job import Result, Results
 
 ENOUGH = 20  # runs, to judge 19 or 18 of them
 SOME = 6  # runs, to judge what none may do

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import datasets_dir
+from experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
 from scipy.stats import chi2
 
 from spheremouse.ball.detect.appearance import appearance
@@ -14,7 +15,6 @@ from spheremouse.ball.device import DistanceError
 from spheremouse.calibrate.device.calibrate import calibrate_device
 from spheremouse.calibrate.device.correspond import ball_rig
 from spheremouse.errors import CalibrationError
-from spheremouse.experiments.kit.observations import calibrated, normalised_errors, simulated_calibration
 from spheremouse.files.device import load_device
 from spheremouse.geometry.camera import InteriorOrientation, pose_from_matrix, project
 from spheremouse.geometry.rotation import exp, log

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 import pytest
+from experiments.kit.observations import calibrated, simulated_calibration
 from rich.console import Console
 
 from spheremouse.calibrate.device.advice import advise
@@ -16,7 +17,6 @@ from spheremouse.calibrate.device.report import write_device_report
 from spheremouse.calibrate.device.results import device_json
 from spheremouse.calibrate.photos import read_photos
 from spheremouse.commands.calibrate.device.text import device_text
-from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.geometry.conics import ellipse_to_pixel, project_sphere
 
 PROVENANCE = {"made_by": "spheremouse 9.9, calibrate device", "date": "2026-01-02T03:04:05+00:00", "camera": "c.yaml"}

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import directions
+from experiments.kit.observations import calibrated, simulated_calibration
 from scipy.stats import chi2
 from typer.testing import CliRunner
 
@@ -27,7 +28,6 @@ from spheremouse.calibrate.rolling.start import Spots, start
 from spheremouse.capture import Stream
 from spheremouse.commands.calibrate import app
 from spheremouse.errors import CalibrationError
-from spheremouse.experiments.kit.observations import calibrated, simulated_calibration
 from spheremouse.files.dataset.ball import open_dataset, read_frames
 from spheremouse.files.disc_map import load_map
 from spheremouse.files.rig import load_rig, save_camera, save_rig

@@ -1,8 +1,8 @@
 """What jobs are made of: the bound beside a run is that of its report."""
 
 import pytest
+from experiments.kit.film import bound, bound_rms, film_of, options_of, settings_of, tracked
 
-from spheremouse.experiments.kit.film import bound, bound_rms, film_of, options_of, settings_of, tracked
 from spheremouse.simulate.ball.film import prepare
 
 

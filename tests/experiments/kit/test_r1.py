@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from experiments.kit.r1 import LAG, SCALE, TRACKBALL, Slowed, agreement, of_truth
 from numpy.testing import assert_allclose
 
 from spheremouse.ball.truth import Truth
-from spheremouse.experiments.kit.r1 import LAG, SCALE, TRACKBALL, Slowed, agreement, of_truth
 from spheremouse.files.mouse_log import MouseLog
 from spheremouse.geometry.rotation import log
 from spheremouse.simulate.ball.profile import play

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from experiments.kit import sights
+from experiments.kit.film import film_of, options_of, settings_of, tracked
 from numpy.testing import assert_allclose, assert_array_equal
 
-from spheremouse.experiments.kit import sights
-from spheremouse.experiments.kit.film import film_of, options_of, settings_of, tracked
 from spheremouse.simulate.ball.film import prepare
 
 

@@ -1,10 +1,9 @@
 """The page: its front, what a template gets, and how claims and failures stand in it."""
 
 import pytest
+from experiments.report import page as module
+from experiments.report.page import Page, Said, fixed, said, table, without, write_report
 from jinja2 import DictLoader, UndefinedError
-
-from spheremouse.experiments.report import page as module
-from spheremouse.experiments.report.page import Page, Said, fixed, said, table, without, write_report
 
 SECTION = {"x": Said("## Title\n\nwords\n")}
 
