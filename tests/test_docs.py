@@ -32,14 +32,15 @@ def test_decisions_are_numbered_without_a_gap_and_say_why():
         assert "\n## Rationale\n" in text, path.name
 
 
-def test_the_configuration_page_is_of_the_settings_as_they_are(monkeypatch):
+def test_the_pages_of_settings_have_each_setting_once(monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
-    made = importlib.import_module("configuration_page")
-    page = (DOCS / "configuration.md").read_text(encoding="utf-8")
-    assert page == made.written(page, made.tables()), "python docs/configuration_page.py --write"
-    known = [".".join(key) for key, _ in parameters(Configuration())]
-    tables = page.partition("configuration_page.py --write -->")[2]
-    assert sorted(re.findall(r"^\| `([a-z_0-9.]+)` \|", tables, re.MULTILINE)) == sorted(known)
+    made, listed = importlib.import_module("configuration_page"), []
+    for path, tables in made.PAGES:
+        page = path.read_text(encoding="utf-8")
+        assert page == made.written(page, tables()), "python docs/configuration_page.py --write"
+        text = page.partition("configuration_page.py --write -->")[2]
+        listed += re.findall(r"^\| `([a-z_0-9.]+)` \|", text, re.MULTILINE)
+    assert sorted(listed) == sorted(".".join(key) for key, _ in parameters(Configuration()))
 
 
 def test_the_file_that_the_configuration_page_shows_is_one():

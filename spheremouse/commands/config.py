@@ -1,4 +1,4 @@
-"""`spheremouse config`: show what is in force, check a file, write one to begin with."""
+"""`spheremouse config`: print the settings in force, check a file, write a new one."""
 
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -11,7 +11,7 @@ app = typer.Typer(no_args_is_help=True, help="Show, check or write a configurati
 
 
 def root() -> type[Any]:
-    """The settings of the whole program; imported late, since it brings all of the core."""
+    """Return the class of all settings; imported late, since it loads the whole core."""
     from spheremouse.session.settings import Configuration
 
     return Configuration
@@ -22,7 +22,7 @@ def show(
     file: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="Configuration file.")] = None,
     assignments: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One parameter.")] = None,
 ) -> None:
-    """Print the configuration in force; what differs from the default is marked."""
+    """Print the settings in force, with the default of each one that differs from it."""
     from spheremouse.files import config
 
     try:
@@ -34,10 +34,10 @@ def show(
 
 @app.command()
 def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)]) -> None:
-    """Check a configuration file and what it names: 'FILE: ok', or every problem with its line and exit code 2.
+    """Check a configuration file and the files it names: 'FILE: ok', or every problem with its line and exit code 2.
 
-    Files are read, plug-ins found, slips in sources and outputs told, and the camera is asked for its sizes, which
-    disturbs no run. What may be missing only now, as a camera that is not plugged in, is a warning.
+    The command reads files, finds plug-ins, checks sources and outputs, and reads the camera's sizes. It disturbs no
+    run. A device that is not plugged in is a warning.
     """
     from spheremouse.files import config
     from spheremouse.files.yaml import Problem, read_document
@@ -60,8 +60,9 @@ def check(file: Annotated[Path, typer.Argument(metavar="FILE", show_default=Fals
 def init(
     file: Annotated[Path, typer.Argument(metavar="[FILE]")] = Path("spheremouse.yaml"),
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Write the settings for experts, too.")] = False,
 ) -> None:
-    """Write a configuration file with every parameter, its unit, default and reason."""
+    """Write a configuration file with the settings of daily use, each with meaning, unit, bounds and default."""
     from spheremouse.files import config
     from spheremouse.files.atomic import write_atomically
 
@@ -70,7 +71,7 @@ def init(
             raise ConfigurationError(f"{file}: is a directory; name a file in it")
         if file.exists() and not force:
             raise ConfigurationError(f"{file}: exists already; choose another name, or replace it with --force")
-        write_atomically(file, config.dump_commented(root()()))
+        write_atomically(file, config.dump_commented(root()(), None if everything else getattr(root(), "COMMON", None)))
     except SpheremouseError as e:
         _fail(e)
     typer.echo(f"{file}: written")

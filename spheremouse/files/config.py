@@ -1,7 +1,7 @@
-"""The configuration: one YAML file in, the core's settings out, and back as a commented text.
+"""Read a configuration file into settings, and write settings as YAML.
 
-The schema is not written here: it is built from the settings dataclasses, whose fields (`settings.param`) carry unit,
-meaning and bounds. A file names what differs from the defaults; `override` does the same for one `--set KEY=VALUE`.
+The settings dataclasses are the schema; their fields (`settings.param`) have unit, meaning and bounds. A file holds
+only what differs from the defaults. `override` applies one `--set KEY=VALUE`.
 """
 
 import contextlib
@@ -11,7 +11,7 @@ import re
 import textwrap
 import types
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -33,30 +33,30 @@ from spheremouse.files.yaml import (
 
 S = TypeVar("S")
 
-KIND = "configuration"  # of file
+KIND = "configuration"
 
 _WIDTH = 110
-_JOINED = "\u00a0"  # a space at which a comment is not broken
+_JOINED = "\u00a0"  # a space at which a comment does not wrap
 
 
 def load(path: Path, root: type[S]) -> S:
-    """Settings of a configuration file: `root()` with what the file says in place of the defaults."""
+    """Read a configuration file: `root()` with the values of the file."""
     return loads(read_document(path), root)
 
 
 def loads(document: Document, root: type[S]) -> S:
-    """Settings of a document already read."""
+    """Return the settings of a document."""
     document = without_schema(document, KIND)
     names = [field.name for field in dataclasses.fields(typing.cast(Any, root))]
     strange = [key for key in document.data if key not in names]
-    if len(strange) > max(2, len(document.data) // 2):  # of so many none is a slip
-        what = f"is this a configuration? {', '.join(map(str, strange))} stand in none"
-        raise document.error([Problem((strange[0],), f"{what}; a rig file is named in one, by `rig:`")])
+    if len(strange) > max(2, len(document.data) // 2):  # too many for mistyped keys
+        what = f"is this a configuration? It has no keys {', '.join(map(str, strange))}"
+        raise document.error([Problem((strange[0],), f"{what}; name a rig file in a configuration, by `rig:`")])
     return _applied(document, root())
 
 
 def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
-    """Settings as asked for: the defaults, then the file, then each KEY=VALUE in order."""
+    """Return the settings of a run: the defaults, then the file, then each KEY=VALUE in order."""
     settings = root() if file is None else load(file, root)
     for assignment in assignments:
         settings = override(settings, assignment)
@@ -64,7 +64,7 @@ def in_force(file: Path | None, assignments: Iterable[str], root: type[S]) -> S:
 
 
 def assigned(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...], Any]:
-    """What settings have where each KEY=VALUE put something; by key."""
+    """Return the values of the settings that the assignments name, by key."""
     found: dict[tuple[str, ...], Any] = {}
     for assignment in assignments:
         key, value = tuple(assignment.partition("=")[0].strip().split(".")), settings
@@ -75,9 +75,9 @@ def assigned(settings: Any, assignments: Iterable[str]) -> dict[tuple[str, ...],
 
 
 def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
-    """Settings with one `KEY=VALUE`, as in `so3.acceleration_sigma=0.5`; the value is read as YAML.
+    """Return settings with one `KEY=VALUE`, such as `so3.acceleration_sigma=0.5`; the value is YAML.
 
-    Messages begin with `label`, which says where the assignment stands.
+    Messages begin with `label`, the place of the assignment.
     """
     key, equals, text = assignment.partition("=")
     key = key.strip()
@@ -98,22 +98,23 @@ def override(settings: S, assignment: str, *, label: str = "--set ") -> S:
         data = {part: data}
     try:
         return _applied(Document("", data, {}), settings)
-    except ConfigurationError as e:  # one value has no line
+    except ConfigurationError as e:  # a single value has no line
         raise ConfigurationError("\n".join(label + line.removeprefix(":1: ") for line in str(e).split("\n"))) from None
 
 
-def dump_commented(settings: Any) -> str:
-    """A configuration file with every parameter, its unit, bounds, default and reason; loads back to equal settings."""
-    lines = [
-        "# Configuration of spheremouse. What is left out keeps its default.",
-        f"schema: {SCHEMAS[KIND]}",
-        *_commented(settings, ""),
-    ]
-    return "\n".join(lines) + "\n"
+def dump_commented(settings: Any, keys: Collection[str] | None = None) -> str:
+    """Return a configuration file in which a comment gives meaning, unit, bounds and default of each setting.
+
+    With `keys` it has these settings only, such as "motion.player". Without, it loads back to equal settings.
+    """
+    lines = ["# Configuration of spheremouse. Settings that are left out keep their defaults."]
+    if keys is not None:
+        lines.append("# `spheremouse config init --all FILE` writes the settings for experts too.")
+    return "\n".join([*lines, f"schema: {SCHEMAS[KIND]}", *_commented(settings, (), keys)]) + "\n"
 
 
 def dump(settings: S, default: S) -> str:
-    """The effective configuration without reasons; what differs from `default` is marked with the default's value."""
+    """Return settings as YAML without comments, but for the default of each setting that differs from `default`."""
     before, nulls = dict(parameters(default)), set(_with_null(settings))
     lines = [f"schema: {SCHEMAS[KIND]}"]
     section: Key = ()
@@ -129,7 +130,7 @@ def dump(settings: S, default: S) -> str:
 
 
 def parameters(settings: Any, prefix: Key = ()) -> Iterator[tuple[Key, Any]]:
-    """Every parameter of (nested) settings with its value, plain ones before sections."""
+    """Yield every setting with its key and value, those outside of sections first."""
     for field in _ordered(type(settings)):
         value = getattr(settings, field.name)
         if _is_section(type(settings), field):
@@ -149,7 +150,7 @@ def _with_null(settings: Any, prefix: Key = ()) -> Iterator[Key]:
 
 @functools.cache
 def model_of(cls: type) -> type[BaseModel]:
-    """The pydantic model of a settings dataclass: no unknown keys, no conversions but int to float, all finite."""
+    """Return the pydantic model of a settings dataclass. It converts only int to float and rejects unknown keys."""
     hints = _hints(cls)
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(cls):
@@ -165,12 +166,12 @@ def model_of(cls: type) -> type[BaseModel]:
 
 @functools.cache
 def _hints(cls: type) -> dict[str, Any]:
-    """Types of a settings class's fields; each look at them evaluates text anew otherwise."""
+    """Return the types of a settings class; cached, since each call would evaluate text."""
     return typing.get_type_hints(cls)
 
 
 def to_yaml(value: Any) -> str:
-    """A parameter's value on one line of YAML."""
+    """Return a value on one line of YAML."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -185,7 +186,7 @@ def to_yaml(value: Any) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Text in quotes: single ones, in which nothing has a meaning, or where that needs one line, double ones."""
+    """Return text in single quotes, or in double quotes with escapes if it has control characters."""
     if text.isprintable():
         return "'" + text.replace("'", "''") + "'"
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
@@ -204,7 +205,7 @@ def _is_plain_word(text: str) -> bool:
 
 
 def _annotation(hint: Any, bounds: dict[str, float], most: int | None = None) -> Any:
-    """A dataclass field's type as pydantic shall check it, bounds on each number, `most` on each list's length."""
+    """Return the type for pydantic, with bounds on each number and `most` on each list's length."""
     origin, args = get_origin(hint), get_args(hint)
     if dataclasses.is_dataclass(hint):
         return model_of(typing.cast(type, hint))
@@ -253,7 +254,7 @@ def _meant(value: Any, field: "dataclasses.Field[Any]") -> Any:
 
 
 def _updated(settings: S, checked: BaseModel, document: Document, key: Key) -> S:
-    """`settings` with the values that the document gave."""
+    """Return `settings` with the values of the document."""
     changes: dict[str, Any] = {}
     for name in checked.model_fields_set:
         old, new = getattr(settings, name), getattr(checked, name)
@@ -269,7 +270,7 @@ def _updated(settings: S, checked: BaseModel, document: Document, key: Key) -> S
 
 
 def _built(hint: Any, checked: Any, document: Document, key: Key) -> Any:
-    """Validated data as the dataclasses of the type hint."""
+    """Return validated data as the dataclasses of the type hint."""
     if isinstance(checked, BaseModel):
         cls = next(_dataclasses_in(hint))
         hints = _hints(cls)
@@ -288,7 +289,7 @@ def _built(hint: Any, checked: Any, document: Document, key: Key) -> Any:
 
 @contextlib.contextmanager
 def _refusal(document: Document, key: Key) -> Iterator[None]:
-    """Turns the ValueError of a dataclass that checks itself (`__post_init__`) into an error with file and line."""
+    """Turn the ValueError of a dataclass's `__post_init__` into an error with file and line."""
     try:
         yield
     except ValueError as e:
@@ -307,7 +308,7 @@ def _is_section(cls: type, field: "dataclasses.Field[Any]") -> bool:
 
 
 def _ordered(cls: type) -> list["dataclasses.Field[Any]"]:
-    """Fields of a settings class, plain parameters before sections, so that YAML reads top-down."""
+    """Return the fields of a settings class, sections last, so that YAML reads top-down."""
     return sorted(dataclasses.fields(cls), key=lambda f: _is_section(cls, f))
 
 
@@ -334,16 +335,21 @@ def _advice(field: "dataclasses.Field[Any]") -> str | None:
     return f"{default}; {refused}" if refused else default
 
 
-def _commented(settings: Any, indent: str) -> Iterator[str]:
-    hints = _hints(type(settings))
-    for i, field in enumerate(_ordered(type(settings))):
-        value = getattr(settings, field.name)
-        if i or not indent:
+def _commented(settings: Any, prefix: Key, keys: Collection[str] | None) -> Iterator[str]:
+    hints, indent = _hints(type(settings)), "  " * len(prefix)
+    first = bool(prefix)
+    for field in _ordered(type(settings)):
+        value, key = getattr(settings, field.name), dotted((*prefix, field.name))
+        section = _is_section(type(settings), field)
+        if keys is not None and not any(k == key or (section and k.startswith(f"{key}.")) for k in keys):
+            continue
+        if not first:
             yield ""
-        if _is_section(type(settings), field):
+        first = False
+        if section:
             yield from _comment(_summary(type(value)), indent)
             yield f"{indent}{field.name}:"
-            yield from _commented(value, indent + "  ")
+            yield from _commented(value, (*prefix, field.name), keys)
             continue
         yield from _comment(_about(field, hints[field.name]), indent)
         for inner in _dataclasses_in(hints[field.name]):
@@ -359,7 +365,7 @@ def _commented(settings: Any, indent: str) -> Iterator[str]:
 
 
 def _about(field: "dataclasses.Field[Any]", hint: Any) -> str:
-    """Meaning of a parameter, then choices, unit, bounds and default in brackets."""
+    """Return the meaning of a setting, then choices, unit, bounds and default in brackets."""
     words = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
     meaning = field.metadata.get("meaning", "").rstrip(".")
     limits = [f"{words[k]} {v:g}" for k, v in field.metadata.get("bounds", {}).items()]
@@ -370,7 +376,8 @@ def _about(field: "dataclasses.Field[Any]", hint: Any) -> str:
     if (most := field.metadata.get("most")) is not None:
         facts.append(f"at most {most} of them")
     if not _is_required(field):
-        facts.append(f"default {to_yaml(_default(field))}")
+        unset = _default(field) is None and field.metadata.get("null") is not None
+        facts.append("not set by default" if unset else f"default {to_yaml(_default(field))}")
     first = meaning.partition(" ")[0]
     if first.isalpha():  # a symbol keeps its case
         meaning = meaning[:1].upper() + meaning[1:]
@@ -389,7 +396,7 @@ def _choices(hint: Any) -> Iterator[Any]:
 
 
 def _summary(cls: type) -> str:
-    """First sentence of a settings class, for the head of its section."""
+    """Return the first paragraph of a settings class, for the head of its section."""
     text = (cls.__doc__ or cls.__name__).strip().split("\n\n")[0]
     return " ".join(text.split())
 

@@ -326,7 +326,7 @@ def test_no_value_becomes_a_number_by_surprise(problems, value):
         ("schema: 2\na: " + "[" * 5000, "2: nested deeper than 20 levels"),
         (
             "schema: 2\nball: {}\nso3: {}\ndiscs: 3\ntargets: []\n",
-            "2: ball: is this a configuration? ball, discs, targets",
+            "2: ball: is this a configuration? It has no keys ball, discs, targets",
         ),
     ],
 )
@@ -396,6 +396,16 @@ def test_the_programs_settings_are_written_and_read_back():
     assert config.loads(yaml_file.parse_document(text, "text"), Settings) == Settings()
 
 
+def test_the_settings_of_daily_use_are_thirty_and_are_written_with_their_defaults():
+    text = config.dump_commented(Configuration(), Configuration.COMMON)
+    assert config.loads(yaml_file.parse_document(text, "text"), Configuration) == Configuration()
+    known = {".".join(map(str, key)) for key, _ in config.parameters(Configuration())}
+    assert set(Configuration.COMMON) <= known
+    assert len(set(Configuration.COMMON)) == len(Configuration.COMMON) == 30
+    written = [line.split(":")[0] for line in text.splitlines() if ": " in line and not line.strip().startswith("# ")]
+    assert len(written) == 30  # `schema` and all but `output`, which is a comment
+
+
 def test_every_parameter_of_the_program_says_what_it_is():
     def declared(cls):
         for f in fields(cls):
@@ -423,9 +433,14 @@ def run(monkeypatch, tmp_path):
     return lambda *arguments: CliRunner().invoke(cli_config.app, arguments)
 
 
-def test_init_writes_what_check_accepts_and_show_reads(run, tmp_path):
+def test_init_writes_what_check_accepts_and_show_reads(run, tmp_path, monkeypatch):
     assert run("init", "my.yaml").output == "my.yaml: written\n"
     assert (tmp_path / "my.yaml").read_text() == config.dump_commented(Root())
+    monkeypatch.setattr(Root, "COMMON", ("outer.inner.count",), raising=False)
+    assert run("init", "few.yaml").output == "few.yaml: written\n"
+    assert yaml_file.read_document(tmp_path / "few.yaml").data == {"schema": 2, "outer": {"inner": {"count": 7}}}
+    assert run("init", "--all", "all.yaml").output == "all.yaml: written\n"
+    assert (tmp_path / "all.yaml").read_text() == config.dump_commented(Root())
     assert run("check", "my.yaml").output == "my.yaml: ok\n"
     result = run("show", "--config", "my.yaml", "--set", "tracker=ekf1")
     assert result.exit_code == 0

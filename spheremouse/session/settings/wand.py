@@ -1,4 +1,4 @@
-"""What `run --tracker wand` may be told: the balls, their tracker's parameters, and how they move the pointer."""
+"""Settings of `run --tracker wand`: the balls, the tracker, and the mapping to the pointer."""
 
 from dataclasses import dataclass, field
 
@@ -15,7 +15,7 @@ class WandRunSettings(WandSettings):
     balls: tuple[str, ...] = param(
         (),
         "-",
-        "wand files, a ball each, relative to this file's folder; none: Grzonka's ball, or the recording's own",
+        "wand files, one for each ball, relative to this file's folder; by default the recording's ball, or Grzonka's",
         most=MOST_BALLS,
     )
     points: int = param(
@@ -24,6 +24,6 @@ class WandRunSettings(WandSettings):
     axes: str | None = param(
         None,
         "-",
-        "file for the six axes as text besides `output`, - for standard output; text outputs have them",
+        "file for the six axes as text, in addition to `output`; - is standard output",
     )
     pointing: PointingSettings = field(default_factory=PointingSettings)
