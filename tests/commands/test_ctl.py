@@ -1,11 +1,16 @@
 """`spheremouse ctl` as an operator meets it: words in; the two streams and the exit code out."""
 
+import contextlib
 import io
 import json
+import os
 import re
 import signal
+import socket
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -15,8 +20,10 @@ from typer.testing import CliRunner
 
 from spheremouse.commands import ctl as cli_ctl
 from spheremouse.commands.ctl import words as said_of
+from spheremouse.session.control import client as client_module
 from spheremouse.session.control import protocol
 from spheremouse.session.control import status as status_module
+from spheremouse.session.control.client import Client, NoDaemonError
 from spheremouse.session.control.server import ControlServer
 from spheremouse.session.settings.control import ControlSettings
 from tests.session.control.test_server import Daemon, conversations
@@ -370,6 +377,31 @@ def test_what_was_set_is_saved_into_the_daemons_file_and_its_comments_stay(ctl, 
     assert file.read_text() == before
 
 
+def test_a_server_of_another_user_chooses_neither_the_file_nor_the_settings(ctl, daemon, tmp_path, monkeypatch):
+    """A hostile server once put five settings into root's configuration."""
+    theirs, ours = tmp_path / "theirs.yaml", tmp_path / "ours.yaml"
+    theirs.write_text("schema: 2\n")
+    ours.write_text("schema: 2\n")
+    daemon.status = {**daemon.status, "config": str(theirs), "changes": ["motion.scale_y=9"]}
+    monkeypatch.setattr(Client, "is_trusted", property(lambda client: False))
+    for words in (("save",), ("save", "--config", str(ours)), ("set", "motion.scale_x=2", "--save")):
+        code, out, err = ctl(*words)
+        assert (code, out) == (1, "")
+        assert "another user runs the daemon" in err
+    assert "set" not in [request.command for request in daemon.asked]
+    code, out, _ = ctl("set", "motion.scale_x=2", "--save", "--config", str(ours))
+    assert code == 0
+    assert ours.read_text() == "schema: 2\nmotion:\n  scale_x: 2.0\n"
+    assert theirs.read_text() == "schema: 2\n"
+
+
+def test_the_kernel_says_who_runs_the_server(path, daemon, monkeypatch):
+    with Client(path) as client:
+        assert client.is_trusted
+        monkeypatch.setattr("os.geteuid", lambda: os.getuid() + 1)
+        assert client.is_trusted == (os.getuid() == 0)  # a server of root is trusted by all
+
+
 @pytest.mark.parametrize("config", [None, "/nowhere/config.yaml"])
 def test_without_a_file_there_is_nowhere_to_save(ctl, daemon, config):
     daemon.status = {**daemon.status, "config": config}
@@ -394,3 +426,43 @@ def test_set_and_save_in_one_and_what_the_command_line_said_is_refused_before_it
     assert (code, out) == (1, "")
     assert err.startswith("spheremouse: motion.scale_y: said on the daemon's command line, which comes before the file")
     assert [request.command for request in daemon.asked] == ["status"]
+
+
+def test_a_server_that_sends_a_byte_now_and_then_is_left_in_time(path, monkeypatch):
+    """One deadline holds for the whole reply."""
+    monkeypatch.setitem(client_module._PATIENCE, "status", 0.3)
+    ended = threading.Event()
+
+    def drip(listener):
+        connection, _ = listener.accept()
+        with connection:
+            while not ended.wait(0.1):
+                with contextlib.suppress(OSError):
+                    connection.sendall(b" ")
+
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        listener.listen()
+        thread = threading.Thread(target=drip, args=(listener,), daemon=True)
+        thread.start()
+        began = time.monotonic()
+        with pytest.raises(NoDaemonError, match=r"no answer within 0\.3 s"), Client(path) as client:
+            client.ask("status")
+        assert time.monotonic() - began < 5.0
+        ended.set()
+        thread.join(5.0)
+
+
+def test_a_position_of_one_number_is_no_status(ctl, daemon):
+    ball = {
+        "name": "a",
+        "state": "tracking",
+        "position_m": [1.0],
+        "angles_deg": None,
+        "sigma_mm": None,
+        "sigma_deg": None,
+    }
+    daemon.status = {**daemon.status, "balls": [ball]}
+    code, out, err = ctl("status")
+    assert (code, out) == (3, "")
+    assert "position_m" in err

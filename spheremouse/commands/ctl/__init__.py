@@ -20,6 +20,12 @@ app = typer.Typer(no_args_is_help=True, help="Ask the running daemon how it is, 
 REFUSED, NO_DAEMON = 1, 3
 
 _Json = Annotated[bool, typer.Option("--json", help="Print the reply as JSON.")]
+_Config = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", metavar="FILE", help="Configuration file to write.  [default: the daemon's, if you or root run it]"
+    ),
+]
 _Socket = Annotated[
     Path | None,
     typer.Option(metavar="PATH", help="The daemon's socket.  [default: $SPHEREMOUSE_SOCKET, else where one answers]"),
@@ -68,23 +74,21 @@ def reload(as_json: _Json = False, socket: _Socket = None) -> None:
 @app.command("set", epilog="Example: spheremouse ctl set motion.scale_x=2 --save")
 def set_(
     assignments: Annotated[list[str], typer.Argument(metavar="KEY=VALUE...", show_default=False)],
-    keep: Annotated[
-        bool, typer.Option("--save", help="Write it into the configuration file, too, as `save` does.")
-    ] = False,
+    keep: Annotated[bool, typer.Option("--save", help="Write these settings into the configuration file too.")] = False,
+    config: _Config = None,
     as_json: _Json = False,
     socket: _Socket = None,
 ) -> None:
-    """Change parameters until the next start or reload: all of them or, where one is wrong, none. `save` keeps them.
+    """Change parameters until the next start or reload: all of them or, if one is invalid, none.
 
-    Says what was in force and what is. What could not take effect is refused.
+    Prints each old and new value. The daemon refuses what cannot take effect. `save` keeps the changes.
     """
-    if keep:
-        _file_of(_ask(socket, "status"), [a.partition("=")[0].strip() for a in assignments])
+    file = _file_to_write(socket, config, assignments)[0] if keep else None
     reply = _ask(socket, "set", assignments=assignments)
     if not as_json:
         _report(reply, False, "set")
-    if keep:
-        saved = _save(socket)
+    if file is not None:
+        saved = _write(file, assignments)
         reply |= saved
         if not as_json:
             _report(saved, False, _saved_words(saved), "file")
@@ -93,21 +97,44 @@ def set_(
 
 
 @app.command()
-def save(as_json: _Json = False, socket: _Socket = None) -> None:
-    """Write what was set into the daemon's configuration file; comments stay, and it holds at the next start."""
-    saved = _save(socket)
+def save(config: _Config = None, as_json: _Json = False, socket: _Socket = None) -> None:
+    """Write what was set into the daemon's configuration file. Comments stay, and it holds at the next start."""
+    file, changes = _file_to_write(socket, config)
+    saved = _write(file, changes)
     _report(saved, as_json, _saved_words(saved), "file")
 
 
-def _save(socket: Path | None) -> dict[str, Any]:
-    """The file, and what was written into it; ends with the reason where that cannot be."""
+def _file_to_write(
+    socket: Path | None, config: Path | None, assignments: list[str] | None = None
+) -> tuple[Path, list[str]]:
+    """Return the file for settings, and the settings: `assignments`, or None for those that the daemon reports.
+
+    A server that another user runs may report any file and any setting. Its word counts for neither.
+    """
+    from spheremouse.session.control.client import Client
+
+    with _failing(), Client(socket) as client:
+        status = client.ask("status")
+        if not client.is_trusted and (config is None or assignments is None):
+            raise ControlError(
+                f"{client.path}: another user runs the daemon, so name settings and file yourself: "
+                "spheremouse ctl set KEY=VALUE --save --config FILE"
+            )
+    changes = list(status.get("changes") or []) if assignments is None else assignments
+    file = _file_of(status if config is None else {**status, "config": str(config)}, [_key(c) for c in changes])
+    return file, changes
+
+
+def _key(assignment: str) -> str:
+    return assignment.partition("=")[0].strip()
+
+
+def _write(file: Path, changes: list[str]) -> dict[str, Any]:
+    """Write settings into a configuration file. Return both for the report."""
     from spheremouse.files import config
     from spheremouse.files.edit import save_settings
     from spheremouse.session.settings import Configuration
 
-    status = _ask(socket, "status")
-    changes = status.get("changes") or []
-    file = _file_of(status, [c.partition("=")[0].strip() for c in changes])
     if changes:
         save_settings(file, config.assigned(config.in_force(file, changes, Configuration), changes), Configuration)
     return {"file": str(file), "saved": changes}

@@ -1,6 +1,6 @@
 """The parts of a status, checked where they are read."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -14,6 +14,9 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
 
 
+_Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
 class Quantiles(_Part):
     """Of the last frames, ms."""
 
@@ -25,9 +28,9 @@ class Quantiles(_Part):
 class PoseStatus(_Part):
     """Where the camera is, in `obj`."""
 
-    position_m: list[float] = Field(min_length=3, max_length=3)
-    sigma_mm: list[float] = Field(min_length=3, max_length=3)
-    sigma_deg: list[float] = Field(min_length=3, max_length=3)
+    position_m: _Triple
+    sigma_mm: _Triple
+    sigma_deg: _Triple
     age_s: float
 
 
@@ -42,7 +45,7 @@ class TargetsStatus(_Part):
 class MotionStatus(_Part):
     """How the ball that points moves: right, down or towards who stands there, third; and in words."""
 
-    rate: list[float] = Field(min_length=3, max_length=3)
+    rate: _Triple
     unit: Literal["°/s", "m/s"]
     words: str
 
@@ -52,10 +55,10 @@ class BallStatus(_Part):
 
     name: str
     state: Literal["searching", "tracking", "hidden", "lost"]
-    position_m: list[float] | None
-    angles_deg: list[float] | None
-    sigma_mm: list[float] | None
-    sigma_deg: list[float] | None
+    position_m: _Triple | None
+    angles_deg: _Triple | None
+    sigma_mm: _Triple | None
+    sigma_deg: _Triple | None
 
 
 class OutputStatus(_Part):
