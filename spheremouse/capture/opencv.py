@@ -14,7 +14,7 @@ import numpy as np
 
 from spheremouse.capture import Stream
 from spheremouse.errors import SourceError
-from spheremouse.files.films import open_capture
+from spheremouse.files.pictures import open_capture
 from spheremouse.files.registry import options
 from spheremouse.tracker import Frame
 

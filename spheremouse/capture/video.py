@@ -13,7 +13,7 @@ import numpy as np
 
 from spheremouse.capture import Stream, paced
 from spheremouse.errors import SourceError
-from spheremouse.files.films import open_film
+from spheremouse.files.pictures import open_film
 from spheremouse.tracker import Frame
 
 _SNAP = 0.6e-3  # s: half a millisecond of rounding and a little more

@@ -1,12 +1,15 @@
-"""Pictures of files: what their header says first, and the pixels only where they are as many as they may be.
+"""Decode images and films only after their header shows that they fit into memory.
 
-A few bytes can say that they are a picture of any size, and decoders believe them: 3 MB of PNG become 6 GB. OSError,
-whose `strerror` says in one line what is wrong and what to do, comes before memory is taken for that.
+A few bytes can claim an image of any size, and decoders believe them: 3 MB of PNG become 6 GB. Each function raises an
+OSError, whose `strerror` gives problem and remedy in one line, before it takes that memory.
 """
 
 import errno
 import io
+import os
 import warnings
+from collections.abc import Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -26,33 +29,33 @@ _TILE_WIDTH, _TILE_LENGTH = 322, 323  # TIFF 6.0, section 15
 
 
 class Header(NamedTuple):
-    """Size and orientation of a picture, from what stands before the pixels."""
+    """Size and orientation of an image, from its header."""
 
     size: Size
     orientation: int  # of EXIF, 1 to 8; 1 is upright
 
 
 def decoded(data: bytes, *, upright: bool = False) -> NDArray[np.uint8]:
-    """The pixels as stored, or `upright`, (h, w, 3) blue, green, red, of a file whose header has been looked at."""
+    """Decode a file whose header was checked: (h, w, 3) blue, green, red, as stored or `upright`."""
     turned = 0 if upright else cv2.IMREAD_IGNORE_ORIENTATION
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | turned)
     except cv2.error:
         image = None
     if image is None:
-        raise OSError(errno.EINVAL, "cannot be decoded; save it anew as JPEG or PNG, or leave it out")
+        raise OSError(errno.EINVAL, "cannot be decoded; save it again as JPEG or PNG, or leave it out")
     return np.asarray(image, np.uint8)
 
 
 def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header:
-    """Size and orientation; OSError where this is no picture of those `FORMATS`, or has more than so many `pixels`.
+    """Return size and orientation; OSError if this is no image of the `FORMATS`, or has more than `pixels`.
 
-    `to_the_end` decodes once, coarsely where the format allows, to see that all of it is there: OpenCV would decode
-    half a picture without a word.
+    `to_the_end` decodes the image once, coarsely if the format allows, to check that all of it is there. OpenCV decodes
+    half an image without an error.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of large pictures and untidy tags
-        Image.init()  # else some formats are unknown until others have failed
+        warnings.simplefilter("ignore")  # about large images and invalid tags
+        Image.init()  # some formats are unknown before
         try:
             with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
                 _check_size(picture, pixels)
@@ -68,14 +71,14 @@ def read_header(data: bytes, pixels: int, *, to_the_end: bool = False) -> Header
             raise _too_large("more than 180 megapixels", pixels) from None
         except (MemoryError, _RefusedError):
             raise
-        except Exception as e:  # damaged files bring all sorts of errors out of decoders
+        except Exception as e:  # decoders raise many errors on damaged files
             what = " ".join(str(e).split())[:80] or type(e).__name__
             raise OSError(errno.EINVAL, f"damaged ({what}); copy it from the camera again, or leave it out") from None
     return Header(size, orientation if orientation in range(1, 9) else 1)
 
 
 def px(size: Size) -> str:
-    """640x480."""
+    """Return a size as text, such as 640x480."""
     return f"{size[0]}x{size[1]}"
 
 
@@ -87,7 +90,7 @@ def _check_size(picture: Image.Image, pixels: int) -> None:
     width, height = picture.size
     if width * height > pixels:
         raise _too_large(px(picture.size), pixels)
-    tags = getattr(picture, "tag_v2", None)  # a TIFF's tiles may be larger than it, and are decoded whole
+    tags = getattr(picture, "tag_v2", None)  # the tiles of a TIFF may be larger than the image, and are decoded whole
     if tags is not None:
         tile = tags.get(_TILE_WIDTH, 0), tags.get(_TILE_LENGTH, 0)
         if tile[0] * tile[1] > pixels:
@@ -95,7 +98,7 @@ def _check_size(picture: Image.Image, pixels: int) -> None:
 
 
 def _check_chunks(data: bytes) -> None:
-    """No part of a PNG may say that it is longer than the file: OpenCV takes as much memory as it says."""
+    """Raise OSError if a part of a PNG claims to be longer than the file; OpenCV would take that much memory."""
     at, kind = 8, b""
     while at + 8 <= len(data) and kind != b"IEND":  # length, kind, content, check sum: PNG specification, section 5.3
         kind = data[at + 4 : at + 8]
@@ -106,3 +109,59 @@ def _check_chunks(data: bytes) -> None:
 
 def _too_large(what: str, pixels: int) -> OSError:
     return _RefusedError(errno.EFBIG, f"is {what}; scale it to at most {pixels // 1_000_000} megapixels")
+
+
+# ---- films ----
+
+
+def open_capture(what: str | int, backend: int = cv2.CAP_ANY) -> cv2.VideoCapture | None:
+    """Open a capture, or return None. OpenCV and FFmpeg print nothing."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET; FFmpeg reads it at its first use
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(0)
+    try:
+        capture = cv2.VideoCapture(what, backend)
+    except cv2.error:
+        return None
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if capture.isOpened():
+        return capture
+    capture.release()
+    return None
+
+
+def open_film(path: Path) -> cv2.VideoCapture | None:
+    """Open a film, or return None if the file is none; OSError if its frames are too large.
+
+    FFmpeg decodes the first frames when it opens a film, so that the size is theirs. Other backends would take an image
+    for a film, and decode it at once.
+    """
+    capture = open_capture(str(path), cv2.CAP_FFMPEG)
+    if capture is None:
+        return None
+    width, height = size = film_size(capture)
+    if width * height <= FRAME_PIXELS:
+        return capture
+    capture.release()
+    most = FRAME_PIXELS // 1_000_000
+    raise OSError(errno.EFBIG, f"frames of {px(size)}; scale the film to at most {most} megapixels (8K)")
+
+
+def film_size(capture: cv2.VideoCapture) -> Size:
+    """Return the size of the frames, px."""
+    return int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+
+
+def film_images(capture: cv2.VideoCapture) -> Iterator[NDArray[np.uint8]]:
+    """Yield the readable frames, (h, w, 3) blue, green, red, then close the film."""
+    try:
+        while True:
+            good, image = capture.read()
+            if not good or image is None:
+                return
+            yield np.asarray(image, dtype=np.uint8)
+    except cv2.error:
+        return
+    finally:
+        capture.release()

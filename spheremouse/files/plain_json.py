@@ -1,21 +1,20 @@
-"""JSON of strangers as plain data: files, and what comes over a socket.
+"""Read JSON from untrusted files and sockets as plain data.
 
-Text in, lists, dicts, text, numbers, true, false and None out; ValueError in one line for everything that would cost
-more than it says: deep nesting, endless numbers, a key twice, text that is no text.
+Raises ValueError, in one line, for invalid JSON, deep nesting, long numbers, a repeated key, and half a surrogate pair.
 """
 
 import json
 from typing import Any
 
 MAX_DEPTH = 20  # levels; a scene has 5
-MAX_DIGITS = 30  # of a whole number: 64 bits have 20
+MAX_DIGITS = 30  # of a whole number; 64 bits have 20
 
 
 def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = False) -> Any:
-    """The data in a JSON text; NaN and Infinity are numbers with `constants` alone, as `json.dumps` writes them.
+    """Return the data of a JSON text.
 
-    Half a surrogate pair is let through with `surrogates` alone: it stands for a byte of a file's name.
-    json.JSONDecodeError has the line where the text is no JSON; what is refused besides is a plain ValueError.
+    `constants` allows NaN and Infinity, which `json.dumps` writes. `surrogates` allows half a surrogate pair, which
+    stands for a byte of a file's name. Raises json.JSONDecodeError, with the line, for invalid JSON, else ValueError.
     """
     constant = None if constants else _no_constant
     try:
@@ -27,7 +26,7 @@ def loads(text: str | bytes, *, constants: bool = False, surrogates: bool = Fals
 
 
 def said(error: ValueError) -> str:
-    """The fault that `loads` refuses, in one line; without a line number, of which `error` may have one."""
+    """Return the message of an error of `loads` in one line, without its line number."""
     words = error.msg if isinstance(error, json.JSONDecodeError) else str(error)
     return " ".join(words.split())[:120]
 
@@ -50,7 +49,7 @@ def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check(value: Any, depth: int, surrogates: bool) -> None:
-    """ValueError where data are nested deeper than `depth`, or hold half a surrogate pair."""
+    """Raise ValueError if data are nested deeper than `depth`, or have half a surrogate pair."""
     if isinstance(value, str):
         if not (surrogates or value.isascii()) and any("\ud800" <= c <= "\udfff" for c in value):
             raise ValueError("half a surrogate pair")

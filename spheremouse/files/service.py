@@ -1,4 +1,4 @@
-"""Where the files are that the operating system or a microcontroller reads: those of the repository's `service/`."""
+"""Find the repository's folder `service/`, whose files the operating system or a microcontroller reads."""
 
 from pathlib import Path
 
@@ -7,9 +7,9 @@ from spheremouse.errors import ServiceError
 
 
 def service_files(name: str = "") -> Path:
-    """The folder `service/`, or a folder in it, in the repository or within the installed package.
+    """Return the folder `service/`, or a folder in it, from the repository or the installed package.
 
-    ServiceError where it is in neither.
+    Raises ServiceError if neither has it.
     """
     package = Path(spheremouse.__file__).parent
     for path in (package.parent / "service", package / "_service"):

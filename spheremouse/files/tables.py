@@ -1,7 +1,7 @@
-"""Tables of numbers in csv files with a header: a column each as an array of doubles, and never more rows than fit.
+"""Read tables of numbers from csv files with a header, with a limit of rows.
 
-A number takes 8 bytes and no more, so that a table takes 400 MB at most: stamps of a day at 120 frames per second, or
-an hour's places of 50 discs.
+A number takes 8 bytes, so a table takes at most 400 MB. That is enough for the stamps of a day at 120 frames per
+second, or for 50 discs in an hour.
 """
 
 import csv
@@ -15,16 +15,16 @@ from spheremouse.errors import DatasetError
 from spheremouse.files.safe_open import lines, open_to_read
 from spheremouse.geometry.rotation import Array
 
-MOST_NUMBERS = 50_000_000  # of the columns that are wanted
+MOST_NUMBERS = 50_000_000  # in all columns that are read
 
 
 def read_columns(
     path: Path, columns: tuple[str, ...], optional: tuple[str, ...] = (), most: int | None = None
 ) -> dict[str, Array]:
-    """Those columns by name, each (n,); only `optional` ones may be empty (nan). Others are passed over.
+    """Return the `columns` by name, each (n,), with nan for empty cells of the `optional` ones; skip all others.
 
-    DatasetError with its line where a cell is no number or a row is not of the header's width. Nothing is read beyond
-    `most` rows: one more is there then. DatasetError where there are more than fit.
+    Reading stops after `most` rows and one more. Raises DatasetError, with the line, if a cell is no number, a row has
+    another width than the header, or the table has too many rows.
     """
     fit = MOST_NUMBERS // len(columns)
     try:
@@ -41,7 +41,7 @@ def read_columns(
                         f"{path}, line {reader.line_num}: {len(cells)} cells under {len(header)} columns"
                     )
                 if count >= fit:
-                    raise DatasetError(f"{path}: more than {fit} rows, which do not fit; cut the recording to less")
+                    raise DatasetError(f"{path}: more than {fit} rows; shorten the recording")
                 for kept, place, column, may_be_empty in wanted:
                     kept.append(_number(path, reader.line_num, column, cells[place], may_be_empty))
                 if count == most:

@@ -1,7 +1,7 @@
-"""Plain data against a pydantic model: the instance out, or every problem in words a user can act on.
+"""Validate plain data with a pydantic model, and report every problem as a line that a user can act on.
 
-pydantic's complaints become lines `FILE:LINE: key: what is wrong, is VALUE; what to do`. What to do about a value is
-the description of the model's field; unknown keys get the nearest known names.
+The lines read `FILE:LINE: key: problem, is VALUE; remedy`. The remedy for a value is the description of the model's
+field; for an unknown key it is the nearest known name.
 """
 
 import difflib
@@ -26,17 +26,17 @@ from spheremouse.files.yaml import (
 
 M = TypeVar("M", bound=BaseModel)
 
-GONE = "GONE"  # what a model, as the settings it is of, calls the keys that it had once, with what is in their place
+GONE = "GONE"  # attribute of a model or a settings class: former keys, each with its replacement
 
 
 def read_checked(path: Path, model: type[M], kind: str) -> tuple[Document, M]:
-    """The document in a file of a kind, and the model instance made of all but its `schema`."""
+    """Read a file of this kind; return the document without `schema`, and the model instance."""
     document = without_schema(read_document(path), kind)
     return document, validated(document, model)
 
 
 def validated(document: Document, model: type[M]) -> M:
-    """The model instance made of the document, or one ConfigurationError with all problems."""
+    """Return the model instance of a document, or raise one ConfigurationError with all problems."""
     try:
         return model.model_validate(document.data)
     except ValidationError as e:
@@ -45,9 +45,9 @@ def validated(document: Document, model: type[M]) -> M:
 
 
 def nearest(word: str, names: Sequence[str]) -> str:
-    """Advice on an unknown name: the nearest known ones, or all."""
+    """Return advice on an unknown name: the nearest known names, or all of them."""
     close = difflib.get_close_matches(word, names, n=3, cutoff=0.6)
-    if not close:  # a setting under the wrong section
+    if not close:  # perhaps the section is wrong
         close = [n for n in names if n.rpartition(".")[2] == word.rpartition(".")[2]][:3]
     if close:
         return f"did you mean {' or '.join(close)}?"
@@ -57,15 +57,15 @@ def nearest(word: str, names: Sequence[str]) -> str:
 
 
 def gone(key: Key, model: type[BaseModel]) -> str:
-    """What is in place of a key that there was once, in words; empty where there was none."""
+    """Return the replacement of a former key in words; empty if there was no such key."""
     instead = getattr(_model_at(key[:-1], model), GONE, {}).get(key[-1])
     return f"is no more; {instead}" if instead else ""
 
 
 def _problems(error: ValidationError, document: Document, model: type[BaseModel]) -> tuple[list[Problem], int]:
-    """The first of pydantic's complaints by line, in the user's words, and how many more there are.
+    """Return pydantic's first errors by line, in the user's words, and the number of the others.
 
-    Several about one key (a union's branches) become one.
+    Several errors about one key (a union's branches) become one.
     """
     found: dict[Key, list[Any]] = {}
     for e in error.errors(include_url=False):
@@ -87,7 +87,7 @@ def _worded(key: Key, complaints: Sequence[Any], data: Any, model: type[BaseMode
 
 
 def _within(loc: tuple[int | str, ...], data: Any, *, missing: bool) -> Key:
-    """The part of pydantic's location that exists in the data (unions add names of their branches)."""
+    """Return the part of pydantic's location that exists in the data; unions add names of their branches."""
     key: list[int | str] = []
     for i, part in enumerate(loc):
         there = (isinstance(data, dict) and part in data) or (
@@ -141,7 +141,7 @@ def _with_advice(text: str, key: Key, data: Any, model: type[BaseModel], *, valu
             data = data[part]
         text += f", is {shown(data)}"
     along = _fields_along(key, model)
-    if key and isinstance(key[-1], str):  # what stands around a key of its own says nothing of it
+    if key and isinstance(key[-1], str):  # the sections around a key give no advice on it
         along = along[-1:]
     described = [f.description for f in along if f.description]
     return f"{text}; {described[-1]}" if described else text
@@ -160,7 +160,7 @@ def _advice_on_name(word: str, parent: Key, model: type[BaseModel]) -> str:
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Models directly in an annotation, through Optional and Annotated."""
+    """Yield the models in an annotation, through Optional and Annotated."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     elif get_origin(annotation) is not tuple:
@@ -169,7 +169,7 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _element(annotation: Any) -> Any:
-    """The element type of a tuple in an annotation, or None."""
+    """Return the element type of a tuple in an annotation, or None."""
     if get_origin(annotation) is tuple:
         return get_args(annotation)[0]
     return next((e for a in get_args(annotation) if (e := _element(a)) is not None), None)
@@ -194,7 +194,7 @@ def _fields_along(key: Key, model: type[BaseModel]) -> list[FieldInfo]:
 
 def _model_at(key: Key, model: type[BaseModel]) -> type[BaseModel] | None:
     annotation: Any = model
-    for _, annotation in _walk(key, model):  # noqa: B007  the last one is wanted
+    for _, annotation in _walk(key, model):  # noqa: B007  only the last one is used
         pass
     return next(_models(annotation), None)
 

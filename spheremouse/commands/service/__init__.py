@@ -1,4 +1,4 @@
-"""`spheremouse service`: start with the computer; put what that needs in place, remove it, see whether all is there."""
+"""`spheremouse service`: install, remove and examine the service that starts with the computer."""
 
 import os
 import re
@@ -19,10 +19,11 @@ from spheremouse.files.service import service_files
 app = typer.Typer(no_args_is_help=True, help="Start with the computer: install, uninstall, status.")
 
 _ROOT = Path("/")
-_User = Annotated[bool, typer.Option("--user", help="Your own service, of your own account, in place of the system's.")]
-_DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done; do nothing.")]
+_User = Annotated[bool, typer.Option("--user", help="The service of your own account, in place of the system's.")]
+_DryRun = Annotated[bool, typer.Option("--dry-run", help="Print the changes and make none.")]
 _Root = Annotated[
-    Path, typer.Option("--root", metavar="DIR", help="Place all below DIR, and run nothing: for packages and images.")
+    Path,
+    typer.Option("--root", metavar="DIR", help="Place the files below DIR and start nothing, for packages and images."),
 ]
 
 
@@ -31,9 +32,9 @@ def install(
     user: _User = False,
     dry_run: _DryRun = False,
     root: _Root = _ROOT,
-    start: Annotated[bool, typer.Option("--start/--no-start", help="Start it, or start it anew.")] = True,
+    start: Annotated[bool, typer.Option("--start/--no-start", help="Start or restart the service.")] = True,
 ) -> None:
-    """Place the unit, its user, udev rules and a configuration to begin with; safe to repeat.
+    """Place the unit, its user, udev rules and a first configuration; safe to repeat.
 
     If you have edited a file, the command keeps yours as FILE.bak. It never changes an existing configuration.
     """
@@ -68,10 +69,10 @@ def uninstall(
     dry_run: _DryRun = False,
     root: _Root = _ROOT,
     purge: Annotated[
-        bool, typer.Option("--purge", help="Configuration, calibration, map, recordings and backups, too.")
+        bool, typer.Option("--purge", help="Remove configuration, calibration, map, recordings and backups, too.")
     ] = False,
 ) -> None:
-    """Stop the service and remove what was placed; configuration, calibration and recordings stay, unless --purge."""
+    """Stop the service and remove its files. Configuration, calibration and recordings stay, unless --purge."""
     place = _place(root, user)
     actions = list(service.uninstall(place, purge))
     live = place.root == _ROOT and _booted(place)
@@ -93,11 +94,11 @@ def uninstall(
     stays = service.left(place)
     if not user and place.root == _ROOT and not stays and _users_id() is not None:
         _run([["userdel", USER]])
-        if _groups_id() is not None:  # it has members, and so it stayed
+        if _groups_id() is not None:  # userdel leaves a group with members
             _run([["groupdel", USER]])
     if stays:
         again = "" if user else f", and the user {USER}"
-        typer.echo(f"stays{again}; --purge removes it, too:")
+        typer.echo(f"kept{again}; --purge removes it, too:")
         for path in stays:
             typer.echo(f"  {printable(path)}")
     typer.echo("the service is gone" if actions else "there was no service")
@@ -105,7 +106,7 @@ def uninstall(
 
 @app.command(epilog="Example: spheremouse service status")
 def status(user: _User = False, root: _Root = _ROOT) -> None:
-    """Say of each file whether it is in place, and whether the service runs; exit code 1 where something is missing."""
+    """List each file, and whether the service runs; exit code 1 if something is missing."""
     place = _place(root, user)
     words = {
         "missing": "missing",
@@ -116,7 +117,7 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
     program, trouble = service.executable(place)
     well = runs = True
     for name, path in place.files():
-        # a program that cannot be the service's has placed none of these: another one has
+        # a program that cannot be the service's did not place these files, so their text may differ
         state = service.state_of(path, None if trouble else service.rendered(name, program, _systemd_version()))
         well &= state in ("ok", "edited")
         typer.echo(f"{path}: {words[state]}")
@@ -135,7 +136,7 @@ def status(user: _User = False, root: _Root = _ROOT) -> None:
         else:
             typer.echo("service: unknown, systemd does not run here")
     if not well:
-        typer.echo(f"to mend it: {trouble or _again(place, 'install')}")
+        typer.echo(f"to repair it: {trouble or _again(place, 'install')}")
     elif not runs:
         _next(place, starts=False)
     if not (well and runs):
@@ -179,7 +180,7 @@ def _would(actions: list[service.FileAction]) -> None:
 
 
 def _activation(place: Place, start: bool) -> list[list[str]]:
-    """Commands after which what was placed is in force."""
+    """Return the commands that put the placed files into force."""
     commands = [] if place.user else [
         ["systemd-sysusers", "/etc/sysusers.d/spheremouse.conf"],
         ["systemd-tmpfiles", "--create", "/etc/tmpfiles.d/spheremouse.conf"],
@@ -208,7 +209,7 @@ def _systemd_version() -> int | None:
 
 
 def _booted(place: Place) -> bool:
-    """Does systemd run here, as sd_booted(3) tells; and the user's own?"""
+    """Does systemd run here, as in sd_booted(3), or the user's own systemd?"""
     if place.user:
         return (Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere") / "systemd").is_dir()
     return Path("/run/systemd/system").is_dir()
@@ -241,7 +242,7 @@ def _output(command: list[str]) -> str:
 
 
 def _run(commands: list[list[str]], quiet: bool = False) -> bool:
-    """Run them all, saying which did not work; whether what matters did: a kernel may lack a module."""
+    """Run the commands and print those that fail. Return whether all but modprobe and udevadm succeeded."""
     well = True
     for command in commands:
         try:
@@ -250,7 +251,7 @@ def _run(commands: list[list[str]], quiet: bool = False) -> bool:
         except (OSError, subprocess.TimeoutExpired) as e:
             why = str(e)
         if why and not quiet:
-            typer.echo(f"did not work: {shlex.join(command)}: {why}")
+            typer.echo(f"failed: {shlex.join(command)}: {why}")
             well &= command[0] in ("modprobe", "udevadm")
     return well
 
@@ -259,14 +260,14 @@ def _by_hand(place: Place, commands: list[list[str]], dry_run: bool) -> None:
     if dry_run:
         typer.echo("would then run:")
     else:
-        typer.echo("systemd does not run here: it is all in force from the next start on, or after")
+        typer.echo("systemd does not run here; the files take effect at the next start, or after")
     sudo = "" if place.user or os.geteuid() == 0 else "sudo "
     for command in commands:
         typer.echo(f"  {sudo}{shlex.join(command)}")
 
 
 def _next(place: Place, starts: bool = True) -> None:
-    """Say what is left to do; `starts` is whether it has been told to start."""
+    """Print the next step; `starts` tells whether the service was started."""
     rig = place.configuration / "rig.yaml"
     log = f"journalctl {'--user ' if place.user else ''}-u {UNIT}"
     if not rig.exists():
@@ -274,7 +275,7 @@ def _next(place: Place, starts: bool = True) -> None:
         typer.echo(f"next: calibrate (`spheremouse calibrate next`), then: {copy} CABINET/rig.yaml {rig}")
         typer.echo(f"name the camera in {place.configuration / 'config.yaml'}, then: {_start(place)}")
     else:
-        typer.echo(f"next: {'spheremouse ctl status' if starts else _start(place)}; what it says: {log}")
+        typer.echo(f"next: {'spheremouse ctl status' if starts else _start(place)}; its log: {log}")
     if place.user and not os.access("/dev/uinput", os.W_OK):
         typer.echo(
             "for a mouse of this computer (uinput), your account needs rights that root must give: see docs/install.md"

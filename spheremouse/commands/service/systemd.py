@@ -1,7 +1,7 @@
-"""The files that make spheremouse a service of systemd: which there are, where they go, and what became of them there.
+"""Plan and carry out the changes of files that make spheremouse a service of systemd.
 
-What is placed begins with a line that holds the digest of the rest, so that a file edited by hand is known without any
-list kept elsewhere: it is never replaced or removed without a copy. All is first worked out as actions, then done.
+A placed file begins with a line that has the digest of the rest. By it the program detects a file that somebody edited,
+and copies such a file before it replaces or removes it. All changes are planned as actions first.
 """
 
 import contextlib
@@ -24,12 +24,12 @@ from spheremouse.files.service import service_files
 
 UNIT = "spheremouse.service"
 USER = "spheremouse"  # and its group
-RESTART_STEPS = 254  # the first systemd that can wait longer from try to try
+RESTART_STEPS = 254  # the first systemd with RestartSteps
 _MARK = "# Placed by `spheremouse service install`; do not edit (digest of what follows: {})\n"
 _MARKED = re.compile(re.escape(_MARK.strip()).replace(r"\{\}", "([0-9a-f]{16})"))
 _UNREACHABLE = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # the unit's ProtectHome and PrivateTmp
 
-# folders that a system or an account may have had no use for before
+# folders that the installation may have made
 _MADE = (
     "spheremouse", "xorg.conf.d", "X11", "sysusers.d", "autostart", "default.target.wants", "user", "systemd",
 )  # fmt: skip
@@ -39,7 +39,7 @@ State = Literal["missing", "ok", "older", "edited"]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Places of a service: of the system or of the user who asks, all of it below `root`."""
+    """Paths of the system's service, or of the user's own one, all below `root`."""
 
     root: Path = Path("/")
     user: bool = False
@@ -55,13 +55,13 @@ class Place:
 
     @property
     def link(self) -> Path:
-        """The symbolic link with which systemd starts the unit by itself."""
+        """The symbolic link that makes systemd start the unit."""
         target = "default.target.wants" if self.user else "multi-user.target.wants"
         return self.unit.parent / target / UNIT
 
     @property
     def changes(self) -> Path:
-        """Folder of what `systemctl edit` puts beside the unit."""
+        """Folder of the changes by `systemctl edit`."""
         return self.unit.with_name(f"{UNIT}.d")
 
     @property
@@ -77,7 +77,7 @@ class Place:
         return users if self.user else self.at("/var/cache/spheremouse")
 
     def files(self) -> list[tuple[str, Path]]:
-        """Files to place: name in the folder of this program's service files, and path; the unit first."""
+        """Return name in the folder `service/` and path of each file to place, the unit first."""
         if self.user:
             configuration = self._users("XDG_CONFIG_HOME", ".config")
             return [
@@ -96,11 +96,11 @@ class Place:
         return [(name, self.at(path)) for name, path in places.items()]
 
     def at(self, path: str | Path) -> Path:
-        """An absolute path, below the root."""
+        """Return an absolute path below the root."""
         return self.root / Path(path).relative_to("/")
 
     def inside(self, path: Path) -> str:
-        """A path as it is once `root` is the root."""
+        """Return a path as seen from within `root`."""
         return str(Path("/") / path.relative_to(self.root))
 
     def _users(self, variable: str, otherwise: str) -> Path:
@@ -110,22 +110,22 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class FileAction:
-    """One change, worked out and not done yet."""
+    """One planned change."""
 
     what: str  # "write", "update", ...
     path: Path
     do: Callable[[], object]
     note: str = ""
-    must: bool = True  # what follows is not done unless this is
+    must: bool = True  # if it fails, the later actions are left out
 
     def __str__(self) -> str:
         return printable(f"{self.what} {self.path}{f' ({self.note})' if self.note else ''}")
 
 
 def executable(place: Place) -> tuple[str, str]:
-    """The program that the unit is to start, and why it cannot be that one, with what to move where; empty: it can.
+    """Return the program that the unit starts, and the reason with remedy if it cannot start it, else "".
 
-    It is this installation's, by the link `current` where it has versions.
+    It is the program of this installation, by the link `current` if that has versions.
     """
     prefix = Path(sys.prefix)
     current = prefix.parent / "current"
@@ -143,21 +143,21 @@ def executable(place: Place) -> tuple[str, str]:
 
 
 def _schemes() -> Iterator[str]:
-    """Where pip puts programs outside of a virtual environment: for all, and for one account."""
+    """Yield pip's schemes outside of a virtual environment, of all users and of one."""
     if sys.prefix == sys.base_prefix:
         yield sysconfig.get_default_scheme()
         yield sysconfig.get_preferred_scheme("user")
 
 
 def _is_private(path: Path) -> bool:
-    """Is a folder above it closed to other users?"""
+    """Is a folder above the path closed to other users?"""
     with contextlib.suppress(OSError):
         return any(not folder.stat().st_mode & 0o001 for folder in path.resolve().parents)
     return False
 
 
 def _unseen(path: Path) -> str:
-    """Why the service's user does not see a program or its Python; homes and temporary folders are hidden from it."""
+    """Return why the service's user cannot read the program or its Python, or "". It sees neither homes nor /tmp."""
     hidden = tuple(f"{p}/" for p in _UNREACHABLE)
     python = Path(sys.executable).resolve()
     own = "or make it your own service: spheremouse service install --user"
@@ -191,11 +191,11 @@ def refuse_unsafe(place: Place) -> None:
             raise ServiceError(f"{folder}: cannot be examined: {e.strerror or e}") from None
 
 
-# ---- what is to be done ----
+# ---- plan ----
 
 
 def install(place: Place, program: str, systemd: int | None) -> Iterator[FileAction]:
-    """Actions left until the service is in place; none where it is. `systemd`: its version, where known."""
+    """Yield the actions that are left until the service is in place. `systemd` is its version, if known."""
     fresh = not place.unit.exists()
     for name, path in place.files():
         text = rendered(name, program, systemd)
@@ -205,7 +205,7 @@ def install(place: Place, program: str, systemd: int | None) -> Iterator[FileAct
         if state != "ok":
             what = "write" if state == "missing" else "update"
             yield FileAction(what, path, partial(_write, path, text))
-    if fresh and not place.link.is_symlink():  # one that was there and is not enabled stays so
+    if fresh and not place.link.is_symlink():  # a service that somebody disabled stays disabled
         yield FileAction("enable", place.link, partial(_link, place))
     config = place.configuration / "config.yaml"
     if not config.exists():
@@ -213,7 +213,7 @@ def install(place: Place, program: str, systemd: int | None) -> Iterator[FileAct
 
 
 def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
-    """Actions left until the service is gone. Configuration, calibration and map stay unless `purge`."""
+    """Yield the actions that remove the service. Configuration, calibration and map stay unless `purge`."""
     if place.link.is_symlink():
         yield FileAction("disable", place.link, place.link.unlink)
     for _, path in place.files():
@@ -234,13 +234,13 @@ def uninstall(place: Place, purge: bool) -> Iterator[FileAction]:
 
 
 def left(place: Place) -> list[Path]:
-    """Paths that an uninstallation leaves, since somebody may want them."""
+    """Return the paths that an uninstallation without `purge` leaves."""
     found = [p for folder in (place.configuration, place.state, place.changes) for p in _below(folder)]
     return sorted([*found, *(p for _, path in place.files() for p in path.parent.glob(f"{path.name}.bak*"))])
 
 
 def tidy(place: Place) -> None:
-    """Remove folders of ours that are empty; below a root of one's own all that are."""
+    """Remove our empty folders; below another root than / all empty ones."""
     folders = (place.configuration, place.state, place.cache, place.link.parent, *(p.parent for _, p in place.files()))
     for folder in folders:
         for path in (p for p in (folder, *folder.parents) if p.is_relative_to(place.root) and p != place.root):
@@ -251,7 +251,7 @@ def tidy(place: Place) -> None:
 
 
 def state_of(path: Path, text: str | None) -> State:
-    """State of a file that was to hold `text`; None: whatever some version of ours placed."""
+    """Return the state of a file that should have this `text`, or, for None, any text that a version of ours placed."""
     if not path.exists():
         return "missing"
     try:
@@ -266,7 +266,7 @@ def state_of(path: Path, text: str | None) -> State:
 
 
 def rendered(name: str, program: str, systemd: int | None) -> str:
-    """A file of the service as it is placed: with the program's path, without what this systemd does not know."""
+    """Return the text of a file to place, with the program's path, without lines that this systemd does not know."""
     text = (service_files() / name).read_text(encoding="utf-8").replace("@EXECUTABLE@", program)
     known = systemd is not None and systemd >= RESTART_STEPS
     text = re.sub(r"^@254@(.*\n)", r"\1" if known else "", text, flags=re.M)
@@ -274,7 +274,7 @@ def rendered(name: str, program: str, systemd: int | None) -> str:
 
 
 def configuration(place: Place) -> str:
-    """The configuration to begin with."""
+    """Return the first configuration."""
     own = place.configuration
     learnt = own if place.user else place.state
     text = (service_files() / "config.yaml").read_text(encoding="utf-8")
@@ -284,9 +284,9 @@ def configuration(place: Place) -> str:
 
 
 def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o022) -> Iterator[str]:
-    """Do them one by one, in words; ServiceError where the system does not let us.
+    """Carry out the actions, and yield a line for each; ServiceError if one that `must` succeed fails.
 
-    The umask is ours and not the account's: with 077, what is placed would be closed to those who are to read it.
+    The umask replaces the account's own: with 077, other users could not read the placed files.
     """
     for action in list(actions):
         try:
@@ -296,13 +296,13 @@ def carry_out(actions: Iterator[FileAction] | list[FileAction], umask: int = 0o0
             why = f"{action}: {printable(e.strerror if isinstance(e, OSError) and e.strerror else e)}"
             if action.must:
                 raise ServiceError(why) from None
-            yield f"did not work: {why}"
+            yield f"failed: {why}"
         else:
             yield str(action)
 
 
 def may(place: Place) -> bool:
-    """May this account write where the files go?"""
+    """May this account write into the folders of the files?"""
     for _, path in place.files():
         there = path.parent
         while not there.exists():
@@ -330,7 +330,7 @@ def _digest(text: str) -> str:
 
 def _write(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    replace(path, text.encode("utf-8"), 0o644)  # whatever the account's umask: systemd, udev and desktops read them
+    replace(path, text.encode("utf-8"), 0o644)  # systemd, udev and desktops must read it, whatever the umask
 
 
 def _link(place: Place) -> None:
@@ -345,7 +345,7 @@ def _backup(path: Path) -> FileAction:
 
 
 def _copy(path: Path, free: Path) -> None:
-    if path.is_symlink():  # to /dev/null, for instance: masked
+    if path.is_symlink():  # a masked unit is a link to /dev/null
         free.symlink_to(os.readlink(path))
         return
     with open_to_read(path) as file:
@@ -363,5 +363,5 @@ def _remove(path: Path) -> None:
 def _below(folder: Path) -> list[Path]:
     try:
         return [p for p in folder.rglob("*") if not p.is_dir()]
-    except (OSError, RecursionError):  # it is there, and no more can be said
+    except (OSError, RecursionError):  # it cannot be listed
         return [folder]

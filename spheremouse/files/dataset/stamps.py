@@ -1,4 +1,4 @@
-"""The frames of a recording as they were tracked: each with its stamp and number, in grey or in colour."""
+"""Read the frames of a recording with the stamps, numbers and colours that the tracker had."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,13 +26,13 @@ from spheremouse.tracker import Frame
 class Stamps:
     """Stamps and numbers that a live camera gave its n frames."""
 
-    stamp: Array  # (n,) s, on any clock; not even sure to grow
-    sequence: NDArray[np.int64]  # (n,) of the camera's frames: gaps are frames that were dropped
-    colour: NDArray[np.bool_]  # (n,) the tracker was given this one in colour
+    stamp: Array  # (n,) s, on any clock; may decrease
+    sequence: NDArray[np.int64]  # (n,) of the camera's frames; gaps are dropped frames
+    colour: NDArray[np.bool_]  # (n,) the tracker had this frame in colour
 
 
 def read_stamps(folder: Path, frames: int) -> Stamps | None:
-    """stamps.csv of a dataset of so many `frames`; None where there is none. DatasetError where it is wrong."""
+    """Read stamps.csv of a dataset with this number of `frames`; None without the file, DatasetError if invalid."""
     path = folder / "stamps.csv"
     if not path.exists():
         return None
@@ -47,18 +47,17 @@ def read_stamps(folder: Path, frames: int) -> Stamps | None:
 
 
 def fractional(column: Array) -> bool:
-    """Is a number of (n,) not a whole one?"""
+    """Is any of the numbers (n,) not a whole number?"""
     return bool(np.any((column != np.rint(column)) | (np.abs(column) > 2**53)))
 
 
 def recorded_frames(
     folder: Path, size: tuple[int, int], frames: int, fps: float, times: Array | None, stamps: Stamps | None
 ) -> Iterator[Frame]:
-    """The frames in order, of `size` (w, h) px, each with stamp and number, in grey or colour, as `stamps` say.
+    """Yield the frames in order, of `size` (w, h) px, with stamp, number and colour from `stamps`.
 
-    Where there are none, they are in colour, counted from 0, and stamped from `times`, (n,) s, or index / fps.
-
-    A recording cut short gives what is there and then raises DatasetError.
+    Without `stamps` they are in colour, counted from 0, with stamps from `times`, (n,) s, or index / fps. A truncated
+    recording yields its frames and then raises DatasetError.
     """
     video = in_video(folder)
     for count, image in enumerate(recorded_images(folder, size, frames)):
@@ -69,9 +68,9 @@ def recorded_frames(
 
 
 def _as_recorded(folder: Path, image: NDArray[np.uint8], index: int, stamps: Stamps, in_video: bool) -> Frame:
-    """A picture of the video (h, w, 3), or what stands for it: one in colour of its own file, or its grey."""
+    """Return a frame of the video (h, w, 3), or in its place the colour image of a file, or its grey."""
     if not stamps.colour[index]:
-        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)  # of equal channels: their value
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)  # the channels are equal
     elif in_video and (file := picture_file(folder, index)).is_file():
         image = read_picture(file, (image.shape[1], image.shape[0]))
     return Frame(image, float(stamps.stamp[index]), int(stamps.sequence[index]))

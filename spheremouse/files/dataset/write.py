@@ -1,4 +1,4 @@
-"""Writes dataset folders, all of one or nothing: with truth of what was simulated, without of what a camera showed."""
+"""Write dataset folders whole or not at all: of simulations with truth, of a camera without."""
 
 import csv
 import json
@@ -24,9 +24,9 @@ CENTRE_COLUMNS = ("bx", "by", "bz")  # of truth.csv, where the ball leaves its p
 
 
 class DatasetWriter:
-    """Writes a dataset folder: all of it or, after an exception or a kill, nothing.
+    """Writes a dataset into a hidden folder beside `path`, which takes its name at the end.
 
-    Everything goes to a temporary folder beside `path` that takes its name at the end.
+    After an exception or a kill there is no dataset.
     """
 
     def __init__(

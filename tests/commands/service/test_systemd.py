@@ -364,7 +364,7 @@ def test_status_and_dry_run_work_wherever_the_program_lies(root, monkeypatch):
         call("install", root=root)
     assert tree(root) == before
     (root / UNIT).unlink()
-    assert "to mend it: not there; move it\n" in CliRunner().invoke(app, ["status", "--root", str(root)]).output
+    assert "to repair it: not there; move it\n" in CliRunner().invoke(app, ["status", "--root", str(root)]).output
 
 
 @pytest.mark.parametrize("folder", ["/opt/my venv", "/opt/100%", '/opt/a"b', "/opt/a\nb"])
