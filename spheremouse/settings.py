@@ -1,11 +1,10 @@
-"""How a parameter is declared: one line with its default, unit, meaning and bounds, read by whoever asks a person.
+"""Declare a setting by one call of `param`: default, unit, meaning and bounds.
 
-Settings are frozen dataclasses beside the code that uses them; `config` builds its schema from them, so that a
-parameter is written down once. Every number has a bound on both sides, and every list a greatest length: what is
-accepted must work, and beyond them nothing does that anybody could mean. The reason for a bound stands in the meaning
-or in a comment beside it; those that many parameters share have theirs here.
+Settings are frozen dataclasses beside the code that uses them. Schema, configuration file and pages are made from them.
+Every number has two bounds and every list a maximum length; every accepted value works. The reason for a bound is in
+the meaning or in a comment. Bounds that several settings share are here.
 
-What a film shows is declared so too, and `commands/options.py` makes the options of the command line from it.
+`commands/options.py` makes options of the command line from the settings of a simulated film in the same way.
 """
 
 from dataclasses import field
@@ -13,7 +12,7 @@ from typing import Any, TypedDict
 
 
 class Bounds(TypedDict, total=False):
-    """Least and greatest value, themselves allowed (ge, le) or not (gt, lt)."""
+    """Bounds that include (ge, le) or exclude (gt, lt) their value."""
 
     gt: float
     ge: float
@@ -21,36 +20,35 @@ class Bounds(TypedDict, total=False):
     le: float
 
 
-# How sure one may be of a place in a picture: a thousandth of a pixel is a tenth of what the best targets give, and
-# what is known to 10 px only, a disc's size, is not known.
+# Standard deviation of a position in an image: the best targets reach 0.01 px, and 10 px is the size of a disc.
 SIGMA_PX: Bounds = {"ge": 1e-3, "le": 10.0}
-# A distance in a picture: below a hundredth of a pixel everything is noise, beyond 100 px it is another thing.
+# A distance in an image: 0.01 px is noise, 100 px another object.
 PIXELS: Bounds = {"ge": 0.01, "le": 100.0}
-# An area in a picture: a tenth of a pixel, and a thousand pixels squared, which no disc has.
+# An area in an image; no disc has 1000 x 1000 px.
 AREA: Bounds = {"ge": 0.1, "le": 1e6}
-# A time that passes before something is done: a frame of the fastest camera, and an hour, when nobody waits any more.
+# A waiting time: from a frame of the fastest camera to an hour.
 SECONDS: Bounds = {"ge": 1e-3, "le": 3600.0}
-# A part of something; below a thousandth nothing could have less.
+# A fraction.
 SHARE: Bounds = {"ge": 1e-3, "le": 1.0}
-# The same, where all of it is never reached.
+# A fraction below 1.
 PART: Bounds = {"ge": 1e-3, "lt": 1.0}
-# Squared Mahalanobis distances, or standard deviations: a tenth keeps one true pair in twenty, a thousand any pair.
+# Squared Mahalanobis distances, or standard deviations: 0.1 keeps one true pair in twenty, 1000 any pair.
 SIGMAS: Bounds = {"ge": 0.1, "le": 1e3}
-# On an axis, besides the scale: a thousandth stands still, a thousand leaves the screen with one frame's jitter.
+# A factor on an axis: with 0.001 the pointer stands still, with 1000 the noise of a frame leaves the screen.
 FACTOR: Bounds = {"ge": 1e-3, "le": 1e3}
-# Counts per radian, or per metre: less than ten in a turn is none, and 10^6 leaves the screen with the least turn seen.
+# Counts per radian, or per metre: 1 gives six counts in a turn, with 10^6 the noise leaves the screen.
 PER_RADIAN: Bounds = {"ge": 1.0, "le": 1e6}
-# Of a hand, m/s and m/s²: a centimetre in a second rests, 100 is what a racket does.
+# Motion of a hand, m/s and m/s²: 0.01 is rest, 100 a racket.
 HAND: Bounds = {"ge": 0.01, "le": 100.0}
-# The same in rad/s and rad/s²: half a degree rests; at 1000 the ball goes round five times between two frames at 30 Hz.
+# Rotation of a hand, rad/s and rad/s²: 0.01 is rest, 1000 five turns between two frames at 30 Hz.
 HAND_TURN: Bounds = {"ge": 0.01, "le": 1000.0}
-# An angle, rad: a hundredth of what a pixel resolves, and one beyond which nothing is known of a rotation.
+# An angle, rad: from a hundredth of a pixel to an unknown rotation.
 ANGLE: Bounds = {"ge": 1e-4, "le": 1.0}
-# Steps of a camera's controls: the kernel has them as signed numbers of 32 bits.
+# Steps of a camera's controls, in the kernel 32-bit integers.
 STEPS: Bounds = {"ge": 0, "le": 2**31 - 1}
-# Widths of filters on pictures: OpenCV's median goes to 31, and no filter of noise wants more.
+# Widths of image filters; OpenCV's median filter allows 31.
 WIDTH: Bounds = {"ge": 1, "le": 31}
-# Frames that something is counted in: a second of the fastest camera.
+# A number of frames, up to a second of the fastest camera.
 FRAMES: Bounds = {"ge": 1, "le": 1000}
 
 
@@ -68,7 +66,7 @@ def param(
     null: str | None = None,
     pair: str = "",
 ) -> Any:
-    """A dataclass field with its unit ("-" for none), its meaning with the reason for the default, and its bounds.
+    """Return a dataclass field with unit ("-" for none), meaning with the reason for the default, and bounds.
 
     `most` bounds the length of a list. `refused` is the remedy for a rejected value. `null` is the value that a written
     `null` means, if that differs from leaving the key out. `pair` is a sign between two numbers: with "x", 640x480 is

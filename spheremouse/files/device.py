@@ -1,7 +1,7 @@
-"""device.yaml: what a person knows of a device and measured with a tape, from a file and checked line by line.
+"""Read device.yaml, a person's description and tape measurements of a device, in metres.
 
-Metres throughout. A length that only makes sense in mm or cm, ids and codes that occur twice, and distances that
-cannot all be true are refused here, each with its line and what to do, so that the adjustment need not ask.
+The reader rejects lengths that only make sense in mm or cm, repeated ids and codes, and contradictory distances, each
+with its line and remedy.
 """
 
 import itertools
@@ -74,7 +74,7 @@ class _DeviceFile(_Part):
 
 
 def load_device(path: Path) -> Device:
-    """The device of a file; ConfigurationError with a line per problem."""
+    """Read a device file; ConfigurationError with a line for each problem."""
     document = read_document(path)
     if not isinstance(document.data, dict) or "schema" in document.data:
         document = without_schema(document, "device")
@@ -93,7 +93,7 @@ def load_device(path: Path) -> Device:
 
 
 def untouched(path: Path) -> bool:
-    """Whether a device file still has the line that `calibrate init` puts first."""
+    """Does the device file still have the first line that `calibrate init` writes?"""
     try:
         return UNTOUCHED.encode() in read_bytes(path, MAX_BYTES, "device file")
     except OSError:
@@ -101,7 +101,7 @@ def untouched(path: Path) -> bool:
 
 
 def device_template() -> str:
-    """A device file to fill in, every line explained; it loads as it stands."""
+    """Return a device file to fill in, with an explanation of each line; it loads as it is."""
     return _TEMPLATE
 
 
@@ -118,7 +118,7 @@ def _problems(file: _DeviceFile, distances: Sequence[Distance]) -> Iterator[Prob
             text = f"{target.code} is on another target already; each code may hang on the frame once only"
             yield Problem(("targets", i, "code"), text)
     yield from _size_problems(file, max((d.metres for d in distances), default=0.0))
-    if len(set(ids)) == len(ids):  # else nobody knows which target is meant
+    if len(set(ids)) == len(ids):  # repeated ids are ambiguous
         yield from _axes_problems(file.axes, ids)
     for i, d in enumerate(distances):
         yield from _distance_problems(i, d, ids if len(set(ids)) == len(ids) else None, file.target_radii[2])
@@ -168,7 +168,7 @@ def _distance_problems(i: int, d: Distance, ids: Sequence[int] | None, outer: fl
 
 
 def _contradictions(document: Document, distances: Sequence[Distance]) -> Iterator[Problem]:
-    """Lengths that are longer than a way round, and pairs measured twice with two results."""
+    """Yield distances that exceed a detour by other targets, and pairs with two different measurements."""
     pairs = [frozenset((d.start, d.end)) for d in distances]
     for i, d in enumerate(distances):
         key = ("distances", i, "metres")
@@ -191,7 +191,7 @@ def _contradictions(document: Document, distances: Sequence[Distance]) -> Iterat
 
 
 def _in_metres(values: Sequence[float], limit: float) -> str:
-    """`metres: 0.075 if that was mm, 0.75 if cm`, of the units in which the values make sense."""
+    """Return `metres: 0.075 if that was mm, 0.75 if cm`, for the units in which the values make sense."""
     meant = [
         f"{_listed([v * factor for v in values])} if that was {unit}"
         for unit, factor in (("mm", 1e-3), ("cm", 1e-2))

@@ -1,8 +1,8 @@
-"""The map of a ball's discs, to and from a file beside the rig: what makes the next run's attitude absolute.
+"""Write and read the map of a ball's discs, a file beside the rig that makes the next run's attitude absolute.
 
-A disc is a line: its direction in `ball`, its standard deviations along `rotation.tangent_basis`, its sightings. The
-correlations between all of them follow as their Cholesky factor, whose digits may be rounded and which still gives a
-covariance. A file that is damaged is refused; the map is then made anew as the ball turns.
+A line of the file is a disc: its direction in `ball`, its standard deviations along `rotation.tangent_basis`, and its
+sightings. Their correlations follow as a Cholesky factor, which gives a covariance even after rounding. The reader
+rejects a damaged file; the tracker then builds a new map.
 """
 
 import re
@@ -36,7 +36,7 @@ Weight = Annotated[float, Field(ge=-1, le=1)]
 
 @dataclass(frozen=True, slots=True)
 class SavedMap:
-    """A map with what tells whether it belongs to a device, and how old it is."""
+    """A map, the sizes of its device, and its age."""
 
     map: DiscMap
     ball_radius: float  # m
@@ -73,28 +73,28 @@ class _MapFile(_Part):
 
 
 def map_path(rig_file: Path) -> Path:
-    """Path of a device's map: `rig.map.yaml` beside `rig.yaml`."""
+    """Return the path of a device's map: `rig.map.yaml` beside `rig.yaml`."""
     return rig_file.with_suffix(".map.yaml")
 
 
 def old_path(path: Path) -> Path:
-    """Path of a map that another ball's map replaces: `rig.map.old.yaml` for `rig.map.yaml`."""
+    """Return the path for a map that another ball's map replaces: `rig.map.old.yaml` for `rig.map.yaml`."""
     return path.with_suffix(f".old{path.suffix}")
 
 
 def saved_now(disc_map: DiscMap, rig: Rig) -> SavedMap:
-    """A map as it is to be saved: for this device, now, by this program."""
+    """Return a map to save, with the sizes of this device, the time and our version."""
     now = datetime.now(UTC).replace(microsecond=0)
     return SavedMap(disc_map, rig.ball.radius, rig.disc_radius, now, __version__)
 
 
 def save_map(path: Path, saved: SavedMap) -> None:
-    """Write a map file that reads back to the same map; whole or not at all."""
+    """Write a map file, whole or not at all; it reads back to the same map."""
     write_atomically(path, map_text(saved))
 
 
 def load_map(path: Path) -> SavedMap:
-    """The map in a file; ConfigurationError with one line that says what is wrong and what to do."""
+    """Read a map file; ConfigurationError with problem and remedy."""
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file; check the path")
     try:
@@ -108,7 +108,7 @@ def load_map(path: Path) -> SavedMap:
 
 
 def check_fits(saved: SavedMap, rig: Rig, path: Path) -> None:
-    """Raise ConfigurationError where a map was made on a ball or with discs of another size than the rig's."""
+    """Raise ConfigurationError if the ball or the discs of a map have other sizes than those of the rig."""
     for what, there, here, most in (
         ("a ball", saved.ball_radius, rig.ball.radius, BALL_DIFFERS),
         ("discs", saved.disc_radius, rig.disc_radius, _DISC_DIFFERS),
@@ -121,7 +121,7 @@ def check_fits(saved: SavedMap, rig: Rig, path: Path) -> None:
 
 
 def age(saved: SavedMap) -> str:
-    """Age of a map since it was saved, in words."""
+    """Return the time since a map was saved, in words."""
     seconds = (datetime.now(UTC) - saved.saved).total_seconds()
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length:
@@ -130,7 +130,7 @@ def age(saved: SavedMap) -> str:
 
 
 def map_text(saved: SavedMap) -> str:
-    """A map as YAML."""
+    """Return a map as YAML."""
     sigma, root = _factored(saved.map.covariance)
     lines = [
         "# The discs on one ball, as tracked. Written by spheremouse and read at the next start; without it a new one",
@@ -156,7 +156,7 @@ def map_text(saved: SavedMap) -> str:
 
 
 def _weights_line(projection: Projection) -> list[str]:
-    """Nothing for grey, which is what a file without the line has."""
+    """Return the line of the colour weights; none for grey, the default."""
     if projection == GREY:
         return []
     blue, green, red = projection.weights
@@ -164,12 +164,12 @@ def _weights_line(projection: Projection) -> list[str]:
 
 
 def _factored(covariance: Array) -> tuple[Array, Array]:
-    """Standard deviations, (n,), and the lower triangular root, (n, n), of the correlations; rows of length 1."""
+    """Return standard deviations, (n,), and the lower triangular root, (n, n), of the correlations, with unit rows."""
     sigma = np.sqrt(np.diag(covariance))
     safe = np.where(sigma > 0.0, sigma, 1.0)
     correlation = covariance / np.outer(safe, safe)
     np.fill_diagonal(correlation, 1.0)
-    values, vectors = np.linalg.eigh(correlation)  # not cholesky: of a disc known exactly nothing is left
+    values, vectors = np.linalg.eigh(correlation)  # Cholesky fails for a disc with zero covariance
     root = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 0.0))).T)[1].T
     root *= np.where(np.diag(root) < 0.0, -1.0, 1.0)
     return sigma, root / np.linalg.norm(root, axis=1, keepdims=True)
@@ -217,7 +217,7 @@ def _problems(file: _MapFile) -> Iterator[Problem]:
 
 
 def _projection(weights: tuple[float, float, float]) -> Projection:
-    """That of a file; grey and its negative to the last bit, since both are seen in grey pictures."""
+    """Return the projection of a file; grey and its negative are exact, since grey images show both."""
     found = normalised(np.array(weights))
     return next((p for p in (GREY, NEGATIVE) if np.allclose(p.weights, found.weights, rtol=0.0, atol=1e-5)), found)
 

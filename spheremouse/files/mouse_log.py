@@ -1,4 +1,4 @@
-"""Logs of a mouse: what a trackball said, as a table on a disk."""
+"""Write and read logs of a mouse: the reports of a trackball as a table."""
 
 import csv
 import math
@@ -15,7 +15,7 @@ from spheremouse.errors import DatasetError
 from spheremouse.files.atomic import NewFile
 from spheremouse.files.safe_open import lines, open_to_read
 
-if TYPE_CHECKING:  # a mouse is listened to at once, and not when the numerics have been loaded
+if TYPE_CHECKING:  # so that a log begins at once, before NumPy is loaded
     pass
 
 import numpy as np
@@ -41,15 +41,15 @@ class MouseReport:
     lost: bool = False  # the kernel dropped reports before this one
 
     def line(self) -> str:
-        """As it stands in the file."""
+        """The report as a line of the file."""
         return f"{self.stamp:.6f},{self.dx},{self.dy},{self.wheel},{int(self.lost)}\n"
 
 
 class LogFile:
-    """Writes a log: line by line to a hidden file beside it, which takes its name at the end, whatever ends it."""
+    """Writes a log line by line to a hidden file, which takes its name when the log ends."""
 
     def __init__(self, path: Path, about: str, force: bool = False) -> None:
-        """`about` is a line for people. Raises DatasetError where `path` is there already, or cannot be written."""
+        """`about` is a comment. Raises DatasetError if `path` exists, or cannot be written."""
         self.path, self._about, self._force = path, about, force
         self.reports = 0
         self.counts = [0, 0]  # to and fro
@@ -69,7 +69,7 @@ class LogFile:
         return self
 
     def add(self, report: MouseReport) -> None:
-        """One more line; DatasetError where the disk takes no more."""
+        """Add a line; DatasetError if the disk is full."""
         try:
             self._file.write(report.line())
         except OSError as e:
@@ -86,7 +86,7 @@ class LogFile:
     ) -> None:
         try:
             self._file.flush()
-            self._refuse()  # once more: somebody may have come first
+            self._refuse()  # another process may have made it meanwhile
             self._new.finish()
         except OSError as e:
             raise DatasetError(f"{self.path}: cannot be written: {e.strerror or e}") from None
@@ -101,7 +101,7 @@ class LogFile:
 
 
 def write_log(path: Path, log: "MouseLog", about: str = "simulated") -> None:
-    """Write a whole log, in place of what was there."""
+    """Write a whole log, in place of an old file."""
     with LogFile(path, about, force=True) as file:
         for k in range(len(log)):
             dx, dy = (round(c) for c in log.counts[k].tolist())
@@ -109,7 +109,7 @@ def write_log(path: Path, log: "MouseLog", about: str = "simulated") -> None:
 
 
 def read_log(path: Path) -> "MouseLog":
-    """Read a log; DatasetError says file and line. Columns wheel and lost may be missing, # lines are passed over."""
+    """Read a log. Columns wheel and lost are optional; # lines are comments. DatasetError has file and line."""
     import numpy as np
 
     rows, first, last, count = array("d"), 0.0, -math.inf, 0
@@ -158,7 +158,7 @@ def read_log(path: Path) -> "MouseLog":
 
 
 def _bare(given: Iterator[str]) -> Iterator[str]:
-    """Lines, those for people left empty."""
+    """Yield the lines, with comments left empty."""
     for line in given:
         yield "\n" if line.startswith("#") else line
 
@@ -192,7 +192,7 @@ def _number(path: Path, number: int, text: str, column: str) -> float:
 
 @dataclass(frozen=True, slots=True)
 class MouseLog:
-    """Reports of a mouse. The first and the last may be empty: they say from when to when it was listened to."""
+    """Reports of a mouse. The first and the last may be empty; they are the begin and the end of the log."""
 
     stamp: Array  # (n,) s, of the log's clock; not decreasing
     counts: Array  # (n, 2), x and y

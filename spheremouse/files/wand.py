@@ -1,7 +1,7 @@
-"""Files of hand-held balls (wand.yaml): discs and the bounds that select their colours, to and from text.
+"""Write and read files of hand-held balls (wand.yaml): discs, and the bounds that select their colours.
 
-Units and frame are those of `wand.ball`, but angles are in degrees: origin at the centre, z towards the pole, azimuth
-counter-clockwise seen from above. Everything a file claims is checked here; all problems are told, each with its line.
+Units and frame are those of `wand.ball`, with angles in degrees: origin at the centre, z towards the pole, azimuth
+counter-clockwise seen from above. The reader reports every problem with its line.
 """
 
 import json
@@ -30,7 +30,7 @@ Length = Annotated[float, Field(ge=1e-4, le=2.0)]  # m: a tenth of a millimetre 
 
 @dataclass(frozen=True, slots=True)
 class WandFile:
-    """A ball, and how to see its colours."""
+    """A ball, and the bounds of its colours."""
 
     ball: WandBall
     colours: dict[str, ColourSettings]  # of every colour on the ball, and of no other
@@ -58,7 +58,7 @@ class _Colour(_Part):
 
 
 class _Provenance(BaseModel):
-    """Whatever people want to know; nothing here reads it."""
+    """Notes for people; the program does not read them."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -75,7 +75,7 @@ class _Wand(_Part):
 
 
 def load_wand(path: Path) -> WandFile:
-    """The ball of a file; ConfigurationError with a line per problem."""
+    """Read a ball from a file; ConfigurationError with a line for each problem."""
     document, file = read_checked(path, _Wand, "wand")
     if problems := [*_disc_problems(file), *_colour_problems(file)]:
         raise document.error(problems)
@@ -95,7 +95,7 @@ def save_wand(
     colours: Mapping[str, ColourSettings] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a file that reads back to the same ball; whole or not at all."""
+    """Write a file, whole or not at all; it reads back to the same ball."""
     write_atomically(path, wand_text(ball, colours, provenance))
 
 
@@ -104,7 +104,7 @@ def wand_text(
     colours: Mapping[str, ColourSettings] | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> str:
-    """A ball as YAML, with the bounds of its colours where given."""
+    """Return a ball as YAML, with the bounds of its colours if given."""
     lines = [
         "# A hand-held ball. Lengths in m, angles in degrees. Frame: origin at the centre, pole away from the stick,",
         "# azimuth counter-clockwise seen from above. A disc's diameter is measured straight across its rim.",
@@ -143,7 +143,7 @@ def _disc(disc: _Disc, radius: float) -> WandDisc:
     )
 
 
-# ---- what can be wrong ----
+# ---- problems ----
 
 
 def _disc_problems(file: _Wand) -> Iterator[Problem]:
@@ -195,11 +195,11 @@ def _symmetries(ball: WandBall, document: Document) -> Iterator[Problem]:
 
 
 def symmetry(ball: WandBall) -> Array | None:
-    """A rotation, (3, 3), that maps the discs of a ball onto discs that look the same; None if there is none."""
+    """Return a rotation, (3, 3), that maps the discs onto discs of the same look, or None."""
     directions = np.array([d.direction for d in ball.discs])
     kinds = [(d.colour, round(float(np.degrees(d.angle)))) for d in ball.discs]
     first = 0
-    second = int(np.argmin(np.abs(directions @ directions[first])))  # as near to a right angle as there is
+    second = int(np.argmin(np.abs(directions @ directions[first])))  # the nearest to a right angle
     apart = directions[first] @ directions[second]
     for i, a in enumerate(directions):
         for k, b in enumerate(directions):

@@ -1,7 +1,6 @@
-"""Recordings on disk: a folder with what is known beforehand, the frames, and the truth where there is one.
+"""Read recordings: folders with the description of a device, the frames, and perhaps the truth.
 
-`open_dataset` and `read_frames` read one, `DatasetWriter` makes one (in dataset_writer). The format is that of
-docs/datasets.
+`open_dataset` and `read_frames` read one, `write.DatasetWriter` writes one. docs/datasets describes the format.
 """
 
 from collections.abc import Iterator
@@ -53,7 +52,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A dataset whose description has been read and checked; its frames come from `read_frames`."""
+    """The checked description of a dataset; `read_frames` yields its frames."""
 
     path: Path
     name: str
@@ -98,7 +97,7 @@ class _Scene(SceneEntry):
 
 
 def open_dataset(path: Path | str) -> Recording:
-    """Read and check the description of a dataset folder; DatasetError names the file at fault."""
+    """Read and check the description of a dataset folder; DatasetError names the invalid file."""
     path = Path(path)
     scene = read_description(path, _read_scene)
     truth = _read_truth(path / "truth.csv", scene.frames) if (path / "truth.csv").exists() else None
@@ -138,7 +137,7 @@ def _read_scene(path: Path) -> _Scene:
 
 
 def _rig(scene: _Scene) -> Rig:
-    """The keys without `truth_` only."""
+    """Return the rig by the keys without `truth_`."""
     camera = InteriorOrientation(
         scene.width,
         scene.height,
@@ -169,7 +168,7 @@ def _rig(scene: _Scene) -> Rig:
 
 
 def _recorded_rig(path: Path, scene: _Scene) -> Rig:
-    """Of a rig file, with covariances; its pose to the last bit, which making it orthonormal once more would spoil."""
+    """Return the rig of a rig file. Its pose is exact, which another orthonormalisation would change."""
     try:
         rig = load_rig(path)
     except ConfigurationError as e:
@@ -182,7 +181,7 @@ def _recorded_rig(path: Path, scene: _Scene) -> Rig:
     if rig.pose is None or scene.T_obj_cam is None:
         return rig
     T = np.array(scene.T_obj_cam, dtype=float)
-    if not np.allclose(T, rig.pose.matrix(), rtol=0.0, atol=1e-12):  # somebody mended the rig file
+    if not np.allclose(T, rig.pose.matrix(), rtol=0.0, atol=1e-12):  # somebody has edited the rig file
         return rig
     return replace(rig, pose=replace(rig.pose, rotation=np.ascontiguousarray(T[:3, :3])))
 
@@ -229,11 +228,10 @@ def _read_discs(path: Path, frames: int) -> DiscTruth:
 
 
 def read_frames(recording: Recording) -> Iterator[Frame]:
-    """The frames in order, each with stamp and number, and in grey or colour, as the recording says.
+    """Yield the frames in order, with stamp, number and colour of the recording.
 
-    Where it does not, they are in colour, counted from 0, and stamped from the truth's times, or index / fps.
-
-    A recording cut short gives what is there and then raises DatasetError.
+    Without stamps they are in colour, counted from 0, with the times of the truth, or index / fps. A truncated
+    recording yields its frames and then raises DatasetError.
     """
     camera, truth = recording.rig.camera, recording.truth
     times = None if truth is None else truth.stamp

@@ -1,4 +1,4 @@
-"""The layout of a dataset folder: names of files and columns, and how descriptions, tables and images are read."""
+"""Names of files and columns of a dataset folder, and readers of its description, tables and images."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -38,7 +38,7 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Entry(BaseModel):
-    """A part of scene.json; what it does not know, others may have written."""
+    """A part of scene.json; unknown keys are ignored."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
@@ -54,7 +54,7 @@ class CameraEntry(Entry):
 
 
 def camera_description(camera: InteriorOrientation) -> dict[str, Any]:
-    """A `CameraEntry`, as scene.json has it."""
+    """Return a `CameraEntry` for scene.json."""
     intrinsic = dict(zip(("fx", "fy", "cx", "cy"), map(float, camera.intrinsic), strict=True))
     return {**intrinsic, "dist": camera.distortion.tolist()}
 
@@ -74,7 +74,7 @@ Scene = TypeVar("Scene", bound=SceneEntry)
 
 
 def read_json(path: Path) -> Any:
-    """The content of scene.json; DatasetError with the line where it is none."""
+    """Read scene.json; DatasetError, with the line, if it is invalid."""
     try:
         return plain_json.loads(read_text(path, MOST_BYTES, "scene.json"), constants=True)
     except FileNotFoundError:
@@ -98,7 +98,7 @@ def _has_plain_texts(content: Any) -> bool:
 
 
 def described(path: Path, content: Any, kind: type[Scene]) -> Scene:
-    """The content of scene.json as a description of that kind; DatasetError says which key is wrong."""
+    """Return the content of scene.json as this kind of description; DatasetError names the invalid key."""
     if isinstance(content, dict) and not _has_plain_texts(content):
         raise DatasetError(f"{path}: has text with a control character; write it in letters, digits and signs")
     try:
@@ -112,7 +112,7 @@ def described(path: Path, content: Any, kind: type[Scene]) -> Scene:
 
 
 def read_description(folder: Path, read: Callable[[Path], Scene]) -> Scene:
-    """A dataset's scene.json, read by `read`; DatasetError where the folder or its pictures are missing."""
+    """Read scene.json of a dataset by `read`; DatasetError if the folder or its images are missing."""
     if not folder.is_dir():
         raise DatasetError(f"{folder}: no such folder; a dataset is a folder with scene.json and video.mkv or frames/")
     scene = read(folder / "scene.json")
@@ -125,7 +125,7 @@ def read_description(folder: Path, read: Callable[[Path], Scene]) -> Scene:
 
 
 def check_frames(path: Path, table: Mapping[str, Array], frames: int) -> None:
-    """DatasetError unless the table has a row for each frame, with its number."""
+    """Raise DatasetError unless the table has a row for each frame, with its number."""
     number = table["frame"]
     if len(number) != frames:
         rows = f"more than {frames}" if len(number) > frames else len(number)  # those that are more are not read
@@ -136,27 +136,26 @@ def check_frames(path: Path, table: Mapping[str, Array], frames: int) -> None:
 
 
 def check_times(path: Path, stamp: Array) -> None:
-    """DatasetError unless the times (n,) of a table grow."""
+    """Raise DatasetError unless the times (n,) of a table increase."""
     back = np.flatnonzero(np.diff(stamp) <= 0.0)
     if len(back):
         raise DatasetError(f"{path}, row {back[0] + 2}: t does not increase")
 
 
 def is_rotation(R: Array) -> bool:
-    """Is (3, 3) a rotation, to what tables are written with?"""
+    """Is (3, 3) a rotation, within the digits of a table?"""
     return bool(np.allclose(R @ R.T, np.eye(3), atol=1e-4) and np.linalg.det(R) > 0.0)
 
 
 def in_video(folder: Path) -> bool:
-    """Are the pictures of a dataset in a video, or in files?"""
+    """Are the images of a dataset in a video, not in files?"""
     return (folder / "video.mkv").is_file()
 
 
 def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterator[NDArray[np.uint8]]:
-    """A dataset's pictures in their order, (h, w, 3) blue, green, red, for `size` (w, h) px and so many `frames`.
+    """Yield this number of images in order, (h, w, 3) blue, green, red, for `size` (w, h) px.
 
-    A recording cut short gives what is there and then raises DatasetError; so does a picture of another size, before
-    it is decoded.
+    A truncated recording yields its images and then raises DatasetError. An image of another size raises it undecoded.
     """
     source, images = folder / "frames", folder_images(folder, size)
     if in_video(folder):
@@ -173,12 +172,12 @@ def recorded_images(folder: Path, size: tuple[int, int], frames: int) -> Iterato
 
 
 def picture_file(folder: Path, index: int) -> Path:
-    """Path of a dataset's picture that is not in its video."""
+    """Return the path of an image that is not in the video."""
     return folder / "frames" / f"{index:06d}.png"
 
 
 def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
-    """The frames of a video as far as they can be read, (h, w, 3) blue, green, red; DatasetError for another `size`."""
+    """Yield the readable frames of a video, (h, w, 3) blue, green, red; DatasetError for another `size`."""
     try:
         capture = open_film(path)
     except OSError as e:
@@ -191,7 +190,7 @@ def video_images(path: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8
 
 
 def folder_images(folder: Path, size: tuple[int, int]) -> Iterator[NDArray[np.uint8]]:
-    """frames/000000.png, 000001.png, ... of a dataset up to the first that is missing, (h, w, 3)."""
+    """Yield frames/000000.png, 000001.png, ... up to the first missing one, (h, w, 3)."""
     index = 0
     while (file := picture_file(folder, index)).is_file():
         yield read_picture(file, size)
@@ -199,7 +198,7 @@ def folder_images(folder: Path, size: tuple[int, int]) -> Iterator[NDArray[np.ui
 
 
 def read_picture(file: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture file of a dataset, (h, w, 3) blue, green, red; DatasetError where its header says another `size`."""
+    """Read an image file, (h, w, 3) blue, green, red; DatasetError if its header has another `size`."""
     try:
         data = read_bytes(file, PICTURE_BYTES, "picture")
         header = read_header(data, FRAME_PIXELS)

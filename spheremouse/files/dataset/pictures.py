@@ -1,7 +1,7 @@
-"""Pictures of one size into a dataset folder, without loss.
+"""Write images of one size into a dataset folder, without loss.
 
-A video where OpenCV gives one back bit for bit, tried on noise; PNG files otherwise. A grey video takes a third of the
-time and room of one in colour; a picture in colour among grey ones stands beside it as a PNG file, under its number.
+They go into a video if OpenCV reproduces noise bit for bit, else into PNG files. A grey video takes a third of the time
+and space of a colour video; a colour image among grey ones becomes a PNG file with its number.
 """
 
 from pathlib import Path
@@ -20,7 +20,7 @@ GREY = ("FFV1",)  # what else OpenCV writes in grey comes back otherwise
 
 
 def lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...], colour: bool) -> str | None:
-    """The first codec that OpenCV writes and reads back bit for bit at (width, height), tried on noise; None: none."""
+    """Return the first codec with which OpenCV reproduces noise of (width, height) bit for bit, or None."""
     shape = (2, size[1], size[0], 3) if colour else (2, size[1], size[0])
     images = np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
     expected = images if colour else np.repeat(images[..., None], 3, axis=3)
@@ -40,7 +40,7 @@ def lossless_codec(folder: Path, size: tuple[int, int], codecs: tuple[str, ...],
 
 
 class PictureWriter:
-    """Writes pictures, (h, w, 3) BGR or (h, w) grey, into a folder. All are in colour unless `mixed`."""
+    """Writes images, (h, w, 3) BGR or (h, w) grey, into a folder. All are in colour unless `mixed`."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class PictureWriter:
         *,
         mixed: bool = False,
     ) -> None:
-        """`size`: width and height, px; `fps` is what a player of the video goes by. Takes some tenths of a second."""
+        """`size`: width and height, px; `fps`: of the video in a player. Takes some tenths of a second."""
         self.written = 0
         self._in_files = 0  # bytes
         self._folder, self._size, self._fps = folder, size, fps
@@ -63,7 +63,7 @@ class PictureWriter:
         self._first: Image | None = None  # the second one tells whether grey is the rule
 
     def add(self, image: Image) -> None:
-        """One more. DatasetError where it cannot be written, as far as that shows at once."""
+        """Add an image; DatasetError if it cannot be written and OpenCV reports that at once."""
         assert image.shape[:2] == (self._size[1], self._size[0])
         if self.written == 0 and self._mixed:
             self._first = image.copy()
@@ -79,7 +79,7 @@ class PictureWriter:
         return self._in_files + (0 if self._video is None or not video.exists() else video.stat().st_size)
 
     def close(self) -> None:
-        """End the video. DatasetError where it is not what was written: OpenCV's writer reports no errors."""
+        """End the video. DatasetError if its size differs from that written; OpenCV's writer reports no errors."""
         if self._first is not None:
             self._begin(self._first)
         if self._video is None:
@@ -93,13 +93,13 @@ class PictureWriter:
             raise DatasetError(f"{self._folder}: the video could not be written; is the disk full?")
 
     def release(self) -> None:
-        """Let go of the files; what is in them does not matter any more."""
+        """Close the files of a discarded recording."""
         if self._video is not None:
             self._video.release()
             self._video = None
 
     def _begin(self, image: Image) -> None:
-        """The video, of the kind of the first two pictures, the second of which is `image`; grey if one of them is."""
+        """Begin the video, grey if one of the first two images is; the second one is `image`."""
         first, self._first = self._first, None
         self._colour = image.ndim == 3 and (first is None or first.ndim == 3)
         codec = self._codec if self._colour else self._grey_codec

@@ -1,8 +1,7 @@
-"""Recordings of hand-held balls on disk: scene.json with `wand`, the frames, and truth.csv where there is one.
+"""Read recordings of hand-held balls: scene.json with `wand`, the frames, and perhaps truth.csv.
 
-`open_wand` and `read_wand_frames` read one, `write_wand` makes one, whole or not at all. The format is that of
-docs/datasets; where several balls are in view, `wands` describes them all, the first being `wand`, and truth.csv has
-columns x_1, y_1, ... of the second, and so on.
+`open_wand` and `read_wand_frames` read one, `write_wand` writes one. docs/datasets describes the format. With several
+balls, `wands` describes all of them, the first is also `wand`, and truth.csv has columns x_1, y_1, ... of the second.
 """
 
 from collections.abc import Iterator
@@ -46,7 +45,7 @@ _FRAME = (
 
 @dataclass(frozen=True, slots=True)
 class WandRecording:
-    """A wand dataset whose description has been read and checked; its frames come from `read_wand_frames`."""
+    """The checked description of a wand dataset; `read_wand_frames` yields its frames."""
 
     path: Path
     name: str
@@ -60,12 +59,12 @@ class WandRecording:
 
     @property
     def ball(self) -> WandBall:
-        """The first one."""
+        """The first ball."""
         return self.balls[0]
 
     @property
     def truth(self) -> WandTruth | None:
-        """Of the first ball."""
+        """The truth of the first ball."""
         return self.truths[0] if self.truths else None
 
 
@@ -98,7 +97,7 @@ class _Scene(SceneEntry):
 
 
 def is_wand(path: Path | str) -> bool:
-    """Does a folder say that it is a recording of a wand? False for whatever cannot be read."""
+    """Is a folder a recording of a wand? False if it cannot be read."""
     try:
         content = read_json(Path(path) / "scene.json")
     except DatasetError:
@@ -107,7 +106,7 @@ def is_wand(path: Path | str) -> bool:
 
 
 def open_wand(path: Path | str) -> WandRecording:
-    """Read and check the description of a wand dataset; DatasetError names the file at fault."""
+    """Read and check the description of a wand dataset; DatasetError names the invalid file."""
     path = Path(path)
     scene = read_description(path, _read_scene)
     c = scene.camera
@@ -153,7 +152,7 @@ def _ball(path: Path, wand: _Wand) -> WandBall:
 
 
 def columns_of(ball: int) -> tuple[str, ...]:
-    """Of a pose in truth.csv."""
+    """Return the columns of a ball's pose in truth.csv."""
     return tuple(name if ball == 0 else f"{name}_{ball}" for name in WAND_COLUMNS[2:])
 
 
@@ -176,9 +175,9 @@ def _read_truths(path: Path, frames: int, balls: int) -> tuple[WandTruth, ...]:
 
 
 def read_wand_frames(recording: WandRecording) -> Iterator[Frame]:
-    """The frames in order, with the stamps and numbers of the recording; else the truth's times, or index / fps.
+    """Yield the frames in order, with the stamps and numbers of the recording, else the truth's times, or index / fps.
 
-    A recording cut short gives what is there and then raises DatasetError.
+    A truncated recording yields its frames and then raises DatasetError.
     """
     camera, truth = recording.camera, recording.truth
     times = None if truth is None else truth.stamp
@@ -190,7 +189,7 @@ def read_wand_frames(recording: WandRecording) -> Iterator[Frame]:
 
 
 def wand_scene(camera: InteriorOrientation, balls: tuple[WandBall, ...]) -> dict[str, Any]:
-    """The content of scene.json, but for `name`, `fps` and `frames`."""
+    """Return the content of scene.json, without `name`, `fps` and `frames`."""
     described = [wand_description(ball) for ball in balls]
     return {
         "width": int(camera.width),
@@ -202,7 +201,7 @@ def wand_scene(camera: InteriorOrientation, balls: tuple[WandBall, ...]) -> dict
 
 
 def wand_description(ball: WandBall) -> dict[str, Any]:
-    """A ball as scene.json has it."""
+    """Return a ball for scene.json."""
     discs = []
     for disc in ball.discs:
         x, y, z = disc.direction

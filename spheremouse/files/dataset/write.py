@@ -32,8 +32,8 @@ class DatasetWriter:
     def __init__(
         self, path: Path | str, scene: dict[str, Any], *, replace: bool = False, centres: bool = False
     ) -> None:
-        """`scene`: the content of scene.json without `frames`. A non-empty `path` is refused unless `replace`,
-        and even then replaced only if all it holds is a dataset. `centres`: the ball's centre moves and is written."""
+        """`scene`: the content of scene.json without `frames`. `replace` allows to replace a dataset at `path`, but no
+        other files. `centres`: write the ball's centre, which moves."""
         self._path = Path(path).absolute()
         self._scene = scene
         self._replace = replace
@@ -59,7 +59,7 @@ class DatasetWriter:
         return self
 
     def add(self, frame: Frame, attitude: Array, rate: Array, discs: DiscTruth, centre: Array | None = None) -> None:
-        """One frame with R_obj_ball (3, 3), w_obj (3,) rad/s and the rows of its discs (their `frame` is not used).
+        """Add a frame with R_obj_ball (3, 3), w_obj (3,) rad/s and the rows of its discs (their `frame` is not used).
 
         `centre`: (3,) m in obj, of the ball, where `centres` are written.
         """
@@ -99,18 +99,18 @@ class DatasetWriter:
     def _publish(self) -> None:
         finish_pictures(self._pictures, self._path)
         write_scene(self._folder, {**self._scene, "frames": self._pictures.written})
-        refuse_to_overwrite(self._path, self._replace)  # once more: somebody may have come first
+        refuse_to_overwrite(self._path, self._replace)  # another process may have made it meanwhile
         self._new.finish()
 
 
 class FilmWriter:
-    """Writes what a live camera showed, without truth: all of it at `finish`, or nothing.
+    """Writes the frames of a live camera, without truth; `finish` gives the dataset its name.
 
-    Pictures and stamps come back to the last bit.
+    Images and stamps read back to the last bit.
     """
 
     def __init__(self, path: Path, size: tuple[int, int]) -> None:
-        """`size`: (w, h) px. Raises DatasetError where `path` is there and not empty, or cannot be written."""
+        """`size`: (w, h) px. Raises DatasetError if `path` has files, or cannot be written."""
         self._path, self._size = path.absolute(), size
         self._stamps: list[float] = []
         self._pictures: PictureWriter | None = None
@@ -123,14 +123,14 @@ class FilmWriter:
             raise
 
     def open(self, fps: float) -> None:
-        """Find out how to write, which takes some tenths of a second; `fps` is what a player of the video goes by."""
+        """Choose the codec, which takes some tenths of a second; `fps`: of the video in a player."""
         self._pictures = PictureWriter(self.folder, self._size, fps, FAST, mixed=True)
         self._file = (self.folder / "stamps.csv").open("w", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file, lineterminator="\n")
         self._rows.writerow(STAMP_COLUMNS)
 
     def add(self, frame: Frame) -> None:
-        """One more frame, grey or in colour."""
+        """Add a frame, grey or in colour."""
         assert self._pictures is not None
         stamp, colour = float(frame.stamp), int(frame.image.ndim == 3)
         self._rows.writerow([self._pictures.written, repr(stamp), int(frame.sequence), colour])
@@ -139,7 +139,7 @@ class FilmWriter:
 
     @property
     def frames(self) -> int:
-        """Written so far."""
+        """Number of frames written."""
         return len(self._stamps)
 
     def size(self) -> int:
@@ -147,7 +147,7 @@ class FilmWriter:
         return 0 if self._pictures is None else self._pictures.size() + (self.folder / "stamps.csv").stat().st_size
 
     def finish(self, scene: Mapping[str, Any], files: Mapping[str, str]) -> None:
-        """Give it its name, once all is on the disk; DatasetError where that cannot be.
+        """Give the dataset its name, once all is on the disk; DatasetError if that fails.
 
         `scene`: the content of scene.json but for name, rate and number of frames; `files`: further files of a
         dataset, name and text.
@@ -162,7 +162,7 @@ class FilmWriter:
             write_scene(self.folder, said)
             for file in [*self.folder.rglob("*"), self.folder]:
                 _sync(file)
-            self.folder.chmod(0o750)  # of people, perhaps: not for everybody
+            self.folder.chmod(0o750)  # it may show people
             refuse_to_overwrite(self._path, False)
             self._new.finish()
             _sync(self._path.parent)
@@ -170,7 +170,7 @@ class FilmWriter:
             raise DatasetError(f"{self._path}: cannot be written ({e.strerror})") from None
 
     def discard(self) -> None:
-        """Remove what has not got its name."""
+        """Remove the dataset, unless it has its name."""
         if self._pictures is not None:
             self._pictures.release()
             self._file.close()
@@ -178,7 +178,7 @@ class FilmWriter:
 
 
 def finish_pictures(pictures: PictureWriter, path: Path) -> None:
-    """Close the pictures of the dataset `path`; DatasetError where there are none, or they cannot be written."""
+    """Close the images of the dataset `path`; DatasetError if there are none, or they cannot be written."""
     if pictures.written == 0:
         raise DatasetError(f"{path}: nothing to write, the recording would have no frame")
     try:
@@ -188,12 +188,12 @@ def finish_pictures(pictures: PictureWriter, path: Path) -> None:
 
 
 def write_scene(folder: Path, scene: Mapping[str, Any]) -> None:
-    """scene.json."""
+    """Write scene.json."""
     (folder / "scene.json").write_text(json.dumps(scene, indent=1) + "\n", encoding="utf-8")
 
 
 def refuse_to_overwrite(path: Path, replace: bool) -> None:
-    """DatasetError where something is there that is not to be replaced, or is no dataset."""
+    """Raise DatasetError if `path` exists and may not be replaced, or is no dataset."""
     if not path.exists():
         return
     if not path.is_dir():
@@ -207,15 +207,15 @@ def refuse_to_overwrite(path: Path, replace: bool) -> None:
 
 
 def _rate(stamps: list[float]) -> float:
-    """Frames per second, from the median step of the stamps; 30 where they tell none."""
+    """Return frames per second from the median step of the stamps; 30 if there is none."""
     steps = np.diff(stamps)
     steps = steps[np.isfinite(steps) & (steps > 0.0)]
     return float(1.0 / np.median(steps)) if len(steps) else 30.0
 
 
 def _sync(path: Path) -> None:
-    """Have what is written on the disk, as far as the system lets us ask."""
-    with suppress(OSError):  # folders cannot be opened everywhere
+    """Flush the files to the disk, if the system allows it."""
+    with suppress(OSError):  # some systems cannot open folders
         handle = os.open(path, os.O_RDONLY)
         try:
             os.fsync(handle)
@@ -224,7 +224,7 @@ def _sync(path: Path) -> None:
 
 
 def device_description(rig: Rig) -> dict[str, Any]:
-    """Entry of scene.json for a device, without its covariances."""
+    """Return the entry of a device in scene.json, without covariances."""
     camera, targets = rig.camera, rig.targets
     description: dict[str, Any] = {
         "width": int(camera.width),

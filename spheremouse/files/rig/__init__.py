@@ -1,7 +1,7 @@
-"""rig.yaml and camera.yaml: what calibration knows of a device, to and from files a person can read and mend.
+"""Write and read rig.yaml and camera.yaml, the results of a calibration.
 
-Units, frames and conventions are those of `rig` and `camera`: metres, `obj`, OpenCV's k1 k2 p1 p2 k3. Everything a
-file claims is checked here, so that the core may take it as true.
+Units, frames and conventions are those of `rig` and `camera`: metres, `obj`, OpenCV's k1 k2 p1 p2 k3. The
+reader checks every value, so the core does not.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from spheremouse.geometry.rotation import Array
 
 
 def load_rig(path: Path) -> Rig:
-    """The rig of a file; ConfigurationError with a line per problem."""
+    """Read a rig from a file; ConfigurationError with a line for each problem."""
     document, file = read_checked(path, RigFile, "rig")
     if problems := [*camera_problems(file.camera), *rig_problems(file)]:
         raise document.error(problems)
@@ -50,7 +50,7 @@ def load_rig(path: Path) -> Rig:
 
 
 def load_camera(path: Path) -> InteriorOrientation:
-    """The interior orientation of a camera file; ConfigurationError with a line per problem."""
+    """Read the interior orientation of a camera file; ConfigurationError with a line for each problem."""
     document, file = read_checked(path, CameraFile, "rig")
     if problems := list(camera_problems(file.camera)):
         raise document.error(problems)
@@ -58,25 +58,22 @@ def load_camera(path: Path) -> InteriorOrientation:
 
 
 def with_camera(rig: Rig, camera: InteriorOrientation) -> Rig:
-    """The rig seen through another interior orientation: calibrated at another resolution, or another lens."""
+    """Return the rig with another interior orientation, of another resolution or lens."""
     return dataclasses.replace(rig, camera=camera)
 
 
 def save_rig(path: Path, rig: Rig, provenance: Mapping[str, Any] | None = None) -> None:
-    """Write a rig file that reads back to the same rig; whole or not at all."""
+    """Write a rig file, whole or not at all; it reads back to the same rig."""
     write_atomically(path, rig_text(rig, provenance))
 
 
 def save_camera(path: Path, camera: InteriorOrientation, provenance: Mapping[str, Any] | None = None) -> None:
-    """Write a camera file that reads back to the same interior orientation; whole or not at all."""
+    """Write a camera file, whole or not at all; it reads back to the same interior orientation."""
     write_atomically(path, f"schema: {SCHEMAS['rig']}\n{_provenance_text(provenance)}{_camera_text(camera)}")
 
 
 def rig_text(rig: Rig, provenance: Mapping[str, Any] | None = None) -> str:
-    """A rig as YAML. `provenance` says where it comes from: date, version, photos (file, sha256), notes.
-
-    It is kept for people; reading the file leaves it out.
-    """
+    """Return a rig as YAML. `provenance` holds date, version, photos (file, sha256) and notes for people."""
     units = "Pixels, and lengths in a unit of their own" if rig.scale_free else "Metres and pixels"
     lines = [
         f"# A device as calibrated. {units}; obj: ball centre, X right, Y up, Z towards the camera.",
@@ -119,7 +116,7 @@ def _camera_text(camera: InteriorOrientation) -> str:
 
 
 def _targets_lines(rig: Rig) -> list[str]:
-    """Each target with a covariance of its own where that is all; else what they have in common after the last."""
+    """Return the lines of the targets; each has its covariance, or a joint one follows the last target."""
     joint, n = rig.targets.covariance, len(rig.targets.ids)
     own = joint.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
     correlated = bool(np.any(joint != of_each(own))) if n else False

@@ -1,4 +1,4 @@
-"""What a rig.yaml claims and cannot be: numbers that do not go together, each with its place and its remedy."""
+"""Find contradictory values of a rig.yaml, each with its place and its remedy."""
 
 import math
 from collections.abc import Iterator
@@ -44,7 +44,7 @@ def rig_problems(file: RigFile) -> Iterator[Problem]:
 
 
 def _spread_problems(file: RigFile) -> Iterator[Problem]:
-    """Covariances so large that nothing is known: beyond a hundred of the ball's radii, or half a turn."""
+    """Yield covariances above a hundred radii of the ball, or half a turn, which carry no information."""
     r = 100.0 * file.ball.radius
     own = [(("targets", i, "covariance"), target.covariance, [r] * 3) for i, target in enumerate(file.targets)]
     for key, rows, most in (
@@ -132,7 +132,7 @@ def _covariance_problems(key: Key, rows: Matrix | None, n: int) -> Iterator[Prob
 
 
 def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: BallPart) -> Iterator[Problem]:
-    """Problems of the block between what has the covariance C, (n, n), and the ball: the whole must be a covariance."""
+    """Yield problems of the block between the covariance C, (n, n), and the ball: the whole must be a covariance."""
     if rows is None:
         return
     if len(rows) != len(C) or not all(len(row) == 4 for row in rows):
@@ -145,7 +145,7 @@ def _cross_problems(key: Key, C: Array, rows: Matrix | None, ball: BallPart) -> 
 
 
 def _is_covariance(C: Array) -> bool:
-    """Is a symmetric matrix with a diagonal >= 0 positive semidefinite, to the digits a file gives?"""
+    """Is a symmetric matrix with a diagonal >= 0 positive semidefinite, within the digits of a file?"""
     scale = np.sqrt(np.outer(np.diag(C), np.diag(C)))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = np.where(scale > 0, C / scale, np.where(C == 0, 0.0, np.inf))

@@ -1,4 +1,4 @@
-"""What a rig.yaml and a camera.yaml may hold: names, units and bounds, and the matrices that the rows in them are."""
+"""Models of rig.yaml and camera.yaml: keys, units and bounds; and matrices from their rows."""
 
 from typing import Annotated, Literal, get_args
 
@@ -13,7 +13,7 @@ Code = Literal["CMY", "CYM", "MCY", "MYC", "YCM", "YMC"]
 assert get_args(Code) == CODES
 
 # Lengths are in metres, or in any unit where the scale is free: a millionth and a million hold a ball of millimetres as
-# well as one of kilometres, and their squares and quotients are numbers yet.
+# well as one of kilometres, and their squares and quotients remain finite.
 _GREATEST = 1e6
 Length = Annotated[float, Field(ge=1.0 / _GREATEST, le=_GREATEST)]
 Coordinate = Annotated[float, Field(ge=-_GREATEST, le=_GREATEST)]
@@ -57,7 +57,7 @@ class TargetPart(Part):
 
 
 class Provenance(BaseModel):
-    """Date, version, photos, notes, and whatever else; nothing here reads it."""
+    """Date, version, photos and notes for people; the program does not read them."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -98,12 +98,12 @@ class RigFile(CameraFile):
 
 
 def matrix(rows: Matrix | None, n: int, m: int | None = None) -> Array:
-    """Rows of a file, (n, m or n); zeros where it has none."""
+    """Return the rows of a file as a matrix, (n, m or n); zeros if it has none."""
     return np.zeros((n, m or n)) if rows is None else np.array(rows, dtype=float)
 
 
 def of_each(covariance: Array) -> Array:
-    """Covariance of n places of which each has its own, (n, 3, 3), and that share nothing: (3n, 3n)."""
+    """Return the joint covariance, (3n, 3n), of n independent positions with covariances (n, 3, 3)."""
     n = len(covariance)
     joint = np.zeros((n, 3, n, 3))
     joint[np.arange(n), :, np.arange(n)] = covariance
@@ -111,7 +111,7 @@ def of_each(covariance: Array) -> Array:
 
 
 def targets_covariance(file: RigFile) -> Array:
-    """Covariance of the targets' coordinates, (3n, 3n) m²: of all, or of each by itself."""
+    """Return the covariance of the targets' coordinates, (3n, 3n) m², joint or of independent targets."""
     n = len(file.targets)
     if file.targets_covariance is not None or n == 0:
         return matrix(file.targets_covariance, 3 * n)
