@@ -14,7 +14,6 @@ from typing import Annotated, Any, get_args
 import typer
 
 from spheremouse.errors import ConfigurationError
-from spheremouse.files.pictures import FRAME_PIXELS
 from spheremouse.simulate.ball.options import option_name
 
 _LARGEST = 8192  # px, a side
@@ -94,6 +93,8 @@ def _value(field: "Field[Any]", typed: Any) -> Any:
 
 def parse_size(text: str, least: int, example: str) -> tuple[int, int]:
     """Width and height in px of `640x480`; ConfigurationError where a side is below `least`."""
+    from spheremouse.files.pictures import FRAME_PIXELS
+
     width, _, height = text.lower().partition("x")
     fits = all(side.isdecimal() and len(side) < 10 and least <= int(side) <= _LARGEST for side in (width, height))
     if fits and int(width) * int(height) > FRAME_PIXELS:

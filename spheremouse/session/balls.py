@@ -21,7 +21,8 @@ class Balls:
 def read_balls(files: Iterable[Path]) -> Balls:
     """Read balls from wand files.
 
-    Raises ConfigurationError if a file is invalid, two balls share a name, or two files differ in a colour's bounds.
+    A file that is named twice stands for two equal balls. Raises ConfigurationError if a file is invalid, if balls of
+    two files share a name, or if two files differ in a colour's bounds.
     """
     named: dict[str, Path] = {}
     balls: list[WandBall] = []
@@ -30,7 +31,7 @@ def read_balls(files: Iterable[Path]) -> Balls:
     for path in files:
         file = load_wand(path)
         name = file.ball.name
-        if name in named:
+        if name in named and not path.samefile(named[name]):  # a file that is named twice is of two equal balls
             raise ConfigurationError(f"{path}: name: {name} is also the ball of {named[name]}; give each its own name")
         named[name] = path
         balls.append(file.ball)

@@ -133,10 +133,10 @@ def test_files_of_another_kind_are_kept(tmp_path):
     with pytest.raises(OutputError, match="exists and is no log of motions"):
         AxesOutput(str(path)).open()
     path.unlink()
-    for _ in range(2):  # one of its own is begun anew
+    for times in (1, 2):  # one of its own is appended to
         with AxesOutput(str(path)).open():
             pass
-        assert path.read_text() == HEADER + "\n"
+        assert path.read_text() == times * (HEADER + "\n")
 
 
 def test_a_reader_that_goes_ends_it_quietly():

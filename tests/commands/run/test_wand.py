@@ -4,6 +4,7 @@ import io
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -121,6 +122,7 @@ def test_axes_may_go_beside_the_pointer_and_the_configuration_may_say_all(sphere
     assert spheremouse(*WAND, *words)[:2] == (0, "")  # the pointer goes nowhere, unless said otherwise
     assert log.read_text() == out
     save_wand(tmp_path / "ball.yaml", grzonka_ball())
+    log.unlink()
     file = tmp_path / "config.yaml"
     file.write_text(
         f"schema: 2\ntracker: wand\nsource: dataset:{hand}\noutput: null\ncamera_file: {camera}\n"
@@ -256,7 +258,7 @@ def test_what_does_not_go_together_is_refused(spheremouse, hand, camera, tmp_pat
 
 def test_balls_that_disagree_about_a_colour_are_refused(spheremouse, hand, tmp_path):
     save_wand(tmp_path / "a.yaml", contrast_ball())
-    save_wand(tmp_path / "b.yaml", contrast_ball(), {"dark": ColourSettings(value_max=50.0)})
+    save_wand(tmp_path / "b.yaml", replace(contrast_ball(), name="other"), {"dark": ColourSettings(value_max=50.0)})
     words = ("--source", f"dataset:{hand}", "--output", "null")
     said = refused(spheremouse(*WAND, *words, "--ball", tmp_path / "a.yaml", "--ball", tmp_path / "b.yaml"))
     assert said.startswith(f"{tmp_path / 'b.yaml'}: colours.dark: other bounds than in {tmp_path / 'a.yaml'}")
