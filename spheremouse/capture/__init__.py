@@ -4,11 +4,11 @@ A source is a module here with `open(argument: str, realtime: bool) -> Source`; 
 Those of other distributions are named by entry points in the group `spheremouse.source`.
 """
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -126,10 +126,11 @@ def full_spec(spec: str) -> str:
     """
     if spec.startswith(("/dev/video", "/dev/v4l/")):
         return f"v4l2:{spec}"
-    if "\0" in spec or spec in KINDS:
+    if spec in KINDS:
         return spec
-    path = Path(spec)
-    return f"dataset:{spec}" if (path / "scene.json").is_file() else f"video:{spec}" if path.is_file() else spec
+    if os.path.isfile(os.path.join(spec, "scene.json")):  # False, other than of Path, for every impossible name
+        return f"dataset:{spec}"
+    return f"video:{spec}" if os.path.isfile(spec) else spec
 
 
 def open_source(spec: str, *, realtime: bool = False) -> Source:

@@ -59,6 +59,7 @@ def test_an_output_of_another_distribution_is_opened_by_its_name(installed):
         ("{}", "{}"),
         ("synthetic", "synthetic"),
         ("a\0b", "a\0b"),
+        ("a" * 5000, "a" * 5000),
     ],
 )
 def test_a_path_names_a_source_without_its_kind(tmp_path, given, full):
